@@ -39,7 +39,7 @@ _BEAM = (
 
 @dataclass(frozen=True)
 class _Node:
-    """A plugin or reference: ``kind`` is the XML tag (``ref`` for a reference), ``plugin`` its type."""
+    """Node of the scene's tree: a plugin, or a reference to one; ``kind`` is its XML tag, ``plugin`` its type."""
 
     kind: str
     plugin: str

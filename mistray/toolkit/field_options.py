@@ -111,6 +111,7 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
     Parameters
     ----------
     request : type
+        Class of the request.
     options : mapping
         Value by the name of its option, without dashes; None where it is not given.
 

@@ -108,6 +108,7 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     kind : type
         Dataclass of the rows.
     rows : sequence
+        Rows, all of this class.
     """
     import pandas as pd
 

@@ -111,6 +111,7 @@ def output(
     names : sequence of str
         Patterns of the names of these files, see `mistray.cli.claims`.
     *more : Option
+        Further options of the group.
     shown : str
         Description of the printed output.
     formats : sequence of str

@@ -34,6 +34,7 @@ class TomlSection:
     place : str
         Place of the table in the study, with a final dot: ``optimizer.``, ``term[2].``; empty for the whole.
     content : mapping
+        Values by key.
     folder : Path
         Folder to which file names are relative.
     """

@@ -32,6 +32,7 @@ def relative_scatter(name: str, value: np.ndarray, slope: float = CLEANED_SLOPE)
     Parameters
     ----------
     name : {"rms_nm", "level", "coverage_percent", "A", "b0", "reflectance"}
+        Parameter of the scatter model.
     value : array
         Value in the unit of the parameter (nm for "rms_nm"), greater than 0; a level at least 1.
     slope : float
@@ -112,6 +113,7 @@ class ToleranceChoice:
     best, worst : float
         Smallest and largest value to choose from.
     cost : PowerCost or StepCost
+        Cost of a value.
     slope : float
         Slope of the size distribution of particles.
     """

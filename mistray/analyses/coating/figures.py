@@ -58,6 +58,7 @@ def coated_surfaces(scene: Any) -> list[CoatedSurfaces]:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
 
     Raises
     ------
@@ -88,6 +89,7 @@ def coating_figure(
     Parameters
     ----------
     coating : CoatingModel
+        Coating to draw.
     wavelengths_nm : sequence of float
         Two or more wavelengths, nm; the right side takes the first, the middle and the last.
     angles_deg : sequence of float

@@ -45,6 +45,7 @@ class Control:
     name : str
         Name such as "coating L1", "layers", "detector.bsdf.R", "vane radius", "field", "wavelength".
     kind : {"coating", "layers", "number", "field", "wavelength"}
+        Kind of quantity that it sets.
     start : str or float
         Value in the scene.
     label, unit : str
@@ -132,6 +133,7 @@ def controls_of(
     path : Path
         Scene file.
     scene : mi.Scene
+        Loaded scene.
     field_deg : sequence of float
         Field angles, degrees; the first is the initial one. A single angle makes no control.
     wavelength_nm : sequence of float

@@ -44,6 +44,7 @@ class SurfaceLook:
     Attributes
     ----------
     coating : CoatingModel
+        Coating of the surface.
     models : tuple of (model, float)
         Scatter models, and the factor on the BSDF of each.
     """
@@ -61,6 +62,7 @@ class Looks:
     scene : mi.Scene
         Scene as loaded; its numbers are read once.
     controls : mapping of str to Control
+        Controls of the explorer, by name.
     """
 
     def __init__(self, scene: Any, controls: Mapping[str, Control]) -> None:
@@ -148,12 +150,14 @@ class SurfaceHits:
 
     Attributes
     ----------
-    event : int, code of the event
+    event : int
+        Code of the event.
     wavelength_nm : float
         Wavelength, nm.
     cos_i : (n,) float64
         Cosines of incidence.
-    from_front : (n,) bool, whether light comes from the front
+    from_front : (n,) bool
+        Whether light comes from the front.
     scattered : (n, 3) float64
         Unit directions of scattered light in the frame of `mistray.scatter.evaluate.bsdf`; 0 for other events.
     """

@@ -44,6 +44,7 @@ class PageServer(ThreadingHTTPServer):
     Parameters
     ----------
     explorer : Explorer
+        Explorer of a scene.
     port : int
         Port to listen on; 0: any that is free.
 

@@ -35,10 +35,12 @@ class HitGroup:
 
     Attributes
     ----------
-    surface : str, shape id
+    surface : str
+        Shape id.
     rays : (n,) int
         Index in the sample of the ray of each hit.
     hits : SurfaceHits
+        Angles and directions of the hits.
     """
 
     surface: str
@@ -103,7 +105,9 @@ class Traced:
     stray_W, direct_W, ratio : Estimate
         Power of the stray and of the direct light, W, and stray over direct.
     sample : Sample
+        Rays of the paths, with their hits.
     maps : Maps
+        Stray power on cells of the detector.
     remedy : Remedy or None
         Surface that takes part in most of the stray light, detectors aside.
     slopes : dict
@@ -136,6 +140,7 @@ def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
     Parameters
     ----------
     t : Trace
+        Finished trace.
     state : mapping
         Values of the controls with which the scene was traced.
     """

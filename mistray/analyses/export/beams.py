@@ -180,6 +180,7 @@ class BeamFinder:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     wavelength_nm : float, optional
         Wavelength, nm; by default the first one of the scene's source.
 

@@ -122,6 +122,7 @@ def bodies_of(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     lit : mapping of str to int
         Side of each mirror that light comes from: -1 the front, 1 the back, in the frame of the shape.
     mirror_thickness_mm : float or None

@@ -26,6 +26,7 @@ def run(scene: mi.Scene, request: CriticalRaysRequest) -> pd.DataFrame:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     request : CriticalRaysRequest
 
     Returns

@@ -32,6 +32,7 @@ class Turner:
     Parameters
     ----------
     file : StepFile
+        File to which faces are added.
     matrix : (4, 4) float64
         Rigid transform from the frame of the profiles to the world, mm.
     """
@@ -206,6 +207,7 @@ class Patch:
     Parameters
     ----------
     name : str
+        Id of the shape.
     height : callable
         Sag, mm, at points x, y of the frame, mm.
     figures : tuple of OutlineFigure

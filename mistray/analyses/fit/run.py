@@ -225,6 +225,7 @@ class Fit:
         Parameters
         ----------
         name : str
+            Name of the parameter.
         probability : float
             Probability that the interval holds the truth, 0 … 1.
 

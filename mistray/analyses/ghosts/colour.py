@@ -194,6 +194,7 @@ class ColourPictures:
     Attributes
     ----------
     look : Look
+        Settings of the pictures.
     block : int
         Number of pixels averaged along each side of a block.
     all_light, stray : dict

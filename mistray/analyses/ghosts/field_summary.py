@@ -87,6 +87,7 @@ def field_summary(
     Parameters
     ----------
     t : Trace
+        Finished trace.
     rows : DataFrame
         Paths of the trace, ``t.paths.by_way()``.
     table : DataFrame

@@ -29,6 +29,7 @@ class FieldTraces:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     arguments : mapping
         Arguments of `mistray.trace` at every field.
     progress : callable or None

@@ -52,6 +52,7 @@ def path_analysis(
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     sort : {"power_W", "objects", "branches", "last_object", "unique_objects", "opl_mm", "diffractions"}
         Sort key: text from A to Z, numbers from the largest; paths with equal keys by power.
     least_share : float

@@ -35,6 +35,7 @@ def scatter_surfaces(trace: Trace, table: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     table : DataFrame
         ``trace.paths.by_way()``, or its rows of one wavelength.
 

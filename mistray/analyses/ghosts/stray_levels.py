@@ -24,6 +24,7 @@ def stray_levels(trace: Trace, table: pd.DataFrame, by: str = "scatter") -> pd.D
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     table : DataFrame
         ``trace.paths.by_way()``, or its rows of one wavelength.
     by : {"scatter", "split"}

@@ -32,6 +32,7 @@ class WorstPath:
     Attributes
     ----------
     label : str
+        Name of the path in words.
     few_rays, contested : bool
         Whether its numbers have no errors there, and whether it may be as bright as the worst path of all fields.
     fields : tuple of float
@@ -64,6 +65,7 @@ class Remedy:
     Attributes
     ----------
     surface : str
+        Id of the surface.
     deed : {"reflects", "scatters", "passes"}
         Interaction with most of that light. "passes": it transmits light where the direct image does not go, as at an
         edge.
@@ -155,6 +157,7 @@ def remedy(report: GhostReport) -> Remedy | None:
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     """
     field = most_stray(report)
     if field is None:

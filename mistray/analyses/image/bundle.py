@@ -84,6 +84,7 @@ def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, apertu
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     field_deg : float
         Field angle, degrees.
     azimuth_deg : float or None

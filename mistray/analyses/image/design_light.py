@@ -75,6 +75,7 @@ def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False)
     Parameters
     ----------
     path : DesignPath
+        Design path to follow.
     o, d : (n, 3) float64
         Origins (mm) and unit directions before the first step.
     throughput : bool

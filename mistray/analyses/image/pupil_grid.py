@@ -101,9 +101,11 @@ def sample_pupil(
     Parameters
     ----------
     path : DesignPath
+        Design path of the scene.
     bundle, region
         Rays of the field, and the region of those that get through at this wavelength.
     frame : ImageFrame
+        Image point, axes and reference sphere.
     stop : PupilStop
         Aperture stop, in which the rays also get coordinates.
     chief : (1, 2) float64

@@ -458,7 +458,9 @@ class ImageQuality(OfFields[FieldImage]):
     Attributes
     ----------
     fields : tuple of FieldImage
-    wavelengths_nm, weights : (n,) float64, nm and shares of the flux
+        Image of each field point.
+    wavelengths_nm, weights : (n,) float64
+        Wavelengths, nm, and their shares of the flux.
     stop : str
         Id of the surface at the rim of the aperture stop.
     image_scale_mm : float

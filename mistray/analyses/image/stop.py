@@ -116,7 +116,9 @@ class PupilStop:
         Parameters
         ----------
         path : DesignPath
+            Design path of the scene.
         bundle : PointBundle
+            Rays of the field.
         start : (1, 2) float64
             Coordinates of a ray that gets through.
         size : float
@@ -145,6 +147,7 @@ def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str |
     Parameters
     ----------
     path : DesignPath
+        Design path of the scene.
     bundle : PointBundle
         Light on the axis.
     region : Region

@@ -58,6 +58,7 @@ class Imported:
     Attributes
     ----------
     prescription : Prescription
+        Optical system that was read.
     record : dict
         JSON values: notes, lines without effect, and for sequential lenses first-order data (mm, nm).
     """

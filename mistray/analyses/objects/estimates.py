@@ -65,6 +65,7 @@ def product_estimates(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     area : float
         Area of the detector, mm².
     seen : RayView
@@ -114,6 +115,7 @@ def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
     Parameters
     ----------
     hits : HitSamples
+        Hits of backward rays on the object.
     side : {"front", "back", "both"}
         Side or sides of the object.
     """
@@ -244,6 +246,7 @@ def surface_bsdf(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     surface : int
         Index of the surface.
     from_front : (m,) bool

@@ -54,6 +54,7 @@ def objects_layout(found: Objects, title: str = "") -> Figure:
     Parameters
     ----------
     found : Objects
+        Result of the search for objects.
     title : str
         Name of the optical system.
     """

@@ -20,7 +20,9 @@ class Patches:
     Attributes
     ----------
     table : SurfaceTable
-    surface : int, index in the table
+        Surfaces of the scene.
+    surface : int
+        Index of the surface in the table.
     first, second : int
         Number of parts along each coordinate.
     """

@@ -71,7 +71,9 @@ class Places:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     scene : mi.Scene
+        Loaded scene.
     tracer : callable
         Makes a `ChainTracer` for given mirrors: surfaces that reflect by design, (s,) bool.
     stop : str, optional
@@ -82,6 +84,7 @@ class Places:
     path : DesignPath or None
         None if the scene has no source or no light of it reaches the detector; all places are then unknown.
     stop : ApertureStop or None
+        Aperture stop; None if it is unknown.
 
     Raises
     ------
@@ -144,6 +147,7 @@ class Places:
         Parameters
         ----------
         hits : Hits
+            Hits of the rays.
         gap : (m,) int
             Gap of each ray before the hit.
         backward : bool

@@ -39,6 +39,7 @@ class Objects:
     Attributes
     ----------
     scene : mi.Scene
+        Loaded scene.
     table : SurfaceTable
         Surfaces of the scene for computations on the host.
     places : Places

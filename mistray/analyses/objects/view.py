@@ -85,6 +85,7 @@ class WayOut:
     total : bool
         Whether total reflection occurs on the way.
     rays : int
+        Number of these rays.
     share, share_se : float
         Share of the started flux and its standard error.
     field_deg : (2,) float
@@ -153,6 +154,7 @@ class RayView:
     rays : int
         Number of start rays.
     seed : int
+        Seed of the random numbers.
     backward : bool
         Whether the rays run from the detector outwards.
     axis : (3,) float64

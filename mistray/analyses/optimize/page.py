@@ -58,6 +58,7 @@ def write_optimization(result: Optimization, directory: str | Path, command: str
     Parameters
     ----------
     result : Optimization
+        Optimisation to report on.
     directory : str or Path
         Created if it is missing.
     command : str

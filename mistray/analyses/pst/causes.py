@@ -154,6 +154,7 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     most : int
         Largest number of breaks; those with the largest change of slope are kept.
     light : str

@@ -54,6 +54,7 @@ def forward_pst(
     scene : mi.Scene
         Scene of `mistray.load`; its sources only determine the wavelengths.
     grid : DirectionGrid
+        Cells of field angle and azimuth.
     request : PstRequest, optional
         Light, detector, paths and maps, and the requested error. With `relative_error` the rays of a cell are doubled
         until the standard error of all light together over its value is at most this. A cell in which no light is
@@ -121,6 +122,7 @@ class CellRounds:
     Attributes
     ----------
     trace : WaveTrace
+        Trace of the cells.
     light : AllCells
         Forward rays, with their sums so far.
     progress : callable or None

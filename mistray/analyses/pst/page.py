@@ -59,6 +59,7 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     title : str
         Name of the optical system.
     maps_at : sequence of (float, float)
@@ -126,6 +127,7 @@ def write_pst(
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     directory : str or Path
         Created if it is missing, with its parents; other files in it are left alone.
     title : str

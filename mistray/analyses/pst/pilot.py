@@ -320,6 +320,7 @@ def _relative_variances(
     both : Samples
         All of these, in this order.
     cells : int
+        Number of cells.
 
     Returns
     -------

@@ -129,6 +129,7 @@ class Pst:
         derivative : (c, n, m) float64
             Derivative of the metric with respect to PST_normal of each class in each cell.
         request : GradientRequest
+            Settings of the gradient.
         groups : (n, m) int, optional
             Numbers of groups of cells, see `mistray.gradients.pst_gradient.PstRays.gradient`.
 
@@ -421,6 +422,7 @@ def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
     Parameters
     ----------
     found : Pst
+        PST to judge.
     largest : (n, m) float64
         See `Pst.largest_share`.
     rays : float

@@ -45,6 +45,7 @@ def quotient(
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     above, below : tuple of (n, m) float and str
         Coefficients and light of the two sums.
     floor : float

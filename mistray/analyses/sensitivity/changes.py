@@ -95,6 +95,7 @@ def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Parame
     Parameters
     ----------
     ranges : Ranges
+        Values, ranges and slopes of the parameters.
     factor : float
         Factor by which to lower the metric, greater than 1.
     count : int

@@ -113,6 +113,7 @@ def draw_systems(
     Parameters
     ----------
     metric : Metric
+        Metric of the scene.
     params : mi.SceneParameters
         Parameters of its scene, which are restored afterwards.
     rows : sequence of SensitivityRow

@@ -32,6 +32,7 @@ class Taken:
     times : float
         Factor on the rays of the metric, at most 1.
     found : Gradient
+        Gradient by parameter.
     seconds : float
         Time of the metric and its gradient, s.
     look : float

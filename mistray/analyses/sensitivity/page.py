@@ -44,6 +44,7 @@ def text(result: Sensitivity, count: int = 20) -> str:
     Parameters
     ----------
     result : Sensitivity
+        Sensitivity analysis.
     count : int
         Number of rows of the table.
     """

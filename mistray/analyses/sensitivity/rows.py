@@ -107,7 +107,9 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     params : mi.SceneParameters
+        Parameters of the scene, ``mi.traverse(scene)``.
     known : mapping of str to Parameter
         Parameters that can be differentiated, by key.
     chosen : iterable of str
@@ -207,6 +209,7 @@ class LineNumbers:
     Attributes
     ----------
     lines : list of Line
+        Lines of the table.
     ranges : Ranges
         Values, physical ranges, tolerances, d ln(metric) / d value.
     derivative, derivative_se : float64
@@ -236,6 +239,7 @@ class LineNumbers:
         found : Gradient
             Gradient with all keys of the lines.
         lines : list of Line
+            Lines of the table.
         tolerances : mapping of str to float
             Tolerance of each parameter by key, in its unit.
         """
@@ -296,7 +300,9 @@ class LineNumbers:
         Parameters
         ----------
         params : mi.SceneParameters
+            Parameters of the scene, ``mi.traverse(scene)``.
         ranges : Ranges
+            Values, ranges and slopes of the parameters.
         check : callable
             Raises `MistrayError` if the scene in its current state cannot be traced.
         """

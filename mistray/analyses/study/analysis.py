@@ -43,7 +43,9 @@ def stray_light_analysis(
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     pst : Pst
+        Point source transmittance (PST).
     first : FirstOrder, optional
         First-order data of the system; without it the PST on axis is not compared with its closed form.
     transmittance : float

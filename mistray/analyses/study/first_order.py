@@ -84,6 +84,7 @@ def first_order(scene: Any, path: DesignPath) -> FirstOrder:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     path : DesignPath
         Design path of the scene, see `mistray.sampling.design_path.find_design_path`.
     """

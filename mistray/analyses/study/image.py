@@ -39,7 +39,9 @@ def images_with_stray_light(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     report : GhostReport
+        Ghost analysis.
     light : mapping
         ``wavelength_nm``, ``weights`` and ``azimuth_deg`` of the study.
     settings : mapping

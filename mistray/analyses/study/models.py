@@ -26,6 +26,7 @@ def optical_model(scene: Any, table: SurfaceTable, path: DesignPath | None) -> S
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     table : SurfaceTable
         Surfaces at the reference wavelength.
     path : DesignPath, optional

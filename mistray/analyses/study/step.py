@@ -57,6 +57,7 @@ class StudyStep:
     text : str
         Account of what was done, in a sentence or two.
     facts : tuple of Fact
+        Single results of the step.
     tables : dict
         DataFrames by name; the first is the main one. Columns end in their unit, standard errors in ``_se`` and the
         unit of their value.

@@ -83,7 +83,9 @@ def importance_sampling(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     path : DesignPath, optional
+        Design path of the scene, if it has one.
     targets : mapping
         Place of scatter → targets, as from `mistray.sampling.importance_targets.importance_targets`.
     probe : Trace, optional

@@ -30,6 +30,7 @@ class Cell:
     Attributes
     ----------
     configuration : Resolved
+        Configuration of the scene.
     wavelength_nm, field_deg : float
         Wavelength, nm, and field angle, degrees.
     """
@@ -54,6 +55,7 @@ class KeptRows:
     Parameters
     ----------
     store : Cache
+        Cache of results.
     contents : SceneContents
         Contents of the scene's files, recorded before the scene was loaded.
     facts : mapping
@@ -127,6 +129,7 @@ def traced_facts(contents: SceneContents, settings: Settings, azimuth_deg: float
     Parameters
     ----------
     contents : SceneContents
+        Contents of the scene's files.
     settings : Settings
         Settings as they hold, those of the scene's own integrator included.
     azimuth_deg : float, optional

@@ -28,6 +28,7 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
     Parameters
     ----------
     found : PstSweep
+        PST of each configuration.
     title : str
         Name of the optical system.
     """

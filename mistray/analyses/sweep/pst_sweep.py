@@ -102,6 +102,7 @@ class PstSweep:
         Parameters
         ----------
         configuration : str
+            Name of the configuration.
         field_deg : float
             Field angle, degrees, one of `field_deg`.
         classes : str or sequence of str
@@ -212,8 +213,8 @@ def run(
     ------
     MistrayError
         If a configuration names something that the scene lacks, makes surfaces overlap or is impossible; if an argument
-        is unknown; if a loaded scene is not from `mistray.load`, or is to be painted, coated or blocked though it has no
-        file or other values than its file; or for any reason of `mistray.pst`.
+        is unknown; if a loaded scene is not from `mistray.load`, or is to be painted, coated or blocked although it has
+        no file or other values than its file; or for any reason of `mistray.pst`.
     """
     wanted = as_configurations(configurations)
     if any(one.name == AS_IT_IS for one in wanted):

@@ -117,7 +117,9 @@ def returns(
     Parameters
     ----------
     scene : mi.Scene
-    detector : str, shape id
+        Loaded scene.
+    detector : str
+        Shape id of the detector.
     wavelength_um : float
         Wavelength, µm.
     rays, seed : int
@@ -180,10 +182,13 @@ def _follow(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     start : StartRays
+        Rays that leave the detector.
     cell : mi.UInt32
         Zone times BATCHES plus batch, of each start ray.
     max_events : int
+        Largest number of events of a ray.
     missing : mi.Float64
         Missing irradiance by surface, see `returns`.
     sums : list of two mi.Float64

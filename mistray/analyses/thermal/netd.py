@@ -74,6 +74,7 @@ def netd_budget(
     Parameters
     ----------
     noise : DetectorNoise
+        Pixel and its noise.
     runs : two sequences of Seen
         Views of everything and of the image, by wavelength.
     kelvin : mapping of (str, str) to float

@@ -65,8 +65,10 @@ class ThermalReport:
         Narcissus-induced temperature difference, K: change of the scene's temperature at `scene_K` that would remove as
         much light as narcissus. Narcissus is the view by ghosts and scatter of everything colder than `temperature_K`,
         mainly the detector; see `mistray.physics.planck.narcissus_nitd`. NaN if no scene is seen or nothing is colder.
-    temperature_K, detector_K, scene_K : float, K
-    band_um : (float, float), µm
+    temperature_K, detector_K, scene_K : float
+        Temperatures of system, detector and scene, K.
+    band_um : (float, float)
+        Ends of the band, µm.
     wavelengths_um : tuple of float
         Wavelengths at which the optics were traced, µm.
     band_error : float

@@ -68,6 +68,7 @@ def run(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     request : ThermalRequest
     progress : callable, optional
         Called with (traces done, traces in all).
@@ -271,10 +272,7 @@ def _nitd(
     housing_K: float,
     rise: Sequence[np.ndarray],
 ) -> Estimate:
-    """Return the narcissus-induced temperature difference, K, by all that is colder than the housing.
-
-    It is light that the detector would see of it by ghosts or scatter.
-    """
+    """Return the narcissus-induced temperature difference, K, by ghosts and scatter that show cold surfaces."""
     cold = {key: k for key, k in kelvin.items() if k < housing_K}
     other = {key: k for key, k in cold.items() if key != ("surface", seen[0].detector)}
     if not cold:

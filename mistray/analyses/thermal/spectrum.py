@@ -49,8 +49,10 @@ def band_weights(
 
     Parameters
     ----------
-    temperature_K : float, K
-    band_um : (float, float), µm
+    temperature_K : float
+        Temperature of the blackbody, K.
+    band_um : (float, float)
+        Ends of the band, µm.
     wavelengths_um : (m,) sequence of float
         Wavelengths, µm, ascending. Between them a value is linear, beyond them constant.
     derivative : bool

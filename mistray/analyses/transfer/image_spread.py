@@ -90,7 +90,7 @@ class ImageSpread(PassingLight):
 
     @property
     def by_ray(self) -> bool:
-        """Whether a separate memory is kept for each start ray: no, as the recorder needs none between rays."""
+        """Whether each start ray needs memory of its own: no, as every path begins with equal values."""
         return False
 
     def visit(self, visit: Visit, memory: Memory) -> None:

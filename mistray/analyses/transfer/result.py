@@ -353,6 +353,7 @@ class Transfer(OfFields[FieldTransfer]):
     Attributes
     ----------
     fields : tuple of FieldTransfer
+        Image of each field point.
     facts : dict
         Settings and facts of the computation, as plain values.
     notes : tuple of str
@@ -368,7 +369,7 @@ class Transfer(OfFields[FieldTransfer]):
         return pd.DataFrame([one.row() for one in self])
 
     def books(self) -> pd.DataFrame:
-        """Return the balance of the launched light of each field, as shares with standard errors, as a frame."""
+        """Return the fractions of the launched light by destination, with standard errors, a row per field."""
         return pd.DataFrame([flat({"field_deg": one.image.field_deg, **one.books}) for one in self])
 
 

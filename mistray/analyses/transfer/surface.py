@@ -203,6 +203,7 @@ def product(transfers: Sequence[SurfaceTransfer], lags_um: Sequence[Array]) -> A
     Parameters
     ----------
     transfers : sequence of SurfaceTransfer
+        Transfer function of each surface.
     lags_um : sequence of (m,) float64
         Lags on each surface, µm, for the same frequencies of the image; see
         `mistray.physics.imaging.surface_transfer.lag_um`.

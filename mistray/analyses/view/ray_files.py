@@ -41,6 +41,7 @@ def write_rays(rays: Sequence[RayLine], path: str | Path) -> Path:
     Parameters
     ----------
     rays : sequence of RayLine
+        Rays to write.
     path : str or Path
         File, whose ending chooses the format: ``.ply``, ``.obj`` or ``.json``.
 

@@ -447,7 +447,7 @@ class _Reader:
         return replace(lens, aperture_kind=kind, aperture=aperture, notes=tuple(self.notes))
 
     def _materials(self) -> dict[int, str]:
-        """Return the material strings behind the surfaces, keyed by the `id` of the surface object."""
+        """Return the material string behind each surface, keyed by the `id` of the surface object."""
         private = {key: table_material(*table, self.wavelengths) for key, table in self.tables.items()}
         found = CodevGlasses(private, self.catalogues, self.replaced, self.wavelengths)
         materials: dict[int, str] = {}

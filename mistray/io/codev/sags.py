@@ -105,7 +105,7 @@ def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
 
 
 def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Coefficients and normalisation radius of the Zernike polynomials of ZRN or ZFR, in mm."""
+    """Return coefficients and normalisation radius of ZRN or ZFR Zernike terms, mm, by their names in `Row.sag`."""
     radius_place, first, terms = ("C69", 1, _ZRN_TERMS) if kind == "ZRN" else ("C2", 3, _ZFR_TERMS)
     radius = extra.get("NRADIUS") or extra.get(radius_place, 0.0)
     ignored = {radius_place, *(("C68",) if kind == "ZRN" else ("C3",))}  # the number of the last term

@@ -121,6 +121,7 @@ def paraxial_system(lens: Sequential, wavelength_nm: float | None = None) -> tup
     Parameters
     ----------
     lens : Sequential
+        Lens with the rows.
     wavelength_nm : float, optional
         Wavelength, nm; by default the reference wavelength.
 

@@ -37,9 +37,11 @@ def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float =
     Parameters
     ----------
     baffle : BaffleTube or TwoStageBaffle
+        Baffle to draw.
     exclusion_deg : float
         Field angle, degrees; light at smaller angles is left out of the lit zones, except in an inner stage.
     title : str
+        Title of the figure.
     """
     if isinstance(baffle, TwoStageBaffle):
         stages = [(baffle.outer, exclusion_deg), (baffle.inner, 0.0)]
@@ -86,6 +88,7 @@ def cassegrain_figure(prescription: Prescription, baffles: CassegrainBaffles, ti
     baffles : CassegrainBaffles
         Baffles, whose rims A and B are marked, with the line from the edge of the detector past them.
     title : str
+        Title of the figure.
     """
     shapes = [shape for shape in prescription.shapes() if isinstance(shape, Structure | Surface) and shape.coaxial]
     axes = _axes(title, *_extent([point for shape in shapes for point in _profile(shape).tolist()]))

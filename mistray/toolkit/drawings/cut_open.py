@@ -66,6 +66,7 @@ class OpenSurface:
     name, part : str
         Shape id and the object that it belongs to.
     role : {"glass", "structure", "mirror", "detector"}
+        Role of the surface for the light.
     materials : str
         Materials in front and behind, for glass; else empty.
     vertices : (n, 3) float
@@ -107,6 +108,7 @@ def open_surfaces(scene: Any, cut: CutPlane | None) -> list[OpenSurface]:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     cut : CutPlane or None
         Plane of the cut; None leaves surfaces whole.
 
@@ -160,6 +162,7 @@ def turned(
     steps : int
         Steps of the mesh along each arc.
     cut : CutPlane or None
+        Plane of the cut; None: nothing is removed.
 
     Returns
     -------
@@ -208,7 +211,9 @@ def clip(vertices: npt.ArrayLike, faces: npt.ArrayLike, cut: CutPlane | None) ->
     vertices : (n, 3) float
         Vertices, mm; the numbers keep their type.
     faces : (m, 3) int
+        Vertex indices of each triangle.
     cut : CutPlane or None
+        Plane of the cut; None: nothing is removed.
 
     Returns
     -------

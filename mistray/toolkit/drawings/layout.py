@@ -126,6 +126,7 @@ def layout(
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     field_deg : float
         Field angle, degrees.
     ghosts : int
@@ -162,6 +163,7 @@ def layout_of_fields(report: GhostReport, paths: Sequence[tuple[float, int, str]
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     paths : sequence of (float, int, str)
         Field angle, degrees, path of ``report.table`` at that field, and label.
     """
@@ -184,6 +186,7 @@ def layout_figure(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     trace : Trace or sequence of Trace, optional
         Traces of this scene, also of several fields; none: the section alone is drawn.
     paths : int
@@ -230,6 +233,7 @@ def write_layout(figure: Figure, path: str | Path) -> Path:
     Parameters
     ----------
     figure : Figure
+        Matplotlib figure.
     path : str or Path
         File, whose ending chooses the format: ``.svg``, ``.pdf``, ``.eps`` or ``.png``.
 
@@ -408,6 +412,7 @@ def slice_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> list[Polyline]:
     vertices : (n, 3) float
         Vertices, mm.
     faces : (m, 3) int
+        Vertex indices of each triangle.
 
     Returns
     -------

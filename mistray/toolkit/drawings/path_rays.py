@@ -114,6 +114,7 @@ def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     path_ids : iterable of int, optional
         Rows of the path table (default: all).
     n : int
@@ -173,6 +174,7 @@ def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     trace : Trace
         Trace that gives the detectors, the wavelength (its first) and the seed.
     n : int

@@ -35,6 +35,7 @@ def plain_axes(
     Parameters
     ----------
     axes : Axes
+        Axes to draw in.
     grid : {"both", "x"}
         Lines of the thin grid that are drawn.
     below : bool

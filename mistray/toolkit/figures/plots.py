@@ -50,6 +50,7 @@ def scaled_map(axes: Axes, image: Pixels, extent: Extent, limits: Range | None, 
     Parameters
     ----------
     axes : Axes
+        Axes to draw in.
     image : Pixels
         Irradiance with its error, W/mm²; row 0 at the smallest y.
     extent : (float, float, float, float)
@@ -82,6 +83,7 @@ def draw_map(
     Parameters
     ----------
     axes : Axes
+        Axes to draw in.
     image : (H, W) float
         Irradiance or another quantity; row 0 at the smallest y.
     extent : (float, float, float, float)
@@ -162,6 +164,7 @@ def as_svg(figure: Figure, text: str = "") -> str:
     Parameters
     ----------
     figure : Figure
+        Matplotlib figure.
     text : str
         Description of the figure for screen readers.
     """

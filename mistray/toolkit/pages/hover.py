@@ -33,6 +33,7 @@ def hover_figure(
     name : str
         HTML id of the data of the plot.
     figure : Figure
+        Matplotlib figure.
     axes : Axes
         Axes of the figure on which a line marks the chosen place.
     x : sequence of float

@@ -103,7 +103,9 @@ class Table(PagePart):
     Attributes
     ----------
     columns : sequence of Column
+        Headings and units.
     rows : sequence of sequence of Value
+        Cells of each row, in the order of the columns.
     name : str
         Id on a page, and name of the table in JSON and of its CSV file.
     sortable : bool
@@ -238,6 +240,7 @@ class Map(PagePart):
     extent_mm : (float, float, float, float)
         Extent x0, x1, y0, y1 on the detector, mm.
     title, unit : str
+        Heading of the map, and unit of its values.
     name : str
         Name of the map in JSON.
     """
@@ -288,7 +291,9 @@ class Section:
     anchor : str
         Id on a page.
     title : str
+        Heading of the chapter.
     parts : sequence of PagePart
+        Tables, pictures and texts, in order.
     link : str
         Name in the links at the top of a page; empty: no link.
     folded : {"", "screen", "always"}
@@ -312,6 +317,7 @@ class Report:
     heading, title : str
         Computed quantity, and name of the optical system.
     sections : sequence of Section
+        Chapters, in order.
     lead : sequence of PagePart
         Parts below the title: the result in a few sentences.
     warnings : sequence of str

@@ -71,6 +71,7 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
     Parameters
     ----------
     report : Report
+        Report to write.
     directory : str or Path
         Folder, created with its parents if missing; other files in it are left unchanged.
     scene : str

@@ -45,6 +45,7 @@ def pdf_bytes(report: model.Report) -> bytes:
     Parameters
     ----------
     report : Report
+        Report to write.
 
     Raises
     ------

@@ -47,6 +47,7 @@ def frame_table(name: str, frame: pd.DataFrame) -> Table:
     name : str
         Id of the table.
     frame : DataFrame
+        Table whose column names end in units.
     """
     names = [str(column) for column in frame.columns]
     errors = {column: error_of(column, names) for column in names}
@@ -66,6 +67,7 @@ def chosen(frame: pd.DataFrame, heads: Mapping[str, str], name: str = "") -> Tab
     Parameters
     ----------
     frame : DataFrame
+        Table whose column names end in units.
     heads : mapping of str to str
         Headings by column, see `Column.of`.
     name : str

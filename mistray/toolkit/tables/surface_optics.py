@@ -48,7 +48,9 @@ def surface_optics(table: SurfaceTable, path: DesignPath | None) -> tuple[pd.Dat
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     path : DesignPath, optional
+        Design path of the scene, if it has one.
 
     Returns
     -------

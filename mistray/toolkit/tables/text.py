@@ -64,6 +64,7 @@ def table_text(table: Table, most: int | None = None) -> str:
     Parameters
     ----------
     table : Table
+        Table to print.
     most : int, optional
         Largest number of rows, before a last one for the rest (default: ``table.most``).
     """

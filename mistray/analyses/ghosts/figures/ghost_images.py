@@ -65,6 +65,7 @@ def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = No
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     field_deg : float
         Field angle, degrees.
     limits : (float, float), optional
@@ -93,6 +94,7 @@ def montage(report: GhostReport, columns: int = 4, common: bool = False) -> Figu
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     columns : int
         Number of maps in a row.
     common : bool

@@ -137,6 +137,7 @@ def field_maps(
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     table : DataFrame
         Paths of the trace.
     path_ids : sequence of int

@@ -62,6 +62,7 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     s : FieldSummary
         Summary of all light of this field.
     pictures : mapping of str to bytes
@@ -132,6 +133,7 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[Pag
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     field_deg : float
         Field angle, degrees.
     name : str

@@ -157,6 +157,7 @@ def main_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bo
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     count : int
         Number of worst paths listed for each field.
     per_wavelength : bool

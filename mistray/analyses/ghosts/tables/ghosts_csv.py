@@ -137,6 +137,7 @@ def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool =
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     directory : str or Path
         Created if it is missing.
     per_wavelength : bool

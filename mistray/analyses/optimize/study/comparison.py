@@ -163,7 +163,9 @@ def measure(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     study : DesignStudy
+        Study of the design.
     seeds : int
         Number of seeds, at least 2.
     times : float
@@ -226,7 +228,7 @@ def try_terms(study: DesignStudy, scene: Any) -> None:
 
 
 def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
-    """Compare two steps of one search by their values with its own random seed; the standard errors are NaN."""
+    """Compare two steps of a search by the values on the search's own seed; the standard errors are NaN."""
     rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:
         b, a = before.terms[term.name], after.terms[term.name]
@@ -246,6 +248,7 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
     Parameters
     ----------
     comparison : Comparison
+        Design before and after, on equal seeds.
     terms : sequence of Term
         Terms of the study.
     """

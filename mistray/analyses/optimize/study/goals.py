@@ -57,6 +57,7 @@ def contribution(term: Term, value: Any, start: float) -> Any:
     Parameters
     ----------
     term : Term
+        Term of the study.
     value : mi.Float64
         Value in the unit of the term.
     start : float
@@ -103,6 +104,7 @@ def pieces(
     Parameters
     ----------
     terms : sequence of Term
+        Terms of the study.
     values, start : mapping of str to float
         Values of the terms by name, here and at the start, in their units.
     slopes : mapping of str to (n,) float64
@@ -137,6 +139,7 @@ def check(terms: Sequence[Term], values: Mapping[str, float], start: Mapping[str
     Parameters
     ----------
     terms : sequence of Term
+        Terms of the study.
     values, start : mapping of str to float
         Values of the terms by name, here and at the start, in their units.
     where, at : str

@@ -37,9 +37,13 @@ class Merit:
     Parameters
     ----------
     study : DesignStudy
+        Study of the design.
     scene : mi.Scene
+        Loaded scene.
     params : mi.SceneParameters
+        Parameters of the scene, ``mi.traverse(scene)``.
     variables : Variables
+        Variables of the study in this scene.
     thickness_keys : mapping of str to str
         Name of a coating of the study → key of its thicknesses.
 

@@ -243,7 +243,9 @@ class DesignStudy:
     terms : tuple of Term
         Metrics with their goals.
     variables : tuple of VariableGroup
+        Parameters that are varied, with their bounds.
     coatings : tuple of CoatingGroup
+        Coatings that are varied.
     optimizer : Optimizer
         Settings of the search.
     """

@@ -32,7 +32,9 @@ def with_next_orders(
     Parameters
     ----------
     study : DesignStudy
+        Study of the design.
     scene : mi.Scene
+        Loaded scene.
     first : (Levels, Levels)
         Terms of the given design and of the result, by the study as it is.
     seconds : float

@@ -56,6 +56,7 @@ class Optimization:
     Attributes
     ----------
     study : DesignStudy
+        Study of the design.
     source : Path
         The scene file.
     placed : tuple of PlacedDesign

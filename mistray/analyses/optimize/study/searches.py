@@ -58,12 +58,15 @@ class Searches:
     Parameters
     ----------
     problem : Problem
+        Merit that is minimised.
     shares, values : callable
         Functions that convert values of the variables to shares of the way from bound to bound, and back.
     optimizer : Optimizer
+        Settings of the search.
     state : State
         State with its starts.
     file : Checkpoint, optional
+        File in which the state is kept.
     progress : callable, optional
         Called after each step with the step and the start of its search.
     seconds : float, optional

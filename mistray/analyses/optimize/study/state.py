@@ -114,6 +114,7 @@ class State:
     Attributes
     ----------
     starts : list of Start
+        Points from which searches start.
     evaluations : list of list of Evaluation
         Evaluations of the search from each start, in the order of time.
     left_out : list of str

@@ -33,6 +33,7 @@ class PlacedDesign:
     Attributes
     ----------
     group : CoatingGroup
+        Coating in the study.
     surfaces : tuple of str
         Ids of shapes.
     glasses : tuple of (str, str)
@@ -136,7 +137,9 @@ class StudyScene:
     Attributes
     ----------
     scene : mi.Scene
+        Loaded scene.
     params : mi.SceneParameters
+        Parameters of the scene, ``mi.traverse(scene)``.
     known : dict of str to Parameter
         Parameters that can be differentiated, by key.
     thickness_keys : dict of str to str

@@ -166,6 +166,7 @@ def layer_value(
     Parameters
     ----------
     term : Term
+        Term of the study.
     coatings : sequence of CoatingGroup
         Coatings of the study.
     keys : mapping of str to str

@@ -56,6 +56,7 @@ class Motion:
     Attributes
     ----------
     body : Body
+        Body that moves.
     name : str
         Name of the displacement or tilt, such as "tilt_x".
     factor : float
@@ -84,10 +85,13 @@ class Variable:
     Attributes
     ----------
     name : str
+        Name of the variable.
     unit : str
+        Unit of x.
     low, high : float
         Bounds of x, in `unit`.
     scale : {"linear", "log"}
+        Scale of the steps of x.
     places : tuple of VariablePlace
         Entries of parameters that move.
     motions : tuple of Motion
@@ -148,10 +152,12 @@ class Variables:
     params : mi.SceneParameters
         ``mi.traverse(scene)``.
     variables : sequence of Variable
+        Variables, in the order of their values.
 
     Attributes
     ----------
     variables : tuple of Variable
+        Variables, in the order of their values.
     keys : tuple of str
         Keys of the parameters that the variables move.
     start : (n,) float64
@@ -254,7 +260,9 @@ def find_variables(
     Parameters
     ----------
     study : DesignStudy
+        Study of the design.
     params : mi.SceneParameters
+        Parameters of the scene, ``mi.traverse(scene)``.
     known : mapping of str to Parameter
         Parameters of the scene that can be differentiated, by key.
     coatings : mapping of str to str

@@ -219,7 +219,9 @@ def cover(
     Parameters
     ----------
     grid : DirectionGrid
+        Cells of field angle and azimuth.
     source : ExtendedSource
+        Source whose radiance is integrated.
     interpolation : {"cells", "linear", "log"}
         "cells": the PST is constant over a cell and 0 between cells. "linear": linear in field angle between
         the middles of the cells, gaps included. "log": the logarithm is linear, if both values are positive. In

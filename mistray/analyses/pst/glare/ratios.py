@@ -68,10 +68,13 @@ def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", cl
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     name : {"ndi", "psnit"}
+        Ratio to compute.
     plane : {"normal", "projected"}
         Plane of the irradiance at the entrance; both are in use, and the definition in the result names it.
     classes : str or sequence of str
+        Light that counts, see `Pst.samples`.
     """
     if name not in ("ndi", "psnit"):
         raise MistrayError(f"name is '{name}'; use 'ndi' or 'psnit'")
@@ -112,6 +115,7 @@ def equivalent_stray_radiance(
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     source : ExtendedSource
         Source of the stray light, see `mistray.analyses.pst.glare.extended_source`.
     f_number, transmittance : float, optional
@@ -155,6 +159,7 @@ def stray_to_signal(
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     source : ExtendedSource
         Source of the stray light.
     scene_radiance : float
@@ -196,6 +201,7 @@ def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> 
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     diameter_deg : float
         Angular diameter of the source, degrees.
     decibels : bool

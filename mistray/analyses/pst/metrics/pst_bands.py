@@ -67,6 +67,7 @@ class PstBands:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     keys : sequence of str
         Parameters of one entry, such as ``"polish.rms_nm"``; see `mistray.metrics.parameters`.
     edges_deg : sequence of float
@@ -83,6 +84,7 @@ class PstBands:
     Attributes
     ----------
     keys : tuple of str
+        Keys of the parameters.
     start : (k,) float64
         Values of the parameters in the scene.
     low, high : (k,) float64

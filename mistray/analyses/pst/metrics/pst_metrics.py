@@ -70,6 +70,7 @@ def pst_bin(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     field_deg : float
         Field angle, -90 … 90 degrees; a negative one is at the opposite azimuth.
     light : str or sequence of str
@@ -113,6 +114,7 @@ def pst_band(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     low_deg, high_deg : float
         Ends of the band, 0 … 90 degrees.
     light : str or sequence of str
@@ -157,6 +159,7 @@ def pst_mask(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     field_deg : float or sequence of float
         Field angles, degrees, ascending; the mean over the azimuths counts.
     limits : float or sequence of float
@@ -202,6 +205,7 @@ def veiling_glare(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     patch_deg, field_deg, azimuth_deg, source_deg, interpolation
         Arguments of `mistray.analyses.pst.glare.glare.veiling_glare_index`.
     place : {"mean", "point"}

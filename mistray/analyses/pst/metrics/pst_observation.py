@@ -143,6 +143,7 @@ class PstObservation:
         low_deg, high_deg : float
             Ends of the band, 0 … 90 degrees.
         light : str or sequence of str
+            Classes of light.
         quantity : {"integral", "mean"}
             "integral", sr: irradiance on the detector from a sky of radiance 1 W/(mm² sr) that fills the band.
             "mean": that divided by ∫ dΩ ("normal") or ∫ cos θ dΩ ("projected") over the part of the band within cells.
@@ -201,7 +202,8 @@ class PstObservation:
         ----------
         patch_deg, field_deg, azimuth_deg, source_deg, interpolation
             Arguments of `mistray.analyses.pst.glare.glare.veiling_glare_index`.
-        place : {"mean", "point"}, see `veiling_glare_index` there
+        place : {"mean", "point"}
+            See `veiling_glare_index` there.
 
         Raises
         ------
