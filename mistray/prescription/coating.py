@@ -1,4 +1,4 @@
-"""Whether two surfaces on a common axis cross within their clear radii."""
+"""Coatings on the surfaces of a prescription."""
 
 from __future__ import annotations
 

@@ -79,7 +79,10 @@ def analysis(
 
 
 def _check_type(parameter: inspect.Parameter, value: Any, names: Mapping[str, Any]) -> None:
-    """Raise `MistrayError` if an argument has the wrong type; `names` maps names in annotations to classes."""
+    """Raise `MistrayError` if an argument other than a field has the wrong type.
+
+    `names` maps annotations to classes.
+    """
     text = type_of(parameter.annotation).replace(" | None", "")
     kind, words = _TYPES.get(text) or (names.get(text), f"a {text}")
     kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)

@@ -330,10 +330,7 @@ class Explorer:
             self._note()
 
     def _compared(self, before: Traced, found: Traced) -> dict[str, Any] | None:
-        """Return the stray power of a state as estimated and as traced, W, and the difference in percent.
-
-        None if dark.
-        """
+        """Return estimated and traced stray power of a state, W, and their difference in percent; None if dark."""
         made = self._guessed(before, found.state)
         stray = found.stray_W
         if not stray.value > 0:

@@ -116,10 +116,7 @@ class Trails:
         self._ends: list[tuple[int, int]] = [(0, -1)]
 
     def longer(self, trail: np.ndarray, surface: np.ndarray) -> np.ndarray:
-        """Return numbers for the sequences of surfaces met so far, extended by one surface each.
-
-        All arrays (m,) int.
-        """
+        """Return the numbers of surface sequences after one more surface each; all arrays are (m,) int."""
         steps, inverse = np.unique(trail * self._count + surface, return_inverse=True)
         for step in map(int, steps):
             if step not in self._numbers:

@@ -189,10 +189,7 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
 
 
 def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
-    """Return standard errors of the change of slope of log10 PST at each angle, decades per degree, (n,).
-
-    NaN at ends.
-    """
+    """Return standard errors of the slope change of log10 PST at each angle, decades per degree, (n,)."""
     step = np.diff(pst.field_deg)
     # Coefficients of three neighbouring points: slope after less slope before
     factors = np.zeros((len(value), 3))

@@ -188,7 +188,7 @@ class Pilot:
 
     def _unscattered(self, samples: Samples, light: np.ndarray, costs: np.ndarray) -> np.ndarray | None:
         """
-        Return `Sharing.unscattered` of the next round.
+        Return the number of forward rays for unscattered light per other forward ray, (c,), in the next round.
 
         A variance a/m + b/n at the cost m + c n is least at n/m = √(b/(a c)).
         """
@@ -251,10 +251,7 @@ class Pilot:
         self._seen = [*self._seen, (cell, kind, samples.path_class, samples.weight, odds)][-REMEMBERED:]
 
     def _starts_per_connection(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
-        """Return the number of forward starts per connected path, by cell.
-
-        0 if connections cost more than they gain.
-        """
+        """Return the forward starts per connected path, by cell, or 0 if connections cost more than they gain."""
         starts_per_connection, counts = self._sharing.starts_per_connection, self._counts & (light > 0)
         if self._rounds == 1:  # one light vertex for each connection
             return starts_per_connection / max(self._trace.vertices_per_ray, 1e-3)

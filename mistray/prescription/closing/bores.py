@@ -56,10 +56,7 @@ class _Body:
         return float(_sag(self.lower, r).min()), float(_sag(self.upper, r).max()) + self.gap
 
     def reached(self, shape: Surface | Structure, z: float) -> float:
-        """Return the largest radius, mm, at which a shape with its vertex at z, mm, lies in the glass.
-
-        0 if it does not.
-        """
+        """Return the largest radius, mm, at which a shape with vertex at z, mm, lies in the glass; 0 if outside."""
         r, heights = _profile(shape)
         own = np.minimum(r, self.radius)
         below, above = heights + z - _sag(self.lower, own), _sag(self.upper, own) + self.gap - heights - z

@@ -112,10 +112,7 @@ class FieldMaps:
 
     @property
     def grid(self) -> int:
-        """Return the largest cell size, pixels.
-
-        Maps of all paths can be summed exactly over rectangles of such cells.
-        """
+        """Return the largest cell size, pixels; map sums over rectangles of such cells are exact for all paths."""
         return max(found.pixels for found in (self.rest, *self.paths.values()))
 
 

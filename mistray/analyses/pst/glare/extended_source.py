@@ -79,7 +79,7 @@ class SkyRadiance:
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
         """Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr).
 
-        Midpoint rule for a function.
+        A radiance given as a function is integrated by the midpoint rule.
         """
         if not callable(self.radiance):
             return np.full(len(theta), 2 * half * self.radiance)
