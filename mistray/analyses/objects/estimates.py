@@ -129,7 +129,7 @@ def estimate(
     table: SurfaceTable, area: float, view: SeenObject, illuminated: RayView, number: int
 ) -> tuple[float, float, Estimate]:
     """
-    Return BSDF (1/sr), GCF and product estimate of one object, W for 1 W/mm² across the beam.
+    Return BSDF (1/sr), geometric configuration factor and product estimate of an object, W for 1 W/mm² across the beam.
 
     The error comes from leaving out one batch of the rays of both views at a time (jackknife), so that rays that are
     partners in many pairs count once.

@@ -106,7 +106,7 @@ class StraightShot:
 
 @dataclass(frozen=True, kw_only=True)
 class ScatterEstimate:
-    """Estimated flux, W, from an object to the detector by one scatter event: the product Φ · BSDF · π GCF."""
+    """Flux, W, from an object to the detector by one scatter event: Φ · BSDF · π times configuration factor GCF."""
 
     angle_deg: float = column(
         "Angle of the source, degrees; NaN for the mean over a cone or a disc", head="angle [deg]", digits="g"

@@ -52,7 +52,7 @@ class BackwardRun:
     points : (p, 3) float64
         Hull of the illuminated volume, mm.
     method : {"joined", "adjoint"}
-        Whether forward and backward rays share the light by MIS, see `mistray.sampling.sharing.balance`, or there are
+        Whether forward and backward rays share the light by multiple importance sampling, or there are
         backward rays alone.
     state : Path, optional
         File of the state.

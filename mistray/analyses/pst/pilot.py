@@ -306,7 +306,7 @@ def _relative_variances(
     """
     Estimate the light of the cells and its relative variance.
 
-    With a density q of all rays the variance is ∫ f²/q. Each sample yields f/q, and the MIS weight s of forward rays in
+    With a density q of all rays the variance is ∫ f²/q. Each sample yields f/q, and the weight s of forward rays in
     its path. With a factor k of the forward rays q becomes q (1 - s + k s). Samples of one ray in a cell are
     correlated, which multiplies the variance of each direction by a factor of its own.
 

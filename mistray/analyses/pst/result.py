@@ -84,7 +84,7 @@ class Pst:
     source : PstRays, optional
         Rays of the computation, for derivatives.
     plan : Plan, optional
-        Plan of its pilot, if forward and backward rays share the light by MIS.
+        Plan of its pilot, if forward and backward rays share the light (multiple importance sampling).
     techniques : dict of str to (c, n, m, b) float64
         Part of `by_batch` that rays of each direction contribute, see `budget`.
     next_orders : tuple of NextOrder

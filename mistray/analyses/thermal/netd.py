@@ -22,7 +22,7 @@ IMAGE, OTHER = "scene, image", "scene, ghosts and scatter"
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """Light on the detector: its photon irradiance, its share of the photon noise, and the NETD by it alone, K."""
+    """Light on the detector: its photon irradiance, its share of the photon noise, and the NETD, K, by it alone."""
 
     name: str = column(
         "A part, a medium in brackets, or the scene: its image, and what comes by ghosts and scatter", head="photons of"
@@ -69,7 +69,7 @@ def netd_budget(
     band: tuple[float, float],
 ) -> Netd:
     """
-    Compute the NETD of a detector from traces of its view.
+    Compute the noise-equivalent temperature difference (NETD) of a detector from traces of its view.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def netd_budget(
     whole, rise = total(every), total(signal)
 
     def netd(by_wave: Sequence[np.ndarray]) -> Estimate:
-        """Return the NETD, K, by the noise of some light, whose batches have the same rays as those of the signal."""
+        """Return the NETD, K, that the noise of some light causes; its batches have the rays of those of the signal."""
         flux = total(by_wave).value
         if flux <= 0:
             return Estimate(0.0, 0.0)

@@ -296,10 +296,7 @@ class FieldTransfer:
         return self._encircled(radii, direct) if stray else TransferCurve(direct, np.zeros(len(direct)))
 
     def _encircled(self, radii: Array, direct: Array) -> TransferCurve:
-        """Return the fraction of all light within circles, (m,), given that of the direct image.
-
-        With standard errors.
-        """
+        """Return the fraction of all light within circles, (m,), with errors, given that of the direct image."""
         light = self._direct()
         inner, outer = self.edges_mm[:-1] ** 2, self.edges_mm[1:] ** 2
         part = np.clip((radii[:, None] ** 2 - inner) / (outer - inner), 0, 1)

@@ -136,7 +136,7 @@ class Disc:
     def breaks(self) -> tuple[float, ...]:
         """Return field angles, rad, of the disc's edge in the plane of its centre.
 
-        With 0 or π if it contains the axis.
+        Also 0 or π if the axis is inside.
         """
         limb = abs(self.field_deg - self.radius_deg), 180 - abs(180 - self.field_deg - self.radius_deg)
         axis = [0.0] if self.field_deg < self.radius_deg else []
