@@ -119,7 +119,7 @@ class _Reader:
         return result
 
     def _changes(self, variant: str | None) -> dict[str, dict[str, float]]:
-        """Return changed values by surface label: "S13.radius" with 5.272 becomes the radius of S13, mm."""
+        """Return the changed values of a variant by surface label and quantity, such as S13, radius → 5.272 mm."""
         if variant is None:
             return {}
         known = self.data.get("variants", {})
@@ -209,7 +209,7 @@ class _Reader:
         return pieces
 
     def _on_rim(self, r: float, z: float) -> Point:
-        """Return a point (r, z), mm, replaced by the rim that it was rounded from, if there is one."""
+        """Return a barrel point (r, z), mm, moved to the exact lens rim if the file gives that rim rounded."""
         for (printed_r, printed_z), (rim_r, rim_z) in self.moves:
             if abs(z - printed_z) <= _ROUNDING_MM:
                 return (rim_r if abs(r - printed_r) <= _ROUNDING_MM else float(r)), rim_z
@@ -271,7 +271,7 @@ def _whole(digits: str, path: Path) -> int:
 
 
 def _coating(row: Mapping[str, Any]) -> Coating:
-    """Make a coating from R and T, or from layers, a preset or a table with its options; see `Coating`."""
+    """Return a coating from R and T, or from layers, a preset or a table with its options; see `Coating`."""
     recipe = [key for key in ("layers", "preset", "table", "first", "design_nm", "name") if key in row]
     if recipe:
         return Coating(**{key: row[key] for key in recipe})

@@ -51,7 +51,7 @@ _INNER = 0.7  # of the edge of the field: the field between
 
 @dataclass(frozen=True)
 class _Line:
-    """A surface of the file, lengths in mm; `size` is the number in its aperture column."""
+    """A surface of the file, lengths in mm; `size` is its full or semi-diameter, which the format leaves open."""
 
     number: int
     line: int
@@ -182,7 +182,7 @@ def _numbers(where: str, words: Sequence[str], names: Sequence[str]) -> list[flo
 
 
 def _cemented(file: _File, notes: list[str]) -> list[_Line]:
-    """Return the surfaces, with equal faces that air of zero thickness separates merged into one cemented face."""
+    """Return the surfaces, with facing surfaces of equal shape and no air between merged into one cemented surface."""
     lines: list[_Line] = []
     pairs = []
     for item in file.lines:
@@ -203,7 +203,7 @@ def _cemented(file: _File, notes: list[str]) -> list[_Line]:
 
 
 def _table(file: _File, notes: list[str]) -> Sequential:
-    """Return the table of the lens, with the numbers of the aperture column as semi-diameters, mm, for now."""
+    """Return the lens as a table; the numbers of the aperture column serve as semi-diameters, mm, until checked."""
     rows: list[Row] = []
     before, bare, coated = "air", 0, 0
     lines = _cemented(file, notes)
@@ -369,7 +369,7 @@ def _check_focus(file: _File, efl: float, bfl: float) -> None:
 
 
 def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with its image at the smallest axial rms spot, or at the paraxial focus if they are far apart."""
+    """Return the lens with its image at the least axial rms spot, or at the paraxial focus if they differ much."""
     data = first_order(lens)
     height = 0.5 * data.epd * np.sqrt((np.arange(_AXIS_RAYS) + 0.5) / _AXIS_RAYS)  # equal shares of the light
     start = np.column_stack([np.zeros(_AXIS_RAYS), height, np.full(_AXIS_RAYS, data.entrance_pupil_z)])

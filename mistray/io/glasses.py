@@ -39,7 +39,7 @@ class FileGlasses:
         return material
 
     def _checked(self, material: str, name: str) -> str:
-        """Return the material, with k = 0 if its absorption is unknown; raise if it has no index at a wavelength."""
+        """Return the material, with k = 0 if its absorption is unknown; raise `MistrayError` if it lacks an index."""
         with errors_of(f"glass '{shown([name])}'"):
             known = usable(material, self._wavelengths_nm)
         if known != material:
@@ -48,7 +48,7 @@ class FileGlasses:
 
 
 def remedy(name: str) -> str:
-    """Return advice for a glass that is in no catalogue, for a message."""
+    """Return advice, for an error message, on a glass that no catalogue has."""
     word = shown([name])
     return (
         f"give its AGF file (glass_catalogues, --glass-catalogue) or a material for it (glasses={{'{word}': '…'}}, "

@@ -146,7 +146,7 @@ def from_optiland(optic: Any) -> Sequential:
 
 
 def coatings_of(optic: Any) -> dict[str, Coating]:
-    """Return the coatings of an Optic that have constant R and T, keyed by the names in its table."""
+    """Return the coatings of a lens that have constant R and T, keyed by the names in its table."""
     found = {}
     for surface in list(optic.surfaces)[1:]:
         if name := _coating_name(surface):
@@ -188,7 +188,10 @@ def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
 
 
 def _check(what: str, kind: str, geometry: Any, row: Row) -> None:
-    """Raise `MistrayError` if our sag differs from optiland's at points of a disc; its conventions vary."""
+    """Raise `MistrayError` if mistray's sag differs from optiland's at points of a disc.
+
+    Conventions of optiland vary.
+    """
     reach = 0.3 * _float(getattr(geometry, "norm_radius", 0.0) or getattr(geometry, "norm_x", 0.0) or 10.0)
     reach = min(reach, 0.3 * abs(row.radius)) if row.radius else reach
     angle = np.linspace(0.3, 6.2, 12)

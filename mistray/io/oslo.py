@@ -81,7 +81,7 @@ def read_oslo(
 
 
 class _Glasses:
-    """Material strings for the glass names of a file."""
+    """Lookup of material strings for the glass names of a file."""
 
     def __init__(self, data: Any, catalogues: Sequence[str | Path], replaced: Mapping[str, str]) -> None:
         self._data = data

@@ -169,7 +169,7 @@ def _pupil(what: str, lens: Sequential, pupil: Any, unit: float) -> tuple[Apertu
 
 
 def _surface(what: str, interface: Any) -> CodevSurface:
-    """Return figure, mode and decentres of an interface; lengths are in units of the model."""
+    """Return the shape, the mode (refract or reflect) and the decentres of an interface, in units of the model."""
     profile: Any = getattr(interface, "profile", interface)  # a thin lens has none
     kind = type(profile).__name__
     if kind not in ("Spherical", "Conic", "EvenPolynomial", "RadialPolynomial", "YToroid"):

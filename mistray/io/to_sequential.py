@@ -57,7 +57,7 @@ def to_sequential(prescription: Prescription) -> Sequential:
 
 @dataclass
 class _Walk:
-    """State of a walk along the light: frame, direction of light, and material."""
+    """Walk along the light through a prescription that builds a table; it tracks frame, direction and material."""
 
     prescription: Prescription
 
@@ -175,7 +175,10 @@ class _Walk:
         self.last, self.vertex = surface.name, pose[:3, 3]
 
     def _place(self, pose: Array, row: Row) -> None:
-        """Append a row at a pose, set the thickness before it, and add a decentre or a coordinate break if needed."""
+        """Append a row with the 4 × 4 frame `pose`, mm.
+
+        Set the thickness before it, and tilt or shift the axis if needed.
+        """
         step = np.linalg.inv(self.frame) @ pose
         turned = not np.allclose(step[:3, :3], np.eye(3), atol=_TINY)
         aside = math.hypot(step[0, 3], step[1, 3]) > _TINY
@@ -203,7 +206,7 @@ class _Walk:
         return np.asarray(np.linalg.inv(turn) @ step)
 
     def _follow(self, pose: Array, name: str) -> Array:
-        """Return the pose; raise `MistrayError` if its vertex does not lie ahead of the light from the last vertex."""
+        """Return the frame `pose` of the next surface; raise `MistrayError` if its vertex lies behind the last one."""
         if self.last:
             way = pose[:3, 3] - self.vertex
             length = float(np.linalg.norm(way))
@@ -215,7 +218,7 @@ class _Walk:
         return pose
 
     def _against(self, pose: Array) -> bool:
-        """Whether the z axis of a surface must be reversed, so that it points the way of the light."""
+        """Whether the z axis of a surface must be reversed to point along the light."""
         return float(pose[:3, 2] @ self.light) * self.sense < 0
 
     def _sides(self, surface: Surface, reversed_: bool) -> tuple[str, str]:
@@ -345,6 +348,6 @@ def _coating_name(coating: Coating) -> str:
 
 
 def _tilts(m: Array) -> tuple[float, float, float]:
-    """Tilts about x, the new y and the newest z of a rotation (3, 3), in degrees, with rounding removed."""
+    """Return tilts about x, the new y and the newest z, degrees, of a rotation (3, 3), without round-off."""
     a, b, c = (round(angle, _DECIMALS - 2) + 0.0 for angle in turns_deg(m))
     return a, b, c

@@ -118,7 +118,7 @@ def _aperture(what: str, row: Row) -> Any:
 
 
 def _medium(lens: Sequential, material: str, media: dict[str, Any]) -> Any:
-    """Return optiland's own material if its index is equal at all wavelengths of the lens, else a table of ours."""
+    """Return optiland's own material if its index is equal at all wavelengths, else a table of mistray's indices."""
     if material not in media:
         media[material] = _new_medium(lens, material)
     return media[material]
@@ -150,7 +150,7 @@ def _table(materials: Any, material: str) -> Any:
     base: Any = materials.BaseMaterial
 
     class MistrayMaterial(base):
-        """A material whose index mistray provides because optiland does not have it."""
+        """Optiland material whose refractive index mistray provides, because optiland has no equal one."""
 
         def _calculate_n(self, wavelength: Any, **_: Any) -> Any:
             return of(wavelength, "real")

@@ -119,7 +119,7 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
 
 
 def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:
-    """Return the values, by key, of the last words KEY=VALUE, back to one whose key is not in `keys` or is repeated."""
+    """Return the values by key of the words KEY=VALUE at the end of `words`, back to an unknown or repeated key."""
     found: dict[str, str] = {}
     for word in reversed(words):
         pair = name_and_value(word)
@@ -137,6 +137,6 @@ def _value(text: str) -> Value:
 
 
 def _name(kind: str, properties: Mapping[str, Value]) -> str:
-    """Return an id made of a kind and its values; equal values such as .1 and 0.1 give equal ids."""
+    """Return an id made of a kind of model and its values; equal values such as .1 and 0.1 give equal ids."""
     words = [kind, *(f"{key}_{value}".removesuffix(".0") for key, value in properties.items())]
     return plain_name("_".join(words))

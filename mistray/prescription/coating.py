@@ -81,19 +81,19 @@ class Coating:
 
     @property
     def layered(self) -> bool:
-        """Whether the scene needs a `thinfilm`: it has layers, or is from a Zemax file, which may hold layers."""
+        """Whether the scene needs the `thinfilm` plugin: for layers, or for a Zemax coating, which may have layers."""
         zemax = self.table is not None and not self.table.lower().endswith(".csv")
         return self.layers is not None or self.preset is not None or zemax
 
     @property
     def opaque(self) -> bool:
-        """Whether it transmits no light, as far as this is known without reading a file."""
+        """Whether the coating transmits no light, as far as is known without reading its file."""
         if self.preset is not None:
             return preset(self.preset).opaque
         return self.R is not None and not self.T
 
     def moved(self, seen: Callable[[str], str]) -> Coating:
-        """Return this coating with the paths of its files, such as a table or a glass, mapped by `seen`."""
+        """Return the coating with all its file paths, such as that of a table, changed by the function `seen`."""
         if self.table is not None:
             return replace(self, table=seen(self.table))
         return self if self.layers is None else replace(self, layers=moved_layers(self.layers, seen))

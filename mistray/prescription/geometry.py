@@ -272,7 +272,7 @@ def _name(item: Surface | Stop) -> str:
 
 
 def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
-    """Wall (r, z) in mm between two rims: a cone, or a cylinder and a ring if the cone would cut a surface."""
+    """Return wall points (r, z), mm, between two rims: a cone, or cylinder and ring if a cone would cut a surface."""
     start = a.rim if isinstance(a, Surface) else (a.outer_rear, a.z_rear)
     end = b.rim if isinstance(b, Surface) else (b.outer_front, b.z_front)
     corner = (start[0], end[1]) if start[0] > end[0] else (end[0], start[1])
@@ -292,7 +292,7 @@ def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
 
 
 def _check_clear(surface: Surface, other: str, p: Point, q: Point, *, above: bool) -> None:
-    """Raise `MistrayError` if the segment p q crosses a surface; it must stay above it (+z) or below it."""
+    """Raise `MistrayError` if the segment p q, (r, z) in mm, cuts a surface rather than lying `above` or below it."""
     t = np.linspace(0.0, 1.0, _SAMPLES)
     r, z = p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])
     inside = (r <= surface.outer_radius) & (r >= surface.inner_semi_diameter)

@@ -567,7 +567,7 @@ class Prescription:
 
 
 def _within(outer: float) -> Range:
-    """Radii, mm, of what lies within an outer radius, mm."""
+    """Return the allowed range of an inner radius, mm, inside an outer radius, mm."""
     return Range(0.0, outer, below=True, unit="mm", remedy="the outer radius is the end")
 
 

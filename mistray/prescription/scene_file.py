@@ -39,7 +39,7 @@ _BEAM = (
 
 @dataclass(frozen=True)
 class _Node:
-    """A plugin or reference: ``kind`` is the XML tag (``ref`` for a reference), ``plugin`` its type."""
+    """Node of the scene's tree: a plugin, or a reference to one; ``kind`` is its XML tag, ``plugin`` its type."""
 
     kind: str
     plugin: str
@@ -80,7 +80,7 @@ def _scatter(model: Scatter) -> _Node:
 
 
 def _stated(part: Any, *names: str) -> dict[str, Value]:
-    """Values of a part that are not its defaults, in the order of `names`; names that it does not have are left out."""
+    """Return the named values of a part that differ from their defaults, in the order of `names`."""
     defaults = {known.name: known.default for known in fields(part)}
     found = {name: getattr(part, name) for name in names if name in defaults}
     return {
@@ -318,7 +318,7 @@ def comment_text(text: str) -> str:
 
 
 def seen_from(folder: str | Path) -> Callable[[str], str]:
-    """Return a function that turns a path relative to the current folder into one for a scene file in `folder`."""
+    """Return a function that converts paths relative to the current folder to paths relative to `folder`."""
     return lambda path: path if os.path.isabs(path) else Path(os.path.relpath(path, folder)).as_posix()
 
 
@@ -351,7 +351,7 @@ def beside(prescription: Prescription, folder: str | Path) -> Prescription:
 
 
 def _with_grid_files(prescription: Prescription, path: Path) -> tuple[Prescription, dict[Path, bytes]]:
-    """Assign a file beside the scene to each grid without one; return the system and the contents of these files."""
+    """Return a system whose grids all have files beside the scene, and the contents of the new files by path."""
     files: dict[Path, bytes] = {}
 
     def stored(shape: Any) -> Any:

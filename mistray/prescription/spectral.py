@@ -71,5 +71,5 @@ class Spectral:
 
 
 def list_text(values: tuple[float, ...]) -> str:
-    """Format numbers as a text property of a plugin."""
+    """Return numbers as comma-separated text with all digits, as plugin properties expect."""
     return ", ".join(repr(float(value)) for value in values)

@@ -79,7 +79,10 @@ def analysis(
 
 
 def _check_type(parameter: inspect.Parameter, value: Any, names: Mapping[str, Any]) -> None:
-    """Refuse an argument that is no field and not of its type, where that is a class of these names or of `_TYPES`."""
+    """Raise `MistrayError` if an argument other than a field has the wrong type.
+
+    `names` maps annotations to classes.
+    """
     text = type_of(parameter.annotation).replace(" | None", "")
     kind, words = _TYPES.get(text) or (names.get(text), f"a {text}")
     kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
@@ -91,7 +94,7 @@ def _check_type(parameter: inspect.Parameter, value: Any, names: Mapping[str, An
 def _arguments(
     subject: inspect.Parameter, declared: list[Declared], further: list[inspect.Parameter]
 ) -> list[inspect.Parameter]:
-    """Return the arguments: analysed object, fields, keywords of the call alone, and fields of parts."""
+    """Return the parameters of the signature: analysed object, fields, further keywords, and fields of parts."""
     kinds = inspect.Parameter
     parameters = [subject]
     settings: list[inspect.Parameter] = []
@@ -104,7 +107,7 @@ def _arguments(
 
 
 def _in_order(known: list[inspect.Parameter], positional: Sequence[str]) -> list[inspect.Parameter]:
-    """Return the arguments with those of `positional` first and alone by position; unchanged if it is empty."""
+    """Return the arguments, those of `positional` first and all others keyword-only; unchanged if it is empty."""
     if not positional:
         return known
     kinds, by_name = inspect.Parameter, {one.name: one for one in known}
@@ -140,7 +143,7 @@ def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
 
 
 def range_text(demand: Demand | None) -> str:
-    """Return the range of each number that meets a demand, with its unit; empty where it says nothing."""
+    """Return the allowed range of the numbers of a demand as text with its unit; empty without a lower limit."""
     numbers = getattr(demand, "of", demand)
     if not isinstance(numbers, Range) or not math.isfinite(numbers.low) or numbers in (FINITE, POSITIVE):
         return ""

@@ -30,7 +30,7 @@ class Parser(argparse.ArgumentParser):
         raise MistrayError(f"{message} S{see[1:]}" if message.endswith("?") else f"{message}; {see}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse a command or another word that is not among the choices."""
+        """Raise `ArgumentError` for a command or another word that is not among the choices; suggest the nearest."""
         if action.choices is not None and value not in action.choices:
             wrong = f"invalid choice: {value!r}; {nearest(str(value), map(str, action.choices))}"
             raise argparse.ArgumentError(action, wrong)
@@ -51,7 +51,10 @@ class Parser(argparse.ArgumentParser):
         return super()._get_values(action, arg_strings)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Return the arguments that argparse finds; refuse those that are left over."""
+        """Return the namespace of parsed arguments and an empty list.
+
+        Raise `MistrayError` for unrecognised arguments.
+        """
         self.declare_all()
         found, others = super().parse_known_args(args, namespace)
         if others:  # here, where it is known whose arguments they are: a command's or the program's
@@ -64,7 +67,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class Help(argparse.RawDescriptionHelpFormatter):
-    """Formatter that adds to the help of each number its range, and to that of angles their notation."""
+    """Help formatter that appends the allowed range of each number, and the notation first:last:step of angles."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         told = isinstance(action.type, Range | Angles) and action.type is not FINITE
@@ -75,12 +78,12 @@ class Help(argparse.RawDescriptionHelpFormatter):
 @dataclass(frozen=True)
 class Angles:
     """
-    Type of an argument that is one angle in degrees, or a range first:last:step with both ends.
+    Argument type: one angle in degrees, or a range first:last:step that includes both ends.
 
     Attributes
     ----------
     within : Range
-        Allowed range of the angles; with a range of wavelengths the type is one of wavelengths.
+        Allowed range of the angles, degrees; with a range in nm the argument is a wavelength instead.
     """
 
     within: Range = POLAR_DEG
@@ -110,7 +113,7 @@ class Angles:
 
 
 class Joined(argparse.Action):
-    """Action that joins the lists that the values of an argument are parsed to."""
+    """Action that joins the lists parsed from the values of an argument into one list."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
         """Set the argument to the joined list."""
@@ -118,10 +121,10 @@ class Joined(argparse.Action):
 
 
 class OrAlone(argparse.Action):
-    """Action of an option that may have no value; it is then set to one empty text."""
+    """Action of an option that may have no value; it is then set to a list of one empty string."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
-        """Set the option to its values, or to one empty text."""
+        """Set the option to its values, or to a list of one empty string if it has none."""
         setattr(namespace, self.dest, values or [""])
 
 
@@ -139,7 +142,7 @@ def as_text(name: str) -> str:
 
 def pairs(wrong: str, kind: Callable[[str], Any] = str) -> Callable[[str], tuple[str, Any]]:
     """
-    Return the parser of an argument NAME=VALUE, such as PATTERN=COATING; the first = ends the name.
+    Return the function that parses an argument NAME=VALUE, such as PATTERN=COATING; the first = ends the name.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Command as data: its texts and options, from which its parser and its completion are made."""
+"""Command as data: its texts and options, from which its parser and its shell completion are made."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ class Option:
     nargs : int or str, optional
         Number of values, in the notation of argparse.
     default
+        Value if the option is not given.
     extends : bool
         Whether values given later are added to those given before.
     writes : tuple of str, optional
-        Given if the value names an output: patterns of the files in a folder, or empty for a single file.
+        Patterns of the files written in the folder that the value names; empty if it names one file, None if no output.
     """
 
     name: str
@@ -87,8 +88,8 @@ class Command:
     examples : tuple of str
         Command lines shown at the end of the help.
     parts : tuple of Option or Group, or callable
-        Options and groups in the order of the help. A function of the module ``request`` of the package makes those of
-        requests, so that it is imported when the command is used.
+        Options and groups in the order of the help, or a function that makes them from the module ``request`` of the
+        package; it is called only when the command is used.
     package : str
         Package of the analysis.
     """
@@ -108,7 +109,7 @@ class Command:
 
     @property
     def requests(self) -> Any:
-        """The module ``request`` of the package."""
+        """Module ``request`` of the analysis, which holds its request classes."""
         return importlib.import_module(f"{self.package}.request")
 
     @cached_property
@@ -145,11 +146,11 @@ class AnalysisCommand(Command):
     request : str
         Name of the request.
     package : str
-        Its ``run.run(scene, request, *, progress)`` gives the result, in the time of a keyword ``seconds`` where it has
-        that; of ``page``, ``text(result)`` is printed, ``record(result)`` is the JSON, and
+        Package whose ``run.run(scene, request, *, progress)`` returns the result; a keyword ``seconds`` limits its
+        time, if there is one. In its module ``page``, ``text(result)`` is printed, ``record(result)`` is the JSON, and
         ``page(result, title, command)`` the report.
     shown : str, optional
-        Name of the request of what is shown of the result, which these functions take after it.
+        Name of the request that selects what is shown of the result; these functions then take it after the result.
     """
 
     request: str = field(kw_only=True)

@@ -18,7 +18,7 @@ MARKS = {"µm": "UM", "degrees": "DEG", "1/mm": "F", "cm √Hz/W": "D"}  # place
 
 
 def flag(name: str) -> str:
-    """Return the option of a field by its name, such as "--field-deg"."""
+    """Return the name of the command-line option for a field of a request, such as "--field-deg"."""
     return f"--{name.replace('_', '-')}"
 
 
@@ -82,7 +82,10 @@ def _metavar(demand: Any) -> Any:
 
 
 def options_of(request: type, *names: str) -> tuple[Option, ...]:
-    """Return the options of some fields of a request, by default all; of an object or a part, those of its fields."""
+    """Return the options of the named fields of a request (default: all).
+
+    A nested object or a part gives one per field.
+    """
     found: list[Option] = []
     declared = {field.name: field for field in dataclasses.fields(request)}
     for name in names or declared:
@@ -108,13 +111,14 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
     Parameters
     ----------
     request : type
+        Class of the request.
     options : mapping
         Value by the name of its option, without dashes; None where it is not given.
 
     Raises
     ------
     MistrayError
-        If a value is out of range, or an option says nothing without another one.
+        If a value is out of range, or an option is given without another one that it needs.
     """
     values: dict[str, Any] = {}
     for field, _ in flat_fields(request):

@@ -39,7 +39,10 @@ class Nested(OfType):
         object.__setattr__(self, "demand", f"must be a {self.kind.__name__}")
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the object, also of a mapping of its fields; raise `MistrayError` if it is no such object."""
+        """Return the object, made from a mapping of its fields if necessary.
+
+        Raise `MistrayError` if it is of another type.
+        """
         return super().check(name, object_of(self.kind, value, f"{name}: ") if isinstance(value, Mapping) else value)
 
 
@@ -61,7 +64,7 @@ class Several(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each value must meet."""
+        """Condition that each value must meet, as words for messages."""
         return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
@@ -100,7 +103,7 @@ class FieldSubset(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that the mapping must meet."""
+        """Condition that the mapping must meet, as words for messages."""
         return f"must be a mapping of fields of {self.kind.__name__}"
 
     @property
@@ -147,7 +150,7 @@ def field(
     metavar : str or tuple of str
         Placeholder of the values in the help, where it does not follow from the demand.
     needs : str
-        Name of the field without which the option says nothing.
+        Name of the field that must be given together with this one.
     """
     metadata = {**demand.field(doc=doc).metadata, OPTION: option, METAVAR: metavar, NEEDS: needs}
     if isinstance(demand, FieldSubset):
@@ -156,7 +159,7 @@ def field(
 
 
 def field_of(kind: Any, name: str, default: Any) -> Any:
-    """Return the declaration of a field of another dataclass, such as `Settings`, with another default."""
+    """Return the declaration of a request field that copies a field of another dataclass, with another default."""
     return dataclasses.field(default=default, metadata=kind.__dataclass_fields__[name].metadata)
 
 
@@ -173,37 +176,38 @@ class Request:
 
     @classmethod
     def of(cls, **given: Any) -> Self:
-        """Return the request of keywords, as its function takes them; raise `MistrayError` for an unknown one."""
+        """Return the request with these keywords of its analysis function; raise `MistrayError` for an unknown one."""
         return object_of(cls, given)
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
-        """Return the JSON schema (draft 2020-12) of an object of these keywords, with ranges, units and sentences."""
+        """Return the JSON schema (draft 2020-12) of an object of these keywords, with units and descriptions."""
         from mistray.toolkit.json_schema import DRAFT, schema_of
 
         return {"$schema": DRAFT, **schema_of(cls)}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the keywords as plain values for JSON; `of` makes the same request of them."""
+        """Return the keywords of the request as JSON-serialisable values, from which `of` makes an equal request."""
         return _plain(self)
 
 
 def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
     """
-    Return a request, or an object within one, of its keywords.
+    Return a request, or an object nested in one, made from its keywords.
 
     Parameters
     ----------
     kind : type
-        Its dataclass.
+        Dataclass of the request or object.
     given : mapping
+        Values by keyword.
     owner : str
-        Start of the message.
+        Text at the start of error messages.
 
     Raises
     ------
     MistrayError
-        If a keyword is unknown, missing or not as it must be.
+        If a keyword is unknown or missing, or a value fails its demand.
     """
     known = {declared.name: declared for declared, _ in flat_fields(kind)}
     refuse_unknown(given, known, owner)
@@ -214,7 +218,7 @@ def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
 
 
 def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
-    """Return the default of a field; raise `MistrayError` if it has none."""
+    """Return the default value of a request field; raise `MistrayError` if it has none."""
     if isinstance(demand_of(declared), FieldSubset):
         return {}
     if declared.default is dataclasses.MISSING:
@@ -223,7 +227,7 @@ def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return a request, or a value in one, for JSON, without what is None by default."""
+    """Return a request, or a value in it, as JSON-serialisable values; optional fields that are None are left out."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, tuple | list):
@@ -241,7 +245,7 @@ def _plain(value: Any) -> Any:
 
 
 def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:
-    """Yield the fields of a request that are separate keywords, each with the part that it comes from."""
+    """Yield the fields of a request that are separate keywords, each with the field that groups it, if any."""
     for declared in dataclasses.fields(request):
         part = demand_of(declared)
         if isinstance(part, FieldSubset):

@@ -50,7 +50,7 @@ def _names_in(package: str) -> list[tuple[str, bool]]:
 
 
 def _packages_of_others() -> Iterator[tuple[str, str]]:
-    """Yield name and package of each entry point of other distributions; `importlib.metadata` only if any exist."""
+    """Yield name and package of each analysis that other installed packages declare as an entry point."""
     if not any(_names_analyses(folder) for folder in sys.path):
         return
     from importlib.metadata import entry_points
@@ -60,7 +60,7 @@ def _packages_of_others() -> Iterator[tuple[str, str]]:
 
 
 def _names_analyses(folder: str) -> bool:
-    """Return whether a distribution in a folder of the path declares analyses as entry points."""
+    """Return whether a package folder on the import path declares analyses as entry points."""
     with contextlib.suppress(OSError):
         for entry in os.scandir(folder or os.curdir):
             if entry.name.endswith((".dist-info", ".egg-info")):

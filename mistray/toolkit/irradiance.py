@@ -79,7 +79,7 @@ def brightest(image: Sampled) -> Sampled:
 
 
 def highest_cell(value: npt.NDArray[np.float64], se: npt.NDArray[np.float64]) -> tuple[tuple[int, ...], Estimate]:
-    """Place of the largest of some numbers, and it with its standard error."""
+    """Return the index of the largest value of an array, and that value with its standard error from `se`."""
     place = tuple(int(k) for k in np.unravel_index(int(np.argmax(value)), value.shape))
     return place, Estimate(float(value[place]), float(se[place]))
 
@@ -92,7 +92,7 @@ def pixel_size(irradiance: Map, extent: Extent) -> tuple[float, float]:
 
 
 def pixels_averaged(image: Map, cells: int) -> int:
-    """Return the side of a square, pixels, so that at most `cells` squares lie along either side of a map."""
+    """Return the side, in pixels, of the square blocks that divide a map into at most `cells` by `cells` blocks."""
     return max(-(-max(image.shape) // cells), 1)
 
 

@@ -35,7 +35,7 @@ def schema_of(kind: type) -> dict[str, Any]:
 
 
 def _property(field: dataclasses.Field[Any], may_be_left_out: bool) -> dict[str, Any]:
-    """Return the schema of a field: its sentence, what it may be, its default."""
+    """Return the JSON schema of a field: its description, allowed values and default."""
     usual, kinds = field.default, _kinds(demand_of(field))
     if usual == "":
         kinds.append({"const": ""})
@@ -47,7 +47,10 @@ def _property(field: dataclasses.Field[Any], may_be_left_out: bool) -> dict[str,
 
 
 def _kinds(demand: Any) -> list[dict[str, Any]]:
-    """Return the schemas of which a value that meets a demand fits one; what a demand alone checks is a comment."""
+    """Return alternative JSON schemas of values that meet a demand.
+
+    A condition that no schema can state is a comment.
+    """
     match demand:
         case Range():
             return [_number(demand)]

@@ -20,7 +20,7 @@ Rows = tuple[type, Sequence[Any]]
 
 
 class Tabled(Protocol):
-    """Result that a `PlainPage` shows; `notes` and `facts` may be left out."""
+    """Interface of a result that a `PlainPage` shows; attributes `notes` and `facts` are optional."""
 
     def tables(self) -> Mapping[str, Rows]:
         """Return the class of the rows, and the rows, by name of the table."""

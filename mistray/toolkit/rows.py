@@ -25,7 +25,7 @@ _COLUMN = "column"
 
 @dataclass(frozen=True)
 class _Shown:
-    """Display of a field or a property of a row, see `column`."""
+    """Display of a field of a row in tables: heading, number format and unit; see `column` for the fields."""
 
     doc: str
     head: str = ""
@@ -59,13 +59,14 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     Parameters
     ----------
     doc : str
-        One sentence.
+        Meaning of the field, one sentence.
     default
+        Default value of the field.
     **how
         ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
         ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``absent``,
-        value of what there is not; ``percent``, whether a share is told in per cent: the column of "change" is
-        "change_percent" then; "shown": in tables of pages only; ``between``, what stands between several texts. A table
+        value that is shown as missing; ``percent``, whether a fraction is shown in percent: the column of "change" is
+        "change_percent" then; "shown": in tables of pages only; ``between``, separator of several texts. A table
         shows a number with its standard error, which is an `Estimate` or stands in a column of its own, "power_se_W".
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
@@ -89,7 +90,7 @@ class derived(property):
 
 
 def _declared(kind: type) -> dict[str, _Shown]:
-    """Return the columns of a class of rows by name: fields first, then properties."""
+    """Return the displayed columns of a class of rows by name: fields first, then properties."""
     fields = {
         field.name: dataclasses.replace(field.metadata[_COLUMN], kind=type_of(field.type))
         for field in dataclasses.fields(kind)
@@ -107,6 +108,7 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     kind : type
         Dataclass of the rows.
     rows : sequence
+        Rows, all of this class.
     """
     import pandas as pd
 

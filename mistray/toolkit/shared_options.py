@@ -91,7 +91,7 @@ PLOT = written("--plot", "write a picture: .png, .svg or .pdf")
 
 
 def saved_run(name: str, when: str = "") -> Group:
-    """Return the option --state for the file of a resumable run; `name` is its name in --out."""
+    """Return the option --state for the file of a run that can be resumed; `name` is its usual file name."""
     state = Option(
         "--state", f"what is finished, renewed as the run goes on ({name} in --out)", Path, "FILE", writes=()
     )
@@ -111,6 +111,7 @@ def output(
     names : sequence of str
         Patterns of the names of these files, see `mistray.cli.claims`.
     *more : Option
+        Further options of the group.
     shown : str
         Description of the printed output.
     formats : sequence of str

@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 def keys_of(kind: Any) -> tuple[str, ...]:
-    """Return the keys of a table that stands for a dataclass: its fields with a sentence."""
+    """Return the keys of a TOML table that describes a dataclass: its fields that have a description."""
     return tuple(field.name for field in dataclasses.fields(kind) if doc_of(field))
 
 
@@ -34,6 +34,7 @@ class TomlSection:
     place : str
         Place of the table in the study, with a final dot: ``optimizer.``, ``term[2].``; empty for the whole.
     content : mapping
+        Values by key.
     folder : Path
         Folder to which file names are relative.
     """
@@ -116,11 +117,12 @@ class TomlSection:
 
     def make(self, kind: type[T], read: Mapping[str, Any] | None = None, /, **missing: Any) -> T:
         """
-        The dataclass that the table stands for, see `keys_of`; it checks itself.
+        Return the dataclass that the table describes, see `keys_of`; its constructor checks the values.
 
         Parameters
         ----------
         kind : type
+            Dataclass.
         read : mapping, optional
             Fields that are known already. Without any, keys that are no fields are refused.
         **missing
@@ -156,7 +158,7 @@ class TomlSection:
         return tuple(value)
 
     def spaced(self, key: str, within: Range) -> tuple[float, ...]:
-        """Return a number, a list, or start, stop and step as numbers, each once and within a range."""
+        """Return the numbers of a key, each once: a number, a list, or start, stop and step, all `within` a range."""
         value = self.content[key]
         if isinstance(value, Mapping):
             inner = self.inner(key, value)

@@ -77,7 +77,7 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
 
 
 def _label(scan: Scan, scans: Sequence[Scan]) -> str:
-    """Return the angle of incidence in degrees as a label, with the azimuth of the sample if the scans differ in it."""
+    """Return the angle of incidence, degrees, as a curve label, with the sample's azimuth if the scans differ in it."""
     turned = any(other.rotation_deg != scan.rotation_deg for other in scans)
     return f"{scan.incidence_deg:g}°" + (f", sample {scan.rotation_deg:g}°" if turned else "")
 
@@ -146,9 +146,9 @@ def particles_figure(level: float, slope: float = CLEANED_SLOPE) -> Figure:
     level : float
         Cleanliness level, drawn thick among the levels of `LEVELS_DRAWN`.
     slope : float
-        Slope of the size distribution. Two areas are drawn. One is that of spheres of this distribution, which the
-        scatter models use. The other is that of the standard's formula, which is for a slope of 0.926 and 7.6 % more
-        there.
+        Slope of the size distribution. Two areas are drawn: one of spheres of this distribution, which the scatter
+        models use, and one by the standard's formula. The formula is for a slope of 0.926, where it gives 7.6 % more
+        than the spheres.
     """
     figure, (left, right) = Figure.of_panels(10.4, 4.4, 1, 2)
     levels = sorted({*LEVELS_DRAWN, float(level)})

@@ -60,7 +60,7 @@ def parameter_options() -> Group:
 
 
 def _default(kind: str, key: str) -> str:
-    """Return the default of a parameter of a model as text in parentheses, empty if it has none."""
+    """Return the default of a model parameter as text in parentheses; empty if it has none."""
     default = {field.name: field.default for field in fields(KINDS[kind])}.get(key)
     if not default or default is MISSING:
         return ""
@@ -68,7 +68,7 @@ def _default(kind: str, key: str) -> str:
 
 
 def _form(params: list[Param]) -> tuple[Any, str | None]:
-    """Return the type and the placeholder of an option; the models check ranges of numbers, which differ."""
+    """Return the type and the placeholder of a command-line option; the models themselves check ranges."""
     values = params[0].values
     if values is FLAG:
         return bool, None
@@ -125,6 +125,7 @@ def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tup
     options : mapping
         Value by parameter, in the unit of the parameter; None where it is not given.
     request : BsdfRequest
+        Wavelength, reflectance and materials.
 
     Raises
     ------

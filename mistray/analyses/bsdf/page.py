@@ -52,7 +52,7 @@ def text(found: BsdfResult) -> str:
 
 
 def record(found: BsdfResult) -> dict[str, Any]:
-    """Return a result as JSON-serialisable values: A, B and g of a roughness, totals of all events, curves of one."""
+    """Return a result as JSON-serialisable values: A, B and g from a roughness, TIS of each event, and BSDF curves."""
     asked, sheet = found.request, found.sheet
     answer = {
         "model": found.title,
@@ -109,7 +109,7 @@ def notes(found: BsdfResult) -> list[str]:
 
 
 def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
-    """Return label and value of each result about hits on the small detector, by JSON name; empty without one."""
+    """Return label and value of each result for the small detector, by JSON name; empty without such a detector."""
     unaimed = found.unaimed
     if unaimed is None:
         return {}

@@ -28,9 +28,11 @@ class BsdfResult:
     title : str
         Name of the model with the parameters that were given.
     model : Placement
+        Scatter model that was evaluated.
     sheet : AbgFromRms or None
         Calculation of A, B and g from a roughness.
     request : BsdfRequest
+        Request that was evaluated.
     light : IncidentLight
         Incident light with the sample in its first orientation.
     turned : bool

@@ -32,6 +32,7 @@ def relative_scatter(name: str, value: np.ndarray, slope: float = CLEANED_SLOPE)
     Parameters
     ----------
     name : {"rms_nm", "level", "coverage_percent", "A", "b0", "reflectance"}
+        Parameter of the scatter model.
     value : array
         Value in the unit of the parameter (nm for "rms_nm"), greater than 0; a level at least 1.
     slope : float
@@ -60,7 +61,7 @@ class PowerCost(Request):
     """
     Cost (reference / value)^exponent · weight: a number half as large costs 2^exponent times as much.
 
-    Its fields describe themselves.
+    The fields are the keys ``cost`` of a section ``[[choose]]`` in a budget file.
     """
 
     weight: float = field(POSITIVE, 1.0, "cost at the reference, in any unit")
@@ -68,13 +69,13 @@ class PowerCost(Request):
     exponent: float = field(POSITIVE, 1.0, "power; by the rule of thumb the time of polishing goes with 1/σ")
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
-        """Return the cost of each value, in the unit of `weight`."""
+        """Return the cost of each value, an array of the same shape, in the unit of `weight`."""
         return np.asarray(self.weight * (self.reference / np.asarray(value, dtype=np.float64)) ** self.exponent)
 
 
 @dataclass(frozen=True)
 class StepCost(Request):
-    """Cost of a few grades that can be ordered; nothing between them can. Its fields describe themselves."""
+    """Cost of a few grades of a parameter that a supplier offers; values between them are not available."""
 
     values: tuple[float, ...] = field(
         Each(FINITE), MISSING, "instead of best, worst and cost: grades that can be ordered, ascending"
@@ -93,7 +94,7 @@ class StepCost(Request):
             )
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
-        """Return for each value the cost of the coarsest grade at least as good, or else that of the best grade."""
+        """Return the cost of the coarsest grade that is at least as good as each value, or that of the best grade."""
         place = np.searchsorted(self.values, np.asarray(value) * (1 + 1e-9), side="right") - 1
         return np.asarray(np.array(self.costs)[np.maximum(place, 0)])
 
@@ -112,6 +113,7 @@ class ToleranceChoice:
     best, worst : float
         Smallest and largest value to choose from.
     cost : PowerCost or StepCost
+        Cost of a value.
     slope : float
         Slope of the size distribution of particles.
     """
@@ -124,7 +126,7 @@ class ToleranceChoice:
     slope: float = CLEANED_SLOPE
 
     def ratio(self, value: np.ndarray) -> np.ndarray:
-        """Return the scatter at values divided by that at `value`, in the shape of the values."""
+        """Return the scatter at values divided by that at the present value, an array of the same shape."""
         return relative_scatter(self.name, value, self.slope) / relative_scatter(
             self.name, np.array(self.value), self.slope
         )
@@ -134,7 +136,7 @@ class ToleranceChoice:
         return float(self.ratio(np.array(value))) * elasticity(self.name, value, self.slope)
 
     def grades(self) -> np.ndarray:
-        """Return the values to choose from: the grades of the cost within the range, or 400 on a logarithmic scale."""
+        """Return the values to choose from: the grades of the cost in the range, or 400 on a logarithmic scale."""
         if isinstance(self.cost, StepCost):
             return np.array([v for v in self.cost.values if self.best <= v <= self.worst])
         return np.geomspace(self.best, self.worst, GRID)
@@ -167,8 +169,9 @@ class Model:
         Parameters
         ----------
         variables : sequence of ToleranceChoice
+            Parameters to choose, one for each column of `derivatives`.
         values : (metrics,) float64
-            Metrics at the present values.
+            Metrics at the present values, each in its unit.
         derivatives : (metrics, variables) float64
             Derivatives with respect to the values themselves, not to their logarithms.
         """
@@ -193,7 +196,9 @@ def allocate(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndar
     Parameters
     ----------
     variables : sequence of ToleranceChoice
+        Parameters to choose, with their ranges and costs.
     model : Model
+        Metrics as functions of the parameters.
     limits : (metrics,) float64
         Largest value of each metric, in its unit.
 
@@ -225,7 +230,7 @@ def excess(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarra
 
 
 def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> np.ndarray:
-    """Return the cheapest grade of every variable that together meet the limits, (variables,); solved exactly."""
+    """Return the grades, one per variable, (variables,), that meet the limits at the least total cost."""
     lists = [v.grades() for v in variables]
     costs = np.concatenate([v.cost(grades) for v, grades in zip(variables, lists, strict=True)])
     ratios = [v.ratio(grades) for v, grades in zip(variables, lists, strict=True)]
@@ -252,7 +257,7 @@ def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarr
 def _descend(
     variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray, start: np.ndarray, free: Sequence[int]
 ) -> np.ndarray:
-    """Return the variables, (variables,), with those of the indices `free` at the least cost and the others held."""
+    """Return all variables, (variables,); those of the indices `free` minimise the cost, the others stay at `start`."""
     chosen = [variables[k] for k in free]
     held = [k for k in range(len(variables)) if k not in free]
     fixed = model.fixed + sum(model.parts[:, k] * float(variables[k].ratio(np.array(start[k]))) for k in held)

@@ -15,7 +15,7 @@ from mistray.toolkit.tables.text import number
 
 
 def budget_figure(result: Budget, title: str = "") -> Figure:
-    """Draw every value before and after on a logarithmic scale, a panel per parameter, with its share of the metric."""
+    """Draw the chosen values before and after, a panel per parameter, beside their shares of the metric in percent."""
     kinds = list(dict.fromkeys(chosen.parameter for chosen in result.chosen))
     counts = [sum(chosen.parameter == kind for chosen in result.chosen) for kind in kinds]
     height, ratios = 1.4 + 0.6 * len(kinds) + 0.24 * sum(counts), [count + 2 for count in counts]

@@ -80,7 +80,7 @@ def numbers_table(result: Budget) -> Table:
 
 
 def _shares(chosen: Chosen) -> Iterable[tuple[float, float]]:
-    """Return the shares of each metric, 0 … 1, that depend on a chosen value: pairs of before and after."""
+    """Return the share, 0 … 1, of each metric that depends on a chosen value, as pairs before and after."""
     return zip(chosen.shares_before, chosen.shares_after, strict=True)
 
 
@@ -150,7 +150,7 @@ def page(result: Budget, title: str = "scene", command: str = "") -> Report:
 
 def write_budget(result: Budget, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
     """
-    Write scene.xml, budget.csv, requirements.csv, budget.json, budget.png and report.html, each whole or not at all.
+    Write scene.xml, budget.csv, requirements.csv, budget.json, budget.png and report.html, all or none of them.
 
     `write_report` documents how the directory is made and replaced. `title`, the name of the optical system, and
     `command`, the command line, appear in the report.

@@ -21,20 +21,20 @@ FORM = 'ids of shapes or patterns, such as ["L*_front"]'
 
 @dataclass(frozen=True)
 class Requirement(Request):
-    """One of the sections ``[[require]]``: a metric and what it may be at most; its fields describe themselves."""
+    """Section ``[[require]]`` of a budget file: a metric and its upper limit, in the unit of the metric."""
 
     metric: str = field(Words(tuple(FACTORIES)), MISSING, "metric, one of those of `mistray sensitivity` or `pst_mask`")
     limit: float = field(POSITIVE, MISSING, "largest value that meets it, in the unit of the metric")
     arguments: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # of the metric's function
 
     def made(self, scene: Any) -> Metric:
-        """The metric of a scene."""
+        """Return the metric of this requirement for a scene."""
         return FACTORIES[self.metric](scene, **self.arguments)
 
 
 @dataclass(frozen=True)
 class Grades(Request):
-    """One of the sections ``[[choose]]``: what is to be chosen, and what it costs; its fields describe themselves."""
+    """Section ``[[choose]]`` of a budget file: surfaces, the parameter to be chosen on each, its range and its cost."""
 
     surfaces: tuple[str, ...] = field(
         Several(TEXT), MISSING, "ids of shapes, or patterns such as `L*_front`; each surface gets a number of its own"
@@ -61,7 +61,7 @@ class BudgetStudy(Request):
     """
     Requirements that a budget shall meet, and the means to do so.
 
-    The fields of the section ``[solver]`` describe themselves; `name` is that of the file, for messages.
+    `name` is that of the file, for messages; the other fields are sections and keys of the file.
     """
 
     name: str

@@ -17,8 +17,9 @@ class Chosen:
     """
     Roughness, cleanliness level or amplitude that the budget has chosen.
 
-    `shares_before` and `shares_after` are the shares, 0 … 1, of each metric that depend on it, from the first and the
-    last gradient.
+    `before` and `after` are its values, `best` and `worst` the ends of its range, all in `unit`; the costs are those of
+    both values. `shares_before` and `shares_after` are the shares, 0 … 1, of each metric that depend on it, from the
+    first and the last gradient.
     """
 
     shares_before: tuple[float, ...]
@@ -36,13 +37,13 @@ class Chosen:
 
     @property
     def at_bound(self) -> bool:
-        """Return whether the value lies at the best or the worst end of its range, to within 1e-4."""
+        """Return whether the chosen value lies at the best or worst end of its range, to within 1e-4."""
         return min(abs(self.after / bound - 1) for bound in (self.best, self.worst)) < 1e-4
 
 
 @dataclass(frozen=True)
 class Met:
-    """One requirement with its metric before and after, measured on seeds that the search has not used."""
+    """Requirement with its metric before and after the budget, measured on seeds that the search has not used."""
 
     requirement: str = column("metric that is limited")
     unit: str = column("its unit")
@@ -57,7 +58,7 @@ class Met:
 
     @property
     def distance(self) -> float:
-        """Return the standard errors from the metric after the budget up to the limit; negative above the limit."""
+        """Return the distance of the metric after the budget below its limit, in standard errors; negative if above."""
         room = self.limit - self.after.value
         return room / self.after.se if self.after.se > 0 else math.copysign(math.inf, room)
 
@@ -70,11 +71,13 @@ class Budget:
     Attributes
     ----------
     study : BudgetStudy
+        Requirements and choices of the budget.
     source : Path
         The scene file.
     chosen : tuple of Chosen
         Chosen values in the order of the scene.
     requirements : tuple of Met
+        Requirements with their metrics before and after.
     gradients : int
         Number of gradients of each metric.
     left_out : tuple of str
@@ -102,7 +105,7 @@ class Budget:
         return sum(c.cost_before for c in self.chosen), sum(c.cost_after for c in self.chosen)
 
     def scene_text(self, folder: str | Path) -> str:
-        """Return the text of a scene file in `folder` that has the chosen values."""
+        """Return the text of a scene file for `folder` with the chosen values in it."""
         file = SceneText(self.source, own=not self.study.shared)
         for item in self.chosen:
             file.set(item.key, item.after)

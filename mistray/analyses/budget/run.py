@@ -69,7 +69,7 @@ def budget(
 
 
 class _Search:
-    """Search of a budget: gradients of the metrics, allocation of values, and verification on other seeds."""
+    """Search for a budget: gradients of the metrics, choice of values, and check with other random seeds."""
 
     def __init__(self, scene: Any, study: BudgetStudy, progress: Progress | None) -> None:
         self.study = study
@@ -87,7 +87,7 @@ class _Search:
         self.numbers = self.start
 
     def choices(self, numbers: np.ndarray) -> list[ToleranceChoice]:
-        """Return the variables of the allocation, set to the values at which the metrics were computed."""
+        """Return the parameters to choose, with ranges and costs, set to `numbers`: one value each, in its unit."""
         result = []
         for parameter, grades, number in zip(self.known, self.grades, numbers, strict=True):
             slope_key = f"{parameter.key.rpartition('.')[0]}.slope"
@@ -112,7 +112,7 @@ class _Search:
         return Model.of(self.choices(numbers), np.array(values), np.array(rows)), np.array(values), np.array(errors)
 
     def run(self) -> tuple[tuple[Chosen, ...], int]:
-        """Allocate until the values settle or iterations run out; return chosen values and number of gradients."""
+        """Choose values until they settle or iterations run out; return them and the number of gradients computed."""
         numbers, first, gradients = self.start, np.zeros(0), 0
         while True:
             model, values, errors = self.derive(numbers)

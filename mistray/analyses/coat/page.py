@@ -40,7 +40,7 @@ def text(found: Mapping[str, Any], output: Path) -> str:
 
 
 def _grouped(rows: Iterable[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """Return a line for each distinct text, followed by the surfaces that it applies to."""
+    """Return a line for each distinct text, with the names that share it after the text."""
     groups: dict[str, dict[str, None]] = {}
     for what, row in rows:
         groups.setdefault(what, {})[row["surface"]] = None

@@ -40,6 +40,7 @@ class CoatedSurfaces:
     names : tuple of str
         Shape ids.
     coating : CoatingModel
+        Coating of all these surfaces.
     front, back : str
         Materials in front and behind.
     """
@@ -57,6 +58,7 @@ def coated_surfaces(scene: Any) -> list[CoatedSurfaces]:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
 
     Raises
     ------
@@ -87,6 +89,7 @@ def coating_figure(
     Parameters
     ----------
     coating : CoatingModel
+        Coating to draw.
     wavelengths_nm : sequence of float
         Two or more wavelengths, nm; the right side takes the first, the middle and the last.
     angles_deg : sequence of float
@@ -173,7 +176,7 @@ def surfaces_figure(
 
 
 def _lines(axes: Axes, x: np.ndarray, values: CoatingSpectrum, part: Any, colour: str, label: str) -> None:
-    """Draw R in percent: the mean of s and p, and both by themselves if they differ."""
+    """Draw R in percent over `x`: the mean of s and p polarisation, and both alone where they differ."""
     axes.plot(x, 100 * values.mean()[part], color=colour, lw=1.4, label=label)
     s, p = values.R[..., 0][part], values.R[..., 1][part]
     if np.max(np.abs(s - p)) > 1e-9:

@@ -66,7 +66,7 @@ def figure(found: CoatingResult | SurfacesResult) -> Figure:
 
 
 def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
-    """Return a row per layer of a stack: nm, n, k and waves at the design wavelength; empty for other coatings."""
+    """Return a row per layer of a stack: thickness in nm, n, k, and waves at the design wavelength; else empty."""
     if not isinstance(found.coating, Stack):
         return []
     design_nm, rows = found.request.design_nm, []

@@ -28,7 +28,9 @@ class CoatingResult:
     request : CoatingRequest
         Request with its defaults filled in.
     coating : CoatingModel
+        Coating that was evaluated.
     values : CoatingSpectrum
+        R, T and A by wavelength (nm), angle (degrees) and polarisation.
     """
 
     request: CoatingRequest
@@ -82,7 +84,7 @@ def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
 
 
 def _lit(request: CoatingRequest, band: tuple[float, float]) -> CoatingRequest:
-    """Return a request with its own wavelengths, or else with 61 wavelengths over a band in nm."""
+    """Return the request with its own wavelengths, or with 61 wavelengths over a band in nm if it has none."""
     return replace(request, wavelength_nm=request.wavelength_nm or np.linspace(*band, POINTS).tolist())
 
 

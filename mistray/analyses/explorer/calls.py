@@ -27,6 +27,7 @@ def answer(explorer: Explorer, call: Any, given: Any) -> Any:
     Parameters
     ----------
     explorer : Explorer
+        Explorer of a scene.
     call : str
         One of `CALLS`.
     given : dict

@@ -45,6 +45,7 @@ class Control:
     name : str
         Name such as "coating L1", "layers", "detector.bsdf.R", "vane radius", "field", "wavelength".
     kind : {"coating", "layers", "number", "field", "wavelength"}
+        Kind of quantity that it sets.
     start : str or float
         Value in the scene.
     label, unit : str
@@ -86,7 +87,7 @@ class Control:
 
     def check(self, value: Any) -> VALUES:
         """
-        Return a value as the control can take it, clipped to the ends of a slider.
+        Return a value after a check, clipped to the ends of a slider.
 
         Raises
         ------
@@ -108,7 +109,7 @@ class Control:
 
     @property
     def way(self) -> str:
-        """Return how estimates follow the control: "exact", "held rays", "first order", or "grid" for the field."""
+        """Return how estimates follow it: "exact", "held rays" (as traced), "first order" or "grid" (of fields)."""
         if self.kind in (COATING, LAYERS):
             return "exact"
         if self.kind == NUMBER:
@@ -132,6 +133,7 @@ def controls_of(
     path : Path
         Scene file.
     scene : mi.Scene
+        Loaded scene.
     field_deg : sequence of float
         Field angles, degrees; the first is the initial one. A single angle makes no control.
     wavelength_nm : sequence of float
@@ -156,7 +158,7 @@ def controls_of(
 
 
 def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[str, VALUES]:
-    """Return checked values of some controls; raises `MistrayError` for an unknown control or an impossible value."""
+    """Return the checked values of some controls; raise `MistrayError` for an unknown control or impossible value."""
     found = {}
     for name, value in values.items():
         if name not in controls:
@@ -204,7 +206,7 @@ def _coatings(path: Path, scene: Any) -> list[Control]:
 
 
 def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
-    """Return the coatings offered for a part: the given one, bare, and presets near the light for all its materials."""
+    """Return the coatings offered for a part: its own, none, and presets whose band and material suit it."""
     found = [AS_IT_IS, BARE]
     for name, design in PRESETS.items():
         middle = (min(light) + max(light)) / 2 if light else design.design_nm
@@ -249,7 +251,7 @@ def _apertures(known: Iterable[Parameter]) -> list[Control]:
 
 
 def _is_offered(one: Parameter) -> bool:
-    """Return whether a parameter is a control by default: a detector's reflectance or an amount of scatter."""
+    """Return whether a parameter gets a control by default: reflectance of a detector, or an amount of scatter."""
     if one.value.size > 1 or not one.value[0]:
         return False
     if one.kind == "share":

@@ -37,8 +37,11 @@ def path_detail(
     Parameters
     ----------
     of : Traced
+        Trace that contains the path.
     looks : Looks
+        Coatings and scatter models of the surfaces.
     controls : mapping of str to Control
+        Controls of the explorer, by name.
     state : mapping
         Values of all controls.
     events : str
@@ -76,7 +79,7 @@ def path_detail(
 
 
 def _share(ways: Any, surface: str) -> float:
-    """Return the percentage of the stray power that is reflected or scattered at a surface on its way."""
+    """Return the percentage of the stray power of all paths that is reflected or scattered at a surface."""
     stray = ways[ways.kind != DIRECT]
     total = stray.power_W.sum()
     there = [
@@ -94,7 +97,7 @@ def _remedies(
     turns: list[str],
     row: int,
 ) -> list[dict[str, Any]]:
-    """Return the best coating of each part where a path turns, with the stray power left, W, the least first."""
+    """Return for each part where the path turns the coating that leaves least stray light, W, the best first."""
     here = {**state, **({"field": of.state["field"]} if "field" in state else {})}
     found = []
     for name, control in controls.items():

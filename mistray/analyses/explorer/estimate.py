@@ -60,15 +60,18 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
     """
     Estimate the light for values of the controls from a trace with other values.
 
-    Each sampled ray is multiplied by the ratio of the factors of its surfaces now and then, at its own angles of
-    incidence. A path is multiplied by the mean over its rays. Paths without rays in the sample follow those of their
-    kind.
+    Each sampled ray is multiplied, at its own angles of incidence, by a ratio for each of its surfaces: the fraction
+    of light that goes its way now over that in the trace. A path is multiplied by the mean over its rays. Paths
+    without rays in the sample follow those of their kind.
 
     Parameters
     ----------
     of : Traced
+        Trace with other values of the controls.
     looks : Looks
+        Coatings and scatter models of the surfaces.
     controls : mapping of str to Control
+        Controls of the explorer, by name.
     state : mapping
         Values of all controls.
     """
@@ -98,7 +101,7 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
 
 
 def _of_first_order(of: Traced, state: Mapping[str, VALUES], moved: list[Control]) -> Estimate:
-    """Return the relative change of the stray power by controls followed to first order, with its standard error."""
+    """Return the relative change of the stray power to first order in the moved controls, with its standard error."""
     found = [(of.slopes[c.name], float(state[c.name]) - float(of.state[c.name])) for c in moved if c.name in of.slopes]
     change = sum(slope.value * step for slope, step in found)
     return Estimate(change, math.sqrt(sum((slope.se * step) ** 2 for slope, step in found)))
@@ -161,7 +164,7 @@ def at_field(
 
 
 def _beyond(near: Guess, note: str) -> Guess:
-    """Return the estimate beyond all traced fields: that at the nearest, with errors as large as its values."""
+    """Return an estimate beyond all traced fields: that at the nearest field, with errors as large as its values."""
     whole: dict[str, Any] = {
         name: Estimate(*[getattr(near, name).value] * 2) for name in ("stray_W", "direct_W", "ratio")
     }
@@ -186,12 +189,12 @@ def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: l
 
 
 def _quotient(was: Floats, becomes: Floats) -> Floats:
-    """Return the ratio of two factors, or 1 if the first is 0: float32 and float64 differ at the critical angle."""
+    """Return the ratio of two factors; 1 if the first is 0, because precision differs near the critical angle."""
     return np.where(was > 0, becomes / np.where(was > 0, was, 1.0), 1.0)
 
 
 def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
-    """Return the factor on the power of each path and its standard error from the spread over its rays, (paths,)."""
+    """Return the factors on the powers of the paths, (paths,), and their standard errors from the spread over rays."""
     count, sample = len(of.ways), of.sample
     weight = np.bincount(sample.way, sample.weight, minlength=count)
     changed = np.bincount(sample.way, sample.weight * by_ray, minlength=count)

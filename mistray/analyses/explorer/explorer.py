@@ -281,7 +281,7 @@ class Explorer:
         return self.view()
 
     def prepare(self) -> None:
-        """Do all pending jobs, without waiting, until none is left."""
+        """Do all pending background jobs in the calling thread, until none is left."""
         while True:
             with self._changed:
                 job, state = self._job(quiet=False), dict(self.state)
@@ -296,7 +296,7 @@ class Explorer:
             return self._job(quiet=False) is None and not self._busy
 
     def _stale(self) -> bool:
-        """Return whether the present state still has to be traced."""
+        """Return whether the present state has not been traced yet."""
         return (self._traced is None or self._traced.state != self.state) and _key(self.state) not in self._tried
 
     def _job(self, quiet: bool = True) -> Callable[[dict[str, VALUES]], None] | None:
@@ -330,7 +330,7 @@ class Explorer:
             self._note()
 
     def _compared(self, before: Traced, found: Traced) -> dict[str, Any] | None:
-        """Return the stray power of a state as estimated and as traced, W, and the difference in percent, or None."""
+        """Return estimated and traced stray power of a state, W, and their difference in percent; None if dark."""
         made = self._guessed(before, found.state)
         stray = found.stray_W
         if not stray.value > 0:
@@ -343,7 +343,7 @@ class Explorer:
         }
 
     def _compile_ahead(self, state: dict[str, VALUES]) -> None:
-        """Compile the kernels for bare and layered surfaces ahead, by a trace of 64 rays."""
+        """Compile the kernels for bare and for layered surfaces before they are needed, by traces of 64 rays."""
         self._begin("compiling")
         coatings = self._uncompiled.pop()
         with self._ahead("compiling"):
@@ -381,7 +381,7 @@ class Explorer:
 
     @contextlib.contextmanager
     def _ahead(self, what: Any) -> Iterator[None]:
-        """Run a job ahead of need in a block; if it fails, report the error and do not try it again."""
+        """Run a background job within a block; if it fails, report the error and do not try it again."""
         try:
             yield
         except (MistrayError, RuntimeError) as error:
@@ -414,7 +414,7 @@ class Explorer:
             return trace(scene, rays=rays, field_deg=field, **light)
 
     def _chosen_rays(self) -> int:
-        """Return the number of start rays whose trace takes about 0.8 s, from 1000 to 20 000."""
+        """Return the number of start rays that a trace finishes in about 0.8 s, from 1000 to 20 000."""
         for _ in range(2):  # the first one waits for the compiler
             began = time.monotonic()
             self._traced_rays(self._loaded(self.state), self.state, PILOT_RAYS)
@@ -501,7 +501,7 @@ class Explorer:
         return at_field({**self._grid, float(of.state["field"]): of}, self._looks, self.controls, state)
 
     def _note(self) -> None:
-        """Notify all waiting threads of a new view; the caller holds the lock."""
+        """Wake all threads that wait for a new view; the caller holds the lock."""
         self.version += 1
         self._changed.notify_all()
 
@@ -521,7 +521,7 @@ class Explorer:
 
 
 def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES]]:
-    """Return states of the coatings whose kernels may differ: a part bare, a part layered, and both."""
+    """Return states of the coatings whose kernels may differ: a bare part, a layered part, and both."""
     names = [name for name, one in controls.items() if one.kind == COATING]
     if not names:
         return []
@@ -534,7 +534,7 @@ def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:
 
 
 def _shapes(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
-    """Return the values in a state that move rays: parameters followed to first order, field and wavelength."""
+    """Return the values in a state that move rays: shapes that estimates follow to first order, field, wavelength."""
     return {
         name: value
         for name, value in of.state.items()

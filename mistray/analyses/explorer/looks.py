@@ -44,6 +44,7 @@ class SurfaceLook:
     Attributes
     ----------
     coating : CoatingModel
+        Coating of the surface.
     models : tuple of (model, float)
         Scatter models, and the factor on the BSDF of each.
     """
@@ -61,6 +62,7 @@ class Looks:
     scene : mi.Scene
         Scene as loaded; its numbers are read once.
     controls : mapping of str to Control
+        Controls of the explorer, by name.
     """
 
     def __init__(self, scene: Any, controls: Mapping[str, Control]) -> None:
@@ -91,7 +93,10 @@ class Looks:
         return found
 
     def _changed(self, look: SurfaceLook, surface: str, control: Control, value: float) -> SurfaceLook:
-        """Return a surface with a new value of a parameter; unchanged where an estimate needs another trace for it."""
+        """Return the look of a surface with a new parameter value.
+
+        It is unchanged unless that of an ideal coating or scatter.
+        """
         one = control.parameter
         assert one is not None
         if one.kind == "share" and isinstance(look.coating, Ideal):
@@ -145,12 +150,14 @@ class SurfaceHits:
 
     Attributes
     ----------
-    event : int, code of the event
+    event : int
+        Code of the event.
     wavelength_nm : float
         Wavelength, nm.
     cos_i : (n,) float64
         Cosines of incidence.
-    from_front : (n,) bool, whether light comes from the front
+    from_front : (n,) bool
+        Whether light comes from the front.
     scattered : (n, 3) float64
         Unit directions of scattered light in the frame of `mistray.scatter.evaluate.bsdf`; 0 for other events.
     """

@@ -36,6 +36,7 @@ class Saving:
     path : Path
         Scene file that was explored; never overwritten.
     controls : mapping of str to Control
+        Controls of the explorer, by name.
     folder : Path
         Folder of the files, created when something is saved.
     force : bool

@@ -44,6 +44,7 @@ class PageServer(ThreadingHTTPServer):
     Parameters
     ----------
     explorer : Explorer
+        Explorer of a scene.
     port : int
         Port to listen on; 0: any that is free.
 
@@ -96,7 +97,7 @@ class PageServer(ThreadingHTTPServer):
         super().process_request(request, client_address)
 
     def trust(self, connection: Any) -> None:
-        """Keep a connection open once it has sent the token."""
+        """Keep a connection open, since it has sent the token."""
         with self._lock:
             self._strange.pop(connection, None)
 
@@ -124,7 +125,7 @@ def serving(explorer: Explorer, port: int = 0) -> Iterator[PageServer]:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """HTTP handler of the page's requests on one connection."""
+    """Handler of the HTTP requests of the page on one connection."""
 
     server: PageServer
     server_version = "mistray"

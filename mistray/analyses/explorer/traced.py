@@ -35,10 +35,12 @@ class HitGroup:
 
     Attributes
     ----------
-    surface : str, shape id
+    surface : str
+        Shape id.
     rays : (n,) int
         Index in the sample of the ray of each hit.
     hits : SurfaceHits
+        Angles and directions of the hits.
     """
 
     surface: str
@@ -103,7 +105,9 @@ class Traced:
     stray_W, direct_W, ratio : Estimate
         Power of the stray and of the direct light, W, and stray over direct.
     sample : Sample
+        Rays of the paths, with their hits.
     maps : Maps
+        Stray power on cells of the detector.
     remedy : Remedy or None
         Surface that takes part in most of the stray light, detectors aside.
     slopes : dict
@@ -136,6 +140,7 @@ def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
     Parameters
     ----------
     t : Trace
+        Finished trace.
     state : mapping
         Values of the controls with which the scene was traced.
     """
@@ -160,7 +165,7 @@ def _ids(ways: pd.DataFrame, chosen: npt.NDArray[np.bool_]) -> list[int]:
 
 
 def _ratio(t: Trace, groups: Sequence[Sequence[int]]) -> Estimate:
-    """Return the ratio of the powers of two groups of paths; its standard error allows for rays that both share."""
+    """Return the ratio of the powers of two groups of paths, with a standard error that allows for common rays."""
     if not all(groups):
         return Estimate(0.0, 0.0) if groups[1] else Estimate(float("nan"), float("nan"))
     light = t.paths.numbers(groups).light
@@ -183,7 +188,7 @@ def _sample(t: Trace, ways: pd.DataFrame) -> Sample:
 
 
 def _groups(hits: SampledHits, before: int) -> list[HitGroup]:
-    """Return all surface hits of a sample by surface and event; hits within media are the same in any state."""
+    """Return the surface hits of sampled rays, grouped by surface and event; hits within media are left out."""
     cosine = np.einsum("rki,rki->rk", hits.arrival, hits.normal)
     groups = []
     for number in np.unique(hits.surface[hits.surface >= 0]):

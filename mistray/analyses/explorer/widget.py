@@ -24,6 +24,7 @@ class ExplorerWidget(anywidget.AnyWidget):
     Parameters
     ----------
     explorer : Explorer
+        Explorer of a scene.
     """
 
     _esm = asset("explore.js")

@@ -74,7 +74,10 @@ class FieldBeam:
         return f"beam {self.field_deg:g} deg"
 
     def write(self, file: StepFile) -> tuple[list[int], list[int]]:
-        """Write a solid between each two places, or a side face if rays cross there; return the numbers of both."""
+        """Write a solid between each two places, or a side face if rays cross there.
+
+        Return the entity numbers of the solids and of the side faces.
+        """
         solids, sides = [], []
         for k, (here, there) in enumerate(pairwise(self.places)):
             name = f"{self.name}: {here} to {there}"
@@ -93,7 +96,7 @@ class FieldBeam:
         return solids, sides
 
     def _cap(self, file: StepFile, k: int, stretch: _Stretch, end: int, outwards: bool) -> int:
-        """Add the cap that ends a stretch at a place and return its number; `outwards`: its normal leaves the body."""
+        """Add the end surface of a beam stretch at place `k`, facing outwards or not, and return its number."""
         rings = self.caps[k]
         normal = polygon_normal(rings[:, -1])
         away = (rings - self.middle[k]) @ normal
@@ -120,7 +123,7 @@ class FieldBeam:
 
 
 class _Stretch:
-    """Ruled surface between two rims (n, 3), mm, one of which may be a point."""
+    """A part of the beam between two rims, (n, 3) mm each, of which one may be a point; its side is a ruled surface."""
 
     def __init__(self, file: StepFile, rims: tuple[Array, Array], smooth: bool) -> None:
         self.file, self.rims, self.degree = file, rims, 3 if smooth else 1
@@ -146,13 +149,13 @@ def _point(rim: Array) -> bool:
 
 
 def _face(file: StepFile, name: str, surface: int, loop: list[tuple[int, bool]], along: bool) -> int:
-    """Add a face whose border is counter-clockwise about the normal of its surface, or reversed; return its number."""
+    """Add a face with its border counter-clockwise about the normal, or reversed if not `along`; return its number."""
     edges = loop if along else [(edge, not forwards) for edge, forwards in loop[::-1]]
     return file.face(name, surface, along, [file.loop(edges)])
 
 
 def _sense(rim: Array, along: Array) -> int:
-    """Return 1 if points run counter-clockwise about a direction, -1 if clockwise, 0 if neither throughout."""
+    """Return 1 if rim points run counter-clockwise about a direction, -1 if clockwise, 0 if it varies."""
     middle = rim.mean(axis=0)
     turns = np.cross(rim - middle, np.roll(rim, -1, axis=0) - middle) @ along
     return int(np.sign(turns[0])) if np.all(turns * turns[0] > 0) else 0
@@ -177,6 +180,7 @@ class BeamFinder:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     wavelength_nm : float, optional
         Wavelength, nm; by default the first one of the scene's source.
 
@@ -243,7 +247,7 @@ class BeamFinder:
         return points[:, : len(rim) + 1], points[:, len(rim) + 1 :]
 
     def _follow(self, bundle: PointBundle, x: Array) -> Array:
-        """Return the points of rays at the start and at all surfaces, (p, n, 3), mm."""
+        """Return the points of rays, given by entrance coordinates, at start and all surfaces, (p, n, 3), mm."""
         o, d = bundle.rays(x)
         points = [o]
         for step in self.path.steps:
@@ -254,7 +258,7 @@ class BeamFinder:
         return np.stack(points)
 
     def _cap(self, k: int, middle: Array, rim: Array) -> Array:
-        """Return points on the surface at a place, from the middle ray to those at the rim, (n, CAP, 3), mm."""
+        """Return a grid of points on the surface at place `k`, from the middle ray to each rim ray, (n, CAP, 3), mm."""
         share = np.arange(1, CAP + 1)[:, None] / CAP
         straight = middle + share * (rim - middle)[:, None]
         table, surface = self.path.table, self.path.steps[k - 1].surface
@@ -275,7 +279,7 @@ def _off(rim: Array, between: Array) -> float:
 
 
 def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[list[str], Array, Array]:
-    """Insert points where the light comes together; return places, middle rays, (p, 3), and caps, in mm."""
+    """Insert the points where the light is focused; return places, points of the middle ray, (p, 3), and caps, mm."""
     spread = [float(np.ptp(cap[:, -1], axis=0).max()) for cap in caps]
     for k, cap in enumerate(caps):
         beside = max(spread[k - 1] if k else 0.0, spread[k + 1] if k + 1 < len(caps) else 0.0)
@@ -298,7 +302,7 @@ def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[lis
 
 
 class _Rim:
-    """Rim of the light in the entrance, as the convex hull of the outermost rays found in some directions."""
+    """Rim of the light in the entrance: the convex hull of the outermost rays that arrive, found in some directions."""
 
     def __init__(self, path: DesignPath, bundle: PointBundle, region: Region) -> None:
         self._path, self._bundle = path, bundle
@@ -319,7 +323,7 @@ class _Rim:
         return np.asarray(self._middle + reach[:, None] * along)
 
     def refined(self, turns: Array) -> tuple[Array, Array]:
-        """Add directions, radians, where the rim bends between two; return them and the directions half-way between."""
+        """Add directions, rad, between two where the rim bends; return them and the directions half-way between."""
         for _ in range(ROUNDS):
             between = turns + 0.5 * np.diff(turns, append=turns[0] + 2 * np.pi)
             middles = self.at(between)
@@ -331,7 +335,7 @@ class _Rim:
         return turns, turns + 0.5 * np.diff(turns, append=turns[0] + 2 * np.pi)
 
     def _outermost(self, along: Array) -> Array:
-        """Return the distance, (n,), from the middle to the last ray that passes in each direction, (n, 2)."""
+        """Return the distance, (n,), mm, from the middle to the last ray that passes in each direction, (n, 2)."""
         inside, outside = np.zeros(len(along)), np.full(len(along), self._limit)
         rows = np.arange(len(along))
         for sections in SECTIONS:
@@ -352,7 +356,7 @@ def _unit(turns: Array) -> Array:
 
 
 def _aside(points: Array, corners: Array) -> Array:
-    """Return the distances, (n,), of points (n, d) from the polygon sides that begin at the same index."""
+    """Return the distance of each point, (n, d), from the polygon side that begins at the corner of the same index."""
     side = np.roll(corners, -1, axis=0) - corners
     away = points - corners
     share = np.sum(away * side, axis=1) / np.maximum(np.sum(side * side, axis=1), 1e-300)

@@ -63,6 +63,7 @@ class StepBody:
     Attributes
     ----------
     name, group, role : str
+        Name of the product, its group in the assembly, and the role of its surfaces.
     solid : bool
         Whether its faces close a volume.
     turned : list of (matrix, list of Profile)
@@ -105,7 +106,7 @@ class StepBody:
 
 @dataclass
 class Found:
-    """Bodies found in a scene, notes on them, and the reason for each shape that is left out."""
+    """Bodies found in a scene, remarks on them, and the reason for each shape that is left out."""
 
     bodies: list[StepBody] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -121,6 +122,7 @@ def bodies_of(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     lit : mapping of str to int
         Side of each mirror that light comes from: -1 the front, 1 the back, in the frame of the shape.
     mirror_thickness_mm : float or None
@@ -224,7 +226,7 @@ def _patch(name: str, shape: Any, tolerance: float) -> Patch | str:
 def _add(
     axes: list[Axis], name: str, part: str, role: str, shape: Any, matrix: Array, profile: Profile, lit: int
 ) -> None:
-    """Add a surface of revolution to those about the same axis, or start a new axis with it."""
+    """Add a surface of revolution to the list of surfaces about its axis, or start a list for a new axis."""
     size = float(np.abs(profile.poles).max())
     front, back = shape.bsdf().front, shape.bsdf().back
     for axis in axes:
@@ -340,7 +342,7 @@ def _closed(rings: Sequence[Ring]) -> tuple[list[list[Profile]], list[Ring]]:
 
 
 def _components(numbers: npt.NDArray[np.int_]) -> Iterator[list[int]]:
-    """Yield groups of profile indices that are connected by their end points."""
+    """Yield groups of profiles, as indices, that are connected at their end points."""
     left = set(range(len(numbers)))
     while left:
         group = [left.pop()]
@@ -354,7 +356,7 @@ def _components(numbers: npt.NDArray[np.int_]) -> Iterator[list[int]]:
 def _in_turn(
     chain: list[int], numbers: npt.NDArray[np.int_], profiles: list[Profile], free: list[int]
 ) -> list[Profile]:
-    """Return profiles in sequence, reversed where necessary, starting from a free end if there is one."""
+    """Return connected profiles in sequence, reversed where necessary, from a free end if there is one."""
     left = list(chain)
     here = free[0] if free else int(numbers[chain[0], 0])
     ordered = []

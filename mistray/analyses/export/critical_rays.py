@@ -26,6 +26,7 @@ def run(scene: mi.Scene, request: CriticalRaysRequest) -> pd.DataFrame:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     request : CriticalRaysRequest
 
     Returns
@@ -67,7 +68,7 @@ critical_rays = analysis("critical_rays", CriticalRaysRequest, run)
 
 
 def _outermost(starts: np.ndarray, along: np.ndarray, rim: int) -> dict[str, int]:
-    """Return the indices of the ray nearest to the centre and of those at the rim, by their names."""
+    """Return the indices of the ray nearest to the beam's centre and of those at its rim, by name of the ray."""
     along = along / np.linalg.norm(along)
     across = np.array([1.0, 0.0, 0.0]) - along[0] * along
     if np.linalg.norm(across) < 1e-6:

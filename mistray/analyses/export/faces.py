@@ -32,6 +32,7 @@ class Turner:
     Parameters
     ----------
     file : StepFile
+        File to which faces are added.
     matrix : (4, 4) float64
         Rigid transform from the frame of the profiles to the world, mm.
     """
@@ -41,7 +42,7 @@ class Turner:
         self.origin, self.x, self.axis = matrix[:3, 3], matrix[:3, 0], matrix[:3, 2]
 
     def place(self, point: Array) -> Array:
-        """Return a point (r, z) of a profile in world coordinates, mm, in the half plane of the seams."""
+        """Return a profile point (r, z) in world coordinates, mm, in the half plane where faces of revolution begin."""
         return np.asarray(self.origin + point[0] * self.x + point[1] * self.axis)
 
     def frame(self, z: float, sign: float = 1.0) -> int:
@@ -83,7 +84,7 @@ class Turner:
         return file.face(profile.name, surface, along, [file.loop([edge for edge in loop if edge[0]])])
 
     def _surface(self, profile: Profile) -> tuple[int, int, bool]:
-        """Add the surface and the curve of a profile; return both, and whether the normal points away from the body."""
+        """Add the surface and the curve of a profile; return their numbers, and whether the normal leaves the body."""
         file, (r0, z0), (r1, z1) = self.file, profile.start, profile.end
         if profile.kind == "line":
             curve = file.line(self.place(profile.start), self.place(profile.end))
@@ -206,6 +207,7 @@ class Patch:
     Parameters
     ----------
     name : str
+        Id of the shape.
     height : callable
         Sag, mm, at points x, y of the frame, mm.
     figures : tuple of OutlineFigure
@@ -348,7 +350,7 @@ def corners_of(figure: OutlineFigure) -> Array:
 
 
 def round_border(figure: OutlineFigure, u: Array) -> Array:
-    """Return points, (n, 2), mm, of a circle or ellipse for parameters u, (n,), of 0 … 1, counter-clockwise."""
+    """Return points, (n, 2), mm, on the border of a circle or ellipse, for u, (n,), 0 … 1 counter-clockwise."""
     a, b = figure.sizes if len(figure.sizes) == 2 else 2 * figure.sizes
     turn, angle = np.radians(figure.angle_deg), 2 * np.pi * u
     p, q = a * np.cos(angle), b * np.sin(angle)

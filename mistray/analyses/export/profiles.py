@@ -44,8 +44,11 @@ class Profile:
     centre, radius : float
         For a circle: coordinate of its centre on the axis, and its radius, mm.
     degree : int
+        Degree of a B-spline.
     knots : (n + degree + 1,) float64
+        Knot vector of a B-spline.
     weights : (n,) float64 or None
+        Weights of the poles of a rational B-spline.
     error_mm : float
         Largest distance of a B-spline from the surface, mm, measured between the points that it goes through.
     """
@@ -77,7 +80,7 @@ class Profile:
         return replace(self, poles=self.poles[::-1], knots=knots, weights=weights)
 
     def moved(self, along: float, shift: float) -> Profile:
-        """Return the profile in another frame on the axis: z becomes `along` z + `shift`, `along` 1 or -1."""
+        """Return the profile in another frame on the axis, whose z is `along` z + `shift`, mm; `along` is 1 or -1."""
         poles = self.poles * [1.0, along] + [0.0, shift]
         return replace(self, poles=poles, centre=along * self.centre + shift)
 
@@ -138,7 +141,7 @@ def _conic(name: str, ends: Array, piece: SagSurface) -> Profile:
 
 
 def _even(shape: Any, piece: SagSurface, count: int) -> Array:
-    """Return points (r, z), mm, of an asphere; for an ellipse at even angles about its centre, for steep ends."""
+    """Return points (r, z), mm, of an asphere; for an ellipse at even angles about its centre, to resolve its end."""
     product = (1 + piece.conic) * piece.curvature**2
     if product > 0:
         end = 1 / np.sqrt(product)

@@ -38,6 +38,7 @@ class StepExport:
     Attributes
     ----------
     path : Path
+        File written.
     solids, sheets, beams, paths : tuple of str
         Names of the products: bodies with a volume, faces that enclose none, clear beams, stray paths.
     error_mm : float
@@ -46,7 +47,8 @@ class StepExport:
         Largest distance of the rim of a beam from rays between those that it goes through, mm.
     left_out : dict
         Reason for each shape that is not in the file, by its id.
-    notes : tuple of str, remarks on the bodies
+    notes : tuple of str
+        Remarks on the bodies.
     """
 
     path: Path
@@ -72,6 +74,7 @@ def run(scene: mi.Scene, request: StepRequest, *, path: str | Path, name: str = 
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     request : StepRequest
     path : str or Path
         File to write; one that exists is replaced.

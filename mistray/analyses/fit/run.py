@@ -67,6 +67,7 @@ class Evaluations:
         Parameters
         ----------
         values : (k,) float
+            Values of the parameters.
         near : callable
             Squared distance of a point (k,) from the values, in standard deviations.
         but : collection of int
@@ -134,7 +135,7 @@ class Fit:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of parameters in their scales, (k, k), without bounds; undetermined: ∞, NaN off diagonal."""
+        """Covariance of the parameters in their scales, (k, k), bounds ignored; ∞ or NaN for undetermined ones."""
         size, weights, directions = self._directions()
         told = weights > ALIKE
         scaled = directions[:, told] / size[:, None]
@@ -146,7 +147,7 @@ class Fit:
 
     @property
     def standard_error(self) -> np.ndarray:
-        """Standard errors in the units of the parameters, (k,), bounds ignored; infinite at 0 with a power above 1."""
+        """Standard errors in the units of the parameters, (k,), bounds ignored; infinite at 0 if `power` exceeds 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.sqrt(np.diag(self.covariance)) / _stretch(self.value, self.power))
 
@@ -159,7 +160,7 @@ class Fit:
 
     @property
     def untold(self) -> dict[str, tuple[str, ...]]:
-        """Undetermined parameters, each with those it cannot be separated from; empty if no datum depends on it."""
+        """Parameters that the data do not determine, each with those that have a similar effect; may be empty."""
         blind = np.abs(self._blind())
         return {
             name: tuple(other for other, part in zip(self.names, row, strict=True) if part > PART**2 and other != name)
@@ -174,7 +175,7 @@ class Fit:
 
     @property
     def told(self) -> int:
-        """Number of parameters, or of combinations of them, that the data determine."""
+        """Number of parameters, or combinations of them, that the data determine."""
         return int(np.sum(self._directions()[1] > ALIKE))
 
     @property
@@ -184,7 +185,7 @@ class Fit:
 
     @property
     def probability(self) -> float:
-        """Probability of a `chi_square` no smaller by noise alone; if tiny, the model is not that of the data."""
+        """Probability that noise alone makes `chi_square` this large; if tiny, the model does not fit the data."""
         return float(chi2.sf(self.chi_square, self.degrees))
 
     def distance(self, values: Mapping[str, float]) -> float:
@@ -224,6 +225,7 @@ class Fit:
         Parameters
         ----------
         name : str
+            Name of the parameter.
         probability : float
             Probability that the interval holds the truth, 0 … 1.
 
@@ -280,7 +282,7 @@ class Fit:
         return "\n".join(lines)
 
     def _chi_square(self, step: np.ndarray) -> float:
-        """Return χ² at a step, (k,), from the estimate in the scales of the parameters."""
+        """Return χ² at a step, (k,), away from the estimate, in the scales of the parameters."""
         rows, aims = _whitened(self.slope, self.residual, self.noise)
         return float(np.sum(np.square(aims - rows @ step)))
 
@@ -303,12 +305,12 @@ class Fit:
         return size, *np.linalg.eigh((rows / size).T @ (rows / size))
 
     def _blind(self) -> np.ndarray:
-        """Return the projection on the directions that the data do not determine, (k, k)."""
+        """Return the projection, (k, k), onto those directions in parameter space that the data do not determine."""
         _, weights, directions = self._directions()
         return np.asarray(directions[:, weights <= ALIKE] @ directions[:, weights <= ALIKE].T)
 
     def _room(self) -> np.ndarray:
-        """Return the steps from the estimate to the lower and upper bounds in the scales of the parameters, (2, k)."""
+        """Return the distances of the estimate from its lower and upper bounds, in the parameters' scales, (2, k)."""
         return np.stack([_scaled(end, self.power) for end in (self.low, self.high)]) - _scaled(self.value, self.power)
 
 
@@ -332,8 +334,8 @@ def fit(
     without another evaluation. The noise of the model is then that of one evaluation, which counts in the likelihood.
 
     A parameter stays where it is if the data change by less than `LEAST_EFFECT` standard errors as it takes all values
-    from its lower to its upper bound. Without an upper one it is taken to grow a million times. Of parameters that do
-    the same thing the least change is made. `Fit.untold` names both kinds.
+    from its lower to its upper bound. Without an upper one it is taken to grow a million times. For parameters of
+    equal effect, the smallest joint change is made. `Fit.untold` names both kinds.
 
     Parameters
     ----------
@@ -450,7 +452,7 @@ def _checked_data(
 
 
 def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the largest steps down and up, (2, k), for one iteration: never onto a bound, and never too far."""
+    """Return the largest steps down and up, (2, k), in the scales of the parameters; none ends on a bound."""
     error = 1 / np.sqrt(np.where(scale > 0, scale, np.inf))  # what no datum depends on does not move
     low, high = np.minimum(room[0] + OFF_BOUND * error, 0.0), np.maximum(room[1] - OFF_BOUND * error, 0.0)
     most = np.where(power == 0, LONGEST_LOG, np.where(np.isfinite(room[0]), LONGEST * -room[0], np.inf))
@@ -460,7 +462,7 @@ def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray
 
 
 def _range(room: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Range of each parameter in its scale, (k,), from the distances to its bounds, (2, k); ∞ if unlimited."""
+    """Return the range of each parameter in its scale, (k,), from the distances to its bounds, (2, k); may be ∞."""
     above = np.where(np.isfinite(room[0]) & (room[0] < 0), FARTHEST * -room[0], np.inf)
     finite = np.all(np.isfinite(room), axis=0)
     return np.where(power == 0, FARTHEST, np.where(finite, room[1] - room[0], above))
@@ -473,7 +475,7 @@ def _whitened(rows: np.ndarray, aims: np.ndarray, noise: np.ndarray) -> tuple[np
 
 
 def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Return the step (k,) within bounds (2, k) that minimises |rows step - aims|, the shortest if several do."""
+    """Return the step (k,) within bounds (2, k) that minimises |rows step - aims|; of several the shortest."""
     size = np.linalg.norm(rows, axis=0)
     free = (room[1] > room[0]) & (size > 0)
     step = np.zeros(rows.shape[1])
@@ -486,7 +488,7 @@ def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.n
 
 
 def _squared(point: np.ndarray, aim: np.ndarray, power: np.ndarray, metric: np.ndarray) -> float:
-    """Return the squared distance of a point from an aim in the scales, in standard deviations by `metric`."""
+    """Return the squared distance from a point, in parameter units, to an aim in the scales, with weights `metric`."""
     apart = _scaled(point, power) - aim
     return float(apart @ metric @ apart)
 
@@ -502,7 +504,7 @@ def _unscaled(x: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def _stretch(value: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the derivative of each parameter in its scale with respect to the parameter itself, (k,)."""
+    """Return the derivative of each parameter's scale with respect to the parameter itself, (k,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(power == 0, 1 / value, power * np.power(value, power - 1))
 

@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def tight(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of a path table with an RMS radius below the Airy radius at F/100; others need no light cone."""
+    """Return the rows of a path table with an RMS radius below the Airy radius at F/100, where diffraction counts."""
     return table[table.rms_radius_mm < 0.5 * airy_diameter(1.0, SLOWEST) * MM_PER_NM * table.wavelength_nm]
 
 

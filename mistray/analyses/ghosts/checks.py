@@ -37,7 +37,7 @@ def check_tables(scene: mi.Scene, request: GhostsRequest, shown: GhostTables) ->
 
 
 def prepare(report: GhostReport, shown: GhostTables) -> None:
-    """Compute what further tables need, so that errors in them appear before anything is drawn."""
+    """Compute the additional tables that are requested, so that errors appear before anything is drawn."""
     report.photometric = shown.photometric
     if shown.maps:
         report.map_light(shown.maps)

@@ -126,7 +126,7 @@ def xyz(power: npt.ArrayLike, wavelength_nm: npt.ArrayLike) -> Array:
 
 def develop(light: Array, exposure: float, white: Array | None = None) -> Developed:
     """
-    Convert XYZ to encoded sRGB (IEC 61966-2-1), as described at the head of this module.
+    Convert XYZ to a picture in encoded sRGB (IEC 61966-2-1), as described at the head of this module.
 
     Parameters
     ----------
@@ -194,6 +194,7 @@ class ColourPictures:
     Attributes
     ----------
     look : Look
+        Settings of the pictures.
     block : int
         Number of pixels averaged along each side of a block.
     all_light, stray : dict

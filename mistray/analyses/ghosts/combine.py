@@ -17,6 +17,7 @@ def by_path(table: pd.DataFrame, paths: PathTable) -> pd.DataFrame:
     table : DataFrame
         ``paths.by_way()``, or rows of it.
     paths : PathTable
+        Paths of the trace.
 
     Returns
     -------

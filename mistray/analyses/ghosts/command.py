@@ -162,7 +162,7 @@ def run(options: Options) -> int:
 
 
 def _refuse(options: Options) -> None:
-    """Refuse options that have no effect without another one, and output that has no place to go."""
+    """Raise `MistrayError` for options without the option that they need, and for output without a destination."""
     from mistray.analyses.ghosts.request import ALL_SURFACES
 
     for words, needed, why in (
@@ -192,7 +192,7 @@ def _seconds_of_trace(options: Options, request: GhostsRequest) -> float | None:
 
 
 def _write(report: GhostReport, shown: GhostTables, options: Options) -> list[Path]:
-    """Write all files and return their paths; without space for them write as many tables as possible."""
+    """Write all files and return their paths; if the disk is full, write as many tables as possible."""
     from mistray.analyses.ghosts.page.output import page
     from mistray.analyses.ghosts.tables.ghosts import WORST_SHOWN, main_table
 

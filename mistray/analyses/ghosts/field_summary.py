@@ -87,6 +87,7 @@ def field_summary(
     Parameters
     ----------
     t : Trace
+        Finished trace.
     rows : DataFrame
         Paths of the trace, ``t.paths.by_way()``.
     table : DataFrame
@@ -127,12 +128,12 @@ def field_summary(
 
 
 def power_of(t: Trace, path_ids: Iterable[Iterable[int]]) -> Estimate:
-    """Return the power of rows of a path table together, W, from the path ids of each row."""
+    """Return the total power of rows of a path table, W, given the path ids of each row."""
     return Estimate(*t.paths.power([i for members in path_ids for i in members]))
 
 
 def _incident(t: Trace, rows: pd.DataFrame, chosen: pd.Series) -> Estimate:
-    """Return the incident power of chosen rows, W, with the relative standard error of their absorbed power."""
+    """Return the incident power of chosen path rows, W; its relative error is that of their absorbed power."""
     power, se = power_of(t, rows.path_ids[chosen])
     incident = float(rows.incident_W[chosen].sum())
     return Estimate(incident, se * incident / power if power > 0 else 0.0)

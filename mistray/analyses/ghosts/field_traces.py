@@ -29,6 +29,7 @@ class FieldTraces:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     arguments : mapping
         Arguments of `mistray.trace` at every field.
     progress : callable or None
@@ -127,7 +128,7 @@ class FieldTraces:
         self.at_extra = False
 
     def _trace_yardstick(self) -> None:
-        """Trace the direct image on axis as a reference, if the field on axis was not requested."""
+        """Trace the direct image on axis as the reference for all fields, if the field on axis was not requested."""
         bare = {**self._arguments, "max_reflections": 0, "max_scatters": 0}
         self.at_extra = True
         self.nominal = trace(self._scene, field_deg=NOMINAL_FIELD_DEG, **bare)
@@ -146,7 +147,7 @@ def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: M
 
 
 def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return changed arguments for fewer wavelengths if the time is too short for all of them; empty otherwise."""
+    """Return changed arguments with fewer wavelengths if the time is too short for all of them; else empty."""
 
     def timed(**few: Any) -> None:
         _ = trace(scene, field_deg=wanted[0], **{**arguments, **few}).irradiance  # the sum of an image of each
@@ -156,7 +157,7 @@ def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments
 
 
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:
-    """Return a callback that reports the progress of one trace as a part of that of all fields."""
+    """Return a callback for one trace that reports its progress as part of the progress of all fields."""
     if progress is None:
         return None
     return lambda rays, of: progress(done + rays / of, fields)

@@ -41,6 +41,7 @@ def filtered(trace: Trace, rows: pd.DataFrame, selection: str) -> Filtered:
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     rows : DataFrame
         ``trace.paths.by_way()``.
     selection : str

@@ -20,7 +20,7 @@ UNCATEGORISED = "uncategorised"
 
 @dataclass(frozen=True, kw_only=True)
 class AnalysedPath:
-    """A path, or by default what the weak ones are together: power and branches are sums, and there is no more."""
+    """Row of a path analysis: one path, or all weak paths combined, with only their power (W), share and branches."""
 
     path_id: int = column("number of the path; -1: the uncategorised ones", -1, head="path", absent=-1)
     wavelength_nm: float = column("its vacuum wavelength", math.nan)
@@ -47,27 +47,28 @@ def path_analysis(
     trace: Trace, sort: str = "power_W", least_share: float = 0.0, path_ids: Sequence[int] | None = None
 ) -> pd.DataFrame:
     """
-    The paths of a trace with what describes them.
+    Return a table of the paths of a trace with power, optical path length and other properties, sorted by a key.
 
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     sort : {"power_W", "objects", "branches", "last_object", "unique_objects", "opl_mm", "diffractions"}
-        Key of the order: text from A to Z, numbers from the largest; equal ones by power.
+        Sort key: text from A to Z, numbers from the largest; paths with equal keys by power.
     least_share : float
-        Paths with less than this share of all detected power stand together in a last row, "uncategorised"; 0 … 1.
+        Paths with less than this share of all detected power, 0 … 1, are combined in a last row, "uncategorised".
     path_ids : sequence of int, optional
-        These paths only, such as those of a filter. Default: all.
+        Paths to include, such as those that pass a filter. Default: all.
 
     Returns
     -------
     DataFrame
-        A row for each `AnalysedPath`; the last one is that of the weak ones together.
+        A row for each path with the fields of `AnalysedPath` as columns; a last row combines the weak paths, if any.
 
     Raises
     ------
     MistrayError
-        For another key, or a share that is none.
+        If the key is unknown, or the share is below 0 or not below 1.
     """
     if sort not in SORT_KEYS:
         raise MistrayError(f"path_analysis: sort is '{sort}'; use {', '.join(SORT_KEYS)}")

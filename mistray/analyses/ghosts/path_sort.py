@@ -61,6 +61,7 @@ def sorted_paths(trace: Trace, count: int | None = None) -> list[SortedPath]:
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     count : int, optional
         Number of paths, the strongest ones. Default: all.
     """
@@ -87,6 +88,7 @@ def path_sort_text(trace: Trace, count: int | None = None) -> str:
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     count : int, optional
         Number of paths, the strongest ones. Default: all.
 

@@ -109,7 +109,7 @@ class Look:
 
 
 class Alias(Demand):
-    """Command-line form of an alias: a word of `ALL_SURFACES`, or PATTERN=NAME."""
+    """Demand for an alias of surfaces: "part", "space", or PATTERN=NAME on the command line."""
 
     metavar = "PATTERN=NAME"
     demand = f"must be {', '.join(ALL_SURFACES)}, or a pattern and a name"
@@ -191,7 +191,7 @@ class GhostTables(Request):
 
     @property
     def developed(self) -> Look | None:
-        """Return the settings of colour pictures, or None if there are none."""
+        """Return the settings of the colour pictures, or None if there are no colour pictures."""
         return (self.look or Look()) if self.colour else None
 
 

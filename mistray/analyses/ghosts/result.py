@@ -114,7 +114,7 @@ class GhostReport(Mapping[float, Trace]):
         return len(self._traces)
 
     def of(self, traces: Mapping[float, Trace], not_traced: Sequence[float] = ()) -> GhostReport:
-        """Return a report on other fields that shares all results already computed with this one."""
+        """Return a report on other traces, by field angle (degrees), that shares results computed with this one."""
         found = copy.copy(self)
         found._traces, found.not_traced = dict(traces), tuple(not_traced)
         return found
@@ -140,12 +140,12 @@ class GhostReport(Mapping[float, Trace]):
         return ghost_notes(self)
 
     def recorded(self, kind: type[T]) -> Iterator[tuple[float, T]]:
-        """Fields and the recorders of a kind at each of them."""
+        """Yield field angle, degrees, and recorder, for every recorder of a class at every field."""
         for field, t in self.items():
             yield from ((field, one) for one in t.recorders.values() if isinstance(one, kind))
 
     def rivals(self, field_deg: float) -> pd.DataFrame:
-        """Return the rows of `table` that may be the brightest path, ordered by the upper bound of their irradiance."""
+        """Return the rows of `table` that may be the brightest path, within errors, by upper bound of irradiance."""
         table = self.table(field_deg)
         table = table[table.contested]
         return table.iloc[np.argsort(-bounds(table)[1], kind="stable")]
@@ -193,14 +193,14 @@ class GhostReport(Mapping[float, Trace]):
         return self._tables[key]
 
     def _once(self, key: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """Return the result of `make`, which is called once for each `key` and kept."""
+        """Return the result of `make` for a key; `make` is called only the first time."""
         if key not in self._made:
             self._made[key] = make()
         found: T = self._made[key]
         return found
 
     def _ranked(self, field_deg: float, column: str) -> pd.DataFrame:
-        """Return the table of all light of a field with a rank column; the rank by peak needs maps."""
+        """Return the path table of a field for all light, with a rank column; the rank by peak needs maps."""
         key, t = (field_deg, False), self[field_deg]
         if key not in self._tables:
             self._tables[key] = ranked(by_path(self._rows(t), t.paths), t.paths, self.nominal)
@@ -238,7 +238,7 @@ class GhostReport(Mapping[float, Trace]):
         return stray.head(count)
 
     def listed(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
-        """Return the rows of `top`, followed by the strongest stray path by power unless it is among them."""
+        """Return the rows of `top`, plus the strongest stray path by power if it is not among them."""
         top, strongest = self.top(field_deg, count, rank), self.top(field_deg, min(count, 1), "power")
         return pd.concat([top, strongest[~strongest.path_id.isin(top.path_id)]])
 
@@ -302,7 +302,7 @@ class GhostReport(Mapping[float, Trace]):
         return self._once(("filtered", t, selection), lambda: filtered(t, self._rows(t), selection))
 
     def map_light(self, selections: Sequence[str]) -> None:
-        """Fill `light_maps`, by field, with maps of parts of the light; traces the rays again."""
+        """Fill `light_maps` with maps of selected parts of the light at each field, by tracing the rays again."""
         self.light_maps = {field: light_maps(t, selections) for field, t in self.items()}
 
     def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
@@ -405,7 +405,7 @@ class GhostReport(Mapping[float, Trace]):
         return {path_id: self._rays[field_deg, path_id] for path_id in path_ids}
 
     def rays_of(self, field_deg: float, path_id: int) -> list[Polyline]:
-        """Return the rays of one path as from `rays_of_paths`; those of the worst paths are found together with it."""
+        """Return the rays of one path as `rays_of_paths` does; those of all worst paths are found at the same time."""
         table = self.table(field_deg)
         direct = table.path_id[table.kind == DIRECT].head(1)
         together = dict.fromkeys([path_id, *direct, *self.listed(field_deg, MAPPED_PATHS).path_id])

@@ -116,7 +116,7 @@ def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float,
 
 
 def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
-    """Describe for a message which fields are finished."""
+    """Describe, for an error message, which fields are finished."""
     left = ", ".join(f"{field:g}" for field in wanted if field is not None and field not in found.traces)
     return f"{len(found.traces)} of {len(wanted)} fields are finished" + (f", not {left} deg" if left else "")
 

@@ -30,11 +30,12 @@ class ScatteredBy:
 
 def scatter_surfaces(trace: Trace, table: pd.DataFrame) -> pd.DataFrame:
     """
-    Power that reaches the detector by the surface where it was scattered first.
+    Return the power that reaches the detector, W, by the first surface that scatters it.
 
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     table : DataFrame
         ``trace.paths.by_way()``, or its rows of one wavelength.
 

@@ -52,7 +52,7 @@ class SpectralMaps:
         return blocks[-1]
 
     def binned(self, block: int) -> SpectralMaps:
-        """Return the maps with the mean irradiance of blocks of pixels; `block` divides the height and the width."""
+        """Return the maps averaged over blocks of pixels; `block` is the side and divides height and width."""
         n, height, width = self.stray.shape
         shape = (n, height // block, block, width // block, block)
         direct, stray = (values.reshape(shape).mean(axis=(2, 4)) for values in (self.direct, self.stray))

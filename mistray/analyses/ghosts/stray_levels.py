@@ -19,15 +19,16 @@ COLUMNS = ("level", "surface", "part", "paths", "rays", "power_W", "power_se_W",
 
 def stray_levels(trace: Trace, table: pd.DataFrame, by: str = "scatter") -> pd.DataFrame:
     """
-    Return the power of the stray light by level and critical surface.
+    Return the power of the stray light by level and by critical surface, the last at which it is scattered or split.
 
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     table : DataFrame
         ``trace.paths.by_way()``, or its rows of one wavelength.
     by : {"scatter", "split"}
-        Kind of level.
+        Level of a path: number of its scatter and diffraction events, or of its reflections other than at mirrors.
 
     Returns
     -------

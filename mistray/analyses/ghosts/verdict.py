@@ -32,6 +32,7 @@ class WorstPath:
     Attributes
     ----------
     label : str
+        Name of the path in words.
     few_rays, contested : bool
         Whether its numbers have no errors there, and whether it may be as bright as the worst path of all fields.
     fields : tuple of float
@@ -52,7 +53,7 @@ class WorstPath:
 
     @derived.column("its name, with a mark where the numbers are in doubt", head="path")
     def marked(self) -> str:
-        """Its name, with a mark where the numbers are in doubt."""
+        """Name of the path, with a mark where its numbers are in doubt."""
         return f"{self.label} {mark_of(self)}".rstrip()
 
 
@@ -64,6 +65,7 @@ class Remedy:
     Attributes
     ----------
     surface : str
+        Id of the surface.
     deed : {"reflects", "scatters", "passes"}
         Interaction with most of that light. "passes": it transmits light where the direct image does not go, as at an
         edge.
@@ -139,7 +141,7 @@ def most_stray(report: GhostReport) -> float | None:
 
 
 def shares_of_kinds(report: GhostReport, field_deg: float) -> dict[str, Estimate]:
-    """Return the percentage of a field's stray light by kind of path, the largest first."""
+    """Return the percentage of a field's stray light that each kind of path carries, the largest first."""
     stray = _stray(report, field_deg)
     found = {str(kind): _percent(report, field_deg, rows, stray) for kind, rows in stray.groupby("kind")}
     return dict(sorted(found.items(), key=lambda item: -item[1].value))
@@ -155,6 +157,7 @@ def remedy(report: GhostReport) -> Remedy | None:
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     """
     field = most_stray(report)
     if field is None:
@@ -188,13 +191,13 @@ def _stray(report: GhostReport, field_deg: float) -> pd.DataFrame:
 
 
 def _design_events(report: GhostReport) -> set[str]:
-    """Return the events on the direct images of all fields, each a surface with its letter."""
+    """Return the events on the direct images of all fields, each as a surface and a letter for the event."""
     tables = [report[field].paths.by_way() for field in report] + [report.nominal_trace.paths.by_way()]
     return {word for table in tables for text in table.events[table.kind == DIRECT] for word in event_words(text)}
 
 
 def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.DataFrame:
-    """Return interactions of surfaces with stray paths as a frame: surface, deed, index of the row, power_W."""
+    """Return each interaction of a stray path with a surface: surface, deed (reflects, …), row of the path, power_W."""
     found = []
     for number, (text, power) in enumerate(zip(way_text(rows.events), rows.power_W, strict=True)):
         for word in event_words(text):
@@ -207,7 +210,7 @@ def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.Data
 
 
 def _percent(report: GhostReport, field_deg: float, rows: pd.DataFrame, of: pd.DataFrame) -> Estimate:
-    """Return the power of some rows of a table as a percentage of others; the error allows for common rays."""
+    """Return the power of some rows as a percentage of that of others; its error allows for rays in both."""
     groups: Sequence[list[int]] = [[i for path_ids in part.path_ids for i in path_ids] for part in (rows, of)]
     light: Sampled = report[field_deg].paths.numbers(groups).light
     share = light[np.array([0])].over(light[np.array([1])])

@@ -28,7 +28,7 @@ class PointBundle:
     Attributes
     ----------
     origin : (3,) float64
-        The near point, or a point of the plane, mm.
+        The near point, or the origin of the coordinates in the plane, mm.
     axis, u, v : (3,) float64
         Direction of the ray (0, 0), and the axes of the coordinates; unit vectors.
     near : bool
@@ -52,13 +52,13 @@ class PointBundle:
         return self.origin + x[:, :1] * self.u + x[:, 1:] * self.v, np.tile(self.axis, (len(x), 1))
 
     def density(self, x: Array) -> Array:
-        """Return the relative flux per unit area of the coordinates, (n,): even beam, or isotropic near point."""
+        """Return the relative flux per unit area of the coordinates, (n,), for a uniform beam or an isotropic point."""
         if not self.near:
             return np.ones(len(x))
         return np.asarray((1 + (x**2).sum(axis=1)) ** -1.5)
 
     def shifted(self, shift: Array) -> PointBundle:
-        """Return the light of a neighbouring point: moved by (3,) mm, or turned by (3,), the tangent of an angle."""
+        """Return the light of a neighbouring point: shifted by (3,) mm, or turned by (3,) tangents of angles."""
         if self.near:
             return replace(self, origin=self.origin + shift)
         axis = self.axis + shift
@@ -68,7 +68,7 @@ class PointBundle:
         return replace(self, axis=axis, u=u, v=np.cross(axis, u))
 
     def coordinates(self, sphere: Sphere) -> tuple[Array, float]:
-        """Return a sphere's middle, (2,), and radius as coordinates: mm, or tangents for a near point."""
+        """Return a sphere's centre, (2,), and radius in ray coordinates: mm, or tangents for a near point."""
         away = sphere.centre - self.origin
         across = np.array([away @ self.u, away @ self.v])
         if not self.near:
@@ -84,6 +84,7 @@ def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, apertu
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     field_deg : float
         Field angle, degrees.
     azimuth_deg : float or None
@@ -117,6 +118,6 @@ def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, apertu
 
 
 def object_point(source: SceneSource) -> Array:
-    """Return the middle of a near source in world coordinates, (3,) mm."""
+    """Return the centre of a near source in world coordinates, (3,) mm."""
     x, y, z = (source.emitter.values[key] for key in "xyz")
     return np.asarray(source.pivot + x * source.u + y * source.v + z * source.direction)

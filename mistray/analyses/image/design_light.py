@@ -56,7 +56,7 @@ def check_sheets(path: DesignPath) -> None:
 
 
 def media(path: DesignPath) -> list[complex]:
-    """Return the complex index n + ik before each step, see `indices_along`; 1 in a system of mirrors alone."""
+    """Return the complex index n + ik in front of each step of the path; 1 if all surfaces are mirrors."""
     optics = path.table.optics
     before, behind = (np.full(len(path.steps), np.nan, dtype=complex) for _ in range(2))
     for k, step in enumerate(path.steps):
@@ -75,6 +75,7 @@ def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False)
     Parameters
     ----------
     path : DesignPath
+        Design path to follow.
     o, d : (n, 3) float64
         Origins (mm) and unit directions before the first step.
     throughput : bool

@@ -53,7 +53,7 @@ class ChiefRay:
         return None if np.isinf(self.pupil_distance) else self.point - self.pupil_distance * self.direction
 
     def distance_from(self, pupil: Array | None) -> float:
-        """Return the distance of the image point from a pupil, mm, negative if that lies behind it; None: ``inf``."""
+        """Return the distance of the image point behind an exit pupil, mm; negative in front, ``inf`` for None."""
         if pupil is None:
             return np.inf
         away = self.point - pupil

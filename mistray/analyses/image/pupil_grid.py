@@ -74,6 +74,7 @@ class PupilSamples:
     Attributes
     ----------
     pupil : Pupil
+        Amplitude and OPD over the direction cosines.
     spot : (n, n, 2) float64
         Points on the detector relative to the image point, mm; NaN in dark cells.
     stop : (n, n, 2) float64
@@ -100,10 +101,13 @@ def sample_pupil(
     Parameters
     ----------
     path : DesignPath
+        Design path of the scene.
     bundle, region
         Rays of the field, and the region of those that get through at this wavelength.
     frame : ImageFrame
+        Image point, axes and reference sphere.
     stop : PupilStop
+        Aperture stop, in which the rays also get coordinates.
     chief : (1, 2) float64
         Coordinates of the chief ray, the reference of the OPD.
     grid : int
@@ -171,7 +175,7 @@ def sample_pupil(
 
 
 def _near(wanted: Array, known: Array, margin: float) -> npt.NDArray[np.bool_]:
-    """Return which points (n, 2) lie within the convex hull of others or within a margin of it, (n,) bool."""
+    """Return which points (n, 2) lie within the convex hull of known points, or at most a margin outside, (n,) bool."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -227,7 +231,7 @@ def _rays_to(
 
 
 def _guess(wanted: Array, points: Array, known: Array) -> Array:
-    """Return first guesses of ray coordinates, (n, 2), from polynomials fitted to known rays."""
+    """Return first guesses of ray coordinates, (n, 2), for wanted cosines, from polynomials fitted to known rays."""
     middle = 0.5 * (known.min(axis=0) + known.max(axis=0))
     scale = max(0.5 * float(np.ptp(known, axis=0).max()), 1e-300)
     order = next(n for n in ORDERS if n == ORDERS[-1] or len(points) >= RAYS_PER_TERM * (n + 1) * (n + 2) // 2)
@@ -261,7 +265,7 @@ def _shares(
         return moves, path.unobstructed(*rays, beyond_end=True).passes.reshape(len(cells), count)
 
     def beside(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Return which cells are marked or next to a marked one, (n·n,) bool."""
+        """Return which cells are marked or adjacent to a marked one, (n·n,) bool."""
         ringed = np.pad(cells.reshape(n, n), 1)
         return np.any([ringed[i : i + n, j : j + n] for i in range(3) for j in range(3)], axis=0).ravel()
 

@@ -219,7 +219,7 @@ class FieldImage:
 
     @property
     def shares(self) -> Array:
-        """Share of each wavelength in the flux of the image, (n,)."""
+        """Share of the image's flux at each wavelength, (n,)."""
         flux = np.array([line.weight * line.pupil.total for line in self.lines])
         return np.asarray(flux / flux.sum())
 
@@ -253,7 +253,7 @@ class FieldImage:
         return math.sqrt(total)
 
     def spot_radius_mm(self) -> float:
-        """Return the largest distance of a ray from the centroid, mm."""
+        """Return the largest distance of a ray from the centroid of the spot, mm."""
         middle = self.centroid_mm
         return max(float(np.linalg.norm(line.spot_mm[line.pupil.lit] - middle, axis=1).max()) for line in self.lines)
 
@@ -439,7 +439,7 @@ def _frequencies(values: npt.ArrayLike) -> Array:
 
 
 class OfFields(Sequence[OfField]):
-    """A sequence of what is known of some field points, which are its `fields`."""
+    """Base of results that are sequences over field points; `fields` holds the items."""
 
     fields: tuple[OfField, ...]
 
@@ -458,7 +458,9 @@ class ImageQuality(OfFields[FieldImage]):
     Attributes
     ----------
     fields : tuple of FieldImage
-    wavelengths_nm, weights : (n,) float64, nm and shares of the flux
+        Image of each field point.
+    wavelengths_nm, weights : (n,) float64
+        Wavelengths, nm, and their shares of the flux.
     stop : str
         Id of the surface at the rim of the aperture stop.
     image_scale_mm : float
@@ -487,7 +489,7 @@ class ImageQuality(OfFields[FieldImage]):
         return not math.isnan(self.magnification)
 
     def default_frequencies(self) -> list[float]:
-        """Return an eighth, a quarter and half of the first field's sagittal cut-off, 1/mm, rounded to two digits."""
+        """Return three default frequencies, 1/mm: an eighth, a quarter and half of the first field's cut-off."""
         cut = self.fields[0].cut_off_per_mm("sagittal")
         return [float(f"{share * cut:.2g}") for share in (0.125, 0.25, 0.5)]
 

@@ -44,17 +44,17 @@ class Region:
 
     @property
     def middle(self) -> Array:
-        """Middle of the bounding box of the region, (1, 2), in coordinates of the bundle."""
+        """Middle of the region's bounding box, (1, 2), in ray coordinates of the bundle."""
         return np.asarray(0.5 * (self.points.min(axis=0) + self.points.max(axis=0)))[None]
 
     @property
     def size(self) -> float:
-        """Longer side of the bounding box of the region, in coordinates of the bundle."""
+        """Longer side of the region's bounding box, in ray coordinates of the bundle."""
         return float(np.ptp(self.points, axis=0).max()) + self.cell
 
 
 def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Region | None:
-    """Return the region of the first aperture through which light reaches the detector, or None."""
+    """Return the region of the entrance through which light reaches the detector, or None without any."""
     middle, radius = bundle.coordinates(aperture)
     for count in LOOKS:
         points, cell = _cells(middle, radius, count)
@@ -71,7 +71,7 @@ def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Regio
 
 
 def _cells(middle: Array, half: float, count: int) -> tuple[Array, float]:
-    """Return the middles of count² cells of a square, (count², 2), and the size of a cell."""
+    """Return the centres of count² cells of a square, (count², 2), and the side of a cell."""
     axis = half * ((2 * np.arange(count) + 1) / count - 1)
     return middle + np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2), 2 * half / count
 
@@ -116,7 +116,9 @@ class PupilStop:
         Parameters
         ----------
         path : DesignPath
+            Design path of the scene.
         bundle : PointBundle
+            Rays of the field.
         start : (1, 2) float64
             Coordinates of a ray that gets through.
         size : float
@@ -145,6 +147,7 @@ def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str |
     Parameters
     ----------
     path : DesignPath
+        Design path of the scene.
     bundle : PointBundle
         Light on the axis.
     region : Region
@@ -197,7 +200,7 @@ def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str |
 
 
 def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
-    """Return the lens or mirror surface and its step if a stop is the flange around it; else the stop's own."""
+    """Return the optical surface and its step if a stop is the mount around it, else the stop's own."""
     ring = outline(path.table.shapes[surface])
     for other in (place, place - 1):
         if not 0 <= other < len(path.steps) - 1:
@@ -211,7 +214,7 @@ def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
 
 
 def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """Return the stop with its axes turned as near as possible to the images of x and y of the incoming light."""
+    """Return the stop with its axes along the images of x and y of the incoming light, as nearly as possible."""
     h = 1e-3 * region.size
     x = region.points[np.argmin(np.linalg.norm(region.points - region.middle, axis=1))]
     shifts = h * np.concatenate([np.eye(2), -np.eye(2)])
@@ -225,7 +228,7 @@ def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Regi
 
 
 def _sized(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """Return the stop with its radius, mm: the rim of the light on the axis, found in 24 directions."""
+    """Return the stop with the radius, mm, that light on the axis fills; its rim is found in 24 directions."""
     at = stop.coordinates(path, bundle, region.points)
     sector = np.floor((np.arctan2(at[:, 1], at[:, 0]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     reach = np.linalg.norm(at, axis=1)

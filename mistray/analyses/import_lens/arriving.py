@@ -51,7 +51,7 @@ class Arriving:
 
 
 def arriving(scene_file: Path) -> Arriving:
-    """Trace the beam of a scene file, and rays from its detector to the outside, and return the results."""
+    """Trace the beam of a scene, and rays from its detector outwards; return the result."""
     from mistray.analyses.import_lens.entrances import entrances
     from mistray.scene import load
     from mistray.trace import Settings, trace

@@ -131,7 +131,7 @@ def _mechanics(options: Options, source: Path) -> Found:
 
 
 def _next(found: Imported, output: Path) -> str:
-    """Return the command line that traces the fields of an imported lens."""
+    """Return the `mistray ghosts` command line that traces the fields of an imported lens."""
     command = ["mistray", "ghosts", str(output)]
     angles, heights = _angles(found.record, found.prescription), _heights(found.record)
     if angles not in ([], [0.0]):
@@ -155,7 +155,10 @@ def _angles(record: Mapping[str, Any], prescription: Prescription) -> list[float
 
 
 def _heights(record: Mapping[str, Any]) -> list[float]:
-    """Return the object heights to trace, mm; empty for other kinds of fields, and those off the yz plane left out."""
+    """Return the object heights to trace, mm; empty for other kinds of fields.
+
+    Heights off the yz plane are left out.
+    """
     if record.get("field_kind") != "object_height":
         return []
     return sorted({float(y) for x, y in record["fields_mm"] if x == 0})

@@ -69,6 +69,7 @@ def entrances(scene: mi.Scene, rays: int = MOST_RAYS, seed: int = 0) -> Entrance
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     rays : int
         Largest number of rays from all detectors together, of equal flux over their hemispheres. There are fewer
         if enough of them get out.

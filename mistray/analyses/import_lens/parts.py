@@ -35,6 +35,7 @@ def read_parts(
     Returns
     -------
     Mechanics
+        Parts that were read.
     sequence of Structure or MeshStructure
         Shapes that were written.
     """

@@ -58,6 +58,7 @@ class Imported:
     Attributes
     ----------
     prescription : Prescription
+        Optical system that was read.
     record : dict
         JSON values: notes, lines without effect, and for sequential lenses first-order data (mm, nm).
     """
@@ -106,7 +107,7 @@ class Imported:
 
 
 def _told(unread: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a text for each line that had no effect; one for all with the same keyword, if these are many."""
+    """Return a line for each unread file entry, or a single line for many entries with a common keyword."""
     from mistray.materials.mate import shown
 
     alike: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
@@ -150,7 +151,7 @@ def read_lens(request: LensRequest) -> Imported:
 
 
 def check_options(options: Mapping[str, Any], kind: str) -> None:
-    """Refuse options that have no meaning for a kind of file."""
+    """Raise `MistrayError` for options that have no meaning for a kind of file."""
     for name, (words, kinds) in ONLY.items():
         value = options[name]
         if value is not None and kind not in kinds:
@@ -192,7 +193,7 @@ def _number(configuration: str | None) -> int:
 
 
 def _lit(prescription: Prescription, request: LensRequest) -> Prescription:
-    """Return the lens with the source wavelength of the request, or unchanged without one."""
+    """Return the lens with the wavelength of the request at its source; unchanged if the request has none."""
     wavelength = request.wavelength_nm
     return prescription if wavelength is None else prescription.with_source(wavelength_nm=(wavelength,), weights=None)
 

@@ -41,7 +41,7 @@ FEW = 32  # a part of those that see it, one in so many, is near
 
 @dataclass(frozen=True, eq=False)
 class SeenObject:
-    """Backward rays that meet an object, with a search tree of their hit points (mm)."""
+    """Hits of backward rays on an object, with a search tree of the hit points (mm) to find the nearest."""
 
     hits: HitSamples
     tree: cKDTree
@@ -65,6 +65,7 @@ def product_estimates(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     area : float
         Area of the detector, mm².
     seen : RayView
@@ -109,11 +110,12 @@ def product_estimates(
 
 def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
     """
-    Divide the rays that see an object by side, because the projected solid angle of one side is at most π.
+    Return rays that see an object as pairs (side, hits), because the projected solid angle of one side is at most π.
 
     Parameters
     ----------
     hits : HitSamples
+        Hits of backward rays on the object.
     side : {"front", "back", "both"}
         Side or sides of the object.
     """
@@ -127,7 +129,7 @@ def estimate(
     table: SurfaceTable, area: float, view: SeenObject, illuminated: RayView, number: int
 ) -> tuple[float, float, Estimate]:
     """
-    Return BSDF (1/sr), GCF and product estimate of one object, W for 1 W/mm² across the beam.
+    Return BSDF (1/sr), geometric configuration factor and product estimate of an object, W for 1 W/mm² across the beam.
 
     The error comes from leaving out one batch of the rays of both views at a time (jackknife), so that rays that are
     partners in many pairs count once.
@@ -156,7 +158,7 @@ def estimate(
 
 
 def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
-    """Return sums of weights by place: total, then without each batch and rescaled, (count, 1 + BATCHES)."""
+    """Return sums of weights by index `place`, (count, 1 + BATCHES): of all rays, then without each batch, rescaled."""
     by_batch = np.bincount(place * BATCHES + batch, weight, minlength=count * BATCHES).reshape(count, BATCHES)
     total = by_batch.sum(axis=1, keepdims=True)
     return np.concatenate([total, (total - by_batch) * (BATCHES / (BATCHES - 1))], axis=1)
@@ -165,7 +167,7 @@ def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, c
 @dataclass(frozen=True, eq=False)
 class _Pairs:
     """
-    BSDF for pairs of a ray that lights a surface and a nearby ray that sees it.
+    BSDF for pairs of a ray that lights a surface and one of k nearby rays, traced from the detector, that see it.
 
     Attributes
     ----------
@@ -208,7 +210,7 @@ class _Pairs:
 
 
 def _pairs(table: SurfaceTable, surface: int, lit: HitSamples, view: SeenObject, chance: np.ndarray) -> _Pairs:
-    """Pair rays that light a surface, chosen in proportion to `chance`, with the rays near them that see it."""
+    """Return pairs of a ray that lights a surface, drawn with probability `chance`, and nearby rays that see it."""
     rng, seen = np.random.default_rng(surface), view.hits
     sums = np.cumsum(chance)
     chosen = np.searchsorted(sums, (np.arange(LIT) + rng.random()) / LIT * sums[-1], side="right")
@@ -244,6 +246,7 @@ def surface_bsdf(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     surface : int
         Index of the surface.
     from_front : (m,) bool

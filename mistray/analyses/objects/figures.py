@@ -29,7 +29,7 @@ LABEL_HEIGHT = 0.62  # room for the names above the system, inches for each tent
 
 
 def groups(found: Objects) -> dict[str, str]:
-    """Return the group in `STYLES` of every shape by id; for a shape with two sides the more important one."""
+    """Return the display group (a key of `STYLES`) of each shape by id; of two sides the more important one."""
     seen = {row.id for row in found.critical}
     lit = {row.id for row in found.illuminated}
     both = {row.id for row in found.common}
@@ -54,6 +54,7 @@ def objects_layout(found: Objects, title: str = "") -> Figure:
     Parameters
     ----------
     found : Objects
+        Result of the search for objects.
     title : str
         Name of the optical system.
     """
@@ -114,7 +115,7 @@ def _names(
 
 
 def spread(wanted: Sequence[float], low: float, high: float, most: int) -> list[float]:
-    """Return positions near ascending ones, moved within limits and at least 1/`most` of the range apart."""
+    """Return positions near the ascending `wanted` ones, within limits and at least 1/`most` of the range apart."""
     apart = (high - low) / most
     places: list[float] = []
     for place in wanted:

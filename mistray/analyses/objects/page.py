@@ -221,7 +221,7 @@ def objects_text(found: Objects, estimates: pd.DataFrame, count: int = DEFAULT_T
 
 
 def _finding(found: Objects) -> str:
-    """Describe in two sentences how many objects are critical, illuminated and common, and the strongest estimate."""
+    """Describe in two sentences how many objects are critical, illuminated and both, with the strongest estimate."""
     counts = (
         f"The detector sees {len(found.critical)} objects that are no optics, light from outside reaches "
         f"{len(found.illuminated)}, and {len(found.common)} are both."

@@ -20,7 +20,9 @@ class Patches:
     Attributes
     ----------
     table : SurfaceTable
-    surface : int, index in the table
+        Surfaces of the scene.
+    surface : int
+        Index of the surface in the table.
     first, second : int
         Number of parts along each coordinate.
     """
@@ -61,7 +63,7 @@ class Patches:
 
 
 def meet(table: SurfaceTable, surface: int, lit: np.ndarray, seen: np.ndarray) -> bool:
-    """Return whether lit points (m, 3) and seen points (n, 3), mm, have a patch in common."""
+    """Return whether any patch of a surface has both lit points (m, 3) and seen points (n, 3), mm."""
     if not len(lit) or not len(seen):
         return False
     patches = Patches.of(table, surface, min(len(lit), len(seen)))

@@ -71,7 +71,9 @@ class Places:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     scene : mi.Scene
+        Loaded scene.
     tracer : callable
         Makes a `ChainTracer` for given mirrors: surfaces that reflect by design, (s,) bool.
     stop : str, optional
@@ -82,6 +84,7 @@ class Places:
     path : DesignPath or None
         None if the scene has no source or no light of it reaches the detector; all places are then unknown.
     stop : ApertureStop or None
+        Aperture stop; None if it is unknown.
 
     Raises
     ------
@@ -108,13 +111,13 @@ class Places:
 
     @property
     def gaps(self) -> int:
-        """Number of gaps; 1 without a design path."""
+        """Number of gaps along the design path; 1 if there is none."""
         return len(self.path.steps) if self.path is not None else 1
 
     # ---- the gap of a ray
 
     def _index_steps(self) -> None:
-        """Assign steps to surfaces of the design path and to transparent ones beside them, such as bevels."""
+        """Assign design steps to surfaces of the design path, and to transparent ones beside them such as bevels."""
         assert self.path is not None
         table, steps = self.table, self.path.steps
         words = table.optics.host_words
@@ -134,7 +137,7 @@ class Places:
         self._from_front = np.array([step.from_front for step in steps])
 
     def start_gap(self, backward: bool, n: int) -> np.ndarray:
-        """Return the gap of each of n rays at the start: the first, or (`backward`) the last before the detector."""
+        """Return the index of the first gap between design surfaces, or of the last if `backward`, for n rays, (n,)."""
         return np.full(n, self.gaps - 1 if backward else 0)
 
     def advance(self, hits: Hits, gap: np.ndarray, backward: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -144,6 +147,7 @@ class Places:
         Parameters
         ----------
         hits : Hits
+            Hits of the rays.
         gap : (m,) int
             Gap of each ray before the hit.
         backward : bool
@@ -171,7 +175,7 @@ class Places:
         return np.minimum(here, self.gaps - 1), np.minimum(np.where(known, after, gap), self.gaps - 1)
 
     def along(self, gap: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """Return the position of points, (m, 3) mm, along the base ray of their gap, (m,) mm."""
+        """Return the distance of points, (m, 3) mm, along the base ray within their gap, (m,) mm."""
         assert self.path is not None
         steps = self.path.steps
         start = np.array([steps[max(g - 1, 0)].point for g in range(self.gaps)])
@@ -186,7 +190,7 @@ class Places:
         return f"before {names[0]}" if gap == 0 else f"{names[gap - 1]} – {names[gap]}"
 
     def against_stop(self, part: str, gap: int, along: float) -> str:
-        """Return "before", "after" or "stop" for an object relative to the aperture stop; "" if that is unknown."""
+        """Return the place of an object relative to the aperture stop: "before", "after", "stop", or "" if unknown."""
         if self.stop is None:
             return ""
         if part == self.stop.part:
@@ -199,7 +203,7 @@ class Places:
     # ---- the stop
 
     def _named_stop(self, name: str) -> ApertureStop:
-        """Return the named stop, at its design surface or else at the middle of its bounding boxes."""
+        """Return the stop of a given name: at its design surface, or else in the middle of its bounding boxes."""
         assert self.path is not None
         table = self.table
         members = [i for i in range(table.count) if name in (table.ids[i], table.parts[i])]
@@ -246,7 +250,7 @@ class Places:
         return self._limit(ends, int(np.argmin(high)))
 
     def _limit(self, ends: _FanEnds, ray: int) -> ApertureStop | None:
-        """Return the stop that ends the first ray outside the beam, or None if that ray misses the detector."""
+        """Return the stop that blocks the first ray outside the beam, or None if that ray just misses the detector."""
         assert self.path is not None
         gap, surface = int(ends.reached[ray]), int(ends.surface[ray])
         step, point, direction = self.path.steps[gap], ends.point[ray : ray + 1], ends.direction[ray : ray + 1]
@@ -284,7 +288,7 @@ class Places:
         return _FanEnds(reached, surface, point, direction)
 
     def _size(self) -> float:
-        """Return the largest absolute coordinate of the scene, mm."""
+        """Return the largest absolute coordinate of the scene's bounding box, mm."""
         return max(float(np.max(np.abs([*shape.bbox().min, *shape.bbox().max]))) for shape in self.table.shapes)
 
 

@@ -62,7 +62,7 @@ class ObjectsRequest(Request):
 
 
 def refuse_second(request: ObjectsRequest, given: str, *others: str) -> None:
-    """Refuse a request that names a second source of light beside the given one."""
+    """Raise `MistrayError` if a request names a second source of light beside the given one."""
     for name in others:
         if getattr(request, name) is not None:
             raise MistrayError(f"{name} and {given} are given, two kinds of source; give one of them")

@@ -39,9 +39,13 @@ class Objects:
     Attributes
     ----------
     scene : mi.Scene
+        Loaded scene.
     table : SurfaceTable
+        Surfaces of the scene for computations on the host.
     places : Places
+        Gaps of the design path, and the aperture stop.
     detector : DetectorView
+        Detector as the source of backward rays.
     seen : RayView
         Objects that rays from the detector meet, and their flux.
     lit : list of RayView
@@ -105,7 +109,7 @@ class Objects:
 
     @functools.cached_property
     def _meeting(self) -> dict[int, bool]:
-        """Whether lit and seen places overlap, by number of each object that is both critical and illuminated."""
+        """Whether lit and seen areas overlap, by number of each object that is both critical and illuminated."""
         (seen, lit), threshold = self._rows, self.facts["threshold"]
         found = [k for k, row in seen.items() if not row.optic and min(row.power, lit[k].power) > threshold]
         found.sort(key=lambda k: (_gap(k, [self.seen]), -seen[k].power * lit[k].power))
@@ -129,7 +133,7 @@ class Objects:
 
     @functools.cached_property
     def _rows(self) -> tuple[dict[int, SceneObject], dict[int, SceneObject]]:
-        """Rows of all objects by number: as seen by the detector, and as lit from outside."""
+        """Return rows of all objects by number: one set as seen by the detector, one as lit from outside."""
         seen, lit = (
             {number: self._row(name, side, number, views) for (name, side), number in self.numbers.items()}
             for views in ([self.seen], self.lit)
@@ -196,7 +200,7 @@ class Objects:
 
     @property
     def notes(self) -> list[Note]:
-        """Notes on the reliability of the lists; empty if there are none."""
+        """Notes on limits of the lists' reliability; empty if there are none."""
         found = [Message.NO_OPTICS.note()] if self.places.path is None else []
         threshold, rays, planned = (self.facts[name] for name in ("threshold", "rays", "rays_planned"))
         shots = [shot for shot in self.straight_shots if shot.share > threshold]
@@ -246,5 +250,5 @@ def _in_words(missed: Sequence[str], beside: Sequence[str]) -> str:
 
 
 def _gap(number: int, views: Sequence[RayView]) -> int:
-    """Return the gap of the design path in which most rays meet an object."""
+    """Return the index of the gap in which most rays meet an object."""
     return int(np.argmax(np.sum([view.in_gap[number] for view in views], axis=0)))

@@ -95,18 +95,18 @@ class StraightShot:
 
     @derived.column("Smallest field angle of such light, degrees")
     def angle_from_deg(self) -> float:
-        """Smallest field angle of such light, degrees."""
+        """Smallest field angle of light that takes this path, degrees."""
         return self.field_deg[0]
 
     @derived.column("Largest field angle of such light, degrees")
     def angle_to_deg(self) -> float:
-        """Largest field angle of such light, degrees."""
+        """Largest field angle of light that takes this path, degrees."""
         return self.field_deg[1]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScatterEstimate:
-    """Estimated flux, W, from an object to the detector by one scatter event: the product Φ · BSDF · π GCF."""
+    """Flux, W, from an object to the detector by one scatter event: Φ · BSDF · π times configuration factor GCF."""
 
     angle_deg: float = column(
         "Angle of the source, degrees; NaN for the mean over a cone or a disc", head="angle [deg]", digits="g"

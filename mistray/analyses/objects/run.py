@@ -50,6 +50,7 @@ def run(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     request : ObjectsRequest
     source : DiskSource, optional
         Lambertian disc as the source, at any place, with optional holes in disc and cone.

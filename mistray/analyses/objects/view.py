@@ -39,9 +39,9 @@ class HitSamples:
     point, direction, normal : (m, 3) float64
         Points, mm, unit directions of arrival, and unit normals on the side that the rays head for.
     weight : (m,) float64
-        Weight of each ray.
+        Flux that each ray carries, relative to others.
     index : (m,) float64
-        Refractive index there over that at the start.
+        Refractive index of the medium at the hit over that at the start of the ray.
     from_front : (m,) bool
         Whether the ray arrives from the front.
     batch : (m,) int
@@ -66,7 +66,7 @@ class HitSamples:
 
 @dataclass
 class _Kept:
-    """Kept hits of an object, pass by pass; `rays` is the number of start rays that they stand for."""
+    """Hits of an object kept so far, by pass of the trace; `rays` counts the start rays behind them."""
 
     parts: list[dict[str, np.ndarray]] = field(default_factory=list)
     count: int = 0
@@ -85,6 +85,7 @@ class WayOut:
     total : bool
         Whether total reflection occurs on the way.
     rays : int
+        Number of these rays.
     share, share_se : float
         Share of the started flux and its standard error.
     field_deg : (2,) float
@@ -115,7 +116,7 @@ class Trails:
         self._ends: list[tuple[int, int]] = [(0, -1)]
 
     def longer(self, trail: np.ndarray, surface: np.ndarray) -> np.ndarray:
-        """Return the numbers of trails extended by one surface each; all arrays are (m,) int."""
+        """Return the numbers of surface sequences after one more surface each; all arrays are (m,) int."""
         steps, inverse = np.unique(trail * self._count + surface, return_inverse=True)
         for step in map(int, steps):
             if step not in self._numbers:
@@ -142,11 +143,15 @@ class RayView:
     Parameters
     ----------
     tracer : ChainTracer
+        Tracer of unsplit rays.
     places : Places
+        Gaps of the design path, to which hits are assigned.
     source : RaySource
+        Source of the start rays.
     rays : int
         Number of start rays.
     seed : int
+        Seed of the random numbers.
     backward : bool
         Whether the rays run from the detector outwards.
     axis : (3,) float64
@@ -270,7 +275,7 @@ class RayView:
                 fresh.setdefault(k, []).append(found | {"batch": batch[part]})
 
     def _leave(self, out: Escape, trail: np.ndarray, total: np.ndarray, batch: np.ndarray) -> None:
-        """Record rays that leave the scene by the surfaces that they have met."""
+        """Record rays that leave the scene, grouped by the sequence of surfaces that they have met."""
         cosine = np.clip(-(out.direction @ self._axis), -1, 1)
         angle = np.degrees(np.arccos(cosine))
         ways = 2 * trail[out.lane] + total[out.lane]
@@ -293,7 +298,7 @@ class RayView:
         return self._share(self.flux[number])
 
     def area(self, number: int) -> tuple[float, float]:
-        """Return `power` for 1 W/mm² of the source, W; see `mistray.trace.host.ray_sources`."""
+        """Return the flux on an object and its standard error, W, for a source of 1 W/mm² across the beam."""
         value, se = self.power(number)
         scale = self.started / float(self.rays.sum())
         return value * scale, se * scale

@@ -30,7 +30,7 @@ MARGIN = 0.08  # of the band, drawn on either side of it
 
 
 def search_figure(result: Optimization) -> Figure:
-    """Draw the merit of all searches, and terms and gradient norm of the best, against the number of evaluations."""
+    """Draw the merit of all searches, and terms and gradient norm of the best one, against merit evaluations."""
     figure, (left, middle, right) = Figure.of_panels(13.2, 4.0, 1, 3, dpi=110)
     for number, start in enumerate(result.starts):
         steps = [step for step in result.steps if step.start == number]
@@ -61,7 +61,7 @@ def search_figure(result: Optimization) -> Figure:
 
 
 def variables_figure(result: Optimization) -> Figure:
-    """Draw the variables against the steps of the best search, as shares of the way between their bounds."""
+    """Draw the variables against the steps of the best search, as fractions of the way from low to high bound."""
     figure, axes = Figure.of_panels(8.4, 4.4, dpi=110)
     best = _best_search(result)
     shares = np.array([result.variables.shares(step.x) for step in best])
@@ -84,7 +84,7 @@ def variables_figure(result: Optimization) -> Figure:
 
 
 def reflectance_figure(result: Optimization) -> Figure:
-    """Draw R(λ) of every coating before and after, at 0° and 30° in the material of lower index, a panel per glass."""
+    """Draw R(λ) of every coating before and after, at 0° and 30° from the rarer medium, a panel per glass."""
     panels = [(item, glass) for item in result.placed for glass in _glasses(item)]
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
@@ -120,7 +120,7 @@ def _best_search(result: Optimization) -> list[Step]:
 
 
 def _style(number: int) -> dict[str, Any]:
-    """Return colour, line style and width of the line with a number, as arguments of Matplotlib."""
+    """Return colour, line style and width of the curve with this number, as Matplotlib arguments."""
     return {
         "color": COLOURS[number % len(COLOURS)],
         "ls": STYLES[number // len(COLOURS) % len(STYLES)],
@@ -134,14 +134,14 @@ def _frame(axes: Axes, below: str, **said: Any) -> None:
 
 
 def _glasses(item: PlacedDesign) -> list[tuple[str, str]]:
-    """Return the material pairs to draw; reversed pairs count once if the first layer of the design lies outside."""
+    """Return the material pairs to draw; a pair and its reverse count once if the design's first layer lies outside."""
     if item.group.start.first != "outside":
         return list(item.glasses)
     return list({frozenset(pair): pair for pair in reversed(item.glasses)}.values())[::-1]
 
 
 def _drawn_wavelengths(result: Optimization) -> np.ndarray:
-    """Return the wavelengths to draw, nm: the band and 8 % beyond each end, where data of all materials exist."""
+    """Return the wavelengths to draw, nm: the band widened by 8 % at each end, as far as material data reach."""
     materials = {name for item in result.placed for pair in item.glasses for name in pair}
     materials |= {layer.material for item in result.placed for layer in item.group.start.layers}
     ends = []

@@ -43,7 +43,7 @@ CAPTIONS = {
 
 
 def scene_text(result: Optimization, directory: Path) -> str:
-    """Return the text of the resulting scene for a file in an existing directory; other parameters stay unchanged."""
+    """Return the resulting scene as text for a file in `directory`; other parameters stay as they are."""
     note = f"study {Path(result.study.name).name}"
     # Values that belong to the new coatings have a place in the file once these are on it
     source = result.source
@@ -53,11 +53,12 @@ def scene_text(result: Optimization, directory: Path) -> str:
 
 def write_optimization(result: Optimization, directory: str | Path, command: str = "") -> list[Path]:
     """
-    Write scene.xml, terms.csv, variables.csv, history.csv, pictures and report.html, each whole or not at all.
+    Write scene.xml, terms.csv, variables.csv, history.csv, pictures and report.html, all or none of them.
 
     Parameters
     ----------
     result : Optimization
+        Optimisation to report on.
     directory : str or Path
         Created if it is missing.
     command : str

@@ -35,6 +35,7 @@ class ReflectanceWeights:
     value : float
         The metric, in its unit.
     wavelength_nm : (w,) float64
+        Wavelengths, nm.
     weights : dict of str to (w, len(COSINES)) float64
         Id of a surface with layers → d metric/d R at the cosines in the rarer of its materials, T being 1 - R.
     glasses : dict of str to (str, str)
@@ -132,7 +133,7 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
 
 
 def _spread(by_node: np.ndarray) -> np.ndarray:
-    """Interpolate derivatives from uniform nodes between 0 and 1 linearly to the nodes `COSINES`, keeping their sum."""
+    """Distribute derivatives from uniform nodes between 0 and 1 linearly to the nodes `COSINES`, keeping their sum."""
     place = np.linspace(0.0, 1.0, len(by_node)) * (len(COSINES) - 1)
     low = np.minimum(place.astype(int), len(COSINES) - 2)
     share = place - low

@@ -37,7 +37,7 @@ def goal_text(term: Term, start: float) -> str:
 
 
 def kept_text(term: Term, row: ComparisonRow) -> str:
-    """Return "yes" or "no" for a result that does or does not keep to the goal of a term; "–" for "minimise"."""
+    """Return "yes" or "no": whether a result meets the goal of a term; "–" for the goal "minimise"."""
     if term.goal == "minimise":
         return "–"
     return "yes" if holds(term, row.after, row.before) else "no"
@@ -91,7 +91,7 @@ def seeds_text(result: Optimization) -> str:
 
 
 def opened_lines(result: Optimization) -> list[str]:
-    """Return a line for each side effect of the result: gaps between surfaces, and light entering by new ones."""
+    """Return a line for each side effect of the result: gaps between surfaces, and light that enters by new ones."""
     return [*([gaps_text(result.gaps)] if result.gaps else []), *entering_lines(result.comparison.entering)]
 
 
@@ -176,7 +176,7 @@ def report_text(result: Optimization) -> str:
 
 
 def step_text(step: Step, start: Start) -> str:
-    """Return a step as one line: merit, terms with "(!)" at broken limits, gradient norm and time in s."""
+    """Return a step as one line: merit, terms, "(!)" after those over their limit, gradient norm and time in s."""
     terms = ", ".join(
         f"{name} {value:.4g}{' (!)' if name in step.broken else ''}" for name, value in step.terms.items()
     )
@@ -187,7 +187,7 @@ def step_text(step: Step, start: Start) -> str:
 
 
 def edge_lines(result: Optimization) -> list[str]:
-    """Return one line with the widths of smoothing zones, in units of the rims' radii; empty if no rim was met."""
+    """Return one line on the widths of smoothing zones, over the rims' radii; empty if light met no rim."""
     if not result.edge_widths:
         return []
     how = "chosen at the start" if result.study.optimizer.edge_width is None else "given"

@@ -48,10 +48,11 @@ class BackwardRun:
     Parameters
     ----------
     trace : BackwardTrace
+        Backward rays, with their sums so far.
     points : (p, 3) float64
-        Hull of the illuminated volume.
+        Hull of the illuminated volume, mm.
     method : {"joined", "adjoint"}
-        Whether forward and backward rays share the light by MIS, see `mistray.sampling.sharing.balance`, or there are
+        Whether forward and backward rays share the light by multiple importance sampling, or there are
         backward rays alone.
     state : Path, optional
         File of the state.
@@ -91,7 +92,10 @@ class BackwardRun:
                 light.total = light.total.continued(saved, int(rounds), float(seconds))
 
     def _take(self, plan: Plan) -> AllCells:
-        """Share the light between both directions by a plan, and return the forward one."""
+        """Set the plan that shares the light between forward and backward rays.
+
+        Return the recorder of the forward rays.
+        """
         self._plan = plan
         self._trace.share_paths(plan.sharing)
         self._light = AllCells(self._trace)
@@ -195,7 +199,7 @@ class BackwardRun:
 
     def _own_size(self, most: int) -> int | None:
         """
-        Return the rays of the next pass if its size is special, in a run of so many rays; None: the size by its number.
+        Return the number of rays of the next pass in a run of `most` rays if it is special, else None.
 
         Only a first pass has a special size, and the passes of a run shorter than that, so that a run may be continued
         at any time.
@@ -220,7 +224,7 @@ class BackwardRun:
         return min(max(plan.rays_for(needed, counts), least), most)
 
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
-        """Save the finished passes, and add their place and their PST to the error of lost workers."""
+        """Save the finished passes after workers were lost, and add the saved file and the PST so far to the error."""
         where = ""
         if self._state is not None and self._trace.sums.passes:
             if unsaved:
@@ -231,7 +235,7 @@ class BackwardRun:
         error.partial = self.result() if self._trace.sums.passes else None
 
     def _worst(self, up_to_deg: float | None) -> float:
-        """Return the largest relative standard error of required cells with light; infinite if none has light yet."""
+        """Return the largest relative standard error of lit cells that need an error; infinite if none is lit yet."""
         value, se = (part[cells_up_to(self._trace.grid, up_to_deg)] for part in self._pst().map())
         lit = value > 0
         return float(np.max(se[lit] / value[lit], initial=0.0)) if lit.any() else np.inf

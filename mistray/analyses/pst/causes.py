@@ -52,7 +52,7 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
 
 
 def _summed(rows: pd.DataFrame, by: str, columns: Iterable[str] = ("pst", "pst_se")) -> pd.DataFrame:
-    """Merge rows with the same value of a column, the strongest first: `SUMS` add up, others are those of one row."""
+    """Merge rows with equal `by`; columns in `SUMS` are added, others are those of the strongest row."""
     how = {name: "sum" if name in SUMS else "first" for name in columns}
     rows = rows.assign(pst_se=rows.pst_se**2).groupby(by, sort=False, as_index=False).agg(how)
     rows["pst_se"] = np.sqrt(rows.pst_se)
@@ -60,7 +60,7 @@ def _summed(rows: pd.DataFrame, by: str, columns: Iterable[str] = ("pst", "pst_s
 
 
 def _total(rows: pd.DataFrame) -> Estimate:
-    """Return the sum of the PST of rows, as if their rays were independent."""
+    """Return the sum of the PST of path rows, with its error as if their rays were independent."""
     return Estimate(float(rows.pst.sum()), math.sqrt((rows.pst_se**2).sum()))
 
 
@@ -154,6 +154,7 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     most : int
         Largest number of breaks; those with the largest change of slope are kept.
     light : str
@@ -188,7 +189,7 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
 
 
 def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
-    """Return standard errors of the change of the slope of log10 PST at each angle, (n,); NaN at both ends."""
+    """Return standard errors of the slope change of log10 PST at each angle, decades per degree, (n,)."""
     step = np.diff(pst.field_deg)
     # Coefficients of three neighbouring points: slope after less slope before
     factors = np.zeros((len(value), 3))
@@ -251,7 +252,7 @@ class MainCause:
 
 
 def main_cause(pst: Pst) -> MainCause | None:
-    """Return the strongest cause of stray light under a uniform sky; None without stray light or paths."""
+    """Return the main cause of stray light under a uniform sky; None without stray light or paths."""
     if pst.path_rows is None:
         return None
     parts = []

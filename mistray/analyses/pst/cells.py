@@ -10,7 +10,7 @@ from mistray.recorders.directions import DirectionGrid
 
 
 def grid_of(request: PstRequest, axes: np.ndarray | None = None) -> DirectionGrid:
-    """Return the cells of field angle and azimuth, measured in a frame whose axes are the columns of `axes`."""
+    """Return the cells of field angle and azimuth of a request; columns of `axes` are the axes of their frame."""
     grid = DirectionGrid.of(request.field_deg, request.azimuths_deg, request.cell_deg, request.azimuth_cell_deg, axes)
     if not cells_up_to(grid, request.error_up_to_deg).any():
         raise MistrayError(f"error_up_to_deg is {request.error_up_to_deg:g}; no angle is as small as that")
@@ -18,5 +18,5 @@ def grid_of(request: PstRequest, axes: np.ndarray | None = None) -> DirectionGri
 
 
 def cells_up_to(grid: DirectionGrid, last_deg: float | None) -> np.ndarray:
-    """Return a mask of the cells up to a field angle, degrees, (n, m) bool; None: all cells."""
+    """Return a mask, (n, m) bool, of the cells up to a field angle, degrees; None marks all cells."""
     return np.broadcast_to(grid.field_deg[:, None] <= (90.0 if last_deg is None else last_deg), grid.shape)

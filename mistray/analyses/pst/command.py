@@ -131,7 +131,7 @@ def _so_far(passes: list[PstProgress]) -> str:
 
 @contextlib.contextmanager
 def _progress(options: Options, passes: list[PstProgress]) -> Iterator[Callable[[PstProgress], None]]:
-    """Show a progress bar on a terminal, and yield the callback that moves it and stores each pass in `passes`."""
+    """Show a progress bar on a terminal; yield the callback that moves it and appends each state to `passes`."""
     with options.bar("{desc}: {percentage:3.0f}% |{bar}| {elapsed}{postfix}", "tracing") as bar:
 
         def draw(now: PstProgress) -> None:
@@ -145,7 +145,7 @@ def _progress(options: Options, passes: list[PstProgress]) -> Iterator[Callable[
 
 
 def _state_of(now: PstProgress) -> str:
-    """Return error and time left as the bar shows them, such as "error 3.1 % of 2 %, 01:23 left"."""
+    """Return error and remaining time as text for the bar, such as "error 3.1 % of 2 %, 01:23 left"."""
     error = (
         f"error {percent_text(now.worst_error)}" if math.isfinite(now.worst_error) else "no light yet at some angles"
     )

@@ -178,7 +178,7 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
 
 
 def _pst_range(pst: Pst) -> Range | None:
-    """Return the limits of the axis of the PST, or None if there is no light."""
+    """Return the limits of the PST axis; None if there is no light."""
     lowest = {group: np.min(value[value > 0], initial=np.inf) for group in CURVES for value in (pst.curve(group)[0],)}
     if pst.is_dark:
         return None
@@ -189,7 +189,7 @@ def _pst_range(pst: Pst) -> Range | None:
 
 
 def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
-    """Draw one curve with its band of one standard error; angles without light leave a gap."""
+    """Draw the PST curve of a light class with a band of one standard error; a gap where it has no light."""
     value, se = pst.curve(group)
     if not (value > 0).any():
         return
@@ -209,7 +209,7 @@ def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
 
 
 def _errors(axes: Axes, pst: Pst) -> None:
-    """Draw relative standard errors, the requested error, and the share of the largest ray, in percent."""
+    """Draw relative standard errors, the requested one, and the share of the strongest ray, in percent."""
     for group, style in (("total", "-"), ("stray", ":")):
         value, se = pst.curve(group)
         lit = value > 0
@@ -271,7 +271,7 @@ def _polar_map(axes: Any, pst: Pst, value: np.ndarray) -> None:
 
 
 def _polar_cells(pst: Pst, value: np.ndarray) -> tuple[Any, Any, np.ndarray]:
-    """Return edges in azimuth (rad) and field angle (degrees), and the values between; NaN outside the cells."""
+    """Return cell edges in azimuth (rad) and field angle (degrees), and cell values; NaN outside the cells."""
     grid = pst.grid
     half = grid.azimuth_cell_deg / 2
     order = np.argsort(grid.azimuths_deg % 360)

@@ -79,6 +79,7 @@ def run(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     request : FirstLevelRequest
     progress : callable, optional
         Called with the name of a set and the progress that `mistray.pst` reports.

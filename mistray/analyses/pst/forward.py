@@ -54,6 +54,7 @@ def forward_pst(
     scene : mi.Scene
         Scene of `mistray.load`; its sources only determine the wavelengths.
     grid : DirectionGrid
+        Cells of field angle and azimuth.
     request : PstRequest, optional
         Light, detector, paths and maps, and the requested error. With `relative_error` the rays of a cell are doubled
         until the standard error of all light together over its value is at most this. A cell in which no light is
@@ -121,6 +122,7 @@ class CellRounds:
     Attributes
     ----------
     trace : WaveTrace
+        Trace of the cells.
     light : AllCells
         Forward rays, with their sums so far.
     progress : callable or None
@@ -161,11 +163,11 @@ class CellRounds:
         self.light.after_pass = self._after_pass
 
     def kernel_arrays(self) -> list[list[np.ndarray]]:
-        """Return the arrays of the scene that the kernel reads, one list for each wavelength."""
+        """Return the scene arrays that the kernel reads, one list for each wavelength."""
         return self.trace.kernel_arrays()
 
     def trace_cells(self, cells: Sequence[int]) -> None:
-        """Trace cells, given by number, until each has the requested error or all of its rays, or the time is up."""
+        """Trace cells, by index, until each has the requested error or all of its rays, or the time is up."""
         light = self.light
         going = np.isin(np.arange(len(self._open)), cells)
         goal, number = np.where(going, self._first, light.rays), 0
@@ -184,7 +186,7 @@ class CellRounds:
             goal = np.where(going & (light.rays >= goal), np.minimum(2 * goal, self._most), goal)
 
     def do(self, part: int) -> WaveSums:
-        """Trace a cell on a worker; return its sums of light, with its table of paths."""
+        """Trace a cell on a worker process; return its sums of light and its table of paths."""
         self.light.begin()
         self.trace_cells([part])
         return replace(self.light.total, paths=self.light.paths)
@@ -197,7 +199,7 @@ class CellRounds:
         self._report()
 
     def _judge(self) -> None:
-        """Close cells that have the requested error or all of their rays; those without light so far end earlier."""
+        """End cells that have the requested error or all of their rays; cells without light so far end earlier."""
         value, se = (part.ravel() for part in self._pst().map())
         self._error = np.divide(se, value, out=np.full(len(se), np.inf), where=value > 0)
         self._open &= self.light.rays < np.where(value > 0, self._most, np.minimum(self._most, DARK_RAYS))
@@ -205,13 +207,13 @@ class CellRounds:
             self._open &= ~(self._counts & (self._error <= self._requested))
 
     def _after_pass(self, rays: int) -> None:
-        """Report that a pass of a round is done, unless the number of passes still depends on the first errors."""
+        """Report that a pass is done, except while the number of passes still depends on the first errors."""
         self._in_round = min(self._in_round + rays, self._of_round)
         if self._requested is None or np.isfinite(self._error).any():
             self._report()
 
     def _report(self) -> None:
-        """Report the rays done, the worst error and the time left, s, to `progress`."""
+        """Report to `progress` the rays traced, the largest error and the time left, s."""
         if self.progress is None:
             return
         rays = self.light.rays
@@ -228,12 +230,12 @@ class CellRounds:
         self.progress(PstProgress(round(done), int(self._most.sum()), worst, self._requested, seconds, left))
 
     def _pst(self) -> Pst:
-        """Return the PST of the rays so far, without details."""
+        """Return the PST of the rays so far, without paths and other details."""
         weight = np.full((*self.trace.grid.shape, BATCHES), 1 / BATCHES)
         return Pst(self.trace.grid, self.light.total.by_batch(self.light.unit), weight, method="forward")
 
     def result(self) -> Pst:
-        """Return the PST of all rays so far; cells for which the time was too short are NaN."""
+        """Return the PST of all rays so far; cells for which there was no time are NaN."""
         trace, light, grid = self.trace, self.light, self.trace.grid
         shape = grid.shape
         rays, error = light.rays.reshape(shape).round().astype(int), self._error.reshape(shape)

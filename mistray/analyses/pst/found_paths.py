@@ -23,7 +23,7 @@ FEWEST_HITS = 8  # least number of hits of such a path
 
 
 def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return event lists of backward rays in forward order, with the absorption in the detector, and their lengths."""
+    """Return event lists of backward rays in forward order, ending with detector absorption, and their lengths."""
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
     turned = np.where(order >= 0, turned, 0).astype(np.uint32)
@@ -39,7 +39,7 @@ class FoundPaths:
     Attributes
     ----------
     trace : GridTrace
-        Trace that found them, or one of both.
+        Trace that found the paths; of two, either one.
     events : (w, k) uint32
     lengths : (w,) int
         Events of the paths in forward order, and the number of events of each.
@@ -105,7 +105,7 @@ class FoundPaths:
         return describe_events(Events.of(trace.table, trace.design, self.events[paths], self.lengths[paths]))
 
     def one_sided(self) -> list[dict[str, Any]]:
-        """Return the strongest paths that only forward or only backward rays have found, one dict for each."""
+        """Return, as a dict each, the strongest paths that were found by forward rays only or by backward rays only."""
         grid = self.trace.grid
         light = np.bincount(self.cell, self.value, int(np.prod(grid.shape)))
         alone = (self.hits.min(axis=0) == 0) & (self.hits.max(axis=0) >= FEWEST_HITS)
@@ -140,7 +140,7 @@ class FoundPaths:
 
 
 def _strongest(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Return the numbers of the largest values of each group, at most `count` of each."""
+    """Return the indices of the largest values within each group, at most `count` per group."""
     order = np.lexsort((-values, group))
     sizes = np.bincount(group) if len(group) else np.zeros(0, dtype=np.int64)
     rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)

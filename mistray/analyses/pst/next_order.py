@@ -28,7 +28,9 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     first : Pst
+        PST to compare with.
     seconds : float
         Time of the first measurement, s.
     measure : callable

@@ -1,4 +1,4 @@
-"""Report, tables and pictures of `mistray pst`, in one directory, each file complete or not at all."""
+"""Report, tables and pictures of `mistray pst`, written into one directory, all or none of them."""
 
 from __future__ import annotations
 
@@ -59,6 +59,7 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     title : str
         Name of the optical system.
     maps_at : sequence of (float, float)
@@ -126,6 +127,7 @@ def write_pst(
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     directory : str or Path
         Created if it is missing, with its parents; other files in it are left alone.
     title : str

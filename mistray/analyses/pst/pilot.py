@@ -57,6 +57,7 @@ class Pilot:
     Parameters
     ----------
     trace : BackwardTrace
+        Backward trace of the run, which the pilot samples.
     points : (p, 3) float64
         Hull of the illuminated volume, mm, from `mistray.sampling.plane_wave.hull_points`.
     counts : (c,) bool
@@ -92,7 +93,7 @@ class Pilot:
         return float(self._rays[1])
 
     def seconds_for(self, plan: Plan, rays: float) -> float:
-        """Return an estimate of the time, s, for this number of backward rays together with their forward rays."""
+        """Return the estimated time, s, for `rays` backward rays and the forward rays that belong to them."""
         return float(self._pace @ (plan.forward_rays(rays).sum(), rays))
 
     def search(self, rays: float) -> Plan:
@@ -114,7 +115,7 @@ class Pilot:
         return replace(self._plan, sharing=replace(sharing, path_classes=path_classes))
 
     def _round(self, rays: int) -> Plan:
-        """Run a round of so many backward rays, and return the plan that follows from it and those before."""
+        """Run a pilot round of `rays` backward rays; return the plan that follows from all rounds so far."""
         trace, sharing, cells = self._trace, self._sharing, self._cells
         # Trace both directions; backward, the weight windows learn from the relative value of light
         forward_rays = whole_batches(sharing.rays * rays)
@@ -179,7 +180,7 @@ class Pilot:
         return plan
 
     def _costs_forward(self, forward: Sequence[Samples]) -> np.ndarray:
-        """Return the cost of forward rays, (2, c): those that may scatter, and those for unscattered light alone."""
+        """Return the cost of forward rays, (2, c), in ray segments: for scattered light and for unscattered light."""
         if self._sharing.unscattered is None:
             return np.array([np.sum([one.segments for one in forward], axis=0), np.zeros(len(self._light))])
         parts = [np.sum([one.segments for one in part], axis=0) for part in (forward[::2], forward[1::2])]
@@ -187,7 +188,7 @@ class Pilot:
 
     def _unscattered(self, samples: Samples, light: np.ndarray, costs: np.ndarray) -> np.ndarray | None:
         """
-        Return `Sharing.unscattered` of the next round.
+        Return the number of forward rays for unscattered light per other forward ray, (c,), in the next round.
 
         A variance a/m + b/n at the cost m + c n is least at n/m = √(b/(a c)).
         """
@@ -240,7 +241,7 @@ class Pilot:
         return _rounded(np.stack([inverse_upper, np.where(squares > 0, np.maximum(most, inverse_upper), 0)]))
 
     def _note_path_classes(self, samples: Samples) -> None:
-        """Keep the samples of the latest rounds from which the MIS weights of path classes follow."""
+        """Keep samples of the latest rounds, from which the weights of path classes in importance sampling follow."""
         cell, kind, mis = samples.cell, samples.kind, np.clip(samples.forward, SMALLEST_MIS, 1 - SMALLEST_MIS)
         # Density ratio of forward to backward rays, if each cell had as many forward as there are backward rays
         forward = self._sharing.rays[cell]
@@ -250,7 +251,7 @@ class Pilot:
         self._seen = [*self._seen, (cell, kind, samples.path_class, samples.weight, odds)][-REMEMBERED:]
 
     def _starts_per_connection(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
-        """Return `Sharing.starts_per_connection` of the next round; 0 where connections gain less than they cost."""
+        """Return the forward starts per connected path, by cell, or 0 if connections cost more than they gain."""
         starts_per_connection, counts = self._sharing.starts_per_connection, self._counts & (light > 0)
         if self._rounds == 1:  # one light vertex for each connection
             return starts_per_connection / max(self._trace.vertices_per_ray, 1e-3)
@@ -266,7 +267,7 @@ class Pilot:
         return starts_per_connection if gained > COST_OF_CONNECTIONS else np.zeros_like(starts_per_connection)
 
     def _remember(self, samples: Samples, light: np.ndarray, rays: int) -> None:
-        """Keep the samples of a round, in each cell as many as a start map needs."""
+        """Keep samples of a round, as many in each cell as the map of ray starts needs."""
         rng = np.random.default_rng(self._rounds)
         cell, kind, weights = samples.cell, samples.kind, samples.weight
         # Weak classes of light get more weight, so that their errors are reliable, too
@@ -283,19 +284,19 @@ class Pilot:
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
-    """Round to 8 bits, so that the order in which lanes add up does not change the values."""
+    """Round values to 8 significant bits, so that the summation order of parallel threads does not change them."""
     mantissa, exponent = np.frexp(values)
     return np.asarray(np.ldexp(np.round(256 * mantissa) / 256, exponent))
 
 
 def _together(parts: Sequence[Samples]) -> Samples:
-    """Return the samples of several traces as one, with start rays numbered through; the importance is left out."""
+    """Return samples of several traces as one, with start rays renumbered; importance values are left out."""
     lanes = 1 + max(int(one.lane.max(initial=0)) for one in parts)
     return Samples.together([replace(one, segments=np.zeros(1), importance=np.zeros(1)) for one in parts], lanes)
 
 
 def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Sum the values of each place; floats even if there are no values."""
+    """Return the sums of values by index `place`, (count,) float64; zeros without values."""
     return np.bincount(place, values, count).astype(np.float64)
 
 
@@ -305,7 +306,7 @@ def _relative_variances(
     """
     Estimate the light of the cells and its relative variance.
 
-    With a density q of all rays the variance is ∫ f²/q. Each sample yields f/q, and the MIS weight s of forward rays in
+    With a density q of all rays the variance is ∫ f²/q. Each sample yields f/q, and the weight s of forward rays in
     its path. With a factor k of the forward rays q becomes q (1 - s + k s). Samples of one ray in a cell are
     correlated, which multiplies the variance of each direction by a factor of its own.
 
@@ -316,6 +317,7 @@ def _relative_variances(
     both : Samples
         All of these, in this order.
     cells : int
+        Number of cells.
 
     Returns
     -------
@@ -347,7 +349,7 @@ def _relative_variances(
 
 
 def _squares_of_rays(samples: Samples, cells: int) -> np.ndarray:
-    """Return sums over the rays of the square of the contribution of each to a cell, (c,)."""
+    """Return sums over rays of the squared contribution of each ray to a cell, (c,)."""
     if not len(samples.weight):
         return np.zeros(cells)
     pair = samples.lane * cells + samples.cell

@@ -30,11 +30,11 @@ class Plan:
     light : (c,) float64
         PST_normal of each cell.
     variance : (c,) float64
-        Variance of PST_normal of each cell times the number of backward rays, with the forward rays beside them.
+        Variance of PST_normal of each cell times the number of backward rays, if the forward rays are traced as well.
     pilot_rays : (2,) float64
         Forward and backward rays of the pilot.
     samples : MapSamples
-        Points from which forward rays would start on the paths that were found.
+        Points at which forward rays would have to start to follow the paths that were found.
     """
 
     sharing: Sharing
@@ -61,16 +61,16 @@ class Plan:
         return int(np.ceil(np.max(self.variance[counts] / requested)))
 
     def beside(self, needed: int, rays: int) -> Plan:
-        """Return the plan for `rays` backward rays, without more forward rays than for `needed` of them."""
+        """Return the plan with `rays` backward rays, and forward rays for at most `needed` backward ones."""
         sharing = self.sharing
         return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
 
     def forward_rays(self, rays: float) -> np.ndarray:
-        """Return the number of forward rays of each cell, (c,), that go with this number of backward rays."""
+        """Return the number of forward rays of each cell, (c,), that go with `rays` backward rays."""
         return whole_batches(self.sharing.rays * rays)
 
     def fits(self, cells: int, surfaces: int) -> bool:
-        """Return whether the plan has this number of cells and, if it has weight windows, of surfaces."""
+        """Return whether the plan is for this number of cells and, if it has weight windows, of surfaces."""
         windows = self.sharing.windows
         return len(self.sharing.rays) == cells and (windows is None or windows.shape[1] == surfaces)
 
@@ -96,7 +96,7 @@ class Plan:
 
 
 def shared(plans: Sequence[Plan]) -> list[Plan]:
-    """Return plans of scenes to be compared, with common forward rays: in each cell as many as any of them needs."""
+    """Return plans of scenes to be compared with equal forward rays: in each cell the largest number of any plan."""
     if len(plans) == 1:
         return list(plans)
     rays = np.max([plan.sharing.rays for plan in plans], axis=0)

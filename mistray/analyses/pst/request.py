@@ -110,7 +110,7 @@ class PstRequest(Request):
 
 @dataclass(frozen=True)
 class FirstLevelRequest(PstRequest):
-    """A point source transmittance for sets of limits on its paths; its fields describe themselves."""
+    """Request of a first-level analysis: one point source transmittance (PST) for each set of limits on its paths."""
 
     _: KW_ONLY
     limits: Mapping[str, Mapping[str, Any]] | None = field(

@@ -67,6 +67,7 @@ class Pst:
     convention : {"normal", "projected"}
         Convention of `value` and all that is derived from it.
     method : {"joined", "adjoint", "forward"}
+        Method of the computation, see `mistray.pst`.
     facts : dict
         Facts of the computation, plain values: scene, detector, detector_area_mm2, wavelength_nm, weights, rays, seed,
         seconds, segments, settings …
@@ -83,7 +84,7 @@ class Pst:
     source : PstRays, optional
         Rays of the computation, for derivatives.
     plan : Plan, optional
-        Plan of its pilot, if forward and backward rays share the light by MIS.
+        Plan of its pilot, if forward and backward rays share the light (multiple importance sampling).
     techniques : dict of str to (c, n, m, b) float64
         Part of `by_batch` that rays of each direction contribute, see `budget`.
     next_orders : tuple of NextOrder
@@ -128,6 +129,7 @@ class Pst:
         derivative : (c, n, m) float64
             Derivative of the metric with respect to PST_normal of each class in each cell.
         request : GradientRequest
+            Settings of the gradient.
         groups : (n, m) int, optional
             Numbers of groups of cells, see `mistray.gradients.pst_gradient.PstRays.gradient`.
 
@@ -158,7 +160,7 @@ class Pst:
 
     @property
     def _factor(self) -> np.ndarray:
-        """Factor from PST_normal to the convention, (n,)."""
+        """Factor, by field angle, (n,), that converts PST_normal to the PST of the chosen convention."""
         cosine = np.maximum(self.grid.mean_cosine, np.finfo(float).tiny)
         return np.asarray(1 / cosine if self.convention == "projected" else np.ones_like(cosine))
 
@@ -184,11 +186,11 @@ class Pst:
         return value.mean(axis=1), np.sqrt(np.sum(se**2, axis=1)) / value.shape[1]
 
     def estimates(self, classes: str | Sequence[str] = "total") -> list[Estimate]:
-        """Return the numbers of `curve`."""
+        """Return the values of `curve` as estimates with standard errors, one for each field angle."""
         return [Estimate(float(value), float(se)) for value, se in zip(*self.curve(classes), strict=True)]
 
     def columns(self, found: Callable[[str], tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Return the columns of tables: of all, of stray and of each class of light what `map` or `curve` gives."""
+        """Return table columns by name: values and errors from `found` for total, stray and each class of light."""
         parts = ((name, end, part) for name in LIGHT for end, part in zip(("", "_se"), found(name), strict=True))
         return {f"pst_{name}{end}": part.ravel() for name, end, part in parts}
 
@@ -222,7 +224,7 @@ class Pst:
         return self.curve("stray")[1]
 
     def share_of_scattered(self, part: np.ndarray) -> np.ndarray:
-        """Return a part of PST_normal as a fraction of that of scattered light, (n, m); 0 where there is none."""
+        """Return a part of PST_normal as a fraction of the PST_normal of all scattered light, (n, m); 0 without any."""
         scattered = self.estimate(self.by_batch[SCATTERED].sum(axis=0), self.weight)[0]
         return np.divide(part, scattered, out=np.zeros_like(scattered), where=scattered > 0)
 
@@ -273,7 +275,7 @@ class Pst:
 
     @cached_property
     def _listed(self) -> tuple[pd.DataFrame, dict[tuple[int, int], np.ndarray]]:
-        """Tables of `paths` of all cells in one, and the numbers of the rows of each cell."""
+        """Tables of `paths` of all cells as one, and the row numbers of each cell."""
         rows = self.path_rows
         assert rows is not None  # `paths` has checked it
         rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
@@ -420,6 +422,7 @@ def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
     Parameters
     ----------
     found : Pst
+        PST to judge.
     largest : (n, m) float64
         See `Pst.largest_share`.
     rays : float

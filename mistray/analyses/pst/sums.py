@@ -45,6 +45,7 @@ def quotient(
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     above, below : tuple of (n, m) float and str
         Coefficients and light of the two sums.
     floor : float
@@ -59,7 +60,7 @@ def quotient(
 
 
 def _summed(parts: np.ndarray, weight: np.ndarray) -> Estimate:
-    """Sum the parts of the cells, (n, m, b), over cells and batches."""
+    """Return the sum of parts of the cells, (n, m, b), over cells and batches, with its standard error."""
     # Cells that share their start rays are correlated: they are summed before the spread is computed
     if weight.ndim == 1:
         parts = parts.sum(axis=(0, 1))

@@ -179,6 +179,7 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     paths_shown : int
         Number of paths and causes for each angle; 0: none.
     """
@@ -221,6 +222,7 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     paths_shown : int
         Number of strongest stray paths and causes of each angle.
 

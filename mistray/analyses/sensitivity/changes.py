@@ -59,7 +59,7 @@ class Ranges:
     slope_se: np.ndarray
 
     def after(self, number: int, gain: float) -> float:
-        """Return the value of a parameter at which ln(metric) is lower by `gain`, or a bound if that is too much."""
+        """Return the value of a parameter that lowers ln(metric) by `gain`, or its better bound if that is less."""
         slope, most = float(self.slope[number]), -float(self.gain[number])
         if gain >= most * (1 - ROUNDING):
             return float(self.low[number] if slope > 0 else self.high[number])
@@ -67,7 +67,7 @@ class Ranges:
 
     @property
     def gain(self) -> np.ndarray:
-        """Change of ln(metric) at the better bound, ≤ 0, (n,); 0 if the slope does not differ significantly from 0."""
+        """Change of ln(metric) at the better bound, ≤ 0, (n,); 0 where the slope is not significant."""
         room = np.where(self.slope > 0, self.value - self.low, self.high - self.value)
         known = np.abs(self.slope) > SIGNIFICANT * self.slope_se
         with np.errstate(invalid="ignore"):
@@ -75,7 +75,7 @@ class Ranges:
 
 
 def single_changes(ranges: Ranges, factor: float) -> tuple[ParameterChange, ...]:
-    """Return for each parameter alone the value that lowers the metric `factor` times, or the better bound."""
+    """Return for each parameter the value that alone lowers the metric by `factor`, or its better bound."""
     goal = math.log(factor)
     found = []
     for number, gain in enumerate(ranges.gain):
@@ -95,6 +95,7 @@ def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Parame
     Parameters
     ----------
     ranges : Ranges
+        Values, ranges and slopes of the parameters.
     factor : float
         Factor by which to lower the metric, greater than 1.
     count : int

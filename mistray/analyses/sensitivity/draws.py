@@ -113,6 +113,7 @@ def draw_systems(
     Parameters
     ----------
     metric : Metric
+        Metric of the scene.
     params : mi.SceneParameters
         Parameters of its scene, which are restored afterwards.
     rows : sequence of SensitivityRow
@@ -152,7 +153,7 @@ def draw_systems(
     rejected = 0
 
     def systems() -> Iterator[dict[str, np.ndarray]]:
-        """Yield the values of systems whose surfaces do not cross; the scene keeps them until the next."""
+        """Yield the parameter values of systems whose surfaces do not cross, already set in the scene."""
         nonlocal rejected
         while len(predicted) < count and (len(predicted) < len(finished.systems) or advance.left > longest):
             drawn = np.clip(value + tolerance * generator.standard_normal(len(rows))[places], low, high)
@@ -199,14 +200,14 @@ def draw_systems(
 
 
 def _timed(trace: Callable[[], float]) -> tuple[float, float]:
-    """Run a trace and return its duration, s, and its result."""
+    """Run a trace and time it; return duration, s, and result."""
     began = time.perf_counter()
     result = trace()
     return time.perf_counter() - began, result
 
 
 def _checked(number: int, trace: Callable[[], float]) -> float:
-    """Return the metric of a system; raise an error if it has no light."""
+    """Return the metric of system `number` by a trace; raise `MistrayError` if it has no light."""
     with errors_of(f"perturbed system {number + 1}"):
         traced = trace()
     if not (math.isfinite(traced) and traced > 0):
@@ -216,18 +217,18 @@ def _checked(number: int, trace: Callable[[], float]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _SystemsTask:
-    """Perturbed systems as a task for `mistray.execute.workers`; `given` has the values of the nominal system."""
+    """Perturbed systems as a task for worker processes; `given` has the parameter values of the nominal system."""
 
     metric: Metric
     given: Mapping[str, np.ndarray]
     systems: Sequence[Mapping[str, np.ndarray]]
 
     def make(self) -> Any:
-        """Return the parameters of the scene to perturb."""
+        """Return the parameters of the scene that the systems change."""
         return mi.traverse(self.metric.scene)
 
     def do(self, made: Any, part: int) -> float:
-        """Trace the system with index `part`, and return its metric."""
+        """Trace the system of index `part`, and return its metric."""
         try:
             _put(self.metric.scene, made, self.systems[part])
             return _checked(part, self.metric.value)
@@ -236,7 +237,7 @@ class _SystemsTask:
 
 
 def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
-    """Set the parameters, displacements off the axis last; return False if optical surfaces cross on the axis."""
+    """Set parameters in a scene, off-axis displacements last; return False if optical surfaces cross on the axis."""
     aside = {key: value for key, value in values.items() if key.rsplit(".", 1)[-1] in OFF_AXIS}
     assign(params, {**values, **{key: np.zeros_like(value) for key, value in aside.items()}})
     try:
@@ -249,7 +250,7 @@ def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
 
 
 def _possible(rows: Sequence[SensitivityRow], drawn: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:
-    """Return the draws with R and T of ideal coatings scaled so that R + T ≤ 1."""
+    """Return drawn values in which R and T of ideal coatings are scaled down so that R + T ≤ 1."""
     found = drawn.copy()
     numbers = {row.line.keys[0]: k for k, row in enumerate(rows) if row.kind == "share"}
     for owner in {key.rsplit(".", 1)[0] for key in numbers}:

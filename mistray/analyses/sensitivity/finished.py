@@ -58,19 +58,19 @@ class Finished:
         self.systems: list[float] = []
 
     def take(self, taken: Taken) -> None:
-        """Keep a gradient, and drop the check and the systems that belong to another one."""
+        """Store a gradient, and drop a stored check and systems that belong to another gradient."""
         if taken is not self.taken:
             self.taken, self.check, self.systems = taken, None, []
             self.save()
 
     def add(self, value: float) -> None:
-        """Keep the metric of one more perturbed system."""
+        """Store the metric of one more perturbed system."""
         self.systems.append(value)
         if time.perf_counter() - self._saved > SAVED_S:
             self.save()
 
     def save(self) -> None:
-        """Write the file, if there is a path and a gradient."""
+        """Write the file if it has a path and there is a gradient to save."""
         self._saved = time.perf_counter()
         if self._path is None or self.taken is None:
             return
@@ -132,7 +132,7 @@ class Finished:
 
 
 def numbers_hash(params: Any) -> str:
-    """Return a hash of all numeric parameters of a scene."""
+    """Return a hash of all numeric parameters of a scene, to detect that the scene was changed."""
     digest = hashlib.sha256()
     for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
         if params.properties[key][1] is None and holds_numbers(value := peek(params, key)):
@@ -141,7 +141,7 @@ def numbers_hash(params: Any) -> str:
 
 
 def signature_of(metric: Metric, params: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all that must agree with a saved run: metric, numbers of its scene, and the arguments in `facts`."""
+    """Return the facts in which a saved run must agree: metric, numbers of its scene, and the arguments in `facts`."""
     about = {name: getattr(metric, name) for name in ("name", "field_deg", "wavelength_nm", "weights")}
     return {"metric": about, "settings": dict(metric.settings or {}), **facts, "scene": numbers_hash(params)}
 

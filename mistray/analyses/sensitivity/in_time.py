@@ -32,6 +32,7 @@ class Taken:
     times : float
         Factor on the rays of the metric, at most 1.
     found : Gradient
+        Gradient by parameter.
     seconds : float
         Time of the metric and its gradient, s.
     look : float
@@ -121,7 +122,7 @@ def _next(tried: tuple[float, float] | None, first: float, left: float) -> float
 
 
 def _taken(metric: Metric, chosen: Mapping[str, Parameter], request: GradientRequest, times: float) -> Taken:
-    """Compute the gradient of a metric with `times` its rays."""
+    """Compute the gradient of a metric from `times` the number of its rays."""
     began = time.perf_counter()
     metric = metric if times == metric.times else metric.with_rays_times(times)
     seen = metric.observe()

@@ -44,6 +44,7 @@ def text(result: Sensitivity, count: int = 20) -> str:
     Parameters
     ----------
     result : Sensitivity
+        Sensitivity analysis.
     count : int
         Number of rows of the table.
     """
@@ -78,7 +79,7 @@ def ranking_table(result: Sensitivity) -> Table:
 
 
 def change_text(row: SensitivityRow) -> str:
-    """Return the value that lowers the metric by the requested factor, or the bound and the factor there, as text."""
+    """Return, as text, the value that lowers the metric by the requested factor, or the bound and its factor."""
     if not row.free:
         return "held"
     if row.reached:
@@ -105,7 +106,7 @@ def together_lines(result: Sensitivity) -> list[str]:
 
 
 def changes_table(result: Sensitivity) -> Table:
-    """Return the table of the best few changes, one parameter a row."""
+    """Return the table of the few changes that together lower the metric, one parameter per row."""
     rows = [
         [row.label, number(row.value), number(change.value), row.unit, number(change.factor, 3)]
         for row, change in result.together.changes
@@ -200,7 +201,7 @@ def record(result: Sensitivity) -> dict[str, Any]:
 
 
 def _by_name(value: Any) -> Any:
-    """Return values in which each estimate has become a mapping of value and standard error."""
+    """Return a nested value with each estimate replaced by a mapping of its value and standard error."""
     if isinstance(value, Estimate):
         return value._asdict()
     if isinstance(value, dict):
@@ -259,7 +260,7 @@ def write_sensitivity(
     result: Sensitivity, directory: str | Path, title: str = "scene", command: str = ""
 ) -> list[Path]:
     """
-    Write sensitivity.csv, propagation.csv, sensitivity.json, ranking.png and report.html, each whole or not at all.
+    Write sensitivity.csv, propagation.csv, sensitivity.json, ranking.png and report.html, all or none of them.
 
     With perturbed systems draws.csv and monte_carlo.png are written as well. `write_report` documents how the directory
     is made and replaced. `title`, the name of the optical system, and `command`, the command line, appear in the
@@ -271,7 +272,7 @@ def write_sensitivity(
 
 
 def _kinds(result: Sensitivity) -> pd.DataFrame:
-    """Return the share of the variance by kind of parameter, percent, the largest first, as a frame."""
+    """Return a frame with the percentage of the variance that each kind of parameter contributes, largest first."""
     kind_of = {row.label: row.kind for row in result.rows}
     kinds: dict[str, float] = {}
     for item in result.spread.contributions:

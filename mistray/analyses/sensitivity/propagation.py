@@ -15,7 +15,7 @@ from mistray.toolkit.rows import column
 
 @dataclass(frozen=True)
 class Contribution:
-    """Contribution of one parameter, or of several that vary together, to the variance."""
+    """Contribution to the variance of ln(metric) by one parameter, or by several that vary together."""
 
     name: str = column("label of the parameter, or the pattern that the group was asked for by")
     members: tuple[str, ...] = column("labels of the parameters")
@@ -28,7 +28,7 @@ class Contribution:
 @dataclass(frozen=True)
 class MetricSpread:
     """
-    Standard deviation of ln(metric) over manufactured systems, to first order in the tolerances.
+    Spread of ln(metric) over manufactured systems, to first order in the tolerances.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class MetricSpread:
 
     @property
     def deviation(self) -> Estimate:
-        """Standard deviation of ln(metric); if small, about the relative one of the metric."""
+        """Standard deviation of ln(metric); if it is small, about the relative standard deviation of the metric."""
         value = math.sqrt(max(self.variance.value, 0.0))
         return Estimate(value, self.variance.se / (2 * value) if value > 0 else math.sqrt(self.variance.se))
 

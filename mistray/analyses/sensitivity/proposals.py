@@ -45,6 +45,7 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     known : mapping of str to Parameter
         Parameters that can be differentiated, by key.
     """
@@ -98,9 +99,11 @@ def traced_change(
     Parameters
     ----------
     metric : Metric
+        Metric of the scene.
     params : mi.SceneParameters
         Parameters of the metric's scene, which are restored afterwards.
-    values : mapping of str to (entries,) float, new values by key
+    values : mapping of str to (entries,) float
+        New values by key.
     advance : Steps
         Called 2 `SEEDS` times, after each trace of the metric, or fewer times if the time ends. It is called at least
         four times if it is known after the first seed that there is enough.
@@ -147,7 +150,7 @@ def traced_change(
 
 
 def _quotient(pairs: np.ndarray) -> Estimate:
-    """Return the mean of the first column over that of the second, with the error of a ratio of means."""
+    """Return the ratio of the means of both columns, (n, 2), with the standard error of a ratio of means."""
     above, below = pairs.T
     if not below.mean() > 0:
         return Estimate(math.inf, math.nan)

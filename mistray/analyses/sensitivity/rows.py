@@ -30,7 +30,7 @@ SHARES = (1.0, 0.999, 0.9, 0.5, 0.1)  # of the way to a bound that its model may
 @dataclass(frozen=True)
 class Line:
     """
-    Parameter, or group of parameters that change together, of one row.
+    Line of a sensitivity table: a parameter, or a group of parameters that change together.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Line:
 
     @property
     def moved(self) -> Mapping[str, float]:
-        """Change of each parameter with a derivative, by key, for a change of 1 of the line."""
+        """Change of each differentiable parameter, by key, when the value of the line changes by 1."""
         return self.slopes or dict.fromkeys(self.keys, 1.0)
 
 
@@ -107,7 +107,9 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     params : mi.SceneParameters
+        Parameters of the scene, ``mi.traverse(scene)``.
     known : mapping of str to Parameter
         Parameters that can be differentiated, by key.
     chosen : iterable of str
@@ -139,7 +141,7 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
 
 
 def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
-    """Return the line with which each position parameter of a non-optical surface moves, by key."""
+    """Return the table line, such as a displaced body, that holds each position parameter of mechanics, by key."""
     rigid = structure(scene)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     optics = {getattr(shape, "part", None) for shape in shapes.values() if shape.id() not in rigid}
@@ -165,7 +167,7 @@ def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
 
 
 def motion_lines(body: Body, known: Mapping[str, Parameter]) -> list[Line]:
-    """Return the lines of the displacements (mm) and tilts (degrees) of a body; all of its surfaces move together."""
+    """Return table lines for the displacements (mm) and tilts (degrees) of a body whose surfaces move together."""
     lines = []
     for name in POSE:
         keys = tuple(f"{surface}.{name}" for surface in body.frames)
@@ -182,7 +184,7 @@ def _material(params: Any, key: str) -> str | None:
 
 
 def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
-    """Return the values in the scene of all parameters that some lines change, by key, in their units."""
+    """Return the present values of all parameters that some table lines change, by key, in their units."""
     keys = dict.fromkeys(key for line in lines for key in (*line.moved, *line.silent))
     return {key: np.ravel(np.array(params[key], dtype=np.float64)) for key in keys}
 
@@ -190,7 +192,7 @@ def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
 def shifted_values(
     values: Mapping[str, np.ndarray], lines: Sequence[Line], numbers: Sequence[float]
 ) -> dict[str, np.ndarray]:
-    """Return the values of `whole_values` for new values of the lines, in their units; slopes apply."""
+    """Return parameter values as in `whole_values` after the lines take other values; slopes convert for bodies."""
     result = {key: value.copy() for key, value in values.items()}
     for line, number in zip(lines, numbers, strict=True):
         change = number - float(np.ravel(line.parameter.value)[line.entry])
@@ -207,6 +209,7 @@ class LineNumbers:
     Attributes
     ----------
     lines : list of Line
+        Lines of the table.
     ranges : Ranges
         Values, physical ranges, tolerances, d ln(metric) / d value.
     derivative, derivative_se : float64
@@ -229,13 +232,14 @@ class LineNumbers:
     @classmethod
     def of(cls, found: Gradient, lines: list[Line], tolerances: Mapping[str, float]) -> LineNumbers:
         """
-        Return a gradient collected by lines.
+        Return the values, derivatives and effects of lines, summed from the gradient of their keys.
 
         Parameters
         ----------
         found : Gradient
             Gradient with all keys of the lines.
         lines : list of Line
+            Lines of the table.
         tolerances : mapping of str to float
             Tolerance of each parameter by key, in its unit.
         """
@@ -274,7 +278,10 @@ class LineNumbers:
         return cls(lines, ranges, derivative, total, check * per, check_se * per, changes)
 
     def reachable(self, free: set[str], reach: float) -> Ranges:
-        """Return the ranges within `reach` tolerances; R and T keep their range, and parameters not free have none."""
+        """Return ranges of at most `reach` tolerances, R and T unlimited.
+
+        Parameters not in `free` stay at their value.
+        """
         shares = [line.parameter.kind == "share" for line in self.lines]
         farthest = np.where(shares, np.inf, reach * self.ranges.tolerance)
         farthest[[not set(line.keys) <= free for line in self.lines]] = 0.0
@@ -293,7 +300,9 @@ class LineNumbers:
         Parameters
         ----------
         params : mi.SceneParameters
+            Parameters of the scene, ``mi.traverse(scene)``.
         ranges : Ranges
+            Values, ranges and slopes of the parameters.
         check : callable
             Raises `MistrayError` if the scene in its current state cannot be traced.
         """
@@ -311,7 +320,7 @@ class LineNumbers:
         return replace(ranges, low=low, high=high)
 
     def rows(self, free: set[str], reachable: Ranges, factor: float) -> list[SensitivityRow]:
-        """Return the rows in the order of the lines, with the value of each alone that would lower the metric."""
+        """Return a table row per line, in order, each with the value that alone would lower the metric by `factor`."""
         r = self.ranges
         change, change_se = r.slope * r.tolerance, r.slope_se * r.tolerance
         alone = single_changes(reachable, factor)

@@ -43,7 +43,9 @@ def stray_light_analysis(
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     pst : Pst
+        Point source transmittance (PST).
     first : FirstOrder, optional
         First-order data of the system; without it the PST on axis is not compared with its closed form.
     transmittance : float
@@ -129,7 +131,7 @@ def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
 
 
 def top_paths(pst: Pst, count: int = TOP_PATHS) -> pd.DataFrame:
-    """Return the strongest stray paths of each angle with their PST and percentage of the stray light."""
+    """Return the strongest stray paths of each angle with PST and percentage of the stray light, as a frame."""
     columns = ["rank", "path", "kind", "first_scatter", "rays", "pst", "pst_se", "percent_of_stray"]
     tables = []
     for angle in pst.field_deg:
@@ -169,7 +171,7 @@ def _surfaces(events: str) -> list[str]:
 
 
 def _ghost_words(row: Any, design: Sequence[str]) -> str:
-    """Return a path of a ghost analysis in words; without reflections by its difference from the design path."""
+    """Return a ghost path in words; if it has no reflection, by its difference from the design path."""
     if row.kind not in ("straight shot", "TIR"):
         return str(row.label)
     return f"{row.kind}, {_instead(_surfaces(row.events), design)}"

@@ -84,6 +84,7 @@ def first_order(scene: Any, path: DesignPath) -> FirstOrder:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     path : DesignPath
         Design path of the scene, see `mistray.sampling.design_path.find_design_path`.
     """
@@ -108,7 +109,7 @@ def first_order(scene: Any, path: DesignPath) -> FirstOrder:
 
 
 def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
-    """Return the focal lengths of both sections, and the mean distance of their foci from the last surface, mm."""
+    """Return the focal lengths, mm, in two sections, and the mean distance of the foci from the last surface, mm."""
     first = path.steps[0]
     frame = across(first.before)
     points = np.array([step.point for step in path.steps])
@@ -180,7 +181,7 @@ def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
 
 
 def _working_f_number(scene: Any, path: DesignPath, radius: float) -> float:
-    """Return the working F-number by rays through a circle of a radius, mm, about the base ray; NaN if none arrives."""
+    """Return the working F-number of rays through a circle of a radius, mm, about the base ray; NaN if none arrives."""
     phi = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     x, y = (np.append(0.0, radius * along) for along in (np.cos(phi), np.sin(phi)))
     o, d = scene_sources(scene, field_deg=0.0)[0].through(x, y)
@@ -193,7 +194,7 @@ def _working_f_number(scene: Any, path: DesignPath, radius: float) -> float:
 
 
 def _off_axis(centre: np.ndarray, source: SceneSource) -> float:
-    """Return the distance of a point from the axis of a source, mm."""
+    """Return the distance of a point (3,), mm, from the axis of a source, mm."""
     away = centre - source.pivot
     return float(np.linalg.norm(away - (away @ source.direction) * source.direction))
 
@@ -206,7 +207,7 @@ def _field(scene: Any, path: DesignPath) -> dict[str, float]:
     axes = half / size
 
     def hit(angle_deg: float, azimuth_deg: float) -> np.ndarray:
-        """Return the hit on the detector plane, (1, 2) mm in its axes; NaN if the base ray is lost."""
+        """Return the point where the base ray of a field meets the detector plane, (1, 2) mm; NaN if it does not."""
         source = scene_sources(scene, field_deg=angle_deg, azimuth_deg=azimuth_deg)[0]
         found = path.follow(*source.through(np.zeros(1), np.zeros(1)), 0)
         return np.asarray((found[0] - detector.centre) @ axes)
@@ -231,7 +232,7 @@ def _field(scene: Any, path: DesignPath) -> dict[str, float]:
 
 
 def _angle(shift: Any, wanted: float) -> float:
-    """Return the field angle, degrees, at which the image has moved by `wanted` mm; NaN if there is none."""
+    """Return the field angle, degrees, at which the function `shift` of the angle is `wanted` mm; NaN if nowhere."""
     low, high = 0.0, math.nan
     for angle in (1.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, LARGEST_FIELD_DEG):
         away = float(np.linalg.norm(shift(angle)))

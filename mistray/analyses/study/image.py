@@ -39,7 +39,9 @@ def images_with_stray_light(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     report : GhostReport
+        Ghost analysis.
     light : mapping
         ``wavelength_nm``, ``weights`` and ``azimuth_deg`` of the study.
     settings : mapping
@@ -89,7 +91,7 @@ def transfer_facts(found: Transfer) -> list[Fact]:
 
 
 def transfer_findings(found: Transfer) -> list[str]:
-    """Describe the loss of contrast by stray light, at the field where it is largest."""
+    """Return one sentence on the contrast lost to stray light, at the field where the loss is largest."""
     worst = min(found, key=lambda one: one.veiling_floor.value)
     floor = worst.veiling_floor
     lost, se = 100 * (1 - floor.value), 100 * floor.se

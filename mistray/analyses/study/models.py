@@ -26,6 +26,7 @@ def optical_model(scene: Any, table: SurfaceTable, path: DesignPath | None) -> S
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     table : SurfaceTable
         Surfaces at the reference wavelength.
     path : DesignPath, optional
@@ -130,7 +131,7 @@ def path_surfaces(path: DesignPath) -> pd.DataFrame:
 
 
 def mechanical_model(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
-    """Make step 2: all that light can meet besides optics, with extents in mm; of a mesh those of its box."""
+    """Return step 2, the mechanics: all surfaces besides optics, with extents in mm; for meshes those of their box."""
     rows = []
     for i in table.listed:
         kind = role(table, path, i)
@@ -162,7 +163,7 @@ def mechanical_model(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
 
 
 def _extent(shape: Any) -> tuple[tuple[float, float], tuple[float, float], str]:
-    """Return the ranges of z and of the distance from the z axis, mm, and the shape in words."""
+    """Return ranges of z and of the distance from the z axis, mm, and the kind of the shape in words."""
     if not hasattr(shape, "profile"):
         low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
         nearest = np.hypot(*np.maximum(np.maximum(low[:2], -high[:2]), 0.0))

@@ -20,13 +20,13 @@ SOURCE_ANGLES_DEG = (30.0, 40.0, 60.0, 80.0)  # source angles beside the fields 
 
 
 def source_angles(field_deg: Sequence[float], largest_deg: float) -> list[float]:
-    """Return source angles for the illuminated objects, degrees: the fields, and some up to the largest of the PST."""
+    """Return source angles, degrees, for illuminated objects: the fields, and some up to the largest of the PST."""
     beyond = [angle for angle in SOURCE_ANGLES_DEG if angle <= largest_deg and angle > max(field_deg, default=0.0)]
     return sorted({abs(float(field)) for field in field_deg} | set(beyond))
 
 
 def object_steps(found: Objects) -> tuple[StudyStep, StudyStep, StudyStep]:
-    """Make steps 3, 4 and 5 from one search for objects."""
+    """Return steps 3, 4 and 5, critical, illuminated and common objects, from one search."""
     return _critical(found), _illuminated(found), _common(found)
 
 

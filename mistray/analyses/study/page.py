@@ -155,6 +155,7 @@ def write(study: Study, directory: str | Path, command: str = "") -> list[Path]:
     Parameters
     ----------
     study : Study
+        Study to write.
     directory : str or Path
         Created if it is missing, with its parents.
     command : str

@@ -24,6 +24,7 @@ class Study(Mapping[str, StudyStep]):
     Attributes
     ----------
     scene : mi.Scene
+        Loaded scene.
     name : str
         Name of the system.
     steps : tuple of StudyStep

@@ -193,7 +193,7 @@ def _angles_and_light(report: GhostReport, curve: Pst) -> dict[str, Any]:
 
 
 def _checked(scene: mi.Scene, chosen: Settings) -> Settings:
-    """Refuse polarised sources and limits that a PST does not support; return the settings."""
+    """Return the settings; raise `MistrayError` for polarised sources and limits that a PST does not support."""
     if polarized := polarized_sources(scene):
         raise MistrayError(
             f"source '{polarized[0]}' is polarised, and a study compares its light with a PST, which is of unpolarised "

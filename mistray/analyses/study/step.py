@@ -30,7 +30,7 @@ def count_of(number: int, what: str) -> str:
 
 
 def gathered(column: str, tables: Iterable[tuple[float, pd.DataFrame]]) -> pd.DataFrame:
-    """Return the tables of several angles as one, with the angle in a first column."""
+    """Return the tables of several angles as one, with the angle in a first column named `column`."""
     parts = [table.assign(**{column: float(angle)})[[column, *table]] for angle, table in tables]
     return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
 
@@ -57,6 +57,7 @@ class StudyStep:
     text : str
         Account of what was done, in a sentence or two.
     facts : tuple of Fact
+        Single results of the step.
     tables : dict
         DataFrames by name; the first is the main one. Columns end in their unit, standard errors in ``_se`` and the
         unit of their value.
@@ -83,7 +84,7 @@ class StudyStep:
 
     @classmethod
     def of(cls, key: str, text: str, **more: Any) -> StudyStep:
-        """Make the step with a key; its number follows from the key."""
+        """Return a step by its key, from which its number follows."""
         return cls([name for name, _ in STEPS].index(key) + 1, key, text, **more)
 
     @property

@@ -83,7 +83,9 @@ def importance_sampling(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     path : DesignPath, optional
+        Design path of the scene, if it has one.
     targets : mapping
         Place of scatter → targets, as from `mistray.sampling.importance_targets.importance_targets`.
     probe : Trace, optional
@@ -144,7 +146,7 @@ def importance_sampling(
 
 
 def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float, ...]:
-    """Return distance, half width and height (mm) and half angle (degrees) of a target, as seen from a vertex."""
+    """Return distance, half width and half height, mm, and half angle, degrees, of a ray target as a vertex sees it."""
     if isinstance(target, TargetCone):
         return math.nan, math.nan, math.nan, math.degrees(target.half_angle)
     distance = float(np.linalg.norm(target.centre - vertex))
@@ -156,7 +158,7 @@ def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float
 
 
 def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame, far_away: float) -> pd.DataFrame:
-    """Return the paraxial images of the detector behind the surfaces of the path, beside each traced target."""
+    """Return the paraxial images of the detector as seen from surfaces of the path, beside the traced targets."""
     rows = []
     images = DetectorImages(path).paraxial if path is not None else []
     for image, step in zip(images[1:], path.steps if path is not None else (), strict=False):
@@ -177,7 +179,7 @@ def _sampling_facts(check: SamplingCheck, probe: Trace) -> tuple[Fact, ...]:
 
 
 def _aimed(check: SamplingCheck) -> pd.DataFrame:
-    """Return aimed rays of each surface and the percentage that lands, the most often aimed first, as a frame."""
+    """Return a frame of aimed rays by surface, with the percentage that arrives; most often aimed surfaces first."""
     rows = [(row.surface, row.aimed, 100 * row.share_landed, row.low) for row in check.rows]
     frame = pd.DataFrame(rows, columns=["surface", "aimed", "landed_percent", "low"])
     return frame.sort_values("aimed", ascending=False, kind="stable", ignore_index=True)

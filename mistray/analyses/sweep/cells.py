@@ -30,6 +30,7 @@ class Cell:
     Attributes
     ----------
     configuration : Resolved
+        Configuration of the scene.
     wavelength_nm, field_deg : float
         Wavelength, nm, and field angle, degrees.
     """
@@ -40,7 +41,7 @@ class Cell:
 
     @property
     def name(self) -> tuple[str, float, float]:
-        """Return the entries of the columns `mistray.analyses.sweep.result.CELL`."""
+        """Return configuration name, field angle (degrees) and wavelength (nm): the key of a row."""
         return self.configuration.name, self.field_deg, self.wavelength_nm
 
     def __str__(self) -> str:
@@ -54,6 +55,7 @@ class KeptRows:
     Parameters
     ----------
     store : Cache
+        Cache of results.
     contents : SceneContents
         Contents of the scene's files, recorded before the scene was loaded.
     facts : mapping
@@ -65,7 +67,7 @@ class KeptRows:
         self._changed = False
 
     def key(self, cell: Cell) -> str:
-        """Return the cache key of a row, from the values that its configuration sets, not from its name."""
+        """Return the cache key of a row; it depends on the values of the configuration, not on its name."""
         values = {key: numbers.tolist() for key, numbers in cell.configuration.values.items()}
         own = {"values": values, "field_deg": cell.field_deg, "wavelength_nm": cell.wavelength_nm}
         return key_of({**self._facts, **own})
@@ -76,14 +78,14 @@ class KeptRows:
         return {cell: numbers for cell, numbers in found.items() if numbers is not None}
 
     def keep(self, cell: Cell, numbers: Numbers) -> None:
-        """Store a row, unless files of the scene have changed since: some are read only when a trace needs them."""
+        """Store a row in the cache, unless files of the scene have changed since it was loaded."""
         self._changed = self._changed or not self._contents.unchanged()
         if not self._changed:
             self.store.put(self.key(cell), json.dumps(numbers).encode())
 
     @property
     def problems(self) -> list[str]:
-        """Problems with the cache, and with files of the scene that changed, one line each."""
+        """Problems with the cache, and with scene files that changed during the sweep, one line each."""
         return [*self.store.problems, *([CHANGED] if self._changed else [])]
 
 
@@ -108,7 +110,7 @@ class SceneContents:
         self.hashes = [file_fingerprint(path) for path in self._files]
 
     def unchanged(self) -> bool:
-        """Return whether the files are unchanged; contents are read again only if a time or size has changed."""
+        """Return whether the scene's files are unchanged; they are read again only if a time stamp or size differs."""
         try:
             return _stamps(self._files) == self._stamps or SceneContents(self._scene).hashes == self.hashes
         except (MistrayError, OSError):  # gone, or half written by an editor
@@ -127,6 +129,7 @@ def traced_facts(contents: SceneContents, settings: Settings, azimuth_deg: float
     Parameters
     ----------
     contents : SceneContents
+        Contents of the scene's files.
     settings : Settings
         Settings as they hold, those of the scene's own integrator included.
     azimuth_deg : float, optional

@@ -133,7 +133,7 @@ def run(options: Options) -> int:
 
 
 def _run_pst(options: Options) -> int:
-    """Compute and print the effect of the configurations on the PST, and return the exit code."""
+    """Compute and print the effect of the configurations on the PST, write its files, and return the exit code."""
     from mistray.analyses.sweep.request import EditsRequest, RankingRequest
 
     options.refuse(OF_FIELDS, " is for traces of fields; leave it out with --pst-field-deg")
@@ -180,7 +180,7 @@ def _write_scene(options: Options) -> int:
 
 
 def _edited(options: Options) -> bool:
-    """Return whether the command line defines a configuration."""
+    """Return whether options of the command line define a configuration."""
     return bool(options.set or options.coating or options.paint)
 
 
@@ -202,7 +202,7 @@ def _configurations(options: Options) -> list[Configuration]:
 
 
 def _entries(options: Options) -> int:
-    """Return the number of results in the cache; 0 without a cache."""
+    """Return the number of rows in the cache; 0 without a cache."""
     from mistray.cache import open_cache
 
     cache = open_cache(False if options.no_cache else None)

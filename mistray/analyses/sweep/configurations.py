@@ -31,6 +31,7 @@ class Configuration:
     Attributes
     ----------
     name : str
+        Name of the configuration.
     values : mapping of str to float or sequence of float
         Parameters and their values in their units: keys of ``mi.traverse(scene)``, names of groups such as
         ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.groups`, or patterns of both with ``*``, ``?``
@@ -50,7 +51,7 @@ class Configuration:
 
     @property
     def rebuilds(self) -> bool:
-        """Whether it changes more than parameter values, so that the scene must be rebuilt."""
+        """Whether the configuration changes more than parameter values, so that the scene must be rebuilt."""
         return bool(self.paint or self.coat or self.block)
 
 
@@ -62,6 +63,7 @@ class Resolved:
     Attributes
     ----------
     name : str
+        Name of the configuration.
     values : dict of str to (entries,) float64
         Values by key of ``mi.traverse(scene)``, rounded as the scene stores them.
     units : dict of str to str
@@ -116,9 +118,11 @@ def resolve(scene: Any, params: Any, given: Sequence[Configuration]) -> list[Res
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     params : mi.SceneParameters
         ``mi.traverse(scene)``.
     given : sequence of Configuration
+        Configurations to resolve.
 
     Raises
     ------

@@ -28,6 +28,7 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
     Parameters
     ----------
     found : PstSweep
+        PST of each configuration.
     title : str
         Name of the optical system.
     """
@@ -73,7 +74,7 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
 
 
 def _scale_ratios(axes: Axes, ratios: Sequence[float]) -> None:
-    """Make the axis logarithmic for ratios over a decade, or else widen it about 1 to keep noise small."""
+    """Make the axis of ratios logarithmic if they span a decade; else widen it about 1, so that noise looks small."""
     low, high = min(ratios), max(ratios)
     if low > 0 and high / low > DECADE:
         axes.set_yscale("log")

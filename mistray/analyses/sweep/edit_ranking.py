@@ -66,6 +66,7 @@ class Edit:
     method : str
         One of `METHODS`.
     line : Line
+        Parameter, or parameters that change together, of the edit.
     label, kind, unit : str
         Label, kind and unit of the line, see `mistray.analyses.sensitivity.rows.SensitivityRow`.
     value : float
@@ -160,9 +161,9 @@ class EditRanking:
 
 def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Progress | None = None) -> EditRanking:
     """
-    Rank what can be moved, blocked, painted or coated by what one step of it does to the PST, to first order.
+    Rank possible edits (moves, blocks, paint, coatings) by the first-order effect of one step of each on the PST.
 
-    One PST, and for each field angle one reverse run that gives the derivatives by all numbers.
+    It takes one PST and, for each field angle, one reverse-mode run that gives the derivatives by all parameters.
 
     ====== ========================================================================================================
     move   places and tilts of parts as a whole
@@ -171,8 +172,8 @@ def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Prog
     coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
     ====== ========================================================================================================
 
-    Steps are in the unit of the parameter, or per cent of its value as text, ``"2 %"``. Those of keys count before
-    those of kinds, and later before earlier.
+    Steps are in the unit of the parameter, or text in percent of its value, ``"2 %"``. A step by key overrides one by
+    kind, and a later one overrides an earlier one.
 
     Parameters
     ----------
@@ -251,12 +252,12 @@ rank_edits = analysis("rank_edits", RankingRequest, run)
 
 
 def _certain(change: Estimate) -> float:
-    """Return the part of a change that is certain: its size less `CERTAIN` standard errors, at least 0."""
+    """Return the part of a change that is certain, at least 0: its magnitude less `CERTAIN` standard errors."""
     return max(abs(change.value) - CERTAIN * change.se, 0.0)
 
 
 def _order(edit: Edit) -> tuple[bool, bool, float, float]:
-    """Return the sort key of an edit: certain ones first, without gaps before with; then by certain change and size."""
+    """Return the key to sort edits by: certain ones first, without gaps first, then by certain change and by size."""
     certain = max(map(_certain, edit.change))
     return certain == 0, bool(edit.gaps), -certain, -max(abs(change.value) for change in edit.change)
 
@@ -278,7 +279,7 @@ def _with_gaps(scene: Any, params: Any, known: Mapping[str, Parameter], edits: S
 
 
 def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
-    """Return the method of `METHODS` for each parameter by key; parameters without one are left out."""
+    """Return the kind of edit, one of `METHODS`, for each parameter by key; parameters without one are left out."""
     rigid = structure(scene)
     parts: dict[str, list[str]] = {}
     for shape in scene.shapes():
@@ -299,14 +300,14 @@ def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
 
 
 def _lines(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Sequence[str]) -> list[Line]:
-    """Return the lines of a sensitivity table, except that parts with optics also move and tilt as a whole."""
+    """Return the lines of a sensitivity table, with lines for the motion of parts with optics as a whole added."""
     whole = {key: line for body in bodies(known).values() for line in motion_lines(body, known) for key in line.keys}
     moved = {whole[key].label: whole[key] for key in chosen if key in whole}
     return [*moved.values(), *lines_of(scene, params, known, [key for key in chosen if key not in whole])]
 
 
 def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping[str, float | str]) -> dict[str, float]:
-    """Return the step of the parameter of each line, in its unit, by key."""
+    """Return the step of each line's parameter by key, in the unit of the parameter."""
     by_kind = {**STEPS, **{name: step for name, step in given.items() if name in STEPS}}
     wanted = {line.parameter.key: by_kind[line.parameter.kind] for line in lines}
     for name, step in given.items():

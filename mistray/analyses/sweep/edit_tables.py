@@ -59,6 +59,7 @@ def edit_ranking_table(found: EditRanking, count: int = 20) -> Table:
     Parameters
     ----------
     found : EditRanking
+        Ranking of the edits.
     count : int
         Largest number of rows.
     """

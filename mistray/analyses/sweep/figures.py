@@ -29,6 +29,7 @@ def sweep_figure(result: Sweep, title: str = "") -> Figure:
     Parameters
     ----------
     result : Sweep
+        Sweep to draw.
     title : str
         Name of the optical system.
     """

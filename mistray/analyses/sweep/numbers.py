@@ -107,11 +107,11 @@ def read_numbers(content: bytes) -> Numbers:
 
 
 def entering_columns(found: Sequence[Entering]) -> dict[str, Any]:
-    """Return the columns on light that enters by new first surfaces: their names and percentage of the light."""
+    """Return table columns for light that enters by new first surfaces: their names and the percentage of the light."""
     percent = Estimate(*(100 * number for number in together(found)))
     return flat({"entering": " ".join(one.surface for one in found), "entering_percent": percent})
 
 
 def widest(gaps: Iterable[Gap]) -> float:
-    """Return the widest gap that a change opens, mm; NaN without any."""
+    """Return the widest gap between surfaces that a change opens, mm; NaN if there is none."""
     return max((gap.gap_mm for gap in gaps), default=math.nan)

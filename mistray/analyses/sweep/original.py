@@ -57,7 +57,7 @@ class Original:
 
 
 def move(scene: mi.Scene, one: Configuration) -> Resolved:
-    """Set the values of a configuration in a scene, check for overlaps, and return the resolved configuration."""
+    """Set the values of a configuration in a scene, check for overlaps, and return the configuration with its keys."""
     params = mi.traverse(scene)
     (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
     assign(params, resolved.values)
@@ -66,7 +66,7 @@ def move(scene: mi.Scene, one: Configuration) -> Resolved:
 
 
 class _File:
-    """Scene file as the original of a sweep."""
+    """Original of a sweep that is a scene file."""
 
     parts: ClassVar[dict[str, Any]] = {}
 
@@ -83,7 +83,7 @@ class _File:
 
 
 class _Loaded:
-    """Loaded scene as the original of a sweep, with the source that it was loaded from."""
+    """Original of a sweep that is a loaded scene, with the source that it was loaded from."""
 
     def __init__(self, scene: mi.Scene) -> None:
         self._source = source_of(scene)
@@ -97,7 +97,10 @@ class _Loaded:
         return scene
 
     def file(self, folder: Path) -> Path:
-        """Return its file, unpacked in a folder; raise an error if it has none or differs from the scene."""
+        """Return the scene's file, unpacked in a folder.
+
+        Raise `MistrayError` if there is none or the scene differs from it.
+        """
         if not isinstance(self._source, PackedScene):
             raise MistrayError(
                 "a scene of a dict cannot be painted, coated or blocked; write it to an XML file and load that"

@@ -45,7 +45,7 @@ def text(result: Sweep) -> str:
 
 
 def polarization_lines(result: Sweep) -> list[str]:
-    """Return a line for each polarisation mode: its number of rows, and the reason of the row with most change."""
+    """Return a line for each polarisation mode: its number of rows, and the reason for it in the most affected row."""
     found = []
     for mode in dict.fromkeys(row["polarization"] for row in result.rows):
         rows = [row for row in result.rows if row["polarization"] == mode]
@@ -63,7 +63,7 @@ def cache_line(result: Sweep) -> str:
 
 
 def values_text(result: Sweep, configuration: str, most: int = 4) -> str:
-    """Return the values that a configuration sets as one line; beyond `most` parameters only their number."""
+    """Return the values that a configuration sets as one line; for more than `most` parameters only their number."""
     (one,) = (one for one in result.configurations if one.name == configuration)
     if not one.values:
         return "the scene as it is"
@@ -135,7 +135,7 @@ def page(result: Sweep, title: str = "scene", command: str = "") -> Report:
 
 def write_sweep(result: Sweep, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
     """
-    Write sweep.csv, configurations.csv, sweep.json, sweep.png and report.html, each whole or not at all.
+    Write sweep.csv, configurations.csv, sweep.json, sweep.png and report.html, all or none of them.
 
     `page` documents `title` and `command`. Returns the files written; report.html is the last.
     """

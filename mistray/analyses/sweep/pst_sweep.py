@@ -58,7 +58,7 @@ class Changed:
 
     @property
     def gain(self) -> bool:
-        """Whether light decreases, and at most 1 % of it enters by surfaces that let none in before."""
+        """Whether stray light decreases, and at most 1 % of it enters by surfaces that admitted none before."""
         return self.ratio < 1 and not spoils(self.entering)
 
 
@@ -102,6 +102,7 @@ class PstSweep:
         Parameters
         ----------
         configuration : str
+            Name of the configuration.
         field_deg : float
             Field angle, degrees, one of `field_deg`.
         classes : str or sequence of str
@@ -188,10 +189,10 @@ def run(
     scene: str | Path | mi.Scene, request: EditsRequest, *, configurations: Given, progress: Progress | None = None
 ) -> PstSweep:
     """
-    PST of a scene as it is and of each configuration, with the same random numbers.
+    Compute the PST of a scene as it is and in each configuration, with common random numbers.
 
-    All runs count equal ways of the light from the same direction, by as many rays, and forward rays cover the
-    surfaces of all configurations: what an edit does not touch is equal in both, ray by ray.
+    All runs use the same method, directions and numbers of rays, and forward rays cover the surfaces of all
+    configurations. So light that an edit does not touch is the same in all, ray by ray.
 
     Parameters
     ----------
@@ -200,7 +201,7 @@ def run(
         which stays as it is.
     request : EditsRequest
     configurations : mapping of str to mapping, or sequence of Configuration
-        What is changed; a mapping gives values of parameters only.
+        Changes of the scene; a mapping gives values of parameters only.
     progress : callable, optional
         Called after every PST with (PSTs done, PSTs to do).
 
@@ -211,9 +212,9 @@ def run(
     Raises
     ------
     MistrayError
-        If a configuration names what the scene has not, makes surfaces overlap or an edit is impossible, an argument
-        is unknown, a loaded scene is none of `mistray.load`, one of a dict or with other numbers than its file is to be
-        painted, coated or blocked, or what `mistray.pst` raises.
+        If a configuration names something that the scene lacks, makes surfaces overlap or is impossible; if an argument
+        is unknown; if a loaded scene is not from `mistray.load`, or is to be painted, coated or blocked although it has
+        no file or other values than its file; or for any reason of `mistray.pst`.
     """
     wanted = as_configurations(configurations)
     if any(one.name == AS_IT_IS for one in wanted):

@@ -47,7 +47,7 @@ def _configuration(section: TomlSection) -> Configuration:
 
 
 def _structure(section: TomlSection) -> Structure:
-    """Read a frustum that absorbs all light, mm; for a flat ring one z suffices, for a tube one radius."""
+    """Return an absorbing frustum from TOML, mm; one z gives a flat ring, one radius a tube."""
     section.known(("name", "r0", "z0", "r1", "z1"))
     r0, z0, r1, z1 = (section.value(key, FINITE, None) for key in ("r0", "z0", "r1", "z1"))
     if r0 is None or z0 is None:

@@ -39,7 +39,7 @@ class SweepRequest(Request):
 
 @dataclass(frozen=True)
 class EditsRequest(PstRequest):
-    """Point source transmittances that are compared before and after edits; its fields describe themselves."""
+    """Request of a comparison of point source transmittances (PSTs) before and after edits."""
 
     field_deg: tuple[float, ...] = field(
         Each(PST_FIELD_DEG),
@@ -58,7 +58,7 @@ class EditsRequest(PstRequest):
 
 @dataclass(frozen=True)
 class RankingRequest(Request):
-    """Edits that are ranked by what a step of them does to the PST; its fields describe themselves."""
+    """Request of a ranking of edits by the effect of one step of each on the PST."""
 
     field_deg: tuple[float, ...] = field(
         Each(PST_FIELD_DEG), MISSING, "field angles of the PST, degrees", option="--pst-field-deg"
@@ -98,7 +98,7 @@ class RankingRequest(Request):
 
 @dataclass(frozen=True)
 class SweepChoice(Request):
-    """What the command sweeps instead of fields, and a configuration of its own."""
+    """Choice of `mistray sweep`: a PST before and after edits instead of fields, and a configuration by options."""
 
     pst_field_deg: tuple[float, ...] | None = field(
         Each(PST_FIELD_DEG),

@@ -99,11 +99,11 @@ class Sweep:
 
     @cached_property
     def _row_of(self) -> dict[tuple[Any, ...], Numbers]:
-        """Rows by the entries of `CELL`."""
+        """Rows by their entries of the columns `CELL`: configuration, field angle and wavelength."""
         return {tuple(row[key] for key in CELL): row for row in self.rows}
 
     def shown(self, row: Numbers) -> Numbers:
-        """Return a row of `rows` with the columns of `to_pandas`."""
+        """Return a row with the columns that `to_pandas` shows."""
         numbers = {key: value for key, value in row.items() if key != FIRST_LIGHT}
         if self.base is None:
             return numbers
@@ -112,7 +112,7 @@ class Sweep:
 
     @property
     def base(self) -> str | None:
-        """Name of the configuration without changes, if there are others to compare with it, else None."""
+        """Name of the configuration without changes, to compare others with it; None if there are no others."""
         if len(self.configurations) < 2:
             return None
         return next((one.name for one in self.configurations if not one.values), None)
@@ -136,7 +136,7 @@ class Sweep:
 
     @property
     def opened(self) -> list[str]:
-        """Gaps that configurations open and light that enters by them, one line each."""
+        """Descriptions, one line each, of gaps that configurations open and of light that enters by them."""
         found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
         for row in self.rows:
             cell = tuple(row[key] for key in CELL)
@@ -220,7 +220,7 @@ class Sweep:
         return ghosts(self._scene(name), self.field_deg, wavelength, contested_rays=0, **self.arguments)
 
     def _scene(self, name: str) -> Any:
-        """Return the scene of a configuration, loaded once and cached, because traces use it again later."""
+        """Return the scene of a configuration, loaded once and kept, because later traces use it again."""
         if name in self._scenes:
             return self._scenes[name]
         one = next(one for one in self.configurations if one.name == name)

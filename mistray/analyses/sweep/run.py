@@ -173,7 +173,7 @@ def _traced(scene: Any, cell: Cell, arguments: Mapping[str, Any], progress: Any)
 
 @contextlib.contextmanager
 def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
-    """Put a scene into a configuration within a block, and restore it afterwards."""
+    """Set a configuration in a scene within a block, and restore the scene afterwards."""
     if not configuration.values:
         yield
         return
@@ -185,7 +185,7 @@ def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
 
 
 def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> tuple[Cache | None, list[str]]:
-    """Return the cache, or None and the reason if one could be expected."""
+    """Return the cache of a sweep, or None and the reasons if there is none although one was to be expected."""
     if wanted is False:
         return None, []
     reason = None
@@ -203,7 +203,7 @@ def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> t
 
 
 def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> list[float]:
-    """Return the given wavelengths, each once, or those of the scene's source, nm."""
+    """Return the wavelengths of a sweep, nm: the given ones without duplicates, or those of the scene's source."""
     found = spectrum_of(scene, None, None) if wavelength_nm is None else spectrum(wavelength_nm, None)
     return [float(value) for value in found[0]]
 
@@ -211,7 +211,7 @@ def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> l
 def _angles(
     scene: Any, field_deg: Sequence[float] | None, azimuth_deg: float | None, wavelength_nm: float
 ) -> list[float]:
-    """Return the given field angles, each once, or that of the scene's source, degrees."""
+    """Return the field angles of a sweep, degrees: the given ones without duplicates, or that of the scene's source."""
     if field_deg is None:
         own = {float(emitter.field_deg) for emitter in source_emitters(scene)}
         if len(own) > 1:
@@ -225,7 +225,7 @@ def _angles(
 
 
 def _part(progress: Progress | None, done: int, rows: int) -> Callable[[int, int], None] | None:
-    """Return a callback that reports the progress of one trace as a part of the whole sweep."""
+    """Return a callback for one trace that reports its progress as part of the whole sweep."""
     if progress is None:
         return None
     return lambda rays, of: progress(done + rays / of, rows)

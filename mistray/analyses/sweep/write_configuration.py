@@ -21,6 +21,7 @@ def write_configuration(source: str | Path, configuration: Configuration, target
     source : str or Path
         Scene XML file, or the name of a shipped scene.
     configuration : Configuration
+        Configuration to write.
     target : str or Path
         File to write; may be `source` itself.
 

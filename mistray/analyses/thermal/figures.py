@@ -47,7 +47,7 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
 
 
 def narcissus_figure(report: ThermalReport, title: str = "") -> Figure:
-    """Draw the NITD of each reflecting surface, mK, over the distance from the middle of the detector, mm."""
+    """Draw the narcissus-induced temperature difference of surfaces, mK, over the distance from the centre, mm."""
     made, axes = Figure.of_panels(8.6, 4.2)
     edges = np.array(report.zones_mm)
     middles = 0.5 * (edges[1:] + edges[:-1])

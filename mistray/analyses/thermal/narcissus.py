@@ -34,7 +34,7 @@ FAINTEST = 1e-9  # weight below which a ray ends
 @dataclass(frozen=True)
 class NarcissusReturn:
     """
-    Light from the detector that returns to it by one reflection, and its temperature difference, K.
+    Light from the detector that returns to it by one reflection, with its narcissus temperature difference, K.
 
     `by_zone_K` is `with_shield_K` of each zone of the detector, from the middle to the edge, see
     `ThermalReport.zones_mm`.
@@ -60,7 +60,7 @@ class NarcissusReturn:
 
     @derived.column("Difference over the field: middle zone less outermost, K", head="middle - edge [K]")
     def over_field_K(self) -> Estimate:
-        """`with_shield_K` of the middle zone minus that of the outermost, K: the visible part; errors independent."""
+        """Difference of `with_shield_K` between middle and outermost zone, K, which the image shows."""
         if not self.by_zone_K:
             return UNKNOWN
         middle, edge = self.by_zone_K[0], self.by_zone_K[-1]
@@ -117,8 +117,11 @@ def returns(
     Parameters
     ----------
     scene : mi.Scene
-    detector : str, shape id
+        Loaded scene.
+    detector : str
+        Shape id of the detector.
     wavelength_um : float
+        Wavelength, µm.
     rays, seed : int
         Number and seed of the start rays.
     settings : Settings
@@ -154,7 +157,7 @@ def returns(
 
 
 def _zones(o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the zone of each start point (n, 3), mm, and the distances from the middle that bound the zones, mm."""
+    """Return the detector zone of each start point (n, 3), mm, and the zone borders by distance from the middle, mm."""
     distance = np.linalg.norm(o - o.mean(axis=0), axis=1)
     edges = np.quantile(distance, np.linspace(0, 1, ZONES + 1))
     edges[0] = 0.0
@@ -179,10 +182,13 @@ def _follow(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     start : StartRays
+        Rays that leave the detector.
     cell : mi.UInt32
         Zone times BATCHES plus batch, of each start ray.
     max_events : int
+        Largest number of events of a ray.
     missing : mi.Float64
         Missing irradiance by surface, see `returns`.
     sums : list of two mi.Float64
@@ -242,7 +248,7 @@ def _follow(
 
 
 def mean_returns(runs: Sequence[dict[str, Estimate]], weights: np.ndarray) -> dict[str, Estimate]:
-    """Return the sum over the wavelengths of weight times emission, by surface."""
+    """Return, by surface, the sum over wavelengths of emission times weight, with its standard error."""
     names = dict.fromkeys(name for run in runs for name in run)
     zero = Estimate(0.0, 0.0)
     return {

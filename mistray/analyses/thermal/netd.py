@@ -22,7 +22,7 @@ IMAGE, OTHER = "scene, image", "scene, ghosts and scatter"
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """Light on the detector, the share of its photon noise, and the NETD by this noise alone, K."""
+    """Light on the detector: its photon irradiance, its share of the photon noise, and the NETD, K, by it alone."""
 
     name: str = column(
         "A part, a medium in brackets, or the scene: its image, and what comes by ghosts and scatter", head="photons of"
@@ -42,6 +42,7 @@ class Netd:
     Attributes
     ----------
     noise : DetectorNoise
+        Pixel and its noise.
     per_kelvin_W_mm2 : Estimate
         Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
     by_detectivity_K : Estimate
@@ -68,11 +69,12 @@ def netd_budget(
     band: tuple[float, float],
 ) -> Netd:
     """
-    Compute the NETD of a detector from traces of its view.
+    Compute the noise-equivalent temperature difference (NETD) of a detector from traces of its view.
 
     Parameters
     ----------
     noise : DetectorNoise
+        Pixel and its noise.
     runs : two sequences of Seen
         Views of everything and of the image, by wavelength.
     kelvin : mapping of (str, str) to float
@@ -80,6 +82,7 @@ def netd_budget(
     scene_K : float
         Temperature of the scene, K.
     traced : TracedBand
+        Wavelengths at which the optics were traced, with the error of band integrals.
     band : (float, float)
         Band of the detector, µm.
     """
@@ -101,7 +104,7 @@ def netd_budget(
     whole, rise = total(every), total(signal)
 
     def netd(by_wave: Sequence[np.ndarray]) -> Estimate:
-        """Return the NETD by the noise of some light, K; its batches have the same rays as those of the signal."""
+        """Return the NETD, K, that the noise of some light causes; its batches have the rays of those of the signal."""
         flux = total(by_wave).value
         if flux <= 0:
             return Estimate(0.0, 0.0)
@@ -125,7 +128,7 @@ def _photons(
     band: tuple[float, float],
     waves: tuple[float, ...],
 ) -> dict[str, list[np.ndarray]]:
-    """Return the photon irradiance, photons/(s mm²), by wavelength and batch, by name of the emitter."""
+    """Return photon irradiance, photons/(s mm²), by name of the emitter: an array over batches for each wavelength."""
     weights = {k: math.pi * band_weights(k, band, waves, photons=True) for k in {*kelvin.values(), scene_K}}
     direct = [weight * imaged_share(one) for weight, one in zip(weights[scene_K], image, strict=True)]
     every = [weight * one.escaped[2] for weight, one in zip(weights[scene_K], seen, strict=True)]

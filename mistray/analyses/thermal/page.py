@@ -68,7 +68,7 @@ def text(report: ThermalReport, shown: int = SHOWN) -> str:
 
 
 def _sums(report: ThermalReport, digits: int) -> list[list[Value]]:
-    """Return the sums over the whole system: text, unit and value, with its error if known."""
+    """Return rows with the sums over the whole system: text, unit, and value with its error if known."""
     rows = [
         ("self-emission", "W/mm²", report.total_W_mm2),
         (f"image of a blackbody scene at {report.scene_K:g} K", "W/mm²", report.image_W_mm2),

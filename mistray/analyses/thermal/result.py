@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Emitter:
-    """Surface or medium and the irradiance that it puts on the detector; a row of `ThermalReport.to_pandas`."""
+    """Surface or medium with the irradiance that its thermal light causes on the detector, W/mm²."""
 
     name: str = column("Surface id, or the material of a medium", head="emitter")
     part: str = column('Part that a surface belongs to; "" for a medium', empty="(medium)")
@@ -65,14 +65,17 @@ class ThermalReport:
         Narcissus-induced temperature difference, K: change of the scene's temperature at `scene_K` that would remove as
         much light as narcissus. Narcissus is the view by ghosts and scatter of everything colder than `temperature_K`,
         mainly the detector; see `mistray.physics.planck.narcissus_nitd`. NaN if no scene is seen or nothing is colder.
-    temperature_K, detector_K, scene_K : float, K
-    band_um : (float, float), µm
+    temperature_K, detector_K, scene_K : float
+        Temperatures of system, detector and scene, K.
+    band_um : (float, float)
+        Ends of the band, µm.
     wavelengths_um : tuple of float
         Wavelengths at which the optics were traced, µm.
     band_error : float
         Bound of the relative error of band integrals by these wavelengths; divided by √3 it is part of the standard
         errors of means and integrals over the band. NaN if the optics are not known over the whole band.
     detector : str
+        Id of the detector's shape.
     returned : list of NarcissusReturn
         Surfaces by which the cold detector sees itself and its shield, the strongest first; empty if it does not see
         itself or is not colder than the rest.
@@ -128,7 +131,7 @@ class ThermalReport:
 
     @property
     def noise_sources(self) -> list[NoiseSource]:
-        """Light on the detector with its photon noise; empty without a quantum efficiency."""
+        """Light on the detector and its photon noise, by source; empty without a quantum efficiency."""
         return self.netd.sources if self.netd else []
 
     @property

@@ -68,6 +68,7 @@ def run(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     request : ThermalRequest
     progress : callable, optional
         Called with (traces done, traces in all).
@@ -163,7 +164,7 @@ def _with_returns(
 
 
 def _check_names(scene: mi.Scene, rules: Mapping[str, float]) -> None:
-    """Refuse a name that fits no surface, part or material, before anything is traced."""
+    """Raise `MistrayError` for a name that fits no surface, part or material, before anything is traced."""
     names, parts = set(), set()
     for shape in scene.shapes():
         parts.add(str(getattr(shape, "part", shape.id())))
@@ -189,7 +190,7 @@ def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, fl
 
 
 def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen]) -> Emitter:
-    """Make the emitter of a surface or medium; `weights` (W/mm²) are those of its temperature, times π."""
+    """Return the result for a surface or medium at `kelvin`; `weights` are its spectral weights times π, W/mm²."""
     kind, name = key
     by_batch = [emission(one, key) for one in seen]
     # Of what is at 0 K the emission is the plain mean over the wavelengths
@@ -216,7 +217,7 @@ def _report(
     rules: Mapping[str, float],
     settings: Mapping[str, Any],
 ) -> ThermalReport:
-    """Make the report from the traces of everything and of the image, at all wavelengths."""
+    """Return the report from the traces of the whole view and of the image alone, at all wavelengths."""
     waves, kelvin = traced.wavelengths_um, _temperatures(seen, default_K, rules)
     weights = {k: np.pi * band_weights(k, band, waves) for k in {*kelvin.values(), default_K, scene_K}}
     known = partial(with_band_error, bound=traced.error)
@@ -271,7 +272,7 @@ def _nitd(
     housing_K: float,
     rise: Sequence[np.ndarray],
 ) -> Estimate:
-    """Return the NITD by everything colder than the housing that is seen by ghosts or scatter, K."""
+    """Return the narcissus-induced temperature difference, K, by ghosts and scatter that show cold surfaces."""
     cold = {key: k for key, k in kelvin.items() if k < housing_K}
     other = {key: k for key, k in cold.items() if key != ("surface", seen[0].detector)}
     if not cold:
@@ -292,7 +293,7 @@ def _nitd(
 def _returned(
     report: ThermalReport, found: Sequence[Returned], runs: tuple[list[Seen], list[Seen]]
 ) -> list[NarcissusReturn]:
-    """Return the light that each surface sends back to the detector, the strongest first."""
+    """Return the light that returns to the detector by each surface, the strongest first."""
     emitted, nothing = [one.emission for one in found], np.zeros_like(found[0].scene)
     housing, own = (
         np.pi * band_weights(kelvin, report.band_um, report.wavelengths_um)

@@ -49,8 +49,10 @@ def band_weights(
 
     Parameters
     ----------
-    temperature_K : float, K
-    band_um : (float, float), µm
+    temperature_K : float
+        Temperature of the blackbody, K.
+    band_um : (float, float)
+        Ends of the band, µm.
     wavelengths_um : (m,) sequence of float
         Wavelengths, µm, ascending. Between them a value is linear, beyond them constant.
     derivative : bool
@@ -151,7 +153,7 @@ def traced_wavelengths(
     whole = np.maximum(weights @ shares, least)
 
     def errors(at: np.ndarray) -> np.ndarray:
-        """Contribution of each node to the relative error, (temperatures, nodes, shares)."""
+        """Return the contribution of each node to the relative error, (temperatures, nodes, shares)."""
         lines = np.stack([np.interp(nodes, at, np.interp(at, nodes, column)) for column in shares.T], axis=1)
         return np.asarray(weights[:, :, None] * np.abs(shares - lines) / whole[:, None])
 
@@ -170,7 +172,7 @@ def traced_wavelengths(
 
 
 def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
-    """Return the wavelengths of tables of materials and coatings within a band, and an even grid, µm."""
+    """Return the wavelengths at which material and coating data are tabulated within a band, and an even grid, µm."""
     found = [np.linspace(*band_um, EVEN_NODES)]
     for bsdf in bsdfs:
         if not bsdf.opaque or isinstance(bsdf.coating, Stack):
@@ -184,7 +186,7 @@ def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
 
 
 def _lengths(scene: mi.Scene, wavelength_nm: float) -> dict[str, np.ndarray]:
-    """Return lengths of rays, (2, m) mm, in the bodies before and behind each surface, by its id."""
+    """Return lengths of ray segments, (2, m) mm, in the bodies in front of and behind each surface, by its id."""
     table = SurfaceTable(scene, wavelength_nm)
     found = {}
     for number, name in enumerate(table.ids):
@@ -210,6 +212,7 @@ def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.nd
     (nodes, shares) float64
         Shares absorbed and passed by the bodies; reflected, transmitted and absorbed by the surface.
     (shares,) float64
+        Least value of each share to which errors are relative.
     """
     depths = 4e6 * np.pi * numbers[:, 2:4, None] * lengths  # k/λ of both sides, 1/nm
     # From either side R and then T at each cosine
@@ -222,7 +225,7 @@ def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _optics(bsdf: Any, wavelength_nm: float) -> np.ndarray:
-    """Return the optical values of an interface that its emission depends on: indices, absorption, coating, scatter."""
+    """Return numbers on which emission at an interface depends: indices, absorption, coating and scatter, (n,)."""
     sides: tuple[complex, complex] = (1 + 0j, 1 + 0j)
     if not bsdf.opaque or isinstance(bsdf.coating, Stack):
         front, back = bsdf.complex_indices(wavelength_nm)

@@ -30,7 +30,7 @@ IMAGE_DECADES = 6
 
 
 def mtf_figure(found: FieldTransfer, title: str = "") -> Figure:
-    """Draw the MTF with and without stray light, and the contrast lost to stray light, against frequency, 1/mm."""
+    """Draw the MTF with and without stray light, and the contrast lost to stray light, over frequency in 1/mm."""
     figure, (left, right) = Figure.of_panels(10.4, 4.4, 1, 2)
     nu = found.frequencies_per_mm
     for azimuth in AZIMUTHS:
@@ -63,7 +63,7 @@ def mtf_figure(found: FieldTransfer, title: str = "") -> Figure:
 
 
 def spread_figure(found: FieldTransfer, title: str = "") -> Figure:
-    """Draw irradiance about the image by part, encircled energy and the light outside, with and without stray light."""
+    """Draw irradiance about the image by class, encircled energy, and light outside, with and without stray light."""
     figure, (left, middle, right) = Figure.of_panels(12.6, 4.2, 1, 3)
     edges, area = found.edges_mm, np.pi * np.diff(found.edges_mm**2)
     total = sum(part.value for part in found.ring_shares.values()) / area
@@ -121,12 +121,12 @@ def _and(found: FieldTransfer) -> str:
 
 
 def _middle(edges: Array) -> Array:
-    """Return the radii at which rings are drawn, mm: means of their edges, geometric beyond the first octave."""
+    """Return the radii at which ring values are drawn, mm: means of the edges, geometric beyond the first octave."""
     return np.asarray(np.sqrt(np.maximum(edges[:-1], edges[1:] / 4) * edges[1:]))
 
 
 def _sure(edges: Array, part: TransferCurve) -> tuple[Array, TransferCurve]:
-    """Join rings outwards until each has a value of `SURE` standard errors; return radii, mm, and irradiance, 1/mm²."""
+    """Join rings outwards until each value exceeds `SURE` standard errors; return radii, mm, and irradiance, 1/mm²."""
     ends, value, square = [0], 0.0, 0.0
     values, errors = [], []
     for k in range(len(part.value)):

@@ -75,11 +75,11 @@ class ImageSpread(PassingLight):
 
     @property
     def code(self) -> Hashable:
-        """Key that distinguishes kernels by the class, by whether there are Fourier sums, and by the design."""
+        """Key of the compiled kernel: the class, whether there are Fourier sums, and the design sequences."""
         return type(self).__name__, self._waves > 0, self._design.code
 
     def attach(self, scene: KernelScene) -> None:
-        """Prepare for a trace of a scene, with all sums at zero."""
+        """Prepare the recorder for a trace of a scene, with all sums at zero."""
         super().attach(scene)
         self._line = scene.table.wavelength_nm
         self._at = [dr.opaque(mi.Float, float(v)) for v in self._point]
@@ -90,11 +90,11 @@ class ImageSpread(PassingLight):
 
     @property
     def by_ray(self) -> bool:
-        """Whether the memory of a lane belongs to one start ray: False, since every path starts the same."""
+        """Whether each start ray needs memory of its own: no, as every path begins with equal values."""
         return False
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the light that the detector absorbs at a visit to rings and Fourier sums."""
+        """Add the light that the detector absorbs at a ray's hit to the rings and Fourier sums."""
         here, state = visit.counted, visit.state
         kind = dr.select(self._design.hold(state["key"], False), mi.UInt32(DIRECT), GHOSTS)
         if visit.scatters:
@@ -123,7 +123,10 @@ class ImageSpread(PassingLight):
         dr.while_loop((start, mi.Bool(here)), lambda k, more: more, add_wave, labels=("wave", "more"))
 
     def collect(self, unit: float) -> None:
-        """Store the light of a traced wavelength by itself and add it to the total; `unit` is W per unit of weight."""
+        """Store the light at the traced wavelength, and add it to the total.
+
+        `unit` is the power in W of a ray of weight 1.
+        """
         before, self._flux = self._flux, None
         super().collect(unit)
         found = self.flux
@@ -137,10 +140,10 @@ class ImageSpread(PassingLight):
         return light[kind * size : (kind + 1) * size]
 
     def rings(self, kind: int, wavelength_nm: float | None = None) -> Sampled:
-        """Flux of a class on the innermost disc and the rings, W, (n,); of one wavelength or of all."""
+        """Flux of a light class in the innermost disc and the rings, W, (n,); at one wavelength or in all."""
         return self._of(kind, wavelength_nm)[: self._rings]
 
     def waves(self, kind: int, wavelength_nm: float | None = None) -> tuple[Sampled, Sampled]:
-        """Return real and imaginary part of the Fourier sums of a class, W, (m,) each; of one wavelength or of all."""
+        """Return real and imaginary part of a light class's Fourier sums, W, (m,) each; at one wavelength or in all."""
         found = self._of(kind, wavelength_nm)[self._rings :]
         return found[0::2], found[1::2]

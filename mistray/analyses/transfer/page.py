@@ -31,6 +31,7 @@ def transfer_parts(found: Transfer, title: str = "") -> list[PagePart]:
     Parameters
     ----------
     found : Transfer
+        Images of points with stray light.
     title : str
         Name of the optical system.
     """

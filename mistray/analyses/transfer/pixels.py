@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PixelResponse(Request):
-    """Transfer function of a detector: the product of what is given; its fields describe themselves."""
+    """Transfer function of a detector: product of pixel aperture, charge diffusion and a measured curve, if given."""
 
     pixel_mm: float | tuple[float, ...] = field(
         Each(RADIUS_MM),

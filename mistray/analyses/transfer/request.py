@@ -30,12 +30,12 @@ COSINE = Range(0.0, 1.0, above=True)
 
 
 class Curve(Demand):
-    """Demand for a curve: places, and as many values."""
+    """Demand for a curve: two sequences of numbers of equal length, abscissae and values."""
 
     demand = "must be two sequences of numbers, places and values"
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return both as tuples; raise `MistrayError` if they are no two sequences of numbers."""
+        """Return both sequences as tuples; raise `MistrayError` if they are not two sequences of numbers."""
         try:
             places, values = (tuple(float(number) for number in column) for column in value)
         except (TypeError, ValueError):
@@ -45,7 +45,7 @@ class Curve(Demand):
 
 @dataclass(frozen=True)
 class TransferRequest(Request):
-    """Fields, light, detector and frequencies of images with their stray light; its fields describe themselves."""
+    """Request of images of points with their stray light: fields, light, detector and frequencies."""
 
     field_deg: tuple[float, ...] | None = field_of(ImageRequest, "field_deg", None)
     _: KW_ONLY
@@ -79,7 +79,7 @@ class TransferRequest(Request):
 
 @dataclass(frozen=True)
 class SurfaceTransferRequest(Request):
-    """Light at a rough surface; its fields describe themselves."""
+    """Request of a surface transfer function: light at a rough surface."""
 
     wavelength_nm: float = field(WAVELENGTH_NM, MISSING, "vacuum wavelength, nm")
     event: str = field(Words(("reflection", "transmission")), "reflection", "event whose light makes the image")
@@ -98,7 +98,7 @@ class SurfaceTransferRequest(Request):
 
 @dataclass(frozen=True)
 class BsdfTransferRequest(SurfaceTransferRequest):
-    """Light at a surface with scatter models and perhaps a coating; its fields describe themselves."""
+    """Request of a surface transfer function from a BSDF: light at a surface with scatter models and coating."""
 
     share: float = field(
         SHARE, 1.0, "R or T of the coating, with which models relative to the incident light are compared"

@@ -85,7 +85,7 @@ class FieldTransfer:
 
     @property
     def name(self) -> str:
-        """Name of the field."""
+        """Name of the field, such as "10°"."""
         return self.image.name
 
     # Powers
@@ -128,7 +128,7 @@ class FieldTransfer:
         return AZIMUTHS.index(azimuth)
 
     def _waves(self, kind: int, azimuth: str, line: float | None = None) -> _Complex:
-        """Return the Fourier sums of a class about the origin, W, (m,)."""
+        """Return the Fourier sums of a light class about the origin, W, (m,), complex with batch deviations."""
         n, m = self._number(azimuth), len(self.frequencies_per_mm)
         part = slice(n * m, (n + 1) * m)
         real, imaginary = (found[part] for found in self.spread.waves(kind, line))
@@ -136,7 +136,7 @@ class FieldTransfer:
         return found.times(np.exp(-2 * (np.pi * self.resolution_mm * self.frequencies_per_mm) ** 2))
 
     def _direct_otf(self, azimuth: str) -> list[npt.NDArray[np.complex128]]:
-        """Return the OTF of the direct image at each wavelength, about the origin, (m,) each."""
+        """Return the OTF of the direct image about the origin at each wavelength, (m,) each, complex."""
         x, y = direction_of(azimuth)
         f = self.frequencies_per_mm
         moved = np.exp(2j * np.pi * f * float(self.image.centroid_mm @ np.array([x, y])))
@@ -221,7 +221,7 @@ class FieldTransfer:
 
     @cached_property
     def _direct_within(self) -> Array:
-        """Share of the direct image within each of the edges, (n + 1,)."""
+        """Fraction of the direct image within each ring edge, (n + 1,)."""
         return _continued(self.image, self.edges_mm)
 
     @cached_property
@@ -242,7 +242,7 @@ class FieldTransfer:
 
     @property
     def outside(self) -> float:
-        """Share of the light that diffraction of the direct image sends beyond the last ring."""
+        """Fraction of the light on the detector that diffraction of the direct image spreads beyond the last ring."""
         return self.veiling_floor.value * float(1 - self._direct_within[-1])
 
     def psf_rings(self) -> dict[str, TransferCurve]:
@@ -296,7 +296,7 @@ class FieldTransfer:
         return self._encircled(radii, direct) if stray else TransferCurve(direct, np.zeros(len(direct)))
 
     def _encircled(self, radii: Array, direct: Array) -> TransferCurve:
-        """Return the share of all light within circles, given that of the direct image, with standard errors, (m,)."""
+        """Return the fraction of all light within circles, (m,), with errors, given that of the direct image."""
         light = self._direct()
         inner, outer = self.edges_mm[:-1] ** 2, self.edges_mm[1:] ** 2
         part = np.clip((radii[:, None] ** 2 - inner) / (outer - inner), 0, 1)
@@ -350,6 +350,7 @@ class Transfer(OfFields[FieldTransfer]):
     Attributes
     ----------
     fields : tuple of FieldTransfer
+        Image of each field point.
     facts : dict
         Settings and facts of the computation, as plain values.
     notes : tuple of str
@@ -365,12 +366,12 @@ class Transfer(OfFields[FieldTransfer]):
         return pd.DataFrame([one.row() for one in self])
 
     def books(self) -> pd.DataFrame:
-        """Return the balance of the launched light of each field, as shares with standard errors, as a frame."""
+        """Return the fractions of the launched light by destination, with standard errors, a row per field."""
         return pd.DataFrame([flat({"field_deg": one.image.field_deg, **one.books}) for one in self])
 
 
 class _Complex(NamedTuple):
-    """Complex values, (m,), with the deviation of each batch from which errors follow, see `Sampled`."""
+    """Complex values, (m,), with their deviation in each batch of rays, from which errors follow."""
 
     value: npt.NDArray[np.complex128]
     apart: npt.NDArray[np.complex128]

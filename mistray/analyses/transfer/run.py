@@ -49,23 +49,23 @@ def run(
     seconds: float | None = None,
 ) -> Transfer:
     """
-    Image of points with their stray light: scatter and ghost transfer functions, composite MTF and PSF, their books.
+    Compute images of points with stray light: scatter and ghost transfer functions, MTF, PSF and energy balance.
 
-    The direct image is that of `mistray.image_quality`. One trace of each field, with ghosts and scatter, says how much
-    light the detector gets by which class, and where about the direct image. Definitions and limits:
+    The direct image is that of `mistray.image_quality`. One trace of each field, with ghosts and scatter, gives the
+    light on the detector by class and by position about the direct image. Definitions and limits:
     docs/transfer_functions.md.
 
     Parameters
     ----------
     scene : mi.Scene
-        With one source, of a point.
+        Scene with one source, as for `mistray.image_quality`.
     request : TransferRequest
     quality : ImageQuality, optional
-        Of the same scene, if it is known already; fields, wavelengths and detector are then its own and are not given.
+        Image quality of the same scene, if known already; it then sets fields, wavelengths and detector.
     progress : callable, optional
-        Gets what is done and what is to do.
+        Called with the work done so far and the total work.
     seconds : float, optional
-        Time of each trace.
+        Time of each trace, s.
 
     Returns
     -------
@@ -74,8 +74,8 @@ def run(
     Raises
     ------
     MistrayError
-        Where `mistray.image_quality` or `mistray.trace` raises it; if the direct image of a field misses the detector;
-        for several sources, and for numbers out of range.
+        If `mistray.image_quality` or `mistray.trace` raises it, the direct image of a field misses the detector, the
+        scene has several sources, or a value is out of range.
     """
     began = time.monotonic()
     pixels = None
@@ -184,7 +184,7 @@ def _field(
 
 
 def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
-    """Return the balance of the launched light as shares, with standard errors."""
+    """Return the balance of the launched light: fractions by destination, with standard errors."""
     e, launched = t.energy, t.energy.launched_W
 
     def share(value: float, se: float = 0.0) -> Estimate:
@@ -234,7 +234,7 @@ def _frequencies(
 
 
 def _detector_axes(table: SurfaceTable) -> np.ndarray:
-    """Return the directions of x and y of the detector in world coordinates, (2, 3)."""
+    """Return the x and y axes of the detector as unit vectors in world coordinates, (2, 3)."""
     from mistray.sampling.outlines import outline
 
     opening = outline(table.shapes[table.detector])

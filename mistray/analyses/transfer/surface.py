@@ -84,23 +84,23 @@ class SurfaceTransfer:
 
 def run_bsdf(models: LobeModel | Sequence[LobeModel], request: BsdfTransferRequest) -> SurfaceTransfer:
     """
-    Surface transfer function from the BSDF: ``H(s) = 1 - TIS + ∫ BSDF(β) exp(2πi n (β - β0) s/λ) d²β``.
+    Return the surface transfer function from the BSDF: ``H(s) = 1 - TIS + ∫ BSDF(β) exp(2πi n (β - β0) s/λ) d²β``.
 
-    The light that leaves the surface is counted as 1, and so TIS is the integral at s = 0. The Hankel transform is
-    taken about the specular direction, its azimuths in the mean: at normal incidence on an isotropic surface that is
-    exact.
+    The lag s is in µm. Light that leaves the surface counts as 1, so that TIS is the integral at s = 0. The Hankel
+    transform is about the specular direction and averages over azimuths: exact at normal incidence on an isotropic
+    surface.
 
     Parameters
     ----------
     models : Scatter or sequence of LobeModel
-        All that scatters at the surface.
+        Scatter models of the surface.
     request : BsdfTransferRequest
 
     Raises
     ------
     MistrayError
-        For an event that is none, numbers out of range, total reflection, a surface that sends no light on, and what
-        the models raise where they do not hold.
+        If the event or a value is invalid, light is totally reflected, the surface sends no light on, or a model fails
+        at this event.
     """
     wavelength_um, share = request.wavelength_nm * 1e-3, request.share
     event, n_in, n_out, cos_i = request.event, request.n_in, request.n_out, request.cos_i
@@ -141,7 +141,7 @@ transfer_of_bsdf = analysis("transfer_of_bsdf", BsdfTransferRequest, run_bsdf)
 
 def run_spectrum(model: RoughSurface, request: SurfaceTransferRequest) -> SurfaceTransfer:
     """
-    Surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
+    Return the surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
 
     C is the Hankel transform of the spectrum at the frequencies that scatter into the half space at normal incidence,
     0 … n/λ, and σ² their variance. It holds for surfaces of any roughness whose heights are Gaussian.
@@ -155,12 +155,12 @@ def run_spectrum(model: RoughSurface, request: SurfaceTransferRequest) -> Surfac
     Raises
     ------
     MistrayError
-        For an event that is none, numbers out of range and total reflection.
+        If the event or a value is invalid, or light is totally reflected.
 
     Warns
     -----
     MistrayWarning
-        Where the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
+        If the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
         that of the theories for smooth surfaces, with which scenes are traced.
     """
     event, n_in, n_out, cos_i = request.event, request.n_in, request.n_out, request.cos_i
@@ -203,6 +203,7 @@ def product(transfers: Sequence[SurfaceTransfer], lags_um: Sequence[Array]) -> A
     Parameters
     ----------
     transfers : sequence of SurfaceTransfer
+        Transfer function of each surface.
     lags_um : sequence of (m,) float64
         Lags on each surface, µm, for the same frequencies of the image; see
         `mistray.physics.imaging.surface_transfer.lag_um`.
@@ -212,7 +213,7 @@ def product(transfers: Sequence[SurfaceTransfer], lags_um: Sequence[Array]) -> A
 
 @dataclass(frozen=True, eq=False)
 class _Rings:
-    """Light on rings of direction cosines, with a total flux of 1."""
+    """Light scattered onto rings of direction cosines, with a total flux of 1."""
 
     inner: Array
     outer: Array
@@ -227,6 +228,6 @@ class _Rings:
         return cls(np.concatenate([[0.0], nodes[:-1]]), nodes, flux / flux.sum())
 
     def transform(self, frequency: Array) -> Array:
-        """Return Σ flux J0(2π r q), (m,), at frequencies q, (m,)."""
+        """Return the Hankel sum Σ flux J0(2π r q), (m,), of the rings at frequencies q, (m,)."""
         flat = np.atleast_1d(frequency)
         return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))

@@ -33,7 +33,7 @@ BEAM_SHOWN = 0.15  # of the size of the scene, before the first surface
 
 
 class LogScale:
-    """Colours of values on a log10 scale, and the range of the scale."""
+    """Colour scale for values on a log10 scale, and its range."""
 
     def __init__(self, values: npt.NDArray[np.float64], title: str, decades: float = DECADES) -> None:
         self.title = title
@@ -51,7 +51,7 @@ class LogScale:
 
     @property
     def decades(self) -> list[int]:
-        """Whole powers of ten within the range of the scale."""
+        """Whole powers of ten within the range of the colour scale."""
         return list(range(math.ceil(self.floor - 1e-9), math.floor(self.top + 1e-9) + 1))
 
 
@@ -66,7 +66,7 @@ class FluxScale(LogScale):
 def light_scales(
     surfaces: Sequence[OpenSurface], flux: Mapping[str, SurfaceFlux], walls: Sequence[SurfaceMap]
 ) -> dict[str, LogScale]:
-    """Return scales of incident and absorbed flux (W) and of recorded irradiance (W/mm²); empty without a trace."""
+    """Return colour scales of incident and absorbed flux, W, and recorded irradiance, W/mm²; empty without a trace."""
     scales: dict[str, LogScale] = {}
     if flux:
         scales = {key: FluxScale(surfaces, flux, what) for key, what in COLOURINGS.items()}
@@ -107,7 +107,7 @@ def colour_axes(scales: Mapping[str, LogScale], by: str) -> dict[str, dict[str, 
 
 
 def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
-    """Return invisible marks, one per scale, because plotly draws a colour bar only for an axis with a mark."""
+    """Return invisible plotly marks, one per scale, because plotly draws a colour bar only for an axis with a mark."""
     centre = (box[0] + box[1]) / 2
     return [
         go.Scatter3d(
@@ -123,7 +123,7 @@ def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
 
 
 def shown_box(surfaces: Sequence[OpenSurface], lines: Sequence[RayLine], cut: CutPlane | None) -> Box:
-    """Return the corners, mm, of the shown volume: surfaces, rays in the removed half, and the start of beams."""
+    """Return the two corners, mm, of the shown volume: surfaces, rays in the removed half, and beginnings of beams."""
     points = np.concatenate([surface.vertices for surface in surfaces]).astype(np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
@@ -139,7 +139,7 @@ def shown_box(surfaces: Sequence[OpenSurface], lines: Sequence[RayLine], cut: Cu
 
 
 def cameras(cut: CutPlane | None) -> dict[str, dict[str, Any]]:
-    """Return cameras by name; light goes from left to right, and the open side is in front."""
+    """Return plotly cameras by name of the view; light runs from left to right, with the open side in front."""
     towards = np.array([-1.0, 0.0, 0.0]) if cut is None else cut.normal
     up = np.array([-towards[1], towards[0], 0.0]) * -1.0  # z × towards the viewer, turned so that z points right
     z = np.array([0.0, 0.0, 1.0])
@@ -160,7 +160,7 @@ def cameras(cut: CutPlane | None) -> dict[str, dict[str, Any]]:
 
 
 def arrange(figure: Any, box: Box, cut: CutPlane | None) -> None:
-    """Set up equal axes in mm that show the box, the legends, and the first viewpoint."""
+    """Set equal axes in mm that show the box, the legends, and the first camera of a figure."""
     low, high = box
     span = high - low
     axes = {
@@ -206,7 +206,7 @@ def add_buttons(
     meshes = list(range(len(shown)))
 
     def seen(key: str) -> list[bool]:
-        """Return whether meshes are seen: first those of surfaces, then those of cells, which stand in their place."""
+        """Return for each mesh whether it is shown: surfaces first, then cells, which can replace them."""
         cells = key == IRRADIANCE
         return [not (cells and surface.name in walls) for surface in shown] + [cells] * len(walls)
 

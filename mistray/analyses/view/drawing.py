@@ -60,7 +60,7 @@ def surface_mesh(go: Any, surface: OpenSurface, flux: SurfaceFlux | None) -> Any
 
 
 def wall_mesh(go: Any, one: SurfaceMap, colours: Sequence[str], cut: CutPlane | None) -> Any:
-    """Return the cells of a wall, mm, as ``mesh3d``, each in its own colour, without cells in the removed half."""
+    """Return the cells of a wall map, mm, as ``mesh3d`` with a colour per cell, without the removed half."""
     rows, columns = one.places.shape[:2]
     row, column = np.divmod(np.arange(rows * columns), columns)
     kept = np.ones(len(row), dtype=bool) if cut is None else cut.height(one.places.reshape(-1, 3)) <= 0
@@ -86,7 +86,7 @@ def wall_mesh(go: Any, one: SurfaceMap, colours: Sequence[str], cut: CutPlane | 
 
 
 def outlines(go: Any, surfaces: Sequence[OpenSurface]) -> list[Any]:
-    """Return rims and cut edges, mm, as one trace per role, shown and hidden with the surfaces of this role."""
+    """Return rims and cut edges, mm, as one plotly trace per role, which is shown and hidden with its surfaces."""
     traces = []
     for role in ROLES:
         lines = [line for surface in surfaces if surface.role == role for line in surface.lines]
@@ -173,7 +173,7 @@ def path_lines(go: Any, groups: Sequence[RayGroup]) -> list[Any]:
 
 
 def joined(lines: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.float64]:
-    """Return polylines one after the other, (n, 3), mm, with a row of NaN after each."""
+    """Return polylines as one array, (n, 3), mm, with a row of NaN after each."""
     gap = np.full((1, 3), np.nan)
     parts = [part for line in lines for part in (np.asarray(line, dtype=np.float64), gap)]
     return np.concatenate(parts) if parts else np.empty((0, 3))
@@ -185,5 +185,5 @@ def xyz(points: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
 
 
 def _small(faces: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return vertex numbers as the smallest sufficient type: uint16, else uint32."""
+    """Return vertex indices in the smallest sufficient integer type, uint16 or uint32."""
     return faces.astype(np.uint16 if faces.size == 0 or faces.max() < 2**16 else np.uint32)

@@ -41,6 +41,7 @@ def write_rays(rays: Sequence[RayLine], path: str | Path) -> Path:
     Parameters
     ----------
     rays : sequence of RayLine
+        Rays to write.
     path : str or Path
         File, whose ending chooses the format: ``.ply``, ``.obj`` or ``.json``.
 
@@ -76,7 +77,7 @@ def read_rays(path: str | Path) -> list[RayLine]:
 
 
 def format_of(path: str | Path) -> tuple[Callable[..., str | bytes], Callable[[bytes], list[RayLine]]]:
-    """Return the writer and reader for the ending of a file; raise `MistrayError` for an unknown ending."""
+    """Return the functions that write and read rays for a file suffix; raise `MistrayError` if it is unknown."""
     found = _FORMATS.get(Path(path).suffix.lower())
     if found is None:
         raise MistrayError(f"ray file '{path}': rays are written as {', '.join(_FORMATS)}; choose one of these endings")
@@ -201,7 +202,7 @@ def _from_ply(content: bytes) -> list[RayLine]:
 
 
 def _ray(path_id: int, events: str, wavelength_nm: float, start_ray: int, points: Any, flux: Any) -> RayLine:
-    """Return a ray as it was read; raise `ValueError` if points (k, 3) and fluxes (k,) do not agree."""
+    """Return a ray from its values in a file; raise `ValueError` if points (k, 3) and fluxes (k,) do not agree."""
     xyz, arriving = np.array(points, dtype=np.float64), np.array(flux, dtype=np.float64)
     if xyz.ndim != 2 or xyz.shape[1] != 3 or arriving.shape != xyz.shape[:1]:
         raise ValueError(f"a ray of path {path_id} has {len(xyz)} points and {arriving.size} fluxes")

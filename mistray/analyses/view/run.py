@@ -124,7 +124,7 @@ def graph_objects() -> Any:
 
 
 def _check_untraced(request: ViewRequest) -> None:
-    """Raise `MistrayError` if the request needs a trace: for colours by flux, path ids or classes."""
+    """Raise `MistrayError` if the request needs a trace: colours by flux, path ids or classes of light."""
     if request.colour not in (None, "role"):
         raise MistrayError(f"colour is '{request.colour}' but nothing was traced; give the trace, or colour='role'")
     for name in ("path_ids", "classes"):
@@ -133,7 +133,7 @@ def _check_untraced(request: ViewRequest) -> None:
 
 
 def _maps_of(traces: Sequence[Trace]) -> list[SurfaceMap]:
-    """Return the recorded irradiance maps of surfaces; raise `MistrayError` if they come with several traces."""
+    """Return the recorded irradiance maps of surfaces; raise `MistrayError` if there are any in several traces."""
     from mistray.recorders.flux_maps.surface_maps import SurfaceMaps
 
     recorders = [one for trace in traces for one in trace.recorders.values() if isinstance(one, SurfaceMaps)]
@@ -143,7 +143,7 @@ def _maps_of(traces: Sequence[Trace]) -> list[SurfaceMap]:
 
 
 def flux_of(surfaces: Sequence[OpenSurface], traces: Sequence[Trace]) -> dict[str, SurfaceFlux]:
-    """Return the fluxes, W, summed over all traces, by surface id; raise `MistrayError` for another scene."""
+    """Return the fluxes, W, by surface id, summed over traces; raise `MistrayError` if a trace is of another scene."""
     found: dict[str, SurfaceFlux] = {}
     for trace in traces:
         flux = {row.id: row for row in trace.surfaces}
@@ -155,7 +155,7 @@ def flux_of(surfaces: Sequence[OpenSurface], traces: Sequence[Trace]) -> dict[st
 
 
 def scene_size(surfaces: Sequence[OpenSurface]) -> float:
-    """Return the diagonal of the box around all surfaces, mm."""
+    """Return the diagonal of the bounding box of all surfaces, mm."""
     points = np.concatenate([surface.vertices for surface in surfaces])
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 

@@ -114,17 +114,17 @@ class BatoidLight:
         return float(np.nanmin(radius)), float(np.nanmax(radius))
 
     def _turn(self, interface: Any) -> int:
-        """Return the index of the first station at which light meets an interface in its turn."""
+        """Return the index of the first design surface, in the order of the light, that is this interface."""
         return next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
 
     def way(self, interface: Any) -> int:
-        """Direction of the light that meets a baffle in its turn: +1 or -1 along the baffle's z axis."""
+        """Direction of the light just before its first arrival at a baffle: +1 or -1 along the baffle's z axis."""
         number = self._turn(interface)
         before = _local(interface, self._points[number - 1])[:, 2]
         return -1 if float(np.nanmean(before)) > 0 else 1
 
     def shaded(self, interface: Any, rings: Rings) -> float:
-        """Fraction of the unshaded rays that arrive at an interface in turn and meet centred rings (m) there."""
+        """Fraction of the unblocked rays that centred rings (radii in m) cover at the first arrival at an interface."""
         number = self._turn(interface)
         at = _local(interface, self._points[number][self._free[number]])
         radius = np.hypot(at[:, 0], at[:, 1])
@@ -133,7 +133,7 @@ class BatoidLight:
 
     def crossings(self, interface: Any, way: int = 0) -> Rings:
         """
-        Rings in the plane of a baffle that arriving light crosses out of turn.
+        Rings in the plane of a baffle that light on its way to the detector crosses without meeting the baffle.
 
         Parameters
         ----------
@@ -170,7 +170,7 @@ class BatoidLight:
 
 
 def _opening(obscuration: Any) -> float | None:
-    """Radius of the round opening that an obscuration leaves, m; None if the opening has another shape."""
+    """Return the radius of the round opening that an obscuration leaves, m; None if its opening has another shape."""
     original: Any = getattr(obscuration, "original", None)
     if type(original).__name__ not in ("ObscCircle", "ObscAnnulus"):
         return None
@@ -179,7 +179,7 @@ def _opening(obscuration: Any) -> float | None:
 
 def pupil(optic: Any) -> tuple[float, float]:
     """
-    Outer and inner radius of the beam at the entrance pupil, m.
+    Return the outer and the inner radius of the beam at the entrance pupil, m.
 
     If an optic has no pupilSize, as a projector, the beam fills its narrowest aperture ahead of the first mirror.
 
@@ -212,7 +212,7 @@ def interfaces(optic: Any) -> Iterator[Any]:
 
 
 def without(rings: Iterable[tuple[float, float]], holes: Rings) -> Rings:
-    """Return the parts of rings (inner and outer radius, m) that remain after cutting other rings out of them."""
+    """Return the parts of rings, as (inner, outer) radius in m, that remain outside all `holes`."""
     left = list(rings)
     for low, high in holes:
         cut: Rings = []

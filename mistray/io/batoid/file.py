@@ -71,7 +71,7 @@ def read_optic(path: str | Path) -> batoid.Optic:
 
 
 def _own_file(path: Path) -> Path:
-    """Return a path, or the path of batoid's file of that name if there is no such file here."""
+    """Return a path, or that of the file of this name in batoid's own data if the path does not exist."""
     import batoid
 
     if path.exists() or path.name != str(path):
@@ -80,14 +80,14 @@ def _own_file(path: Path) -> Path:
 
 
 def _unshared(item: Any) -> Any:
-    """Copy nested data so that no entry is shared; batoid removes entries as it reads, also ones that YAML shares."""
+    """Return a copy of nested data without shared entries, because batoid changes entries as it reads."""
     if isinstance(item, dict):
         return {key: _unshared(value) for key, value in item.items()}
     return [_unshared(value) for value in item] if isinstance(item, list) else item
 
 
 def _faulty(item: dict[str, Any], error: Exception, parse: Callable[[Any], Any]) -> tuple[dict[str, Any], Exception]:
-    """Return the innermost optic that batoid cannot read, and the exception that batoid raised for it."""
+    """Return the innermost optic of a file that batoid cannot read, and the exception that batoid raises for it."""
     for part in item["items"] if isinstance(item.get("items"), list) else ():
         try:
             parse(_unshared(part))
@@ -113,7 +113,7 @@ def _reason(item: dict[str, Any], error: Exception) -> str:
 
 
 def _types(system: dict[str, Any]) -> Iterator[Any]:
-    """Yield every type in a system at any depth, since batoid evaluates types of surfaces, media and obscurations."""
+    """Yield all types named in a telescope file at any depth, because batoid evaluates these names."""
     waiting: list[tuple[Any, int]] = [(system, 1)]
     seen = 0
     while waiting:

@@ -45,7 +45,7 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
 
 
 def _outline(obscuration: Any, radius: float, owner: str, clear: bool) -> Outline:
-    """Outline of `_figures`, which ends at a radius, m, where they set no limit."""
+    """Return the outline of `_figures`; it ends at `radius`, m, where the obscuration sets no limit."""
     figures = _figures(obscuration, radius, owner, clear)
     if figures[0].sign == "-":
         figures = [OutlineFigure("circle", sizes=(radius * M_TO_MM,)), *figures]
@@ -53,7 +53,7 @@ def _outline(obscuration: Any, radius: float, owner: str, clear: bool) -> Outlin
 
 
 def is_open(obscuration: Any) -> bool:
-    """Whether an obscuration covers everything except an opening, so that it has no outer limit."""
+    """Whether an obscuration is opaque everywhere except in an opening, so that it has no outer limit."""
     kind = type(obscuration).__name__
     if kind == "ObscUnion":
         return any(is_open(item) for item in obscuration.items)

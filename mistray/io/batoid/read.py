@@ -143,7 +143,7 @@ def _source(optic: Any, wavelength_nm: float, beam: Fill) -> tuple[Source, list[
 
 @dataclass
 class _Reader:
-    """Builder of surfaces and structures; keeps the direction of light and the open group of refracting surfaces."""
+    """Builder of surfaces and structures from batoid's optics, with the current direction of light and lens group."""
 
     batoid: Any
     optic: Any
@@ -160,12 +160,12 @@ class _Reader:
 
     @cached_property
     def light(self) -> BatoidLight:
-        """Rays of the design, from which the shapes of baffles are found."""
+        """Rays of the telescope's own light, from which the shapes of baffles are found."""
         edge = None if self.field_deg is None else math.radians(self.field_deg)
         return BatoidLight(self.batoid, self.optic, self.wavelength_nm, edge)
 
     def add(self, element: tuple[str, Any]) -> None:
-        """Convert an interface to surfaces or structures."""
+        """Convert one pair (part, interface) to surfaces or structures, and add them to the telescope."""
         part, interface = element
         kind = type(interface).__name__
         name = _id(interface.name)
@@ -202,7 +202,7 @@ class _Reader:
             )
 
     def close_group(self) -> None:
-        """Put walls between the refracting surfaces collected so far."""
+        """Make walls between the refracting surfaces of the current group, and end the group."""
         group, self.group = self.group, []
         if len(group) < 2:
             return
@@ -230,7 +230,10 @@ class _Reader:
         return self._figure(interface) | self._aperture(interface)
 
     def _figure(self, interface: Any) -> dict[str, Any]:
-        """Return the figure of a surface as arguments of `Surface`, mm; raise `MistrayError` if it is unsupported."""
+        """Return radius, conic and sag of a surface as arguments of `Surface`, mm.
+
+        Raise `MistrayError` if unsupported.
+        """
         shape: dict[str, Any] = {}
         sag: dict[str, Any] = {}
         surface = interface.surface
@@ -260,7 +263,7 @@ class _Reader:
         return shape | ({"sag": sag} if sag else {})
 
     def _with_hole(self, interface: Any, shape: dict[str, Any]) -> dict[str, Any]:
-        """Return a shape, mm, with a hole in the middle if it is round and light passes there to the detector."""
+        """Return a mirror's shape, mm, with a central hole if it is round and light passes there to the detector."""
         if "semi_diameter" not in shape or shape.get("inner_semi_diameter"):
             return shape
         hole = max((outer for _, outer in self.light.crossings(interface)), default=0.0) * M_TO_MM
@@ -312,7 +315,7 @@ class _Reader:
         return Coating(R=float(both[0].reflectivity), T=float(both[0].transmissivity))
 
     def _baffle(self, name: str, interface: Any) -> list[Structure | Surface]:
-        """Return the opaque plates of a baffle that do not exist yet: batoid lists one per passage of light."""
+        """Return the opaque plates of a baffle that do not exist yet; batoid lists it once per pass of light."""
         if interface.obscuration is None:
             return []
         placing = self._placing(interface)
@@ -369,7 +372,7 @@ class _Reader:
         ]
 
     def _plates(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface]:
-        """Return plates of any outline for a baffle."""
+        """Return a plate for each opaque outline of a baffle, as surfaces in mm that shade light from one side."""
         owner = f"batoid element '{interface.name}'"
         end = self.light.beam_radius(interface)
         if is_open(interface.obscuration):

@@ -29,7 +29,7 @@ DEEPEST = 200  # assemblies within assemblies
 
 @dataclass(frozen=True)
 class Instance:
-    """An instance of a mesh in an assembly: mesh number, names from the top down, and frame, (4, 4) in mm."""
+    """Placed copy of a mesh in an assembly: mesh index, names from the top down, and frame, (4, 4) in mm."""
 
     mesh: int
     names: tuple[str, ...]
@@ -129,7 +129,7 @@ class Glb:
 
 
 def _matrix(node: dict[str, Any]) -> np.ndarray:
-    """Frame (4, 4) of a node in mm, from its matrix by columns, or from scale, rotation (quaternion) and shift."""
+    """Return the frame (4, 4) of a glTF node, mm, from its matrix or from scale, rotation (quaternion) and shift."""
     if "matrix" in node:
         matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     else:

@@ -101,13 +101,16 @@ def _trimesh(path: Path) -> Found:
 
 
 def _is_whole(content: bytes) -> bool:
-    """Whether a .gltf file contains all its buffers."""
+    """Whether a .gltf file contains all its data buffers, without separate files."""
     buffers = json.loads(content).get("buffers", [])
     return all(str(buffer.get("uri", "")).startswith("data:") for buffer in buffers)
 
 
 def _obj(path: Path) -> Found:
-    """Read ``v``, ``f``, ``o`` and ``g`` lines of an OBJ file; negative vertex numbers count from the last vertex."""
+    """Return the meshes of an OBJ file, from its ``v``, ``f``, ``o`` and ``g`` lines, and the lines left out.
+
+    Negative vertex numbers count from the last vertex.
+    """
     others: dict[str, list[tuple[int, str]]] = {}
     vertices: list[list[float]] = []
     triangles: dict[str, list[tuple[int, int, int]]] = {}

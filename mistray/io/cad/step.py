@@ -102,7 +102,7 @@ def read_step(
 
 
 def _missing(data: bytes) -> list[int]:
-    """Numbers of entities that a STEP file refers to but does not define."""
+    """Return the numbers of entities that a STEP file refers to but does not define."""
     data = re.sub(rb"'[^']*'", b"''", data)  # a name may hold anything; two quotes within one are two strings here
     defined = set(re.findall(rb"#(\d{1,18})\s*=", data))
     return sorted(int(number) for number in set(re.findall(rb"#(\d{1,18})", data)) - defined)

@@ -84,7 +84,7 @@ class SeqCommand:
         return [self.number(place) for place in range(len(self.words) - 1)]
 
     def number(self, place: int = 0) -> float:
-        """Return one value as a finite number, by default the first."""
+        """Return the value at an index, by default the first, as a finite number."""
         word = self.words[1 + place] if len(self.words) > 1 + place else ""
         value = finite_of(word)
         if value is None:
@@ -92,7 +92,7 @@ class SeqCommand:
         return value
 
     def positive(self, place: int = 0) -> float:
-        """Return one value as a number greater than 0."""
+        """Return the value at an index, by default the first, as a number greater than 0."""
         value = self.number(place)
         if value <= 0:
             raise MistrayError(f"'{self.text}': {value:g}; it must be greater than 0")
@@ -117,7 +117,7 @@ def commands(text: str) -> Iterator[SeqCommand]:
 
 
 def _pieces(line: str, separator: str) -> Iterator[str]:
-    """Yield parts of a line between separators outside quotes; an unpaired quote is plain text."""
+    """Yield the parts of a line between separators that are not in quotes; an unpaired quote is plain text."""
     begin, place = 0, 0
     while place < len(line):
         letter = line[place]

@@ -51,7 +51,7 @@ _FIELD_KINDS: dict[str, FieldKind] = {
 
 
 def _inverse(radius: float) -> float:
-    """Curvature of a radius, in the inverse unit; radius 0 means a plane."""
+    """Return the curvature for a radius, in the inverse unit; radius 0 means a plane."""
     curvature = 1 / radius if radius else 0.0
     if math.isinf(curvature):
         raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")
@@ -129,7 +129,7 @@ def read_codev(
 
 
 class _Reader:
-    """State of the reader; `take` processes one command, `lens` assembles the lens."""
+    """Reader of commands: `take` processes one command, `lens` returns the finished lens."""
 
     def __init__(
         self,
@@ -240,7 +240,7 @@ class _Reader:
 
     @staticmethod
     def _listed(command: SeqCommand, known: list[float]) -> list[float]:
-        """Return the values of all fields, or known values with one field replaced, as in ``YAN F2 10``."""
+        """Return the values of a command for all fields, or `known` with one value replaced, as by ``YAN F2 10``."""
         words = command.words[1:]
         if not words or not re.fullmatch(r"[Ff]\d{1,3}", words[0]):
             return command.numbers()
@@ -295,7 +295,7 @@ class _Reader:
         surface.curvature = _inverse(value) if radius else value
 
     def _glass(self, surface: CodevSurface, word: str, line: int) -> None:
-        """Record the glass of a surface, or that it is a mirror; glasses are looked up at the end of the file."""
+        """Record the glass of a surface, or that it is a mirror; the glass is looked up after the last line."""
         if word.upper() in ("REFL", "REFR"):
             surface.mirror = word.upper() == "REFL"
         else:
@@ -447,7 +447,7 @@ class _Reader:
         return replace(lens, aperture_kind=kind, aperture=aperture, notes=tuple(self.notes))
 
     def _materials(self) -> dict[int, str]:
-        """Return the material strings behind the surfaces, keyed by the `id` of the surface object."""
+        """Return the material string behind each surface, keyed by the `id` of the surface object."""
         private = {key: table_material(*table, self.wavelengths) for key, table in self.tables.items()}
         found = CodevGlasses(private, self.catalogues, self.replaced, self.wavelengths)
         materials: dict[int, str] = {}
@@ -521,7 +521,7 @@ class _Reader:
         return "object_na", found
 
     def _fields(self) -> tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float, float, float], ...]]:
-        """Return the fields (x, y), in mm or degrees, and (VDX, VDY, VCX, VCY), shift and compression of the pupil."""
+        """Return fields (x, y), mm or degrees, and vignetting (VDX, VDY, VCX, VCY): pupil shift and compression."""
         count = max((len(values) for values in self.fields.values()), default=1)
         if not self.fields:
             self.notes.append("no field: the axis alone")

@@ -143,7 +143,7 @@ def _moves(surface: CodevSurface, unit_mm: float) -> tuple[Decentre | None, Dece
 
 
 def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> dict[str, Any]:
-    """Semi-diameter, aperture and obscuration as arguments of `Row`, in mm."""
+    """Return semi-diameter, aperture and obscuration as arguments of `Row`, mm; others are added to `unread`."""
     given = {kind: {key: pair[0] * unit_mm for key, pair in s.items()} for kind, s in surface.apertures.items()}
     result: dict[str, Any] = {}
 
@@ -180,7 +180,7 @@ def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> d
 
 
 def _figures(sizes: dict[str, float]) -> list[OutlineFigure]:
-    """Outline figures about the origin for the sizes of one kind of aperture, in mm."""
+    """Return outline figures, mm, for the sizes of one kind of aperture, centred at the origin."""
     found = []
     if "CIR" in sizes:
         found.append(OutlineFigure("circle", sizes=(sizes["CIR"],)))

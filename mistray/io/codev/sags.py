@@ -88,13 +88,13 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
 
 
 def _powers(extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Coefficients of powers of r in mm, keyed by the names of `Row.sag`."""
+    """Return the coefficients of rⁿ, mm^(1-n), keyed by the names of `Row.sag`."""
     powers = {name.lower(): value for name, value in extra.items() if re.fullmatch(r"[AR]\d+", name)}
     return {name: value * unit ** (1 - int(name[1:])) for name, value in powers.items()}
 
 
 def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Coefficients of ODD surfaces in mm, keyed by the names of `Row.sag`."""
+    """Return the coefficients of rⁿ of an ODD surface, mm^(1-n), keyed by the names of `Row.sag`."""
     radius = (extra.get("NRADIUS") or extra.get("C33") or 1.0) * unit
     found = {}
     for name, value in extra.items():
@@ -105,7 +105,7 @@ def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
 
 
 def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Coefficients and normalisation radius of the Zernike polynomials of ZRN or ZFR, in mm."""
+    """Return coefficients and normalisation radius of ZRN or ZFR Zernike terms, mm, by their names in `Row.sag`."""
     radius_place, first, terms = ("C69", 1, _ZRN_TERMS) if kind == "ZRN" else ("C2", 3, _ZFR_TERMS)
     radius = extra.get("NRADIUS") or extra.get(radius_place, 0.0)
     ignored = {radius_place, *(("C68",) if kind == "ZRN" else ("C3",))}  # the number of the last term
@@ -128,20 +128,20 @@ def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, f
 
 
 def standard_orders(j: int) -> tuple[int, int]:
-    """Return radial order n and azimuthal order m of a ZRN polynomial; m < 0 stands for a sine."""
+    """Return radial order n and azimuthal order m of ZRN Zernike number `j`; m < 0 stands for a sine."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     place = j - n * (n + 1) // 2 - 1  # 0 … n
     return n, n - 2 * place
 
 
 def noll_number(n: int, m: int) -> int:
-    """Noll number of the standard polynomial of radial order n and azimuthal order m."""
+    """Return the Noll number of the standard Zernike polynomial of orders n (radial) and m (azimuthal)."""
     first = n * (n + 1) // 2 + 1
     return next(j for j in range(first, first + n + 1) if noll_orders(j) == (n, m))
 
 
 def _place(name: str, kind: str, head: str, first: int, terms: int) -> int:
-    """Number of a term, from its name such as Z5 or its place such as C6; 0 if the name is not a term."""
+    """Index of a polynomial term from its name, such as Z5, or from its coefficient, such as C6; 0 if it is none."""
     if name in ("NRADIUS", "K", "KX", "C1") or re.fullmatch(r"[AR]\d+", name):
         return 0
     by_name = re.fullmatch(rf"{head}(\d{{1,3}})", name)

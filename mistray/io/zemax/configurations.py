@@ -67,7 +67,7 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
 
 
 def _rows(after: ZemaxSection, head: ZemaxLine | None) -> list[ZemaxLine]:
-    """Remove and return the operands that follow MNUM; put other lines back."""
+    """Remove and return the lines of operands that follow the line MNUM; keep all others."""
     found = []
     for line in after.take_rest():
         if head is not None and line.number > head.number and len(line.words) >= 3 and line.words[1].isdigit():
@@ -88,7 +88,7 @@ def _name(line: ZemaxLine) -> str:
 
 
 def _set(sections: Sections, line: ZemaxLine) -> None:
-    """Put the value of an operand into the line that it overrides."""
+    """Write the value of a configuration operand into the line of the lens data that it overrides."""
     place = _whole(line, 0)
     if line.key in _OF_SURFACE:
         if not 0 <= place < len(sections.surfaces):

@@ -49,7 +49,7 @@ _NEWTON_STEPS = 30
 
 @dataclass(frozen=True)
 class MeridionalRay:
-    """A line in a plane through the axis: point (y, z) in mm, and direction (dy, dz)."""
+    """A line in a plane through the axis: a point (y, z), mm, and a direction (dy, dz)."""
 
     y: float
     z: float
@@ -108,7 +108,7 @@ class CassegrainBaffles:
 
     @property
     def inner_rim(self) -> tuple[float, float]:
-        """Mouth B of the tube, (r, z) in mm."""
+        """Rim of the tube's front opening, B, as (r, z) in mm."""
         return self.tube.vanes[0].radius, self.tube.z_front
 
     def structures(
@@ -181,7 +181,7 @@ def cassegrain_baffles(
     rim = secondary.rim
 
     def mouth(z_a: float) -> tuple[float, float, float]:
-        """Return the excess of r_A over the radius that blocks straight lines, and r and z of B, for A at z_a; mm."""
+        """Return the excess of rim radius r_A over the one that blocks straight lines, and (r, z) of rim B; in mm."""
         r_a = towards.height(z_a) + clearance
         inmost = MeridionalRay(r_a, z_a, -math.sin(w), math.cos(w)).reflected(primary)
         # Where the innermost ray stands wall_depth above the outermost ray behind the secondary
@@ -232,7 +232,10 @@ def cassegrain_baffles(
 
 
 def _upper_edge(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
-    """Ray behind the primary along the upper edge of the beam of a field (rad), which one mirror rim limits."""
+    """Return the ray after the primary along the upper edge of the beam of a field (rad).
+
+    The rim of one mirror limits it.
+    """
     ray = _from_primary(primary, primary.outer_radius, field)
     if ray.reflected(secondary).y <= secondary.outer_radius:
         return ray
@@ -246,7 +249,7 @@ def _upper_edge(primary: Surface, secondary: Surface, field: float) -> Meridiona
 
 def _outermost(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
     """
-    Return the outermost ray between the mirrors, over fields up to one (rad).
+    Return the ray farthest from the axis between the mirrors, over all fields from -`field` to `field` (rad).
 
     As the field grows, upper edges limited by the primary rotate outwards about its rim, and edges limited by the
     secondary rotate inwards about its rim. So the outermost edge passes both rims, or belongs to the last field.
@@ -269,7 +272,7 @@ def _from_primary(primary: Surface, height: float, field: float) -> MeridionalRa
 
 
 def _bisected(growing: Callable[[float], float], low: float, high: float) -> float:
-    """Return the largest argument found at which an increasing function is not yet positive."""
+    """Return the largest tested argument at which an increasing function is not positive, by bisection."""
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if growing(middle) > 0 else (middle, high)
@@ -277,7 +280,7 @@ def _bisected(growing: Callable[[float], float], low: float, high: float) -> flo
 
 
 def _first_root(surplus: Callable[[float], float], start: float, end: float) -> float | None:
-    """Return the first z from `start` to `end`, mm, at which a function is zero or positive; None if there is none."""
+    """Return the first z from `start` to `end`, mm, at which `surplus` is at least 0; None if there is none."""
     grid = np.linspace(start, end, _SCANNED, endpoint=False)
     good = next((k for k, z in enumerate(grid) if surplus(float(z)) >= 0), None)
     if not good:

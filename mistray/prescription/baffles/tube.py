@@ -84,7 +84,7 @@ class BaffleTube:
 
     @property
     def direct_deg(self) -> float:
-        """Field angle beyond which no light reaches the optic directly, degrees."""
+        """Smallest field angle, degrees, beyond which no light reaches the optic without scatter."""
         slopes = ((v.radius + self.optic_radius) / (self.z_rear - v.z) for v in self.vanes)
         return math.degrees(math.atan(min(slopes)))
 
@@ -234,7 +234,10 @@ def vane_tube(
 def _tips(
     tube: BaffleTube, clearance: float, slope: float, steepness: float, overlap: float | None
 ) -> list[tuple[float, float]]:
-    """Positions z and radii of vanes, mm, for a tube with only its opening; `slope` is tan w, `steepness` tan ε."""
+    """Return positions z and tip radii, mm, of the vanes that a tube with only its opening needs.
+
+    `slope` is tan w, `steepness` tan ε.
+    """
     tips = [(vane.z, vane.radius) for vane in tube.vanes]
     at_optic = tube.optic_radius + clearance
     while True:
@@ -280,7 +283,7 @@ def lit_from(tube: BaffleTube, tips: list[tuple[float, float]]) -> float:
 
 
 def lit_until(tube: BaffleTube, tips: list[tuple[float, float]], steepness: float) -> float:
-    """Position z, mm, at which the wall stops being lit by light whose field angle has at least a given tangent."""
+    """Axial position z, mm, up to which light with a field angle of at least a given tangent lights the wall."""
     growth = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     if steepness <= growth:
         return math.inf
@@ -322,7 +325,7 @@ def _bevelled_side(
 
 
 def _check_plates(name: str, vanes: tuple[Vane, ...], z_rear: float) -> None:
-    """Raise `MistrayError` if the plate of a vane reaches into the next one, or beyond the end of the tube."""
+    """Raise `MistrayError` if the plate of a vane overlaps the next vane, or extends beyond the end of the tube."""
     for vane, end in [(a, b.plate[0]) for a, b in pairwise(vanes)] + [(vanes[-1], z_rear)]:
         if vane.plate[1] > end:
             assert vane.edge is not None

@@ -127,7 +127,7 @@ def vane_faces(vane: Vane, wall_radius: Callable[[float], float]) -> Iterator[Pr
 
 
 def _edge_profile(vane: Vane, edge: VaneEdge) -> tuple[list[tuple[float, float]], list[str]]:
-    """Return points (r, z), mm, from the front over the tip to the rear of a front-bevelled vane, and face names."""
+    """Return points (r, z), mm, from front over tip to rear of a front-bevelled vane, and the names of its faces."""
     a, z, rho = vane.radius, vane.z, edge.radius
     if edge.bevel_deg is None:
         if rho == 0:
@@ -144,6 +144,6 @@ def _edge_profile(vane: Vane, edge: VaneEdge) -> tuple[list[tuple[float, float]]
 
 
 def _arc(r: float, z: float, radius: float, turn: float) -> list[tuple[float, float]]:
-    """Points (r, z), mm, on a circle about a centre, through the side near the axis to its rear; `turn` in radians."""
+    """Points (r, z), mm, on an arc of angle `turn`, rad, about a centre, around its side near the axis to its rear."""
     angles = [turn * (1 - k / ARC_FACETS) for k in range(ARC_FACETS + 1)]
     return [(r - radius * math.sin(angle), z + radius * math.cos(angle)) for angle in angles]

@@ -71,7 +71,7 @@ def first_order_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zon
 
 
 def _gaps(tube: BaffleTube) -> Iterator[Zone]:
-    """Yield the intervals in z, mm, between neighbouring vanes and behind the last one."""
+    """Yield the intervals in z, mm, between consecutive vanes, and from the last vane to the end of the tube."""
     places = [*(vane.z for vane in tube.vanes), tube.z_rear]
     yield from pairwise(places)
 

@@ -107,7 +107,7 @@ def fresnel(
 def _edges(
     owner: str, height: Any, semi_diameter: float, groove_mm: float | None, depth_mm: float | None
 ) -> list[float]:
-    """Return the ascending radii at which rings begin and end, mm, for grooves of equal widths or of equal depths."""
+    """Return the ascending radii at which rings begin and end, mm; grooves have equal widths or equal depths."""
     if groove_mm is not None:
         count = math.ceil(semi_diameter / groove_mm * (1 - 1e-12))
         _count(owner, count)

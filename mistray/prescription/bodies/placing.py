@@ -18,7 +18,7 @@ Part = TypeVar("Part", bound=Placed)
 
 def face_place(at: np.ndarray, axes: Sequence[np.ndarray]) -> dict[str, Any]:
     """
-    Attributes x, y, z (mm) and tilt_deg (degrees) of `Placed` for a frame.
+    Return the keywords x, y, z (mm) and tilt_deg (degrees) of `Placed` for a frame.
 
     Parameters
     ----------

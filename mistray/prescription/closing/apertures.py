@@ -46,7 +46,10 @@ def own_clip(row: Row) -> dict[str, Any]:
 
 
 def _clear_and_opaque(row: Row) -> tuple[Outline | None, list[Outline]]:
-    """Return the clear outline of a surface and its opaque ones; on a lens, holes of the aperture count as opaque."""
+    """Return the clear outline of a surface and its opaque outlines.
+
+    Holes in the aperture of a lens count as opaque.
+    """
     opaque = [] if row.obscuration is None else [row.obscuration]
     figures = () if row.aperture is None else row.aperture.figures
     while figures and not row.mirror and figures[-1].sign == "-":
@@ -102,7 +105,7 @@ def aperture_pieces(
 
 
 def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[str]) -> list[Shape]:
-    """Return flat opaque faces around an opening, which reach at least the radius `widest`, mm; extend `notes`."""
+    """Return flat opaque faces around an opening, out to at least the radius `widest`, mm; add remarks to `notes`."""
     first = clear.figures[0]
     if not clear.bounded:
         notes.append(f"surface {number}: its aperture has no end on one side; a plate of {widest:.6g} mm ends it")

@@ -51,12 +51,12 @@ class _Body:
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Positions at which the glass begins and ends along its axis, from the vertex of the lower face, mm."""
+        """Positions of both ends of the glass along its axis, from the vertex of the lower face, mm."""
         r = np.linspace(0.0, self.radius, _SAMPLES)
         return float(_sag(self.lower, r).min()), float(_sag(self.upper, r).max()) + self.gap
 
     def reached(self, shape: Surface | Structure, z: float) -> float:
-        """Return the largest radius, mm, at which a shape, its vertex at z, mm, lies in the glass; 0 if none."""
+        """Return the largest radius, mm, at which a shape with vertex at z, mm, lies in the glass; 0 if outside."""
         r, heights = _profile(shape)
         own = np.minimum(r, self.radius)
         below, above = heights + z - _sag(self.lower, own), _sag(self.upper, own) + self.gap - heights - z
@@ -64,7 +64,7 @@ class _Body:
         return float(r[within].max()) if np.any(within) else 0.0
 
     def wall(self, radius: float, closing: Closing) -> Structure:
-        """Return the wall of a bore of a given radius, mm; the glass lies outside it."""
+        """Return the wall of a hole of a given radius, mm, through the lens; the glass lies outside this wall."""
         low, high = self.lower, self.upper
         outside = next((side for side in (low.front, high.back) if is_gas(side)), "air")
         part = low.part if low.mirror else high.part if high.mirror else low.part
@@ -128,7 +128,7 @@ def _lens_faces(table: OpticalSurfaces) -> list[Surface]:
 
 
 def _bodies(table: OpticalSurfaces) -> list[_Body]:
-    """Return the lens bodies with round faces on a common axis, each once, the widest first."""
+    """Return the lens bodies with round faces on a common axis, without duplicates, the widest first."""
     found: dict[frozenset[str], _Body] = {}
     for j, k in pairwise(table.surfaces):
         a, b = table.surfaces[j], table.surfaces[k]
@@ -143,7 +143,7 @@ def _bodies(table: OpticalSurfaces) -> list[_Body]:
 
 
 class _Standing:
-    """All shapes with their frames and extents (mm), so that few must be compared with each body."""
+    """All shapes with their frames and extents, mm, to find quickly those that may lie in a lens body."""
 
     def __init__(self, shapes: Sequence[Surface | Structure]) -> None:
         self.shapes = shapes
@@ -167,7 +167,7 @@ class _Standing:
 
 
 def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, str]]:
-    """Return, for legs of the beam that meet a body out of turn, largest radius (mm), target row and share in words."""
+    """Return radius (mm), target row and share of light of beam segments that cross a lens body out of sequence."""
     if not any(row.mirror for row in table.lens.rows):
         return []
     frame = body.lower.to_world()
@@ -191,7 +191,7 @@ def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, 
 
 
 def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
-    """Return the smallest radius, mm, at which rays that no mirror blocks meet the faces of a body in turn."""
+    """Return the smallest radius, mm, at which unblocked rays meet the faces of a body on their regular way."""
     frame = body.lower.to_world()
     places = [k + 1 for k, surface in table.surfaces.items() if surface.name in body.names]
     local = (table.beam[places][:, ~table.blocked] - frame[:3, 3]) @ frame[:3, :3]
@@ -199,7 +199,7 @@ def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
 
 
 def _profile(shape: Surface | Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Return radii and z, both (m,) in mm, of points on the profile of a shape in its own frame."""
+    """Return radii and z, both (m,) in mm, of points along the cross-section of a shape, in its own frame."""
     share = np.linspace(0.0, 1.0, _SAMPLES)
     if isinstance(shape, Structure):
         return shape.r0 + share * (shape.r1 - shape.r0), shape.z0 + share * (shape.z1 - shape.z0)

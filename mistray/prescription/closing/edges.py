@@ -83,6 +83,8 @@ class Closing:
         Faces made so far.
     stop : Stop or None
         Stop on the world's axis; other stops are among the structures.
+    spaces : int
+        Number of walled air spaces so far.
     notes : list of str
         Notes on parts that could not be closed as usual.
     """
@@ -142,7 +144,7 @@ class Closing:
             forward = ahead if not item.mirror else not ahead
 
     def _body(self, run: list[Surface], forward: bool) -> None:
-        """Add the edges of one body or of cemented ones, in the order of +z, named after the body that light meets."""
+        """Add the edges of a lens body or of cemented bodies; `run` has their surfaces in the order of +z."""
         frame, local = _local(run)
         rim = max(surface.outer_radius for surface in local)
         coating = None if self.edges == "open" else BLACK
@@ -224,7 +226,7 @@ class Closing:
 
     @property
     def edge_scatter(self) -> tuple[Scatter, ...]:
-        """Scatter models of the edges of lenses."""
+        """Scatter models for the edges of lenses."""
         if self.edges != "ground":
             return ()
         return (Scatter("paint", {"reflectance": self.ground_reflectance}, name="ground_edge"),)
@@ -285,7 +287,7 @@ def _behind(surface: Surface, ahead: bool) -> str:
 
 
 def on_axis(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether the frame b stands on the z axis of the frame a and points the same way."""
+    """Whether frame `b`, (4, 4), lies on the z axis of frame `a` with its own z axis in the same direction."""
     turn = a[:3, :3]
     offset = turn.T @ (b[:3, 3] - a[:3, 3])
     same_way = turn[:, 2] @ b[:3, 2] > 1 - _ROUND_OFF_COSINE
@@ -297,7 +299,7 @@ def _coaxial(a: Surface, b: Surface) -> bool:
 
 
 def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
-    """Return a frame of the common axis, or the world's if it is that axis, and the surfaces in this frame."""
+    """Return the frame of the common axis (the world's if it is the z axis), and the surfaces in this frame."""
     if all(surface.coaxial for surface in run):
         return np.eye(4), list(run)
     frame = run[0].to_world()
@@ -309,7 +311,10 @@ def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
 
 
 def meets_plane(surface: Surface, plane: np.ndarray, above: bool) -> float:
-    """Smallest radius, mm, at which a coaxial surface lies on the wrong side of a plane; inf if it does not."""
+    """Return the smallest radius, mm, at which a coaxial surface lies below a plane, or above it if not `above`.
+
+    It is inf if none does.
+    """
     z = float((np.linalg.inv(surface.to_world()) @ plane)[2, 3])
     r = np.linspace(0.0, surface.outer_radius, _SAMPLES)
     gap = replace(surface, x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0)).z_at(r) - z

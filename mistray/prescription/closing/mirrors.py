@@ -67,7 +67,7 @@ def cut_holes(table: OpticalSurfaces) -> None:
 
 
 def beam_shares(table: OpticalSurfaces) -> np.ndarray:
-    """Fraction of the light at the image that each ray of the beam carries, (n,); 0 for rays that do not arrive."""
+    """Fraction of the light at the image that each ray of the beam carries, (n,); 0 for rays that miss the image."""
     weights = np.where(np.isfinite(table.beam[-1, :, 0]), table.rays.weights, 0.0)
     return np.asarray(weights / (weights.sum() or 1.0))
 
@@ -78,7 +78,7 @@ def percent(share: float) -> str:
 
 
 def _drilled(table: OpticalSurfaces, k: int, mirror: Surface, free: float, legs: list[tuple[int, int]]) -> Surface:
-    """Return a mirror with a hole for all later legs of the beam, limited by the part that its own beam needs."""
+    """Return a mirror with a hole for later parts of the beam; the hole leaves all that its own beam needs."""
     hole = mirror.inner_semi_diameter
     if mirror.semi_diameter is None:
         return mirror
@@ -100,19 +100,19 @@ def _free_middle(table: OpticalSurfaces, k: int, mirror: Surface) -> float:
 
 
 def footprint(table: OpticalSurfaces, k: int, frame: np.ndarray) -> np.ndarray:
-    """Points (n, 2) at which the beam meets a row, in the frame of its surface, mm."""
+    """Points (n, 2), mm, at which the beam meets a row, in the frame of its surface."""
     own = (table.beam_and_rim[k + 1] - frame[:3, 3]) @ frame[:3, :2]
     return np.asarray(own[np.isfinite(own[:, 0])])
 
 
 def beside_vertex(points: np.ndarray) -> bool:
-    """Whether points (n, 2) lie on one side of the origin."""
+    """Whether all points (n, 2) lie on one side of the origin, so that the beam misses the vertex."""
     azimuth = np.sort(np.arctan2(points[:, 1], points[:, 0]))
     return bool(len(points) and np.diff(azimuth, append=azimuth[0] + 2 * np.pi).max() > np.pi)
 
 
 def piece_beside_vertex(points: np.ndarray, margin: float) -> Outline:
-    """Disc that contains points (n, 2) in mm; its radius is enlarged by the fraction `margin`."""
+    """Disc that contains points (n, 2), mm; its radius is larger than necessary by the fraction `margin`."""
     x, y = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.hypot(*(points - (x, y)).T).max()) * (1 + margin)
     return circle(radius, x=float(x), y=float(y))

@@ -73,7 +73,7 @@ class Names:
         return body
 
     def note(self) -> list[str]:
-        """Return one note that lists the names that were not kept; empty if all were."""
+        """Return a note that lists the names that had to be changed, in a list; empty if there is none."""
         pairs = [
             f"'{old}' " + (f"is {' and '.join(repr(name) for name in new)}" if new else "has no surface")
             for old, new in self.renamed.items()

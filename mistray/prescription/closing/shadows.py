@@ -80,7 +80,10 @@ def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def _crossed(wall: Structure, start: Array, end: Array) -> bool:
-    """Whether any ray crosses a frustum between its start and end, (n, 3) in mm; touching at an end does not count."""
+    """Whether any ray between start and end points, (n, 3) in mm, crosses a frustum.
+
+    Touching at an end does not count.
+    """
     frame = wall.to_world()
     a, b = ((point - frame[:3, 3]) @ frame[:3, :3] for point in (start, end))
     step = b - a
@@ -103,5 +106,5 @@ def _crossed(wall: Structure, start: Array, end: Array) -> bool:
 
 
 def _between(share: Array) -> npt.NDArray[np.bool_]:
-    """Return for each number whether it lies between 0 and 1, with a margin of `_END` at both ends."""
+    """Return for each number whether it lies between 0 and 1, at least `_END` away from both."""
     return (share > _END) & (share < 1 - _END)

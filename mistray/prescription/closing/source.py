@@ -20,7 +20,7 @@ _SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
 
 
 def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
-    """Return the source at the first field; notes on its assumptions and on the filling of the stop go to `table`."""
+    """Return the source at the first field of a lens; notes on assumptions and on the filled stop go to `table`."""
     lens, data = table.lens, table.rays.data
     near = not math.isinf(lens.object_distance)
     weights = np.array(lens.weights) / (sum(lens.weights) or 1.0)
@@ -68,7 +68,7 @@ def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
 
 
 def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, float, float]:
-    """Centre (x, y) and radius, mm, of the first field's beam in the plane of the entrance pupil; tilts may move it."""
+    """Centre (x, y) and radius, mm, of the first field's beam in the entrance pupil plane, tilted elements included."""
     start, heading = table.rays.entering
     x, y = (start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading)[:, :2].T
     if math.hypot(x[0], y[0]) <= _ASIDE * radius:
@@ -136,7 +136,7 @@ def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
 
 
 def _within(surface: Surface, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Whether points of the vertex plane of a surface, x and y in mm, lie within its clear aperture."""
+    """Whether points in the plane of a surface's vertex, x and y in mm, lie within its clear aperture, (n,) bool."""
     if surface.outline is not None:
         return np.asarray(surface.outline.contains(x, y))
     if surface.semi_diameter is None:

@@ -62,7 +62,7 @@ class OpticalSurfaces:
     beam_and_rim : (n_rows + 1, m, 3) float64
         Positions of these rays and of the rays of `EdgeRays.world`, which mark the rim of the beam, mm.
     blocked : (n,) bool
-        Whether a mirror out of turn blocks each ray of `beam`, as `cut_holes` finds.
+        Whether each ray of `beam` is blocked by a mirror that it should pass, as `cut_holes` finds.
     frames : (n_rows, 4, 4) float64
         Transforms from the frame of each row to the world, mm.
     before, behind : list of str
@@ -160,7 +160,7 @@ class OpticalSurfaces:
         return k == stop_place(self.lens) and self.lens.rows[k].stop and not self._has_effect(k)
 
     def _ahead(self, k: int) -> bool:
-        """Whether light arrives at a row along +z of its frame, judged by the chief ray of the first field."""
+        """Whether light travels along +z in the frame of a row, judged by the chief ray of the first field."""
         inward = np.array([0.0, 0.0, 1.0])
         for j in range(k - 1, -1, -1):
             if np.all(np.isfinite(self.rays.chief[j])):
@@ -177,7 +177,7 @@ class OpticalSurfaces:
         return known
 
     def _at(self, surface: Surface) -> list[int]:
-        """Indices of the surfaces so far whose vertex coincides with that of a surface."""
+        """Return the indices of the rows so far whose vertex is at that of a surface."""
         apart = np.abs(self._vertices - [surface.x, surface.y, surface.z])
         return [int(k) for k in np.flatnonzero(np.all(apart <= _ROUND_OFF_MM, axis=1))]
 
@@ -285,12 +285,12 @@ class OpticalSurfaces:
                 self.surfaces[j] = replace(surface, semi_diameter=float(self.rays.reach[j]))
 
     def segments(self) -> list[tuple[int, int]]:
-        """Return the legs of the beam: indices in `beam` at which it leaves a surface and meets the next."""
+        """Return the segments of the beam: pairs of `beam` indices at which it leaves a surface and meets the next."""
         met = [*self.surfaces, len(self.lens.rows) - 1]
         return list(pairwise([0, *(k + 1 for k in met)]))
 
     def _stopped(self, beam: np.ndarray) -> np.ndarray:
-        """Return beam positions, mm, as NaN from where a stated aperture stops a ray; unchanged if all rays stop."""
+        """Return beam positions, mm, with NaN from where a stated aperture stops a ray; unchanged if all would stop."""
         result = beam.copy()
         for k, (row, frame) in enumerate(zip(self.lens.rows, self.frames, strict=True)):
             if row.kind != "coordinate_break":

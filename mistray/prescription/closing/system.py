@@ -153,7 +153,7 @@ def build(
 def _structured(
     table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, float] | None
 ) -> Built:
-    """Return the optical surfaces with mechanical parts, source and detector, whose half sizes, mm, may be given."""
+    """Return surfaces, mechanical parts, source and detector; `detector_half` optionally gives half sizes, mm."""
     lens, surfaces = table.lens, table.surfaces
     detector = _detector(table, detector_half)
     items: list[Item] = []
@@ -187,7 +187,7 @@ def _structured(
 def _without_shadows(
     table: OpticalSurfaces, structures: list[Structure | Surface], detector: Detector
 ) -> list[Structure | Surface]:
-    """Return the structures without walls that the folded beam passes through."""
+    """Return the structures except walls that the folded beam crosses."""
     if not any(row.mirror for row in table.lens.rows):
         return structures
     segments = []
@@ -238,7 +238,7 @@ def _for_its_leg(table: OpticalSurfaces, k: int, plate: Surface | Structure) -> 
     """
     Return a plate of row k such that it shades only the leg of the beam that it belongs to.
 
-    A file states an aperture for light that arrives at its row in turn. In a folded system other legs of the beam may
+    A file states an aperture for light that arrives at its row in sequence. In a folded system other legs may
     cross the same plane. If they cross it in the opposite direction, the plate meets only light of its own direction.
     If they cross it in the same direction, there is no plate.
     """

@@ -209,7 +209,7 @@ def _pupils(
     rim: Array,
     aimed: Mapping[int, tuple[Array, Array]],
 ) -> Array:
-    """Return points (n, 2), mm, where rays to the stop's rim cross the entrance pupil plane; see `EdgeRays.pupils`."""
+    """Return points (n, 2), mm, at which rays to the stop's rim cross the entrance pupil; see `EdgeRays.pupils`."""
     if lens.telecentric or not math.isinf(lens.object_distance) or math.isinf(data.entrance_pupil_z):
         return np.zeros((0, 2))
     found = []
@@ -222,19 +222,19 @@ def _pupils(
 
 
 def _inner_rays(start: Array, heading: Array) -> tuple[Array, Array]:
-    """Return starts, mm, and directions, (n, 3), of rays between the chief ray, which comes first, and rim rays."""
+    """Return starts, mm, and directions, (n, 3), of rays between the chief ray, which is first, and the rim rays."""
     points = np.concatenate([start[0] + share * (start[1:] - start[0]) for share in _WITHIN])
     along = np.concatenate([heading[0] + share * (heading[1:] - heading[0]) for share in _WITHIN])
     return points, along / np.linalg.norm(along, axis=1, keepdims=True)
 
 
 def _upstream(start: Array, heading: Array, z: float) -> Array:
-    """Return the points (n, 3), mm, at which rays cross a plane of constant z."""
+    """Return the points, (n, 3) mm, at which rays cross the plane at `z`, mm."""
     return start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading
 
 
 def _outer_fields(lens: Sequential) -> list[int]:
-    """Indices of the distinct fields; if there are too many, only those farthest from the axis."""
+    """Indices of distinct fields, or of the outermost ones if there are too many."""
     places = list({field: k for k, field in reversed(list(enumerate(lens.fields)))}.values())
     farthest = sorted(places, key=lambda k: -math.hypot(*lens.fields[k]))[:_MOST_FIELDS]
     return sorted(farthest)
@@ -358,7 +358,7 @@ def _aimed_at_stop(
 
 
 def _clip(lens: Sequential, hits: Array, onward: Array) -> str:
-    """Set rays to NaN from where an aperture stops them; return a note on the losses, "" if there are none."""
+    """Set rays to NaN from where an aperture stops them; return a note on the losses, "" if none."""
     alive = np.ones(hits.shape[1], dtype=bool)
     losses = []
     for k, row in enumerate(lens.rows):

@@ -116,7 +116,14 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> Sequent
 
 def paraxial_system(lens: Sequential, wavelength_nm: float | None = None) -> tuple[ParaxialSystem, np.ndarray]:
     """
-    Return the paraxial system of the rows on one axis; the image is a plane without power.
+    Return the paraxial system of all rows of a lens, unfolded onto one axis; the image is a plane without power.
+
+    Parameters
+    ----------
+    lens : Sequential
+        Lens with the rows.
+    wavelength_nm : float, optional
+        Wavelength, nm; by default the reference wavelength.
 
     Returns
     -------
@@ -134,7 +141,7 @@ def paraxial_system(lens: Sequential, wavelength_nm: float | None = None) -> tup
 
 
 def _paraxial_curvature(row: Row) -> float:
-    """Curvature at the vertex, 1/mm; for a freeform, the one in y, as in lens design programs."""
+    """Curvature at the vertex of a row, 1/mm; for a freeform the one along y, as lens design programs take it."""
     if not row.sag:
         return curvature(row)
     return vertex_curvatures(row.sag_numbers, _STEP * (row.semi_diameter or 1.0))[1]

@@ -147,7 +147,7 @@ def trace(
 
 
 def to_world(lens: Sequential, positions: Array) -> Array:
-    """Transform positions at each row, (n_rows, n, 3) as from `trace`, to the world, mm."""
+    """Transform positions at each row, (n_rows, n, 3) as from `trace`, to world coordinates, mm."""
     places = frames(lens)
     return np.einsum("kij,knj->kni", places[:, :3, :3], positions) + places[:, None, :3, 3]
 
@@ -222,7 +222,7 @@ def passes(row: Row, position: Array) -> npt.NDArray[np.bool_]:
 
 
 def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return the sag of a row at points x, y of its frame, mm, and its slopes; NaN outside its conic's range."""
+    """Return the sag, mm, and its slopes dz/dx and dz/dy at points x, y of a row, mm; NaN where it has no sag."""
     if row.sag:
         numbers = row.sag_numbers
         size = max(float(np.nanmax(np.hypot(x, y), initial=0.0)), 1e-3 * (row.semi_diameter or 0.0), _SMALLEST_MM)
@@ -233,7 +233,7 @@ def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array
 
 
 def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array) -> Array:
-    """Return distances (n,), mm, along rays from the tangent plane to an asphere; NaN if Newton's method fails."""
+    """Return distances (n,), mm, along rays from the tangent plane to an asphere; NaN where Newton's method fails."""
     (x0, y0), (u, v, w) = start, direction.T
     error = np.full_like(step, np.inf)
     for _ in range(_ITERATIONS):

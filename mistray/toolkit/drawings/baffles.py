@@ -28,7 +28,7 @@ PROFILE_POINTS = 65
 
 def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float = 0.0, title: str = "") -> Figure:
     """
-    Return a section, mm, of a tube with vanes, or of two stages, with the rays of the construction.
+    Return a drawing of the section of a tube with vanes, or of two stages, mm, with the rays of the construction.
 
     Rays are above the axis. For each vane, a blue ray leads from the far rim of the optic past its tip; the wall before
     it is hidden. An orange ray is the steepest from outside past its tip; the wall behind it is lit. Colours along the
@@ -37,9 +37,11 @@ def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float =
     Parameters
     ----------
     baffle : BaffleTube or TwoStageBaffle
+        Baffle to draw.
     exclusion_deg : float
         Field angle, degrees; light at smaller angles is left out of the lit zones, except in an inner stage.
     title : str
+        Title of the figure.
     """
     if isinstance(baffle, TwoStageBaffle):
         stages = [(baffle.outer, exclusion_deg), (baffle.inner, 0.0)]
@@ -77,7 +79,7 @@ def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float =
 
 def cassegrain_figure(prescription: Prescription, baffles: CassegrainBaffles, title: str = "") -> Figure:
     """
-    Return a section, mm, of a Cassegrain telescope with the ray that just misses the detector.
+    Return a drawing of the section of a Cassegrain telescope, mm, with the ray that just misses the detector.
 
     Parameters
     ----------
@@ -86,6 +88,7 @@ def cassegrain_figure(prescription: Prescription, baffles: CassegrainBaffles, ti
     baffles : CassegrainBaffles
         Baffles, whose rims A and B are marked, with the line from the edge of the detector past them.
     title : str
+        Title of the figure.
     """
     shapes = [shape for shape in prescription.shapes() if isinstance(shape, Structure | Surface) and shape.coaxial]
     axes = _axes(title, *_extent([point for shape in shapes for point in _profile(shape).tolist()]))
@@ -128,7 +131,7 @@ def _axes(title: str, first: float, last: float, radius: float) -> Axes:
 
 
 def _profile(shape: Structure | Surface) -> np.ndarray:
-    """Return points z and r along the generatrix, (n, 2), mm."""
+    """Return points of the curve whose rotation makes the surface, z and r, (n, 2), mm."""
     if isinstance(shape, Structure):
         return np.array([(shape.z0 + shape.z, shape.r0), (shape.z1 + shape.z, shape.r1)])
     r = np.linspace(shape.inner_semi_diameter, shape.outer_radius, PROFILE_POINTS)
@@ -177,7 +180,7 @@ def _draw_zone(
 
 
 def _with_legend(axes: Axes, entries: dict[str, str]) -> Figure:
-    """Return the figure of the axes, with a legend of the colours by label."""
+    """Return the figure of the axes with a legend; `entries` maps each label to its colour."""
     figure = axes.figure
     assert isinstance(figure, Figure)
     lines = [Line2D([], [], color=colour, lw=3, label=label) for label, colour in entries.items()]

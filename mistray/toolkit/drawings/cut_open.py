@@ -46,7 +46,7 @@ class CutPlane:
 
     @property
     def normal(self) -> npt.NDArray[np.float64]:
-        """Unit vector towards the removed half, (3,); exact for multiples of 90 degrees."""
+        """Unit vector, (3,), towards the half that is removed."""
         turn = math.radians(self.azimuth_deg)
         normal = np.array([math.cos(turn), math.sin(turn), 0.0])
         return np.round(normal) if self.azimuth_deg % 90 == 0 else normal
@@ -59,13 +59,14 @@ class CutPlane:
 @dataclass(frozen=True)
 class OpenSurface:
     """
-    Remaining part of one surface.
+    Part of one surface that remains after the cut.
 
     Attributes
     ----------
     name, part : str
         Shape id and the object that it belongs to.
     role : {"glass", "structure", "mirror", "detector"}
+        Role of the surface for the light.
     materials : str
         Materials in front and behind, for glass; else empty.
     vertices : (n, 3) float
@@ -73,7 +74,7 @@ class OpenSurface:
     faces : (m, 3) int
         Vertex numbers of each triangle.
     lines : list of (k, 3) float
-        Rims, and where the plane cuts, mm.
+        Rim curves, and the curves along which the plane cuts the surface, mm.
     """
 
     name: str
@@ -86,7 +87,7 @@ class OpenSurface:
 
 
 def surface_names(scene: Any) -> list[tuple[str, Any]]:
-    """Return ids and shapes that light meets, named as by the tracer; shapes only aimed at are left out."""
+    """Return pairs of id and shape of all shapes that light can hit, without those that are only targets of rays."""
     return [(shape.id() or f"shape_{number}", shape) for number, shape in enumerate(solid_shapes(scene), start=1)]
 
 
@@ -107,6 +108,7 @@ def open_surfaces(scene: Any, cut: CutPlane | None) -> list[OpenSurface]:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     cut : CutPlane or None
         Plane of the cut; None leaves surfaces whole.
 
@@ -160,10 +162,12 @@ def turned(
     steps : int
         Steps of the mesh along each arc.
     cut : CutPlane or None
+        Plane of the cut; None: nothing is removed.
 
     Returns
     -------
-    vertices : (n·(steps + 1), 3) float64
+    vertices : (k, 3) float64
+        Vertices that faces use, mm; at most n·(steps + 1).
     faces : (m, 3) int
     lines : list of (k, 3) float64
         First and last ring, and the two ends of all arcs where they lie on the plane.
@@ -207,11 +211,14 @@ def clip(vertices: npt.ArrayLike, faces: npt.ArrayLike, cut: CutPlane | None) ->
     vertices : (n, 3) float
         Vertices, mm; the numbers keep their type.
     faces : (m, 3) int
+        Vertex indices of each triangle.
     cut : CutPlane or None
+        Plane of the cut; None: nothing is removed.
 
     Returns
     -------
     vertices : (k, 3) float
+        Vertices, mm.
     faces : (l, 3) int
     lines : list of (2, 3) float
         One segment for each triangle that is cut, mm.
@@ -251,7 +258,10 @@ def _of_revolution(shape: Any) -> bool:
 
 
 def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.float64]:
-    """Return the generatrix (r, z), mm, with the circle that the plane touches if it runs along the axis."""
+    """Return generatrix points (r, z), (n, 2), mm.
+
+    A plane parallel to the axis adds the point where it touches a circle.
+    """
     profile = np.asarray(shape.profile(rings), dtype=np.float64)
     if cut is None or abs(cut.normal @ shape.matrix[:3, 2]) > 1e-12:
         return profile
@@ -267,14 +277,14 @@ def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.flo
 
 
 def _rings(shape: Any) -> int:
-    """Return the number of rings that resolves the curvature of a generatrix; two if it is straight."""
+    """Return the number of mesh rings that resolves the curvature of a profile; two for a straight profile."""
     steps = np.diff(shape.profile(65), axis=0)
     turning = float(np.abs(np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))).sum())
     return 2 if turning < 1e-9 else int(np.clip(1 + math.ceil(turning / TURN_PER_RING), FEWEST_RINGS, MOST_RINGS))
 
 
 def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
-    """Return the mesh of an `asphere` with a rectangular aperture, cut as a rectangle, then lifted to the sag."""
+    """Return the mesh of an `asphere` with a rectangular aperture, cut open: flat rectangle, lifted to the sag."""
     half = np.array([shape.values["half_width"], shape.values["half_height"]])
     cells = 1 if shape.plane else GRID
     u, v = np.meshgrid(*(np.linspace(-1.0, 1.0, cells + 1),) * 2, indexing="ij")
@@ -301,7 +311,7 @@ def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[
 
 
 def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
-    """Return the mesh of a Mitsuba shape, cut open: by its formula if `primitive` has one, else by triangles."""
+    """Return the mesh of a shape that comes with Mitsuba, cut open, from its formula where `primitive` has one."""
     kind, rigid, size = primitive(shape)
     if not kind:
         if not shape.is_mesh():
@@ -326,16 +336,16 @@ def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Poi
 
 def primitive(shape: Any) -> tuple[str, Points, Points]:
     """
-    Return the kind, frame and size of a shape of Mitsuba's own that has a formula.
+    Return the kind, frame and size of a Mitsuba shape that has an analytic formula.
 
     Returns
     -------
     kind : str
         "Rectangle", "Disk", "Sphere" or "Cylinder"; empty for other shapes.
     rigid : (4, 4) float64
-        Its frame, without a scale, mm.
+        Transform from its frame to the world, without scale, mm.
     size : (3,) float64
-        Its scale along the axes of the frame, mm.
+        Scale along the axes of the frame, mm.
     """
     kind = str(shape).partition("[")[0].strip()
     if kind not in ("Rectangle", "Disk", "Sphere", "Cylinder"):
@@ -347,7 +357,7 @@ def primitive(shape: Any) -> tuple[str, Points, Points]:
 
 
 def _strips(rows: int, steps: int) -> Faces:
-    """Return the triangles, (m, 3), of a grid of `rows` rows with `steps` cells each."""
+    """Return the triangles of a grid of `rows` rows with `steps` cells each, as (m, 3) vertex indices."""
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(steps), indexing="ij")
     a = (i * (steps + 1) + j).ravel()
     b, c, d = a + 1, a + steps + 1, a + steps + 2
@@ -355,7 +365,7 @@ def _strips(rows: int, steps: int) -> Faces:
 
 
 def _used(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
-    """Return the vertices that faces use, and the faces with the new vertex numbers."""
+    """Return the vertices that faces use, and the faces with vertex indices into these."""
     numbers, renumbered = np.unique(faces, return_inverse=True)
     return vertices[numbers], renumbered.reshape(-1, 3)
 

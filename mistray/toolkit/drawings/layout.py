@@ -126,6 +126,7 @@ def layout(
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     field_deg : float
         Field angle, degrees.
     ghosts : int
@@ -140,7 +141,10 @@ def layout(
 
 
 def _drawn(report: GhostReport, paths: Sequence[tuple[float, int, str, str]]) -> list[Drawn]:
-    """Return drawn paths by field angle (degrees), number, colour and label, each at its own pupil heights."""
+    """Return drawn paths from tuples of field angle (degrees), path id, colour and label.
+
+    Each has its own pupil heights.
+    """
     return [
         Drawn(
             meridional(report.rays_of(field, path_id), RAYS_DRAWN, (number, len(paths))),
@@ -159,6 +163,7 @@ def layout_of_fields(report: GhostReport, paths: Sequence[tuple[float, int, str]
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     paths : sequence of (float, int, str)
         Field angle, degrees, path of ``report.table`` at that field, and label.
     """
@@ -181,6 +186,7 @@ def layout_figure(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     trace : Trace or sequence of Trace, optional
         Traces of this scene, also of several fields; none: the section alone is drawn.
     paths : int
@@ -227,6 +233,7 @@ def write_layout(figure: Figure, path: str | Path) -> Path:
     Parameters
     ----------
     figure : Figure
+        Matplotlib figure.
     path : str or Path
         File, whose ending chooses the format: ``.svg``, ``.pdf``, ``.eps`` or ``.png``.
 
@@ -249,7 +256,7 @@ def write_layout(figure: Figure, path: str | Path) -> Path:
 
 
 def layout_format(path: str | Path) -> str:
-    """Return the format of a layout from the ending of its file; raise `MistrayError` if it is unknown."""
+    """Return the file format of a layout from the suffix of its name; raise `MistrayError` if it is unknown."""
     ending = Path(path).suffix.lower()
     if ending not in FORMATS:
         raise MistrayError(f"layout '{path}': layouts are written as {', '.join(FORMATS)}; choose one of these endings")
@@ -302,7 +309,7 @@ def _figure(
 
 
 def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN) -> list[tuple[int, str, str]]:
-    """Return path, colour and label of the direct image, the worst stray paths of a field and the strongest."""
+    """Return path id, colour and label of the direct image, the worst stray paths of a field, and the strongest one."""
     table = report.table(field_deg)
     chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
     for number, row in enumerate(report.listed(field_deg, ghosts).itertuples(index=False), 1):
@@ -312,7 +319,7 @@ def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAW
 
 
 def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> list[tuple[int, str, str]]:
-    """Return path, colour and label of chosen paths; raise `MistrayError` for an unknown path."""
+    """Return path id, colour and label of chosen paths; raise `MistrayError` for an unknown path."""
     rows = report.table(field_deg).set_index("path_id")
     unknown = [path_id for path_id in path_ids if path_id not in rows.index]
     if unknown:
@@ -369,7 +376,7 @@ def _draw_system(axes: Axes, scene: Any, lines: Sequence[SectionLine], weight: f
 
 
 def _in_plane(shape: Any) -> bool:
-    """Return whether the axis of a surface of revolution lies in the plane x = 0."""
+    """Return whether the axis of a surface of revolution lies in the plane x = 0, the plane of the drawing."""
     return abs(shape.matrix[0, 3]) < 1e-9 and abs(shape.matrix[0, 2]) < 1e-9
 
 
@@ -389,7 +396,7 @@ def _mirrored(shape: Any) -> Polyline | None:
 
 
 def _placed(shape: Any, profile: Polyline, sign: int) -> Polyline:
-    """Return profile points (r, z) at local azimuth ±90 degrees as (z, y) of the scene, mm."""
+    """Return profile points (r, z) as (z, y) of the scene, mm; `sign` selects the half above or below the axis."""
     axis = shape.matrix[:3, 2]
     across = np.array([0.0, axis[2], -axis[1]])
     points = shape.matrix[:3, 3] + sign * profile[:, :1] * across + profile[:, 1:] * axis
@@ -405,6 +412,7 @@ def slice_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> list[Polyline]:
     vertices : (n, 3) float
         Vertices, mm.
     faces : (m, 3) int
+        Vertex indices of each triangle.
 
     Returns
     -------
@@ -416,6 +424,6 @@ def slice_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> list[Polyline]:
 
 
 def bounds(lines: Sequence[SectionLine]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Smallest and largest (z, y) of a section, mm; (0, 0) of one without lines."""
+    """Return the smallest and largest (z, y) of a section, mm; (0, 0) without lines."""
     points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
     return points.min(axis=0), points.max(axis=0)

@@ -98,7 +98,7 @@ def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None =
 
 
 def one_of_each(rows: Iterable[PathRow], count: int) -> list[PathRow]:
-    """Return the first rows, at most `count`, that differ in source or events, not only in wavelength."""
+    """Return the first rows of a path table, at most `count`, that differ in more than wavelength."""
     found: dict[tuple[str, str], PathRow] = {}
     for row in rows:
         if len(found) == count:
@@ -114,6 +114,7 @@ def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     path_ids : iterable of int, optional
         Rows of the path table (default: all).
     n : int
@@ -173,6 +174,7 @@ def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     trace : Trace
         Trace that gives the detectors, the wavelength (its first) and the seed.
     n : int
@@ -206,7 +208,7 @@ def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0
 
 
 class RayGroup(NamedTuple):
-    """Rays drawn alike: name in the legend, rays, and row of the path table or None."""
+    """Group of drawn rays with a common colour: its name in the legend, rays, and row of the path table or None."""
 
     name: str
     lines: list[RayLine]

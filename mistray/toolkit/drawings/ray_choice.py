@@ -32,7 +32,7 @@ class ChosenRow(Demand):
 
 @dataclass(frozen=True)
 class RayChoice(Request):
-    """Choice of the drawn rays of traces: of the strongest paths, of chosen paths, or of classes."""
+    """Choice of the rays to draw from traces: those of the strongest paths, of chosen paths, or of classes of light."""
 
     _: KW_ONLY
     paths: int = field(ROWS, 8, "paths to draw, strongest first, each at its strongest wavelength")

@@ -17,7 +17,7 @@ _GLYPH = re.compile(r"Glyph (?P<code>\d+) \(\\N\{(?P<name>[^}]*)\}\) missing")
 
 
 def legend_label(name: str) -> str:
-    """Return a name as a legend label; a blank keeps Matplotlib from omitting one that begins with an underscore."""
+    """Return a name as a legend label, with a space before an underscore, at which Matplotlib would omit it."""
     return f" {name}" if name.startswith("_") else name
 
 
@@ -35,6 +35,7 @@ def plain_axes(
     Parameters
     ----------
     axes : Axes
+        Axes to draw in.
     grid : {"both", "x"}
         Lines of the thin grid that are drawn.
     below : bool
@@ -42,9 +43,9 @@ def plain_axes(
     left : bool
         Whether the line of the y axis is drawn.
     legend : bool
-        Whether what has a label is named within the axes.
+        Whether a legend of the labelled curves is drawn within the axes.
     **said
-        As of `Axes.set`: xlabel, ylabel, xscale, xlim …
+        Keywords of `Axes.set`: xlabel, ylabel, xscale, xlim …
     """
     axes.set(**said)
     axes.grid(True, axis=grid, color="#e3e3e3" if below else "#dddddd", lw=0.6)
@@ -56,7 +57,7 @@ def plain_axes(
 
 
 def bar_axes(axes: Axes, bars: int) -> None:
-    """Axes with so many bars above one another, at whole places along y."""
+    """Format axes for `bars` horizontal bars, one above the other at y = 0, 1, 2, …."""
     plain_axes(axes, "x", below=True, left=False, ylim=(-0.8, bars - 0.2))
     axes.tick_params(axis="y", length=0)
 
@@ -75,17 +76,21 @@ class Figure(figure.Figure):
     def of_panels(
         cls, width: float, height: float, rows: int = 1, columns: int = 1, dpi: int = 120, **panels: Any
     ) -> tuple[Self, Any]:
-        """Return a figure of a size in inches, and its panels, which do not overlap: as of `Figure.subplots`."""
+        """Return a figure of a size in inches and its panels, which do not overlap.
+
+        `panels` are keywords of `subplots`.
+        """
         made = cls(figsize=(width, height), dpi=dpi, layout="constrained")
         return made, made.subplots(rows, columns, **panels)
 
     def headed(self, title: str, text: str = "", small_print: str = "", right: bool = False) -> Self:
         """
-        Write the name of the optical system and what is shown above all panels, on the left.
+        Write a heading above all panels, on the left, and return the figure.
 
         Parameters
         ----------
         title, text : str
+            Name of the optical system, and what the figure shows.
         small_print : str
             See `small_print`; empty: there is none.
         right : bool
@@ -95,7 +100,7 @@ class Figure(figure.Figure):
         return self.small_print(small_print, right) if small_print else self
 
     def small_print(self, text: str, right: bool = False) -> Self:
-        """Say below all panels, in their middle or on the right, how to read them."""
+        """Write how to read the panels below them in small print, centred or on the right, and return the figure."""
         self.supxlabel(text, fontsize=7.5, color="#555555", **({"x": 0.99, "ha": "right"} if right else {}))
         return self
 

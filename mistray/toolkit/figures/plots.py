@@ -50,6 +50,7 @@ def scaled_map(axes: Axes, image: Pixels, extent: Extent, limits: Range | None, 
     Parameters
     ----------
     axes : Axes
+        Axes to draw in.
     image : Pixels
         Irradiance with its error, W/mm²; row 0 at the smallest y.
     extent : (float, float, float, float)
@@ -82,6 +83,7 @@ def draw_map(
     Parameters
     ----------
     axes : Axes
+        Axes to draw in.
     image : (H, W) float
         Irradiance or another quantity; row 0 at the smallest y.
     extent : (float, float, float, float)
@@ -115,7 +117,7 @@ def draw_map(
 
 
 def _hatch(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-    """Return grey lines at 45° over chosen pixels as an image, (h, w, 4) RGBA, 0 … 1."""
+    """Return grey lines at 45° over the pixels where `where` is true, as an image, (h, w, 4) RGBA, 0 … 1."""
     finer = max(round(HATCHED / max(where.shape)), 1)
     lines = np.kron(where, np.ones((finer, finer), dtype=bool))
     row, column = np.indices(lines.shape)
@@ -124,7 +126,7 @@ def _hatch(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
 
 
 def as_png(figure: Figure, of_maps: bool = False) -> bytes:
-    """Return a figure as PNG; `of_maps` stores one of maps and black text with a palette, in a third of the size."""
+    """Return a figure as PNG; `of_maps` stores figures of maps with a palette, at a third of the size."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", bbox_inches="tight", pad_inches=0.1)
     if not of_maps:
@@ -138,7 +140,7 @@ def as_png(figure: Figure, of_maps: bool = False) -> bytes:
 
 
 def _map_palette() -> Image.Image:
-    """Return an image with a palette of 256: the colours of irradiance, and grey levels for text."""
+    """Return an image whose palette of 256 colours has those of irradiance maps, and grey levels for text."""
     shades = np.repeat(np.linspace(0, 255, GREYS)[:, None], 3, axis=1)
     colours = np.concatenate([255 * image_colours()(np.linspace(0, 1, 256 - GREYS))[:, :3], shades])
     palette = Image.new("P", (1, 1))
@@ -162,6 +164,7 @@ def as_svg(figure: Figure, text: str = "") -> str:
     Parameters
     ----------
     figure : Figure
+        Matplotlib figure.
     text : str
         Description of the figure for screen readers.
     """
@@ -177,6 +180,6 @@ def as_svg(figure: Figure, text: str = "") -> str:
 
 
 def _shorter(tag: str, used: set[str]) -> str:
-    """Return an SVG tag with rounded coordinates, without an id to which nothing refers."""
+    """Return an SVG tag with rounded coordinates; its id is dropped unless it is in `used`."""
     tag = _ID.sub(lambda found: found[0] if found[1] in used else "", tag)
     return _BLANKS.sub(" ", _LONG_NUMBER.sub(lambda found: f"{float(found[0]):.2f}".rstrip("0").rstrip("."), tag))

@@ -72,7 +72,7 @@ def _compressed(data: bytes) -> str:
 
 
 def power_codes(power_W: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
-    """Return powers, W, as stored codes, uint16: whole steps of 1/600 decade above 1e-100 W; 0 for no power."""
+    """Return powers, W, as uint16 codes for storage: steps of 1/600 decade above 1e-100 W; 0 for no power."""
     codes = np.zeros(power_W.shape, dtype=np.uint16)
     lit = power_W > 0
     steps = np.rint(STEPS_PER_DECADE * (np.log10(power_W[lit]) - LOWEST_DECADE))
@@ -81,13 +81,13 @@ def power_codes(power_W: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
 
 
 def decimals(low: npt.ArrayLike, high: npt.ArrayLike) -> int:
-    """Decimals of coordinates between two corners, so that the longest side has `DIGITS` digits."""
+    """Return the number of decimals for coordinates in a box, such that its longest side has `DIGITS` digits."""
     size = max(float(np.max(np.subtract(high, low))), 1e-9)
     return max(DIGITS - 1 - math.floor(math.log10(size)), 0)
 
 
 def section_data(scene: Any) -> dict[str, Any]:
-    """Return the section of a system that scripts draw, its size, and the colours of maps."""
+    """Return the section of a system, its size and map colours as data that page scripts draw."""
     lines = section(scene)
     low, high = bounds(lines)
     digits = decimals(low, high)

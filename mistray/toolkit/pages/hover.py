@@ -31,8 +31,9 @@ def hover_figure(
     Parameters
     ----------
     name : str
-        Id of its data.
+        HTML id of the data of the plot.
     figure : Figure
+        Matplotlib figure.
     axes : Axes
         Axes of the figure on which a line marks the chosen place.
     x : sequence of float

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fold:
-    """Cell of a page that can be opened: its summary, and the text shown when it is open."""
+    """Text on a page that opens on a click: its summary, and the text shown when it is open."""
 
     summary: str
     text: str
@@ -85,7 +85,7 @@ class Column:
 
 
 def columns(*given: str | Column) -> list[Column]:
-    """Return columns from their short forms, see `Column.of`."""
+    """Return table columns from their short forms "head [unit]", see `Column.of`."""
     return [Column.of(one) if isinstance(one, str) else one for one in given]
 
 
@@ -103,7 +103,9 @@ class Table(PagePart):
     Attributes
     ----------
     columns : sequence of Column
+        Headings and units.
     rows : sequence of sequence of Value
+        Cells of each row, in the order of the columns.
     name : str
         Id on a page, and name of the table in JSON and of its CSV file.
     sortable : bool
@@ -132,7 +134,7 @@ class Table(PagePart):
     kind: ClassVar[str] = "table"
 
     def rows_in_text(self, most: int | None = None) -> list[Sequence[Value]]:
-        """Return the rows that a text shows, at most so many or `most`, and one for the rest."""
+        """Return the rows to print as text: at most `most`, or the number of the table, and one row for all others."""
         most = self.most if most is None else most
         rows = list(self.rows if most is None else self.rows[:most])
         return [*rows, self.rest] if len(self.rows) > len(rows) and self.rest else rows
@@ -238,6 +240,7 @@ class Map(PagePart):
     extent_mm : (float, float, float, float)
         Extent x0, x1, y0, y1 on the detector, mm.
     title, unit : str
+        Heading of the map, and unit of its values.
     name : str
         Name of the map in JSON.
     """
@@ -288,7 +291,9 @@ class Section:
     anchor : str
         Id on a page.
     title : str
+        Heading of the chapter.
     parts : sequence of PagePart
+        Tables, pictures and texts, in order.
     link : str
         Name in the links at the top of a page; empty: no link.
     folded : {"", "screen", "always"}
@@ -312,6 +317,7 @@ class Report:
     heading, title : str
         Computed quantity, and name of the optical system.
     sections : sequence of Section
+        Chapters, in order.
     lead : sequence of PagePart
         Parts below the title: the result in a few sentences.
     warnings : sequence of str

@@ -71,6 +71,7 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
     Parameters
     ----------
     report : Report
+        Report to write.
     directory : str or Path
         Folder, created with its parents if missing; other files in it are left unchanged.
     scene : str
@@ -98,7 +99,7 @@ def csv_text(table: pd.DataFrame, in_full: bool = False) -> str:
 
 @contextlib.contextmanager
 def told(directory: str | Path) -> Iterator[None]:
-    """Convert an `OSError` into a `MistrayError` that says in one line why a folder cannot be written."""
+    """Convert an `OSError` within a block into a `MistrayError` that says why a folder cannot be written."""
     try:
         yield
     except OSError as error:

@@ -35,6 +35,7 @@ def settings_section(
     definitions : mapping of str to str, optional
         Meanings of words, see `terms`.
     assumptions : sequence of str
+        Assumptions of the computation, one sentence each.
     before, after : sequence of PagePart
         Parts at the top, and between the settings and the command.
     link, folded
@@ -55,13 +56,13 @@ def settings_section(
 
 @functools.cache
 def terms(report: str) -> dict[str, str]:
-    """Return the meanings of the words of a report, in order of display; see assets/terms.toml."""
+    """Return the definitions of the words that a report uses, in order of display; see assets/terms.toml."""
     text = files("mistray.toolkit.pages").joinpath("assets", "terms.toml").read_text(encoding="utf-8")
     return dict(tomllib.loads(text)[report])
 
 
 def version_settings() -> dict[str, str]:
-    """Return the versions of the packages that computed the numbers, as settings of a report."""
+    """Return the versions of the packages that computed the results, as settings to print in a report."""
     return {f"version of {name}": version for name, version in versions().items()}
 
 

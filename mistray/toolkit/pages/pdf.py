@@ -45,6 +45,7 @@ def pdf_bytes(report: model.Report) -> bytes:
     Parameters
     ----------
     report : Report
+        Report to write.
 
     Raises
     ------
@@ -225,7 +226,7 @@ class _Writer:
         self.pdf.ln(2)
 
     def _widths(self, rows: Sequence[Sequence[str]], left: Sequence[bool]) -> tuple[float, list[float]]:
-        """Return the size of the font, points, and the widths of the columns, mm."""
+        """Return the size of the font, points, and the widths of the columns, mm, that fit a table on the page."""
         room, widths = self.pdf.epw, [0.0]
         for size in TABLE_SIZES:
             widths = []

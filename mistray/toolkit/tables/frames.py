@@ -32,7 +32,7 @@ def heading_of(column: str) -> tuple[str, str]:
 
 
 def error_of(column: str, known: Sequence[str]) -> str | None:
-    """Return the column with the standard error of a column, or None: "pst_se" for "pst", "x_se_mm" for "x_mm"."""
+    """Return the column with the standard error of a column, or None: "pst" → "pst_se", "x_mm" → "x_se_mm"."""
     name, _ = unit_of(column)
     end = column[len(name) :]
     return next((other for other in (f"{name}_se{end}", f"{column}_se") if other in known), None)
@@ -47,6 +47,7 @@ def frame_table(name: str, frame: pd.DataFrame) -> Table:
     name : str
         Id of the table.
     frame : DataFrame
+        Table whose column names end in units.
     """
     names = [str(column) for column in frame.columns]
     errors = {column: error_of(column, names) for column in names}
@@ -66,6 +67,7 @@ def chosen(frame: pd.DataFrame, heads: Mapping[str, str], name: str = "") -> Tab
     Parameters
     ----------
     frame : DataFrame
+        Table whose column names end in units.
     heads : mapping of str to str
         Headings by column, see `Column.of`.
     name : str
@@ -115,7 +117,7 @@ def value_text(value: Any) -> str:
 
 
 def flat(values: Mapping[str, Any], before_unit: bool = False) -> dict[str, Any]:
-    """A row of a DataFrame, in which an `Estimate` is two columns: "x_mm" and "x_mm_se" or, on request, "x_se_mm"."""
+    """Return a DataFrame row with each `Estimate` as two columns: "x_mm" and "x_mm_se" or, on request, "x_se_mm"."""
     row: dict[str, Any] = {}
     for name, value in values.items():
         begin = unit_of(name)[0] if before_unit else name
@@ -125,7 +127,7 @@ def flat(values: Mapping[str, Any], before_unit: bool = False) -> dict[str, Any]
 
 
 def estimate_of(record: Mapping[str, Any] | pd.Series, name: str) -> Estimate:
-    """Return a number of a row of a DataFrame with its standard error; raises `KeyError` if it has none of them."""
+    """Return a number in a DataFrame row with its standard error; raise `KeyError` if either column is missing."""
     return Estimate(float(record[name]), float(record[str(error_of(name, list(record.keys())))]))
 
 

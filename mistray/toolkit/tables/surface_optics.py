@@ -1,4 +1,4 @@
-"""Effect of surfaces on light at normal incidence: specular shares, scatter and absorption, by surface and alike."""
+"""Effect of surfaces on light at normal incidence: specular shares, scatter and absorption, by surface and by group."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ def surface_optics(table: SurfaceTable, path: DesignPath | None) -> tuple[pd.Dat
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     path : DesignPath, optional
+        Design path of the scene, if it has one.
 
     Returns
     -------
@@ -88,7 +90,7 @@ def _rounded(values: Mapping[str, float]) -> tuple[float, ...]:
 def _totals(
     table: SurfaceTable, surface: int, models: Sequence[LobeModel], from_front: bool, cosine: float = 1.0
 ) -> Totals:
-    """Return specular loss and scattered fraction by scatter models of a surface, at one cosine of incidence."""
+    """Return specular loss and scattered fraction of light by scatter models on a surface, at a cosine of incidence."""
     opaque = bool(table.optics.host_words[surface] & OPAQUE)
     sides = light_indices(table.optics, surface, from_front)
     particles = particle_indices(models, table.wavelength_nm)
@@ -181,7 +183,7 @@ def model_words(item: Any) -> str:
 
 
 def _treatments(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return groups of surfaces with one coating, scatter and budget, the most frequent first."""
+    """Return groups of surfaces with equal coating, scatter, R, T and absorption, the largest group first."""
     numbers = ["R_percent", "T_percent", *TIS, "A_percent"]
     keys = ["role", "side", "coating", "scatter", *numbers]
     rounded = frame.assign(**{name: frame[name].round(SAME_DIGITS) for name in numbers})

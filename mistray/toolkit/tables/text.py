@@ -64,6 +64,7 @@ def table_text(table: Table, most: int | None = None) -> str:
     Parameters
     ----------
     table : Table
+        Table to print.
     most : int, optional
         Largest number of rows, before a last one for the rest (default: ``table.most``).
     """
@@ -113,7 +114,7 @@ def parts_text(parts: Sequence[PagePart]) -> str:
 
 
 def first_of(texts: Sequence[str], most: int, between: str = ", ") -> str:
-    """The first of some texts, and how many more there are."""
+    """Return the first `most` texts joined by `between`, and how many more there are."""
     more = len(texts) - most
     return between.join(texts[:most]) + (f" and {more} more" if more > 0 else "")
 

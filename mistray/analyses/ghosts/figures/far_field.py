@@ -24,7 +24,8 @@ def far_field_figure(name: str, found: Sequence[tuple[float, FarField]]) -> Figu
     ----------
     name : str
         Name of the far field, title of the legend.
-    found : sequence of (field angle in degrees, FarField)
+    found : sequence of (float, FarField)
+        Field angle, degrees, and recorded far field.
     """
     made, axes = Figure.of_panels(7.2, 4.0, dpi=110)
     highest = 0.0

@@ -51,7 +51,7 @@ FIELDS_AS_TICKS = 10
 
 
 def common_range(report: GhostReport, stray: bool = False) -> Range | None:
-    """Return one log10 range (powers of ten of W/mm²) for the maps of all fields; None if all are dark."""
+    """Return one log10 range, as powers of ten of W/mm², for the maps of all fields; None if all are dark."""
     maps = [report.stray_map(field)[0] if stray else report[field].irradiance for field in report]
     return log_range(maps, DECADES)
 
@@ -65,6 +65,7 @@ def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = No
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     field_deg : float
         Field angle, degrees.
     limits : (float, float), optional
@@ -93,6 +94,7 @@ def montage(report: GhostReport, columns: int = 4, common: bool = False) -> Figu
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     columns : int
         Number of maps in a row.
     common : bool

@@ -54,7 +54,7 @@ class LightMap:
 
     @property
     def peak(self) -> tuple[Estimate, float, float]:
-        """Irradiance of the brightest cell, W/mm², and its middle across and along, mm, or degrees for azimuths."""
+        """Irradiance of the brightest cell, W/mm², and its position across and along, mm (azimuths in degrees)."""
         (row, column), peak = highest_cell(self.irradiance, self.se)
         across, along = (
             float(borders[k : k + 2].mean())
@@ -96,7 +96,7 @@ def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
 
 
 def _apart(groups: Sequence[np.ndarray]) -> list[list[int]]:
-    """Return indices of path groups by run: no run has a path twice, and each group is in the first run possible."""
+    """Return indices of path groups by trace, such that no trace has a path twice and there are few traces."""
     runs: list[tuple[list[int], set[int]]] = []
     for number, group in enumerate(groups):
         own = set(group.tolist())

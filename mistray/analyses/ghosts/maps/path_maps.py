@@ -112,13 +112,13 @@ class FieldMaps:
 
     @property
     def grid(self) -> int:
-        """Return the pixels along the side of the largest cell; rectangles on this grid are exact for all paths."""
+        """Return the largest cell size, pixels; map sums over rectangles of such cells are exact for all paths."""
         return max(found.pixels for found in (self.rest, *self.paths.values()))
 
 
 @dataclass(frozen=True)
 class ImagesOfField:
-    """Irradiance (W/mm²) of one field: direct image, stray light, and the worst paths with their errors by path_id."""
+    """Irradiance, W/mm², of one field: direct image, stray light, and each worst path with its errors, by path id."""
 
     direct: Pixels
     stray: Pixels
@@ -134,6 +134,7 @@ def field_maps(
     Parameters
     ----------
     trace : Trace
+        Finished trace.
     table : DataFrame
         Paths of the trace.
     path_ids : sequence of int
@@ -195,7 +196,7 @@ def field_maps(
 
 
 def images_of_field(trace: Trace, table: pd.DataFrame, worst: Sequence[int]) -> ImagesOfField:
-    """Return full images of one field, W/mm², by tracing its rays once more, with one for each path in `worst`."""
+    """Return irradiance images of one field at full resolution, W/mm², and of each path in `worst`, by a new trace."""
     if table.empty:
         return ImagesOfField(trace.light, trace.light, {})
     members = dict(zip(table.path_id, table.path_ids, strict=True))
@@ -216,5 +217,5 @@ def without(light: Pixels, direct: Pixels, value: Map) -> Pixels:
 
 
 def _cells(lit: npt.NDArray[np.int64], pixels: int) -> int:
-    """Return the number of cells, `pixels` wide each, from the first lit index to the last."""
+    """Return the number of cells, each `pixels` wide, that cover all lit pixel indices from the first to the last."""
     return int(lit[-1] // pixels - lit[0] // pixels + 1)

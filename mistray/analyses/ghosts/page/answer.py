@@ -43,7 +43,7 @@ Sentence = str | Markup
 
 
 def answer(report: GhostReport, shown: GhostReport) -> list[PagePart]:
-    """Return the verdict and the picture of the worst paths of the fields in `shown`, as page parts."""
+    """Return the verdict, and the picture of the worst paths of the fields in `shown`, as page parts."""
     worst = worst_of_all_fields(shown, PATHS_DRAWN) if shown else []
     parts: list[PagePart] = [Items(verdict(report), "verdict")]
     if worst:

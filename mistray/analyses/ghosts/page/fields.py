@@ -62,6 +62,7 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     s : FieldSummary
         Summary of all light of this field.
     pictures : mapping of str to bytes
@@ -132,6 +133,7 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[Pag
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     field_deg : float
         Field angle, degrees.
     name : str
@@ -205,7 +207,7 @@ def _numbers(paths: pd.DataFrame, wave: bool) -> list[str]:
 
 
 def _paths(rows: pd.DataFrame, shown: pd.DataFrame, wavelength: bool, name: str = "") -> Table:
-    """Rows with the numbers that are told of the paths that are shown."""
+    """Return the table of path rows; its numeric columns are those with values for the paths in `shown`."""
     only = ["path_id", "label", "kind", *["wavelength_nm"] * wavelength, "rays", *_numbers(shown, wavelength)]
     return table(PathColumns, marked(rows), name, only)
 

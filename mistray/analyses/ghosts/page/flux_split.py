@@ -15,7 +15,7 @@ NOTE = (
 
 
 def flux_split_section(report: GhostReport) -> Section | None:
-    """Return the section on the split of flux at surfaces, W, by field, or None if nothing records it."""
+    """Return the section on recorded flux splits at surfaces, W, by field; None if nothing is recorded."""
     rows: list[list[Value]] = []
     for field, recorder in report.recorded(FluxSplit):
         for row in sorted(recorder.rows, key=lambda one: -one.incident[0]):

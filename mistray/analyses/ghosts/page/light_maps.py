@@ -62,7 +62,7 @@ def light_map_figures(report: GhostReport) -> dict[str, Drawing]:
 
 
 def _drawn(maps: Sequence[LightMap]) -> list[LightMap]:
-    """Return the twelve strongest maps with light, in their original order."""
+    """Return the twelve maps with most light, in their original order."""
     lit = sorted((one for one in maps if one.power.value > 0), key=lambda one: -one.power.value)[:DRAWN]
     return [one for one in maps if any(one is other for other in lit)]
 

@@ -43,6 +43,7 @@ def draw(report: GhostReport, look: Look | None = None) -> tuple[dict[str, bytes
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     look : Look, optional
         Settings of the colour pictures; without them there are none.
 
@@ -102,6 +103,7 @@ def write_png(report: GhostReport, directory: str | Path, look: Look | None = No
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     directory : str or Path
         Created if it is missing.
     look : Look, optional
@@ -135,6 +137,7 @@ def write_all(
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     directory : str or Path
         Created if it is missing, with its parents.
     title : str

@@ -48,6 +48,7 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     field_deg : float
         Field angle, degrees.
     maps : FieldMaps

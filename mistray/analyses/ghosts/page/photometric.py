@@ -47,5 +47,5 @@ def photometric_section(report: GhostReport) -> Section | None:
 
 
 def _highest(field: float, where: str, what: str, value: np.ndarray, se: np.ndarray, unit: str) -> list[Value]:
-    """Return the table row of the highest value of a map, with its standard error and unit."""
+    """Return the table row of the brightest cell of a map, with its standard error and unit."""
     return [f"{field:g}", where, what, highest_cell(value, se)[1], unit]

@@ -49,7 +49,7 @@ def record(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> dict[str, A
 
 
 def _field(report: GhostReport, field_deg: float, shown: GhostTables) -> dict[str, Any]:
-    """Return further values of a field for its row of the main table; empty for a field that is not traced."""
+    """Return additional values of a field for its JSON object; empty for a field that is not traced."""
     if field_deg not in report:
         return {}
     levels = {by: report.stray_levels(field_deg, by).drop(columns="path_ids") for by in LEVELS}

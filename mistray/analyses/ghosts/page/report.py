@@ -73,6 +73,7 @@ def write_html(
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     path : str or Path
         File to write; it appears complete or not at all.
     title : str

@@ -25,6 +25,7 @@ class Thumbnail:
     Attributes
     ----------
     png : bytes
+        Picture as PNG.
     width_mm : float
         Width and height of the picture on the detector, mm.
     limits : (float, float) or None

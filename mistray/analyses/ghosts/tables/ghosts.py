@@ -128,7 +128,7 @@ def listed_paths(report: GhostReport, count: int) -> pd.DataFrame:
 
 
 def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
-    """Return the rows of a field's stray paths that are not listed among its worst `count`."""
+    """Return the rows of a field's stray paths that are not among its `count` worst paths."""
     paths = report.table(field_deg)
     return paths[(paths.kind != DIRECT) & ~paths.path_id.isin(report.listed(field_deg, count).path_id)]
 
@@ -157,6 +157,7 @@ def main_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bo
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     count : int
         Number of worst paths listed for each field.
     per_wavelength : bool

@@ -137,6 +137,7 @@ def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool =
     Parameters
     ----------
     report : GhostReport
+        Ghost analysis.
     directory : str or Path
         Created if it is missing.
     per_wavelength : bool
@@ -154,7 +155,7 @@ def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool =
 def _by_wavelength(
     report: GhostReport, per_wavelength: bool, of_all: Callable[[Trace], Any], of_one: Callable[[Trace, float], Any]
 ) -> list[tuple[dict[str, float], Any]]:
-    """Return pairs of identifying columns and a result of each field, or of each field and wavelength."""
+    """Return pairs of identifying columns and result, for each field or for each field and wavelength."""
     if not per_wavelength:
         return [({"field_deg": field}, of_all(t)) for field, t in report.items()]
     return [

@@ -19,7 +19,7 @@ OF_SOME = ("airy_radius_mm", "airy_irradiance_W_mm2", "peak_W_mm2")  # numbers t
 
 @dataclass(frozen=True)
 class PathColumns:
-    """Columns of `GhostReport.with_airy`, of which tables show some."""
+    """Columns of a path table from `GhostReport.with_airy`; a printed table shows a selection of them."""
 
     path_id: int = column("number of the path", head="path")
     events: str = column("its events")
@@ -52,7 +52,7 @@ NUMBERS = tuple(field.name for field in fields(PathColumns))[6:]
 
 
 def number_cells(rows: pd.DataFrame, numbers: Sequence[str]) -> list[list[Value]]:
-    """Return some numbers of rows of a path table as cells of a text; empty where a path has none."""
+    """Return the chosen numbers of rows of a path table as text cells; empty where a path has none."""
     rows = rows.reindex(columns=list(dict.fromkeys([*rows.columns, *numbers])))
     absent = [[name in OF_SOME and math.isnan(getattr(row, name)) for name in numbers] for row in rows.itertuples()]
     found = table(PathColumns, rows, only=numbers).rows
@@ -62,17 +62,20 @@ def number_cells(rows: pd.DataFrame, numbers: Sequence[str]) -> list[list[Value]
 
 
 def mark_of(row: Any) -> str:
-    """The mark of a row of a path table: `FEW` rays, `CONTESTED`, or nothing."""
+    """Return the mark of a row of a path table: `FEW` rays, `CONTESTED`, or an empty text."""
     return FEW if row.few_rays else CONTESTED if row.contested else ""
 
 
 def marked(rows: pd.DataFrame) -> pd.DataFrame:
-    """Rows of a path table with the marks behind their names."""
+    """Return rows of a path table with the mark of each appended to its label."""
     return rows.assign(label=[f"{row.label} {mark_of(row)}".rstrip() for row in rows.itertuples()])
 
 
 def of_fields(field_deg: Iterable[float], table_of: Callable[[float], Table]) -> Table:
-    """Tables of some fields as one for a text, with the field on the left; rows that one leaves out are left out."""
+    """Return the tables of several fields as one, with the field angle, degrees, in the first column.
+
+    Each keeps its row limit for text.
+    """
     tables = {field: table_of(field) for field in field_deg}
     rows = [[f"{field:g}", *row] for field, found in tables.items() for row in found.rows_in_text()]
     return Table([Column("field", "deg"), *next(iter(tables.values())).columns], rows)

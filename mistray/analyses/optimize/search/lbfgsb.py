@@ -15,7 +15,7 @@ UNLIMITED = 10**9  # what ends a search is decided after each step
 
 
 def lbfgsb(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
-    """Search downhill, see `Search`; `step_size` is the largest move of a coordinate in the first trial."""
+    """Minimise a merit by L-BFGS-B, see `Search`; `step_size` limits the move of each coordinate in the first trial."""
     first = function(y0)
     slope = first.slope
     largest = float(np.max(np.abs(np.where(((y0 <= 0) & (slope > 0)) | ((y0 >= 1) & (slope < 0)), 0.0, slope))))

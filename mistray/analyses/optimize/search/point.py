@@ -38,7 +38,7 @@ class Pieces:
     one_sided: np.ndarray
 
     def penalty(self, residuals: np.ndarray) -> float:
-        """Return the sum of the penalties for given residuals, (m,)."""
+        """Return the sum of the penalties, dimensionless, for given residuals, (m,)."""
         counted = np.where(self.one_sided, np.maximum(residuals, 0.0), residuals)
         return float(np.sum(self.weights * counted**2))
 
@@ -57,6 +57,7 @@ class Point:
     Attributes
     ----------
     merit : float
+        Merit, dimensionless.
     slope : (n,) float64
         Gradient of the merit with respect to the point.
     pieces : Pieces or None
@@ -73,7 +74,7 @@ AfterStep = Callable[[np.ndarray], None]  # called with the point after each ste
 
 
 class Search(Protocol):
-    """A method that follows the gradient within bounds."""
+    """Optimisation method that follows the gradient of the merit within bounds."""
 
     def __call__(self, function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep, /) -> str:
         """
@@ -82,16 +83,17 @@ class Search(Protocol):
         Parameters
         ----------
         function : callable
-            Point in the unit cube, (n,) → what is known there. It must be the same function at every call, unless the
-            method says otherwise.
+            Function of a point in the unit cube, (n,), that returns a `Point`. It must be the same at every call,
+            unless the method says otherwise.
         y0 : (n,) float64
+            Start, a point of the unit cube.
         optimizer : Optimizer
-            Its `step_size` is said by each method.
+            Settings of the search; each method documents its `step_size`.
         after : callable
             Called with the point after each step; ends the search by an exception.
 
         Returns
         -------
         str
-            Why it ended by itself.
+            Reason why the search ended by itself.
         """

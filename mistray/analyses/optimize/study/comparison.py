@@ -50,7 +50,7 @@ class ComparisonCell:
 
     @property
     def whole(self) -> bool:
-        """Return whether this is the term over all its fields and wavelengths."""
+        """Return whether the value is for all fields and wavelengths of the term."""
         return self.field_deg is None and self.wavelength_nm is None
 
 
@@ -62,6 +62,7 @@ class Levels:
     Attributes
     ----------
     seeds : tuple of int
+        Seeds of the random numbers of the traces.
     values : dict of ComparisonCell to (seeds,) float64
         Values in the unit of the term; NaN where a term has none, such as an RMS spot without light.
     units : dict of str to str
@@ -80,7 +81,7 @@ class Levels:
         return self.values[ComparisonCell(term)]
 
     def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
-        """Return a copy to which terms are added that are known exactly; their values are the same for all seeds."""
+        """Return a copy with terms that are known exactly added; their values are equal for all seeds."""
         exact = {ComparisonCell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
         return dataclasses.replace(self, values={**self.values, **exact}, units={**self.units, **units})
 
@@ -104,7 +105,7 @@ class ComparisonRow:
 
     @property
     def whole(self) -> bool:
-        """Return whether this is the term over all its fields and wavelengths."""
+        """Return whether the row is for all fields and wavelengths of the term."""
         return self.field_deg is None and self.wavelength_nm is None
 
 
@@ -116,6 +117,7 @@ class Comparison:
     Attributes
     ----------
     seeds : tuple of int
+        Seeds of the random numbers of the traces.
     rows : tuple of ComparisonRow
         Rows of each term: the whole, each field, each wavelength, each field at each wavelength.
     entering : mapping of str to tuple of Entering
@@ -128,7 +130,7 @@ class Comparison:
 
     @property
     def spoiled(self) -> bool:
-        """Return whether so much light enters by new surfaces that a decrease of stray light is no improvement."""
+        """Return whether so much light enters by new first surfaces that less stray light is no improvement."""
         return any(spoils(entering) for entering in self.entering.values())
 
     @property
@@ -161,7 +163,9 @@ def measure(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     study : DesignStudy
+        Study of the design.
     seeds : int
         Number of seeds, at least 2.
     times : float
@@ -224,7 +228,7 @@ def try_terms(study: DesignStudy, scene: Any) -> None:
 
 
 def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
-    """Compare two steps of a search by the values on its own seed; the standard errors are NaN."""
+    """Compare two steps of a search by the values on the search's own seed; the standard errors are NaN."""
     rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:
         b, a = before.terms[term.name], after.terms[term.name]
@@ -244,6 +248,7 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
     Parameters
     ----------
     comparison : Comparison
+        Design before and after, on equal seeds.
     terms : sequence of Term
         Terms of the study.
     """
@@ -259,7 +264,7 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
 
 
 def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
-    """Return whether a row misses the goal of its term by more than `far` standard errors."""
+    """Return whether a term is worse than its goal in a row by more than `far` standard errors."""
     margin = far * row.ratio_se
     if term.goal == "minimise":
         return row.ratio + margin < 1 and row.ratio * (1 + WORTH_TELLING) < 1
@@ -275,7 +280,7 @@ def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
 
 
 def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
-    """Make the metrics of a term as a whole, at each field, at each wavelength and at each pair of both."""
+    """Return the metrics of a term: of the whole, of each field, of each wavelength and of each pair."""
     fields = list(term.traced.get("field_deg") or ())
     lines = list(term.traced.get("wavelength_nm") or ())
     fields, lines = ([] if of_pst(term) or len(v) < 2 else v for v in (fields, lines))
@@ -289,7 +294,7 @@ def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
 
 
 def compare(before: Levels, after: Levels) -> Comparison:
-    """Compare two measurements with the same study and seeds: means, ratios and standard errors of each cell."""
+    """Compare two designs measured with equal study and seeds: mean, ratio and standard error of each cell."""
     if before.seeds != after.seeds:
         raise MistrayError("the two measurements differ in seeds; measure both scenes with the same study")
     if before.values.keys() != after.values.keys():

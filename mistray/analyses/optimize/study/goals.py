@@ -26,12 +26,12 @@ from mistray.errors import MistrayError
 
 
 def limit_of(term: Term, start: float) -> float | None:
-    """Return the limit of a term in its unit, given its value at the start; None if it has none."""
+    """Return the limit of a term, in its unit; `start` is its value at the start; None if there is no limit."""
     return term.limit if term.limit_of_start is None else term.limit_of_start * start
 
 
 def holds(term: Term, value: float, start: float) -> bool:
-    """Return whether the goal of a term allows a value, given that at the start; "minimise" allows every value."""
+    """Return whether the goal of a term permits a value, given the start value; "minimise" permits all."""
     if term.goal == "minimise":
         return True
     if term.goal == "keep":
@@ -42,7 +42,7 @@ def holds(term: Term, value: float, start: float) -> bool:
 
 
 def residual(term: Term, start: float) -> tuple[float, float]:
-    """Return the value v at which the residual r of a term is 0, and dr/dv; for goals other than "minimise"."""
+    """Return the value v at which a term's residual r is 0, and dr/dv; not for the goal "minimise"."""
     limit = limit_of(term, start)
     if limit is None:
         return start, 1 / (term.tolerance * abs(start))
@@ -57,6 +57,7 @@ def contribution(term: Term, value: Any, start: float) -> Any:
     Parameters
     ----------
     term : Term
+        Term of the study.
     value : mi.Float64
         Value in the unit of the term.
     start : float
@@ -65,6 +66,7 @@ def contribution(term: Term, value: Any, start: float) -> Any:
     Returns
     -------
     mi.Float64
+        Contribution, dimensionless.
     """
 
     def number(x: float) -> Any:  # no literal, with which the kernel would change
@@ -88,7 +90,7 @@ def by_value(term: Term, value: float, start: float) -> float:
 
 
 def least_merit(terms: Sequence[Term]) -> float:
-    """Return the least possible merit: all terms to be minimised are 0 and all limits hold."""
+    """Return the least possible merit: the terms to be minimised are 0 and all limits are met."""
     floors = ((term.weight, term.floor_of_start) for term in terms if term.goal == "minimise")
     return sum((weight * math.log(floor / (1 + floor)) for weight, floor in floors), 0.0)
 
@@ -102,6 +104,7 @@ def pieces(
     Parameters
     ----------
     terms : sequence of Term
+        Terms of the study.
     values, start : mapping of str to float
         Values of the terms by name, here and at the start, in their units.
     slopes : mapping of str to (n,) float64
@@ -136,6 +139,7 @@ def check(terms: Sequence[Term], values: Mapping[str, float], start: Mapping[str
     Parameters
     ----------
     terms : sequence of Term
+        Terms of the study.
     values, start : mapping of str to float
         Values of the terms by name, here and at the start, in their units.
     where, at : str

@@ -24,7 +24,7 @@ WHOLE = "merit"  # the gradient of all terms at once
 
 
 def seed_of(optimizer: Optimizer, number: int) -> int:
-    """Return the seed of the rays of an evaluation; the first evaluation of a search has number 0."""
+    """Return the random seed of the rays for an evaluation; evaluations of a search count from 0."""
     if optimizer.seeds == "fixed" or number == 0:
         return optimizer.seed
     return int(np.random.SeedSequence((optimizer.seed, number)).generate_state(1)[0])
@@ -37,9 +37,13 @@ class Merit:
     Parameters
     ----------
     study : DesignStudy
+        Study of the design.
     scene : mi.Scene
+        Loaded scene.
     params : mi.SceneParameters
+        Parameters of the scene, ``mi.traverse(scene)``.
     variables : Variables
+        Variables of the study in this scene.
     thickness_keys : mapping of str to str
         Name of a coating of the study → key of its thicknesses.
 
@@ -127,7 +131,7 @@ class Merit:
     def _together(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """Return the merit and its gradient from one reverse-mode differentiation of all terms together."""
+        """Return the merit and its gradient from one reverse-mode differentiation of all terms at once."""
         leaves = {name: dr.opaque(mi.Float64, value) for name, (value, _) in layers.items()}
         dr.enable_grad(leaves)
         values: dict[str, float] = {}
@@ -214,7 +218,7 @@ class Merit:
         return tuple(t.name for t in self.study.terms if not holds(t, values[t.name], start[t.name]))
 
     def _checked(self, every: Mapping[str, Any], x: np.ndarray) -> dict[str, float]:
-        """Return the values of the terms as floats, in their units; raise an error if they have no merit."""
+        """Return the values of the terms in their units; raise `MistrayError` if they give no merit."""
         values = {t.name: float(dr.detach(mi.Float64(every[t.name]))[0]) for t in self.study.terms}
         check(self.study.terms, values, self.start or values, f"study '{self.study.name}'", self._point(x))
         return values

@@ -25,7 +25,7 @@ STARTS = 4  # with coatings
 
 @dataclass(frozen=True)
 class Term(Request):
-    """One of the sections ``[[term]]``: a metric and the goal for its value; its fields describe themselves."""
+    """Section ``[[term]]`` of a study: a metric and the goal for its value."""
 
     name: str = field(TEXT, MISSING, "name for tables and messages; without it the kind")
     kind: Any = field(
@@ -76,7 +76,7 @@ class Term(Request):
 
 @dataclass(frozen=True)
 class Moved(Request):
-    """Parameters that a variable moves; its fields describe themselves."""
+    """Scene parameters that a variable of a study moves, with their factor and pivot."""
 
     key: str = field(
         TEXT,
@@ -98,7 +98,7 @@ class Moved(Request):
 
 @dataclass(frozen=True)
 class VariableGroup(Request):
-    """One of the sections ``[[variable]]``; its fields describe themselves."""
+    """Section ``[[variable]]`` of a study: parameters that move together, and the bounds of their value."""
 
     name: str | None = field(TEXT, MISSING, "name for tables and messages; without it the first key")
     parameters: tuple[Moved, ...] = field(
@@ -128,7 +128,7 @@ class VariableGroup(Request):
 
 @dataclass(frozen=True)
 class CoatingKeys(Request):
-    """One of the sections ``[[coating]]`` as it is written; its fields describe themselves."""
+    """Section ``[[coating]]`` of a study as written: surfaces, start design and bounds of its thicknesses, nm."""
 
     _: KW_ONLY
     name: str = field(TEXT, MISSING, "id of the coating in the scene; without it `coating_1`, …")
@@ -181,7 +181,7 @@ class CoatingGroup:
 
 @dataclass(frozen=True)
 class Optimizer(Request):
-    """Section ``[optimizer]``; its fields describe themselves."""
+    """Section ``[optimizer]`` of a study: search method, numbers of steps and starts, and criteria for the end."""
 
     method: str = field(
         Words(tuple(PATIENCE)),
@@ -241,9 +241,13 @@ class DesignStudy:
     name : str
         File or other name, for messages.
     terms : tuple of Term
+        Metrics with their goals.
     variables : tuple of VariableGroup
+        Parameters that are varied, with their bounds.
     coatings : tuple of CoatingGroup
+        Coatings that are varied.
     optimizer : Optimizer
+        Settings of the search.
     """
 
     name: str
@@ -264,5 +268,5 @@ Study = DesignStudy  # its name before version 0.3
 
 
 def _named(kind: Any) -> str:
-    """Return the qualified name of a function, by which a fingerprint contains it."""
+    """Return the qualified name of a function, which stands for it in the fingerprint of a study."""
     return f"{getattr(kind, '__module__', '')}.{getattr(kind, '__qualname__', kind)}"

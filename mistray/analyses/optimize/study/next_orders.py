@@ -32,7 +32,9 @@ def with_next_orders(
     Parameters
     ----------
     study : DesignStudy
+        Study of the design.
     scene : mi.Scene
+        Loaded scene.
     first : (Levels, Levels)
         Terms of the given design and of the result, by the study as it is.
     seconds : float
@@ -62,7 +64,7 @@ def with_next_orders(
 
 
 def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
-    """Return the limit raised by one, by name of the term; terms for which it cannot be raised are left out."""
+    """Return the limit raised by one, by term; terms whose limit cannot be raised are left out."""
     found: dict[str, int] = {}
     names = {f.name for f in fields(Settings)}
     for term in study.terms:
@@ -77,7 +79,7 @@ def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
 
 
 def _takes(term: Term, limit: str) -> bool:
-    """Return whether a kind of term accepts a limit as an argument; a function from Python may not."""
+    """Return whether a kind of term has a limit as an argument; a user's function may not."""
     if not callable(term.kind):
         return True
     named = inspect.signature(term.kind).parameters.values()
@@ -85,7 +87,7 @@ def _takes(term: Term, limit: str) -> bool:
 
 
 def _compared(first: Levels, more: Levels, limit: str, of_term: dict[str, int]) -> NextOrder:
-    """Compare the terms of two measurements on their common seeds, on which both have traced the same rays."""
+    """Compare two measurements of the terms over their common seeds, in which both traced the same rays."""
     count = len(more.seeds)
     before = np.stack([first.of(name) for name in of_term])
     after = np.stack([more.of(name) for name in of_term])

@@ -56,6 +56,7 @@ class Optimization:
     Attributes
     ----------
     study : DesignStudy
+        Study of the design.
     source : Path
         The scene file.
     placed : tuple of PlacedDesign
@@ -63,6 +64,7 @@ class Optimization:
     band_nm : tuple of float
         Wavelengths for which the coatings are made, ascending, nm; empty without coatings.
     variables : Variables
+        Variables of the study in this scene.
     thickness_keys : dict of str to str
         Name of a coating of the study → key of its thicknesses.
     starts : tuple of Start
@@ -72,7 +74,7 @@ class Optimization:
     ended : dict
         Number of a start → why its search ended. Starts that were only evaluated are not in it.
     best : Step
-        The result.
+        Step of the searches that is the result.
     comparison : Comparison
         The given design and the result on independent seeds, with the further event on each path that matters; on the
         seeds of the search if `unverified`.
@@ -287,7 +289,7 @@ def _levels(
     least: int,
     seconds: float = math.inf,
 ) -> Levels:
-    """Return the levels of all terms at given values of the variables; `measure` documents the seeds."""
+    """Return the values of all terms, by seed, for given variables; see `measure` for the seeds."""
     variables.apply(x)
     layers = [term for term in study.terms if of_layers(term)]
     numbers = {

@@ -45,7 +45,7 @@ class Problem(Protocol):
 
 
 class Ended(Exception):
-    """Raised when a search is over; its text is the reason."""
+    """Raised to end a search; its text is the reason."""
 
 
 class Searches:
@@ -58,12 +58,15 @@ class Searches:
     Parameters
     ----------
     problem : Problem
+        Merit that is minimised.
     shares, values : callable
         Functions that convert values of the variables to shares of the way from bound to bound, and back.
     optimizer : Optimizer
+        Settings of the search.
     state : State
         State with its starts.
     file : Checkpoint, optional
+        File in which the state is kept.
     progress : callable, optional
         Called after each step with the step and the start of its search.
     seconds : float, optional
@@ -102,7 +105,7 @@ class Searches:
             problem.edge_widths = state.edge_widths
 
     def run(self) -> None:
-        """Evaluate all starts, then search from the best ones."""
+        """Evaluate all starts, then search from the best ones of them."""
         while len(self.state.evaluations) < len(self.state.starts):
             self.state.evaluations.append([])
         first = []
@@ -133,7 +136,7 @@ class Searches:
         return [step for step in self.steps if step.start == winner][-1]
 
     def _at(self, start: int, number: int, y: np.ndarray) -> Evaluation:
-        """Return an evaluation of a search by its number: the kept one, or a new one, which is then kept."""
+        """Return evaluation `number` of a search: the saved one if it exists, else a new one, which is then saved."""
         kept = self.state.evaluations[start]
         if number < len(kept):
             if not np.array_equal(kept[number].y, y):
@@ -165,13 +168,13 @@ class Searches:
 
     @property
     def each(self) -> float:
-        """Return the mean time of an evaluation, s; an overestimate, because the first evaluations compile kernels."""
+        """Return the mean time of an evaluation, s; somewhat too large, because the first ones compile kernels."""
         if self._made:
             return (time.perf_counter() - self._started) / self._made
         return self.state.seconds / max(sum(map(len, self.state.evaluations)), 1)
 
     def _note(self, start: int, step: int, at: Evaluation, new: bool) -> None:
-        """Add a step, and report it to `progress` unless it was made before an interruption."""
+        """Store a step, and report it to `progress` unless it was already made before an interruption."""
         self.steps.append(
             Step(
                 start=start,
@@ -190,7 +193,7 @@ class Searches:
             self.progress(self.steps[-1], self.state.starts[start])
 
     def _search(self, start: int) -> None:
-        """Search from the start with a number, and note why the search ended."""
+        """Search from the start of a given index, and store the reason why the search ended."""
         kept = self.state.evaluations[start]
         asked = 0
         merits = [kept[0].merit]

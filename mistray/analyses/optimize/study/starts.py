@@ -38,7 +38,8 @@ class Proxy:
         Complex indices of the rarer and the denser medium, for each glass.
     orders : list of (L,) int
         Numbers of the layers in the design, in that order, for each glass.
-    wavelength_nm, weights : (w, 1) float64, with weights that sum to 1
+    wavelength_nm, weights : (w, 1) float64
+        Wavelengths, nm, and weights that sum to 1.
     """
 
     layers: list[np.ndarray]
@@ -84,6 +85,7 @@ def minima(proxy: Proxy, bounds_nm: Sequence[tuple[float, float]], given: np.nda
     Parameters
     ----------
     proxy : Proxy
+        Reflectance as a function of the layers.
     bounds_nm : sequence of (low, high)
         Bounds of the thickness of each layer, nm.
     given : (L,) float64
@@ -112,7 +114,7 @@ def starts(
     seed: int,
 ) -> list[Start]:
     """
-    Return the given design and, if more starts are requested, others.
+    Return up to `count` starting designs: the given one first, then combined minima of the proxy or random points.
 
     With coatings the others combine minima of the proxy: the first takes the deepest minimum of every coating, the
     second the next, and so on. A coating with fewer minima keeps its last, and other variables stay as they are.
@@ -123,6 +125,7 @@ def starts(
     variables : Variables
         Variables of the study, those of the layers of the coatings first.
     placed : sequence of PlacedDesign
+        Coatings of the study on their surfaces.
     wavelength_nm, weights : sequence of float
         Wavelengths of the band, nm, and their weights; not used without coatings.
     count : int

@@ -114,6 +114,7 @@ class State:
     Attributes
     ----------
     starts : list of Start
+        Points from which searches start.
     evaluations : list of list of Evaluation
         Evaluations of the search from each start, in the order of time.
     left_out : list of str
@@ -131,7 +132,7 @@ class State:
 
     @property
     def edge_widths(self) -> dict[str, float]:
-        """Return the width of the smoothing zones at rims, over the radii of the rims, by gradient."""
+        """Return the width of the smoothing zones at rims over the rims' radii, by name of the differentiated term."""
         found: dict[str, float] = {}
         for evaluations in self.evaluations:
             for evaluation in evaluations:

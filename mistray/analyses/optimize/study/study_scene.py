@@ -33,6 +33,7 @@ class PlacedDesign:
     Attributes
     ----------
     group : CoatingGroup
+        Coating in the study.
     surfaces : tuple of str
         Ids of shapes.
     glasses : tuple of (str, str)
@@ -116,14 +117,14 @@ def place(scene: Any, study: DesignStudy) -> tuple[PlacedDesign, ...]:
 
 
 def _is_clear(bsdf: Any, wavelength_nm: float) -> bool:
-    """Return whether an interface transmits light at a wavelength in nm: neither opaque, mirror nor metal."""
+    """Return whether an interface transmits light at a wavelength, nm: it is not opaque, a mirror or a metal."""
     if not hasattr(bsdf, "coating") or bsdf.opaque or bsdf.mirror:
         return False
     return max(n.imag for n in bsdf.complex_indices(wavelength_nm)) <= METAL_K
 
 
 def _meets_air(shape: Any, wavelength_nm: float) -> bool:
-    """Return whether a shape is an optical surface, neither edge nor bevel, between air and a denser medium."""
+    """Return whether a shape is an optical surface between air and a denser medium, not an edge or a bevel."""
     low, high = sorted(shape.bsdf().indices(wavelength_nm))
     return not getattr(shape, "mechanics", False) and low < THIN < high
 
@@ -136,7 +137,9 @@ class StudyScene:
     Attributes
     ----------
     scene : mi.Scene
+        Loaded scene.
     params : mi.SceneParameters
+        Parameters of the scene, ``mi.traverse(scene)``.
     known : dict of str to Parameter
         Parameters that can be differentiated, by key.
     thickness_keys : dict of str to str

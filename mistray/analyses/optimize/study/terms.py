@@ -99,7 +99,7 @@ def of_pst(term: Term) -> bool:
 
 
 def own_arguments(kind: Any) -> dict[str, bool]:
-    """Return the arguments of a kind of term, apart from settings of its traces, and whether each is required."""
+    """Return the arguments of a kind of term apart from settings of traces, each with whether it is required."""
     if kind in OF_LAYERS:
         return {"coatings": False}
     return arguments_of_metric(kind if callable(kind) else FACTORIES[kind])
@@ -115,7 +115,7 @@ def traced_arguments(kind: Any) -> tuple[str, ...]:
 
 
 def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int | None) -> dict[str, Any]:
-    """Return the settings of traces that change for one field, degrees, or one wavelength, by its index."""
+    """Return settings of traces for one field, degrees, or one wavelength, by index; only those that change."""
     changes: dict[str, Any] = {} if field_deg is None else {"field_deg": (field_deg,)}
     if line is not None:
         lines = traced["wavelength_nm"]
@@ -146,7 +146,7 @@ def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
 
 
 def _joined(numbers: Collection[Any]) -> mi.Float64:
-    """Return numbers as one array, (numbers,), with their derivatives."""
+    """Return values as one differentiable Dr.Jit array, (numbers,)."""
     places = dr.arange(mi.UInt32, len(numbers))
     return sum((dr.select(places == k, value, 0.0) for k, value in enumerate(numbers)), start=mi.Float64(0.0))
 
@@ -166,6 +166,7 @@ def layer_value(
     Parameters
     ----------
     term : Term
+        Term of the study.
     coatings : sequence of CoatingGroup
         Coatings of the study.
     keys : mapping of str to str
@@ -187,7 +188,7 @@ def layer_value(
 
 
 def check_worst(term: Term) -> None:
-    """Raise an error, without the name of the term, if `worst` does not suit the kind of term or has one value only."""
+    """Raise an error, without the term's name, if `worst` does not suit its kind or there is one value only."""
     for over, key in (("field", "field_deg"), ("wavelength", "wavelength_nm")):
         if term.worst not in (over, "both"):
             continue

@@ -56,6 +56,7 @@ class Motion:
     Attributes
     ----------
     body : Body
+        Body that moves.
     name : str
         Name of the displacement or tilt, such as "tilt_x".
     factor : float
@@ -84,10 +85,13 @@ class Variable:
     Attributes
     ----------
     name : str
+        Name of the variable.
     unit : str
+        Unit of x.
     low, high : float
         Bounds of x, in `unit`.
     scale : {"linear", "log"}
+        Scale of the steps of x.
     places : tuple of VariablePlace
         Entries of parameters that move.
     motions : tuple of Motion
@@ -113,13 +117,13 @@ class Variable:
         return (*self.places, *self.motions)
 
     def value(self, y: float) -> float:
-        """Return the value, in `unit`, at a share y of the way from bound to bound; y is clipped to 0 … 1."""
+        """Return the value, in `unit`, at a fraction y, 0 … 1, of the way from low to high bound; y is clipped."""
         y = min(max(y, 0.0), 1.0)
         x = self.low * (self.high / self.low) ** y if self.scale == "log" else self.low + y * (self.high - self.low)
         return min(max(x, self.low), self.high)
 
     def share(self, x: float) -> float:
-        """Return the share of the way from bound to bound at which the value x lies, 0 … 1."""
+        """Return the fraction of the way from low to high bound at which the value x lies, 0 … 1."""
         if self.scale == "log":
             share = math.log(x / self.low) / math.log(self.high / self.low)
         else:
@@ -127,7 +131,7 @@ class Variable:
         return min(max(share, 0.0), 1.0)
 
     def stretch(self, x: float) -> float:
-        """Return dx/dy at a value x, in `unit`; y is the share of the way from bound to bound."""
+        """Return dx/dy at a value x, in `unit`; y is the fraction of the way from low to high bound."""
         return x * math.log(self.high / self.low) if self.scale == "log" else self.high - self.low
 
     def moved(self, x: float) -> Iterator[tuple[VariablePlace, float, float]]:
@@ -148,10 +152,12 @@ class Variables:
     params : mi.SceneParameters
         ``mi.traverse(scene)``.
     variables : sequence of Variable
+        Variables, in the order of their values.
 
     Attributes
     ----------
     variables : tuple of Variable
+        Variables, in the order of their values.
     keys : tuple of str
         Keys of the parameters that the variables move.
     start : (n,) float64
@@ -176,11 +182,11 @@ class Variables:
         return tuple(v.name for v in self.variables)
 
     def values(self, y: np.ndarray) -> np.ndarray:
-        """Return the values of the variables, (n,), at shares of the way from bound to bound, (n,)."""
+        """Return the values of the variables, (n,), for fractions, (n,), of the way from low to high bound."""
         return np.array([v.value(float(share)) for v, share in zip(self.variables, y, strict=True)])
 
     def shares(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Return the shares of the way from bound to bound, (n,), at values (n,); inverse of `values`."""
+        """Return the fractions of the way from low to high bound, (n,), for values (n,); inverse of `values`."""
         return np.array([v.share(float(value)) for v, value in zip(self.variables, x, strict=True)])
 
     def parameters(self, x: Sequence[float] | np.ndarray) -> dict[str, np.ndarray]:
@@ -241,7 +247,7 @@ class Variables:
         return result
 
     def stretch(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Return dx/dy, (n,), at values x of the variables, with y as the share of the way from bound to bound."""
+        """Return dx/dy, (n,), at values x; y are the fractions of the way from low to high bound."""
         return np.array([v.stretch(float(value)) for v, value in zip(self.variables, x, strict=True)])
 
 
@@ -254,7 +260,9 @@ def find_variables(
     Parameters
     ----------
     study : DesignStudy
+        Study of the design.
     params : mi.SceneParameters
+        Parameters of the scene, ``mi.traverse(scene)``.
     known : mapping of str to Parameter
         Parameters of the scene that can be differentiated, by key.
     coatings : mapping of str to str
@@ -393,7 +401,7 @@ def _places(
 def _bounds(
     members: Sequence[tuple[VariablePlace, Parameter]], group: VariableGroup, where: str
 ) -> tuple[float, float]:
-    """Return the bounds of x within which every parameter over its factor lies between the bounds of the group."""
+    """Return the bounds of x at which each parameter, divided by its factor, stays within the group's bounds."""
     slack = ROUNDING * (group.high - group.low)
     for place, parameter in members:
         ends = sorted((place.factor * group.low, place.factor * group.high))

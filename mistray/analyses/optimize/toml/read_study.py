@@ -65,6 +65,7 @@ def read_optimizer(section: TomlSection, limits: bool, coatings: bool) -> Optimi
     Parameters
     ----------
     section : TomlSection
+        Section of the TOML file.
     limits : bool
         Whether a term has a limit or is kept: the method is then "sqp" unless the section says otherwise.
     coatings : bool

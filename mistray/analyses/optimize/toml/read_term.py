@@ -57,6 +57,7 @@ def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
     Parameters
     ----------
     section : TomlSection
+        Section of the TOML file.
     trace : mapping
         Settings of traces that the term has unless its section says otherwise.
     """

@@ -34,13 +34,16 @@ Radiance = float | Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class ExtendedSource(Protocol):
-    """Interface of a source for the integral of its radiance; angles in radians."""
+    """Interface of an extended source whose radiance is integrated; all angles in radians."""
 
     def breaks(self) -> tuple[float, ...]:
         """Return the field angles where the source begins, changes shape or ends, ascending within 0 … π, radians."""
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over azimuths within `half` of `centre`, (q,), at field angles (q,)."""
+        """Return the integral of radiance over azimuths within `half` of `centre` (rad), (q,), at field angles (q,).
+
+        Field angles are in rad, the integral in W rad/(mm² sr).
+        """
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,10 @@ class SkyRadiance:
         return np.radians(self.from_deg), np.radians(self.to_deg)
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over an arc of azimuth, by the midpoint rule for a function."""
+        """Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr).
+
+        A radiance given as a function is integrated by the midpoint rule.
+        """
         if not callable(self.radiance):
             return np.full(len(theta), 2 * half * self.radiance)
         count = max(int(np.ceil(AZIMUTHS * half / np.pi)), 16)
@@ -108,6 +114,7 @@ class Disc:
         Direction of its centre, degrees. The field angle is 0 … 180, so that the disc may reach into the field from
         behind.
     name : str
+        Name for messages.
     """
 
     radius_deg: float
@@ -127,14 +134,17 @@ class Disc:
         _check_radiance(self.name, self.radiance)
 
     def breaks(self) -> tuple[float, ...]:
-        """Return field angles of the limb in the plane of the centre, and 0 or π if the disc contains the axis, rad."""
+        """Return field angles, rad, of the disc's edge in the plane of its centre.
+
+        Also 0 or π if the axis is inside.
+        """
         limb = abs(self.field_deg - self.radius_deg), 180 - abs(180 - self.field_deg - self.radius_deg)
         axis = [0.0] if self.field_deg < self.radius_deg else []
         behind = [180.0] if 180 - self.field_deg < self.radius_deg else []
         return tuple(np.radians(sorted({*axis, *limb, *behind})))
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over an arc of azimuth, in closed form."""
+        """Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr), in closed form."""
         radius, away = np.radians(self.radius_deg), np.radians(self.field_deg)
         sines = np.maximum(np.sin(theta) * np.sin(away), np.finfo(float).tiny)
         with np.errstate(over="ignore"):
@@ -209,7 +219,9 @@ def cover(
     Parameters
     ----------
     grid : DirectionGrid
+        Cells of field angle and azimuth.
     source : ExtendedSource
+        Source whose radiance is integrated.
     interpolation : {"cells", "linear", "log"}
         "cells": the PST is constant over a cell and 0 between cells. "linear": linear in field angle between
         the middles of the cells, gaps included. "log": the logarithm is linear, if both values are positive. In
@@ -267,7 +279,7 @@ def cover(
 
 
 def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives of a^(1-t) b^t by a and b, or of the linear interpolation if a or b is not positive."""
+    """Return the derivatives by a and b of a^(1-t) b^t, or of linear interpolation unless both are positive."""
     good = (a > 0) & (b > 0)
     ratio = np.log(np.where(good, b, 1) / np.where(good, a, 1))
     return (

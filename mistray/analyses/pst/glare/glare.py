@@ -161,7 +161,7 @@ def _at_pixel(
     azimuth_deg: float,
     at_mm: tuple[float, float] | None,
 ) -> tuple[Estimate, dict[str, Any]]:
-    """Return E_black over E_white at a pixel, and the position of the pixel, mm."""
+    """Return the ratio E_black / E_white at one detector pixel, and the position of the pixel, mm."""
     assert pst.maps is not None
     height, width = pst.maps.shape[-2:]
     x0, x1, y0, y1 = pst.extent_mm
@@ -312,5 +312,5 @@ def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[StrayMetric
 
 
 def _direct_and_stray(t: Trace) -> tuple[list[int], list[int]]:
-    """Return the path ids of the direct image, and of all other light."""
+    """Return the path ids of the direct image and those of all other light."""
     return t.paths.ids(True).tolist(), t.paths.ids(False).tolist()

@@ -68,10 +68,13 @@ def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", cl
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     name : {"ndi", "psnit"}
+        Ratio to compute.
     plane : {"normal", "projected"}
         Plane of the irradiance at the entrance; both are in use, and the definition in the result names it.
     classes : str or sequence of str
+        Light that counts, see `Pst.samples`.
     """
     if name not in ("ndi", "psnit"):
         raise MistrayError(f"name is '{name}'; use 'ndi' or 'psnit'")
@@ -112,6 +115,7 @@ def equivalent_stray_radiance(
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     source : ExtendedSource
         Source of the stray light, see `mistray.analyses.pst.glare.extended_source`.
     f_number, transmittance : float, optional
@@ -155,6 +159,7 @@ def stray_to_signal(
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     source : ExtendedSource
         Source of the stray light.
     scene_radiance : float
@@ -196,6 +201,7 @@ def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> 
     Parameters
     ----------
     pst : Pst
+        Point source transmittance (PST).
     diameter_deg : float
         Angular diameter of the source, degrees.
     decibels : bool
@@ -262,7 +268,7 @@ def _of_source(
     words: dict[str, str],
     facts: Mapping[str, float],
 ) -> StrayMetric:
-    """Compute a metric of the stray light of an extended source with `over`, from the factors of the cells."""
+    """Return a stray-light metric for an extended source; `over` computes it from PST and cell coefficients."""
     normal = pst.to("normal")
     curve = normal.map("stray")[0] if interpolation == "log" else None
     seen = cover(pst.grid, source, interpolation, curve)
@@ -284,7 +290,7 @@ def _of_source(
 
 
 def _by_image(pst: Pst, diameter_deg: float) -> tuple[list[Estimate], dict[str, float]]:
-    """Return stray light over direct image of a disc-shaped source, by field angle, and the facts."""
+    """Return stray light over direct image for a disc-shaped source, by field angle, and facts of the computation."""
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
     normal = pst.to("normal")
@@ -297,7 +303,7 @@ def _by_image(pst: Pst, diameter_deg: float) -> tuple[list[Estimate], dict[str, 
 
 
 def _row(pst: Pst, i: int) -> np.ndarray:
-    """Return the coefficients, (n, m), of the mean over azimuths at the field angle with index `i`."""
+    """Return cell weights, (n, m), that average over all azimuths at the field angle of index `i`."""
     rows = np.zeros(pst.grid.shape)
     rows[i] = 1 / pst.grid.shape[1]
     return rows

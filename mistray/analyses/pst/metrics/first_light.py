@@ -11,7 +11,7 @@ from mistray.recorders.path_events import DIRECT
 
 
 def first_light(pst: Pst, field: int) -> FirstLight:
-    """Return the light of a field angle, by index, averaged over azimuths; empty for a PST without paths."""
+    """Return the light at a field angle, by index, that enters by each first surface; empty without paths."""
     if pst.path_rows is None:
         return FirstLight({}, {}, {}, {})
     rows = pst.path_rows[pst.path_rows.cell == field]

@@ -32,6 +32,7 @@ class Modelled:
     Attributes
     ----------
     value : (n,) float64
+        Values of the model.
     covariance : (n, n) float64
         Covariance of the Monte Carlo noise of the values.
     jacobian : (n, k) float64
@@ -44,7 +45,10 @@ class Modelled:
 
 
 def _ends(scene: Any, chosen: Sequence[Parameter], value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds of parameters, (k,) each; finite for parameters of either sign, see `PstBands`."""
+    """Return lower and upper bounds of parameters, (k,) each.
+
+    Parameters of either sign get finite ones, see `PstBands`.
+    """
     box = scene.bbox()
     size = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
     low, high = (np.array([getattr(p, end) for p in chosen]) for end in ("low", "high"))
@@ -63,6 +67,7 @@ class PstBands:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     keys : sequence of str
         Parameters of one entry, such as ``"polish.rms_nm"``; see `mistray.metrics.parameters`.
     edges_deg : sequence of float
@@ -79,6 +84,7 @@ class PstBands:
     Attributes
     ----------
     keys : tuple of str
+        Keys of the parameters.
     start : (k,) float64
         Values of the parameters in the scene.
     low, high : (k,) float64
@@ -139,7 +145,7 @@ class PstBands:
         self._view = view
 
     def observe(self, values: Sequence[float] | np.ndarray, **changes: Any) -> PstObservation:
-        """Compute the PST of all cells at values of the parameters, (k,), which stay set in the scene."""
+        """Compute the PST of all cells with the parameters set to `values`, (k,); they stay set in the scene."""
         assign(self._params, {key: np.array([v]) for key, v in zip(self.keys, values, strict=True)})
         observation = self._view.observe(self.scene, 1.0, changes)
         assert isinstance(observation, PstObservation)
@@ -166,7 +172,7 @@ class PstBands:
         return self._noise(self.observe(values, **changes))
 
     def __call__(self, values: Sequence[float] | np.ndarray) -> Modelled:
-        """Return the bands at values of the parameters, (k,), with noise and derivatives."""
+        """Return the PST bands for values of the parameters, (k,), with Monte Carlo noise and derivatives."""
         observation = self.observe(values)
         value, covariance = self._noise(observation)
         weights = self._weights(observation)
@@ -182,7 +188,7 @@ class PstBands:
         return Modelled(value, covariance, jacobian)
 
     def _weights(self, observation: PstObservation) -> np.ndarray:
-        """Return the weight of each cell in each band value, (values, n, m): means over the solid angle."""
+        """Return the weight of each cell in each band average, (values, n, m), by solid angle."""
         grid = observation.pst.grid
         n, m = grid.shape
         solid = np.zeros((self._band_of_cell[-1] + 1, n))

@@ -46,12 +46,12 @@ class PstMetric(Metric):
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def with_rays_times(self, times: float) -> PstMetric:
-        """Return the metric with another factor on its rays, see `Metric.with_rays_times`."""
+        """Return the metric with `times` as the factor on the number of its rays."""
         return replace(self, times=times, plans={})
 
     @property
     def views(self) -> list[TraceView]:
-        """Return the PST as the only view of the metric."""
+        """Return the PST as the only view, or traced input, of this metric."""
         return [PstView(self.settings or {}, self.plans)]
 
 
@@ -70,6 +70,7 @@ def pst_bin(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     field_deg : float
         Field angle, -90 … 90 degrees; a negative one is at the opposite azimuth.
     light : str or sequence of str
@@ -113,6 +114,7 @@ def pst_band(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     low_deg, high_deg : float
         Ends of the band, 0 … 90 degrees.
     light : str or sequence of str
@@ -152,11 +154,12 @@ def pst_mask(
     **traced: Any,
 ) -> PstMetric:
     """
-    Make the metric smooth maximum over field angle of PST over its limit, dimensionless; at most 1 if the mask is met.
+    Make the metric "smooth maximum of PST / limit over field angles", dimensionless; at most 1 if the mask is met.
 
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     field_deg : float or sequence of float
         Field angles, degrees, ascending; the mean over the azimuths counts.
     limits : float or sequence of float
@@ -202,6 +205,7 @@ def veiling_glare(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     patch_deg, field_deg, azimuth_deg, source_deg, interpolation
         Arguments of `mistray.analyses.pst.glare.glare.veiling_glare_index`.
     place : {"mean", "point"}

@@ -55,7 +55,7 @@ class PstObservation:
 
     @property
     def seconds(self) -> float:
-        """Time of the trace, s."""
+        """Time of the trace of this PST, s."""
         return float(self.pst.facts["seconds"])
 
     def first_light(self) -> dict[str, FirstLight]:
@@ -85,7 +85,7 @@ class PstObservation:
         return self._cells[classes]
 
     def weighted(self, coefficients: np.ndarray, light: Light = "stray") -> mi.Float64:
-        """Return the sum over the cells of coefficients, (n, m), times PST_normal."""
+        """Return the sum over the cells of coefficients, (n, m), times PST_normal, differentiable."""
         return dr.sum(self.cells(light) * upload(mi.Float64, np.asarray(coefficients, dtype=np.float64)))
 
     @known_arguments
@@ -143,6 +143,7 @@ class PstObservation:
         low_deg, high_deg : float
             Ends of the band, 0 … 90 degrees.
         light : str or sequence of str
+            Classes of light.
         quantity : {"integral", "mean"}
             "integral", sr: irradiance on the detector from a sky of radiance 1 W/(mm² sr) that fills the band.
             "mean": that divided by ∫ dΩ ("normal") or ∫ cos θ dΩ ("projected") over the part of the band within cells.
@@ -201,7 +202,8 @@ class PstObservation:
         ----------
         patch_deg, field_deg, azimuth_deg, source_deg, interpolation
             Arguments of `mistray.analyses.pst.glare.glare.veiling_glare_index`.
-        place : {"mean", "point"}, see `veiling_glare_index` there
+        place : {"mean", "point"}
+            See `veiling_glare_index` there.
 
         Raises
         ------
@@ -235,25 +237,25 @@ class PstObservation:
         return total
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Return the gradients of the value by the tracer's tables, for each wavelength that matters."""
+        """Return the gradients of the value by the tracer's parameter tables, for each relevant wavelength."""
         derivative = self.derivative
         if not np.any(derivative):
             return iter(())
         return self.pst.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
-        """Return the value to first order with its noise by batch of start rays."""
+        """Return the first-order value of the metric, with its noise from the batches of start rays."""
         parts = np.tensordot(self.derivative, self.pst.by_batch, axes=3) * self.pst.weight
         return Sampled.of(parts, self.pst.weight)
 
     def clear(self) -> None:
-        """Reset the derivatives of values computed before."""
+        """Reset the derivatives collected from values computed before."""
         for cells in self._cells.values():
             dr.clear_grad(cells)
 
 
 def named_classes(light: Light) -> tuple[str, ...]:
-    """Return the classes that one or several names stand for; raises `MistrayError` for an unknown name."""
+    """Return the classes of light behind one or several names; raise `MistrayError` for an unknown name."""
     names = (light,) if isinstance(light, str) else tuple(light)
     if not names:
         raise MistrayError(f"no light is chosen; use {', '.join(LIGHT)}")

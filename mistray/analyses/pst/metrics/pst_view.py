@@ -40,7 +40,7 @@ class PstView(TraceView):
             raise MistrayError(f"method of a PST metric is '{method}'; use {' or '.join(map(repr, METHODS))}")
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
-        """Compute the PST with `times` the rays; `changes` replace some arguments; ``paths`` keeps the paths."""
+        """Compute the PST with `times` the number of rays; `changes` replace arguments, ``paths`` keeps the paths."""
         look = sorted_arguments(
             {name: value for name, value in changes.items() if name not in ("rays", "seed", "paths")}
         )
