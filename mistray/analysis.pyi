@@ -86,6 +86,7 @@ def critical_rays(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     field_deg : float | Iterable[float], optional
         Field angles, degrees (that of the scene). > -90 … < 90 degrees.
     wavelength_nm : float | Iterable[float], optional
@@ -158,6 +159,7 @@ def first_level(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     field_deg : float | Iterable[float], optional
         Field angles, degrees, ascending, each the middle of a cell over which the PST is averaged; negative ones
         are at the opposite azimuth. -90 … 90 degrees.
@@ -469,6 +471,7 @@ def objects(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     rays : int, optional
         Start rays from the detector, and from outside at each angle; without it as the scene says, else 1e6. 1 …
         4294967295.
@@ -851,6 +854,7 @@ def thermal(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     temperature_K : float, optional
         Temperature of everything without one of its own, K. 0 … 1e6 K.
     band_um : tuple[float, float], optional
@@ -963,16 +967,16 @@ def transfer(
     scatter_threshold: float | None = None,
 ) -> Transfer:
     r"""
-    Image of points with their stray light: scatter and ghost transfer functions, composite MTF and PSF, their books.
+    Compute images of points with stray light: scatter and ghost transfer functions, MTF, PSF and energy balance.
 
-    The direct image is that of `mistray.image_quality`. One trace of each field, with ghosts and scatter, says how much
-    light the detector gets by which class, and where about the direct image. Definitions and limits:
+    The direct image is that of `mistray.image_quality`. One trace of each field, with ghosts and scatter, gives the
+    light on the detector by class and by position about the direct image. Definitions and limits:
     docs/transfer_functions.md.
 
     Parameters
     ----------
     scene : mi.Scene
-        With one source, of a point.
+        Scene with one source, as for `mistray.image_quality`.
     field_deg : float | Iterable[float], optional
         Field angles, degrees; those of a near object are seen from the origin of its frame; without them the axis.
         > -90 … < 90 degrees.
@@ -989,11 +993,11 @@ def transfer(
     detector_table : tuple[tuple[float, ...], tuple[float, ...]], optional
         Measured transfer function of the detector: frequencies, 1/mm, and values.
     quality : ImageQuality, optional
-        Of the same scene, if it is known already; fields, wavelengths and detector are then its own and are not given.
+        Image quality of the same scene, if known already; it then sets fields, wavelengths and detector.
     progress : callable, optional
-        Gets what is done and what is to do.
+        Called with the work done so far and the total work.
     seconds : float, optional
-        Time of each trace.
+        Time of each trace, s.
     azimuth_deg : float, optional
         Azimuth of the field about z, degrees. -360 … 360 degrees.
     wavelength_nm : float | Iterable[float], optional
@@ -1055,8 +1059,8 @@ def transfer(
     Raises
     ------
     MistrayError
-        Where `mistray.image_quality` or `mistray.trace` raises it; if the direct image of a field misses the detector;
-        for several sources, and for numbers out of range.
+        If `mistray.image_quality` or `mistray.trace` raises it, the direct image of a field misses the detector, the
+        scene has several sources, or a value is out of range.
     """
 
 def transfer_of_bsdf(
@@ -1070,16 +1074,16 @@ def transfer_of_bsdf(
     from_front: bool = True,
 ) -> SurfaceTransfer:
     r"""
-    Surface transfer function from the BSDF: ``H(s) = 1 - TIS + ∫ BSDF(β) exp(2πi n (β - β0) s/λ) d²β``.
+    Return the surface transfer function from the BSDF: ``H(s) = 1 - TIS + ∫ BSDF(β) exp(2πi n (β - β0) s/λ) d²β``.
 
-    The light that leaves the surface is counted as 1, and so TIS is the integral at s = 0. The Hankel transform is
-    taken about the specular direction, its azimuths in the mean: at normal incidence on an isotropic surface that is
-    exact.
+    The lag s is in µm. Light that leaves the surface counts as 1, so that TIS is the integral at s = 0. The Hankel
+    transform is about the specular direction and averages over azimuths: exact at normal incidence on an isotropic
+    surface.
 
     Parameters
     ----------
     models : Scatter or sequence of LobeModel
-        All that scatters at the surface.
+        Scatter models of the surface.
     wavelength_nm : float
         Vacuum wavelength, nm. 10 … 1e7 nm.
     event : {"reflection", "transmission"}, optional
@@ -1098,8 +1102,8 @@ def transfer_of_bsdf(
     Raises
     ------
     MistrayError
-        For an event that is none, numbers out of range, total reflection, a surface that sends no light on, and what
-        the models raise where they do not hold.
+        If the event or a value is invalid, light is totally reflected, the surface sends no light on, or a model fails
+        at this event.
     """
 
 def transfer_of_spectrum(
@@ -1111,7 +1115,7 @@ def transfer_of_spectrum(
     cos_i: float = 1.0,
 ) -> SurfaceTransfer:
     r"""
-    Surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
+    Return the surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
 
     C is the Hankel transform of the spectrum at the frequencies that scatter into the half space at normal incidence,
     0 … n/λ, and σ² their variance. It holds for surfaces of any roughness whose heights are Gaussian.
@@ -1134,11 +1138,11 @@ def transfer_of_spectrum(
     Raises
     ------
     MistrayError
-        For an event that is none, numbers out of range and total reflection.
+        If the event or a value is invalid, or light is totally reflected.
 
     Warns
     -----
     MistrayWarning
-        Where the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
+        If the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
         that of the theories for smooth surfaces, with which scenes are traced.
     """

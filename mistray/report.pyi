@@ -128,6 +128,7 @@ def export_step(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     path : str or Path
         File to write; one that exists is replaced.
     field_deg : float | Iterable[float], optional

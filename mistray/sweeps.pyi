@@ -70,9 +70,9 @@ def rank_edits(
     scatter_threshold: float | None = None,
 ) -> EditRanking:
     r"""
-    Rank what can be moved, blocked, painted or coated by what one step of it does to the PST, to first order.
+    Rank possible edits (moves, blocks, paint, coatings) by the first-order effect of one step of each on the PST.
 
-    One PST, and for each field angle one reverse run that gives the derivatives by all numbers.
+    It takes one PST and, for each field angle, one reverse-mode run that gives the derivatives by all parameters.
 
     ====== ========================================================================================================
     move   places and tilts of parts as a whole
@@ -81,8 +81,8 @@ def rank_edits(
     coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
     ====== ========================================================================================================
 
-    Steps are in the unit of the parameter, or per cent of its value as text, ``"2 %"``. Those of keys count before
-    those of kinds, and later before earlier.
+    Steps are in the unit of the parameter, or text in percent of its value, ``"2 %"``. A step by key overrides one by
+    kind, and a later one overrides an earlier one.
 
     Parameters
     ----------
@@ -340,10 +340,10 @@ def sweep_pst(
     scatter_threshold: float | None = None,
 ) -> PstSweep:
     r"""
-    PST of a scene as it is and of each configuration, with the same random numbers.
+    Compute the PST of a scene as it is and in each configuration, with common random numbers.
 
-    All runs count equal ways of the light from the same direction, by as many rays, and forward rays cover the
-    surfaces of all configurations: what an edit does not touch is equal in both, ray by ray.
+    All runs use the same method, directions and numbers of rays, and forward rays cover the surfaces of all
+    configurations. So light that an edit does not touch is the same in all, ray by ray.
 
     Parameters
     ----------
@@ -351,7 +351,7 @@ def sweep_pst(
         Scene XML file, the name of a shipped scene, or a scene from `mistray.load` with its numbers as they are now,
         which stays as it is.
     configurations : mapping of str to mapping, or sequence of Configuration
-        What is changed; a mapping gives values of parameters only.
+        Changes of the scene; a mapping gives values of parameters only.
     field_deg : float | Iterable[float], optional
         Field angles of the PSTs, degrees. -90 … 90 degrees.
     method : {"joined", "adjoint", "forward"}, optional
@@ -438,7 +438,7 @@ def sweep_pst(
     Raises
     ------
     MistrayError
-        If a configuration names what the scene has not, makes surfaces overlap or an edit is impossible, an argument
-        is unknown, a loaded scene is none of `mistray.load`, one of a dict or with other numbers than its file is to be
-        painted, coated or blocked, or what `mistray.pst` raises.
+        If a configuration names something that the scene lacks, makes surfaces overlap or is impossible; if an argument
+        is unknown; if a loaded scene is not from `mistray.load`, or is to be painted, coated or blocked although it has
+        no file or other values than its file; or for any reason of `mistray.pst`.
     """
