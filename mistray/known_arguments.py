@@ -14,9 +14,9 @@ T = TypeVar("T", bound=Callable[..., Any])
 
 def known_arguments(target: T) -> T:
     """
-    Decorate a function, or a class for its constructor, so that wrong keyword arguments raise `MistrayError`.
+    Decorate a function, or a class for its constructor, so that unknown keyword arguments raise `MistrayError`.
 
-    Without it Python raises a `TypeError`, which suggests no argument.
+    The message suggests the nearest known argument.
     """
     if not isinstance(target, type):
         return _checked(target, target.__name__)

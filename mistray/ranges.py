@@ -261,7 +261,7 @@ class Interval(OfRange):
     """Condition that a value is an interval: two ends within the range, the lower one first."""
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, float]:
-        """Return the ends; raise `MistrayError` if they are not two, out of range or in the wrong order."""
+        """Return the two ends; raise `MistrayError` unless there are two, both in range, the first below the second."""
         ends = self.of.check_each(name, value, owner)
         before = _titled(name, owner)
         if len(ends) != 2:

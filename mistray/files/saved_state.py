@@ -167,7 +167,7 @@ def _text(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Convert NumPy's numbers and arrays to those of Python, for JSON."""
+    """Return NumPy's numbers and arrays as Python's numbers and lists, and anything else as text, for JSON."""
     if hasattr(value, "tolist"):
         return value.tolist()
     return str(value)

@@ -158,19 +158,20 @@ def add_tangent(
 
 def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.ndarray:
     """
-    Return the directional derivative of the flux in each pixel for given rates of the plugins' parameters.
+    Return the directional derivative of the flux in each pixel as parameters of plugins move at given rates.
 
     Parameters
     ----------
     run : Run
         Executed run, whose rays are traced again.
     tangents : mapping
-        Identity of a plugin and name of a parameter → (entries,) rate at which the parameter moves.
+        (id of a plugin, name of a parameter) → (entries,) rate, in the unit of the parameter, per unit of a common
+        variable.
 
     Returns
     -------
     (height, width) float64
-        Derivative of the flux in each pixel, visibility held fixed, in units of the start ray's flux.
+        Derivative of the flux in each pixel by that variable, visibility held fixed, in units of the start ray's flux.
     """
     table, film = run.table, run.make_film()
     nothing = GradientRequest(rows=False)

@@ -127,14 +127,22 @@ def _ideal(optics: Optics, rows: np.ndarray) -> np.ndarray:
 
 def number_tangent(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.ndarray]) -> SurfaceNumbers:
     """
-    Return the rates of change of all surfaces' numbers for given rates of the plugins' parameters.
+    Return the rates of change of geometry, refractive indices, R and T of all surfaces.
+
+    The parameters of plugins move at the rates `tangents`.
 
     Parameters
     ----------
     table : SurfaceTable
         Surfaces of the scene.
     tangents : mapping
-        Identity of a plugin and name of a parameter → (entries,) rate at which the parameter moves.
+        (id of a plugin, name of a parameter) → (entries,) rate, in the unit of the parameter, per unit of a common
+        variable.
+
+    Returns
+    -------
+    SurfaceNumbers
+        Rates, in the unit of each number, per unit of the same variable.
     """
     pairs = np.zeros((2, table.count, 2))
     found = SurfaceNumbers(

@@ -152,9 +152,11 @@ def table_slopes(
     table: SurfaceTable, cases: list[Case], packed: PackedLobes, plugin: Any, models: list[tuple[float, Any]]
 ) -> Iterator[tuple[str, int, np.ndarray]]:
     """
-    Yield derivatives of scatter-table entries with respect to a parameter of a scatter plugin.
+    Yield derivatives of scatter-table entries with respect to one parameter of a scatter plugin.
 
-    Each comes as name of the array, place of the first entry, and derivatives of the entries from there.
+    `models` are the terms of the difference quotient by that parameter, see `quotient`. Each item is the name of an
+    array of `Scattering.arrays`, the index of the first entry in the flattened array, and the derivatives from there
+    on. Tables that several lobes share are yielded once.
     """
     known: dict[tuple[float, float, bool], list[tuple[float, Side]]] = {}
     done: set[tuple[str, int]] = set()

@@ -135,7 +135,7 @@ def parse(material: str) -> Spec:
 
 
 def shifted(material: str, by: float) -> str:
-    """Return a material string whose suffix ``shift=VALUE`` adds `by` to n at every wavelength."""
+    """Return the material string with `by` added to n at every wavelength, in its suffix ``shift=VALUE``."""
     if not by:
         return material
     spec = parse(material)

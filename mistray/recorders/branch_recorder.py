@@ -287,5 +287,9 @@ class CellRecorder(ElsewhereRecorder):
 
 
 def as_many(capacity: int, max_events: int) -> int:
-    """Return the number of branches of `max_events` events that take the memory of `capacity` branches of 64 events."""
+    """
+    Return how many branches of `max_events` events fit into the memory of `capacity` branches of 64 events.
+
+    At least 1, and at most `capacity`.
+    """
     return max(1, capacity * 64 // max(max_events, 64))

@@ -121,7 +121,7 @@ class SkyRecorder(Recorder):
     paths : PathSums, optional
         Table of paths to which the contributions are added as well.
     pixels : int
-        Pixels of a map of the detector for every cell; 0: no maps.
+        Number of pixels of the detector map of each cell; 0: no maps.
     derivative : (CLASS_COUNT, n, m) float64, optional
         Derivative of a metric by the sum of the contributions of each class in each cell, for `gain`.
     """

@@ -124,7 +124,12 @@ def spectrum_of(
 
 
 def spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the wavelengths, nm, of a call, and their weights normalised to a sum of 1, (n,) float64 each."""
+    """
+    Return the given wavelengths, nm, and their weights scaled to a sum of 1, (n,) float64 each.
+
+    Weights are equal by default. Raise `MistrayError` without wavelengths, if one is given twice, or if a value or the
+    number of weights is wrong.
+    """
     if wavelength_nm is None:
         raise MistrayError("weights are given without wavelength_nm; give one wavelength for each weight")
     # A single number is a sequence of one

@@ -78,7 +78,7 @@ class ABg(Placement):
         return abg_from_catalogue(f"{resolve(path)}{colon}{name}", **properties)
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, see `Placement.event_lobes`."""
+        """Return the lobe of an event, or () if nothing scatters, see `Placement.event_lobes`."""
         if self.A == 0:
             return ()
         a, b = self.A, self.B

@@ -64,7 +64,7 @@ class EdgeDiffraction(Placement):
             raise MistrayError(f"{self.title}: event is '{self.event}'; an edge diffracts what passes it: transmission")
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, see `Placement.event_lobes`."""
+        """Return the one lobe of an event, see `Placement.event_lobes`."""
         wavelength_mm = 1e-6 * wavelength_nm / n_out
         if self.width_mm < LEAST_WAVES * wavelength_mm:
             raise MistrayError(

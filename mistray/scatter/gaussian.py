@@ -35,7 +35,7 @@ class Gaussian(Placement):
     width: float = Param("1", LOBE_WIDTH, "w: r = |β - β0| at which the BSDF is 1/e of its peak").field()
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, see `Placement.event_lobes`."""
+        """Return the lobe of an event, or () if nothing scatters, see `Placement.event_lobes`."""
         if self.total == 0:
             return ()
         return (Lobe(event, lambda r: gaussian.bsdf(r, self.total, self.width), shares=self.shares),)

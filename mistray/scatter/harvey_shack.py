@@ -115,7 +115,7 @@ class HarveyShack(Placement):
         return harvey_shack.at_wavelength(b0, self.l, wavelength_nm / reference_nm)
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, see `Placement.event_lobes`."""
+        """Return the lobe of an event, or () if nothing scatters, see `Placement.event_lobes`."""
         b0, knee = self.parameters(wavelength_nm, event, n_in, n_out)
         if b0 == 0:
             return ()

@@ -36,7 +36,7 @@ class Phong(Placement):
     exponent: float = Param("1", EXPONENT, "exponent n of the cosine", tolerance=0.05).field()
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, see `Placement.event_lobes`."""
+        """Return the lobe of an event, or () if nothing scatters, see `Placement.event_lobes`."""
         if self.b0 == 0:
             return ()
         return (

@@ -125,7 +125,7 @@ class Polynomial(Placement):
         return replace(self, coefficients=coefficients, d=values.get("d", self.d))
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, see `Placement.event_lobes`."""
+        """Return the one lobe of an event, see `Placement.event_lobes`."""
         named = dict(self.coefficients)
 
         def profile(r: np.ndarray) -> np.ndarray:

@@ -56,7 +56,7 @@ def parsed(
     what: str, text: str, lists: Collection[str], words: Collection[str]
 ) -> tuple[str, list[float], dict[str, Any]]:
     """
-    Parse a text ``WORD:x,y,z,name=value,…`` to its word, its place in mm, and its properties.
+    Parse a text ``WORD:x,y,z,name=value,…`` into its word, its place, mm, and its properties.
 
     Parameters
     ----------
@@ -67,6 +67,11 @@ def parsed(
     lists, words : collection of str
         Names of properties that are lists, with blanks between the entries, and of properties that are texts. Any other
         property is a number.
+
+    Returns
+    -------
+    (str, list of float, dict)
+        The word; x, y and z, mm, or an empty list; properties by name: numbers, texts, and lists as texts with commas.
 
     Raises
     ------

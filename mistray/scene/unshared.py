@@ -97,7 +97,7 @@ def _references(file: SceneFile, within: str) -> Iterator[Element]:
 
 
 def _unused(file: SceneFile) -> list[Element]:
-    """Return the shared models that nothing refers to, and those that only unused interfaces refer to."""
+    """Return shared scatter models and interfaces, see `_shared`, referred to by nothing, or by such elements only."""
     gone: list[Element] = []
     shared = _shared(file)
     for name, element in sorted(shared.items(), key=lambda item: item[1].values.get("type") in KINDS):

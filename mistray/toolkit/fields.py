@@ -22,7 +22,7 @@ OPTION, METAVAR, NEEDS = "option", "metavar", "needs"
 @dataclass(frozen=True)
 class Nested(OfType):
     """
-    Demand for an object of a dataclass, whose fields the command line takes as options.
+    Condition that a value is an object of a dataclass, whose fields the command line takes as options.
 
     Attributes
     ----------
@@ -49,12 +49,12 @@ class Nested(OfType):
 @dataclass(frozen=True)
 class Several(Demand):
     """
-    Demand for one or several values that are not numbers; for numbers there is `mistray.ranges.Each`.
+    Condition on one or several values that are not numbers; for numbers there is `mistray.ranges.Each`.
 
     Attributes
     ----------
     of : Demand
-        Demand for each; if it is callable, it converts a text of the command line to a value.
+        Condition on each value; if it is callable, it converts a text of the command line to a value.
     least : int
         Smallest number of values.
     """
@@ -81,9 +81,9 @@ class Several(Demand):
 @dataclass(frozen=True)
 class FieldSubset(Demand):
     """
-    Demand for a mapping with some fields of another dataclass, such as `Settings`; any of them may be missing.
+    Condition that a value is a mapping with some fields of another dataclass, such as `Settings`.
 
-    Keywords and options take them one by one.
+    Any field may be missing. Each is a separate keyword and a separate option of the command.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class FieldSubset(Demand):
 
     @classmethod
     def but(cls, kind: type, *without: str) -> FieldSubset:
-        """Return the demand for all fields of a dataclass except some."""
+        """Return the condition for all fields of a dataclass except those named."""
         return cls(kind, tuple(field.name for field in dataclasses.fields(kind) if field.name not in without))
 
     @property

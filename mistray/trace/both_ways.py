@@ -30,7 +30,7 @@ from mistray.surfaces.upload import upload
 
 SEED = 20  # a fixed one: the mode of a trace must not depend on its seed
 SCATTERED_RAYS = 256  # rays that all hits of surfaces that scatter send together
-MOST_BRANCHES, MOST_IN_ALL = 8_000, 100_000  # in a generation, and in a tree: with deep limits trees hardly end
+MOST_BRANCHES, MOST_IN_ALL = 8_000, 100_000  # in a generation, hits in a call: with deep limits trees hardly end
 _NODES = np.linspace(0, 1, ANGLES + 1)
 ROUNDED = 5e-4  # relative error that is not visible in a number of three digits
 LEAST_OF_SCATTER = 1e-2  # fraction of the flux of a scattered ray below which its branches end
@@ -262,7 +262,12 @@ class _Tree:
         self.hits = 0
 
     def grow(self, branches: Branches) -> None:
-        """Trace the brightest `MOST_BRANCHES` of each generation to their ends, or to `MOST_IN_ALL` hits in all."""
+        """
+        Trace branches generation by generation, only the brightest `MOST_BRANCHES` of each.
+
+        It ends when none are left, after `max_events` generations, or once this call has added more than `MOST_IN_ALL`
+        hits.
+        """
         last = self.hits + MOST_IN_ALL
         for _ in range(self._settings.max_events):
             if len(branches.o) > MOST_BRANCHES:

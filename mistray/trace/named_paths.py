@@ -69,7 +69,7 @@ class Whole:
 
 @dataclass(frozen=True)
 class Named:
-    """Filter that selects the paths with a name, as tables and reports print it."""
+    """Filter that selects the paths of a given name, as tables and reports print it."""
 
     text: str
     columns: ClassVar = frozenset({"label", "detector", "kind"})

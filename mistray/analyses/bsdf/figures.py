@@ -1,6 +1,6 @@
 """Pictures of scatter models: BSDF against |β - β0| and against the angle, in the plane of incidence.
 
-Every function returns a Matplotlib `Figure` that belongs to no global state.
+The public functions return Matplotlib figures that are not registered with pyplot.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Pictures of coatings: reflectance over wavelength and over angle, of one coating and of the surfaces of a scene.
 
-Solid lines are the mean of s and p, dashed ones s, dotted ones p. Every function returns a Matplotlib `Figure` that
-belongs to no global state.
+Solid lines are the mean of s and p, dashed ones s, dotted ones p. The figures are not registered with
+pyplot.
 """
 
 from __future__ import annotations

@@ -251,7 +251,7 @@ def _apertures(known: Iterable[Parameter]) -> list[Control]:
 
 
 def _is_offered(one: Parameter) -> bool:
-    """Return whether a parameter gets a control by default: reflectance of a detector, or an amount of scatter."""
+    """Whether a parameter gets its own control by default: R of a detector or an amount of scatter, unless it is 0."""
     if one.value.size > 1 or not one.value[0]:
         return False
     if one.kind == "share":

@@ -45,16 +45,17 @@ def path_detail(
     state : mapping
         Values of all controls.
     events : str
-        Events of the path.
+        Events of the path, as the path table writes them.
     digits : int
         Decimals of coordinates.
 
     Returns
     -------
     dict
-        ``rays`` (polylines z, y, z, y, … in mm), ``events`` in words, ``power_W`` (W), ``turns`` (the surfaces where it
-        is reflected or scattered, each with the percentage of all stray light that turns there) and ``remedies``
-        (coatings of these surfaces, the one that leaves the least stray light first, each with the powers left, W).
+        ``events`` ([surface, event in words, whether the light turns there] of each), ``rays`` (polylines z, y, z, y,
+        …, mm), ``power_W``, ``turns`` (surfaces that reflect or scatter the path, each with the percentage of all stray
+        light that turns there) and ``remedies``: for each part with such a surface, the coating that leaves the least
+        stray light, with the power of the path and of all stray light left, W; the best part first.
 
     Raises
     ------
@@ -97,7 +98,7 @@ def _remedies(
     turns: list[str],
     row: int,
 ) -> list[dict[str, Any]]:
-    """Return for each part where the path turns the coating that leaves least stray light, W, the best first."""
+    """Return, for each part where the path turns, the coating that leaves the least stray light; best part first."""
     here = {**state, **({"field": of.state["field"]} if "field" in state else {})}
     found = []
     for name, control in controls.items():

@@ -109,7 +109,7 @@ class Look:
 
 
 class Alias(Demand):
-    """Demand for an alias of surfaces: "part", "space", or PATTERN=NAME on the command line."""
+    """Condition that a value is an alias of surfaces: "part", "space", or a pair of a pattern and a name."""
 
     metavar = "PATTERN=NAME"
     demand = f"must be {', '.join(ALL_SURFACES)}, or a pattern and a name"

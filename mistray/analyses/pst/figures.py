@@ -1,6 +1,6 @@
 """Pictures of a point source transmittance: the curve, its causes, the map over angle and azimuth, the detector.
 
-Every function returns a Matplotlib `Figure` that belongs to no global state.
+The public functions return Matplotlib figures that are not registered with pyplot.
 """
 
 from __future__ import annotations

@@ -23,7 +23,12 @@ FEWEST_HITS = 8  # least number of hits of such a path
 
 
 def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return event lists of backward rays in forward order, ending with detector absorption, and their lengths."""
+    """
+    Return event lists of backward rays in forward order, the absorption in the detector appended, and their lengths.
+
+    `events`, (w, k) uint32, and `lengths`, (w,), become (w, k + 1), padded with 0, and (w,). `detector` is the surface
+    number of the detector.
+    """
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
     turned = np.where(order >= 0, turned, 0).astype(np.uint32)

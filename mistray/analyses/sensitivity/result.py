@@ -109,7 +109,7 @@ class Sensitivity:
     facts: dict[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, label: str) -> SensitivityRow:
-        """Return the row of the parameter with a label."""
+        """Return the row of the parameter with a given label."""
         for row in self.rows:
             if row.label == label:
                 return row

@@ -30,7 +30,7 @@ def count_of(number: int, what: str) -> str:
 
 
 def gathered(column: str, tables: Iterable[tuple[float, pd.DataFrame]]) -> pd.DataFrame:
-    """Return the tables of several angles as one, with the angle in a first column named `column`."""
+    """Return the tables of several angles, degrees, as one, with the angle first, as `column`; empty ones left out."""
     parts = [table.assign(**{column: float(angle)})[[column, *table]] for angle, table in tables]
     return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
 

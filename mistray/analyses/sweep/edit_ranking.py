@@ -127,7 +127,7 @@ class EditRanking:
     traced: Pst | None = None
 
     def __getitem__(self, label: str) -> Edit:
-        """Return the edit with a label."""
+        """Return the edit with a given label."""
         for edit in self.edits:
             if edit.label == label:
                 return edit

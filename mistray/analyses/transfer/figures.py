@@ -1,6 +1,6 @@
 """Pictures of an image with its stray light: transfer functions, irradiance about the image, encircled energy.
 
-Every function returns a Matplotlib `Figure` that belongs to no global state.
+The public functions return Matplotlib figures that are not registered with pyplot.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ COSINE = Range(0.0, 1.0, above=True)
 
 
 class Curve(Demand):
-    """Demand for a curve: two sequences of numbers of equal length, abscissae and values."""
+    """Condition that a value is a curve: two sequences of numbers, abscissae and values."""
 
     demand = "must be two sequences of numbers, places and values"
 

@@ -95,7 +95,7 @@ class ZemaxGlasses(FileGlasses):
         line : ZemaxLine
             Line of the glass.
         picked_up : mapping of int to str
-            Materials of the surfaces before, keyed by surface number.
+            Materials of the preceding surfaces, keyed by surface number.
 
         Raises
         ------

@@ -168,7 +168,7 @@ class ZemaxSection:
         self._lines.append(line)
 
     def has(self, key: str) -> bool:
-        """Whether a line with a keyword has not yet been taken."""
+        """Whether a line with a given keyword has not yet been taken."""
         return any(line.key == key for line in self._lines)
 
     def take(self, key: str) -> ZemaxLine | None:

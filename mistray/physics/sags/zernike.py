@@ -55,7 +55,7 @@ def polynomial(n: int, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def standard(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return a sum of standard polynomials, with coefficients by number from 1 on, at points in units of the radius."""
+    """Return a sum of standard polynomials with coefficients by number, from 1; x and y in units of the radius."""
     total = np.zeros(np.broadcast(x, y).shape)
     for j, amount in terms.items():
         n, m = noll_orders(j)
@@ -64,7 +64,7 @@ def standard(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.nda
 
 
 def fringe(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return a sum of Fringe polynomials, with coefficients by number from 1 to 37, at points in radii."""
+    """Return a sum of Fringe polynomials with coefficients by number, 1 … 37; x and y in units of the radius."""
     total = np.zeros(np.broadcast(x, y).shape)
     for j, amount in terms.items():
         total = total + amount * polynomial(*fringe_orders(j), x, y)

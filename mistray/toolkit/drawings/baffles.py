@@ -1,6 +1,7 @@
-"""Pictures of baffles: sections with the rays that place the vanes, and the lit and the seen zones of the wall.
+"""Drawings of baffles: sections with the rays that place the vanes, and the wall zones that are lit, or seen by the
+optic.
 
-Every function returns a Matplotlib `Figure` that belongs to no global state.
+The public functions return Matplotlib figures that are not registered with pyplot.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ BACKWARD = "backward"  # rays from the detector
 
 
 class ChosenRow(Demand):
-    """Demand for rows of the path table: one by its number, or all with a name or that pass a filter."""
+    """Condition that a value selects rows of the path table: one by number, or all by a name or a filter."""
 
     demand = ROWS.demand
     metavar = "ID"

@@ -103,7 +103,7 @@ def section_data(scene: Any) -> dict[str, Any]:
 
 
 def json_script(name: str, value: Any) -> str:
-    """Return a <script> element with JSON for the script of the page; nothing in it can end the element."""
+    """Return a <script> element of id `name` with JSON for the page; `<` is escaped, so that no text can end it."""
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return f'<script type="application/json" id="{escape(name)}">{text}</script>'
 

@@ -1,6 +1,6 @@
 """Pictures of a ghost analysis: ghost images on a log10 scale, their montage, and ghost levels against field angle.
 
-Every function returns a Matplotlib `Figure` that belongs to no global state.
+The public functions return Matplotlib figures that are not registered with pyplot.
 """
 
 from __future__ import annotations
