@@ -53,7 +53,7 @@ def supervise() -> None:
 
 
 def listen() -> None:
-    """Unblock the signals, once they have handlers."""
+    """Unblock the signals in this process; called once their handlers are installed."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 

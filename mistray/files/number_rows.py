@@ -1,4 +1,4 @@
-"""Tables of numbers in text files: rows of words or cells with their line numbers, and their numbers."""
+"""Readers of text files that hold tables of numbers: lines, cells of CSV files, and the numbers in them."""
 
 from __future__ import annotations
 

@@ -124,11 +124,9 @@ class WidthErrors:
 
 def further_samples(number: int) -> int:
     """
-    Return the number of further ray samples that gives a narrower zone as many hits as the widest one.
+    Return how many more ray samples give a zone, after `number` halvings of its width, as many hits as the widest one.
 
-    It is at most `MOST_SAMPLES`.
-
-    Each sample has as many rays as the trace; `number` counts halvings of the width.
+    It is at most `MOST_SAMPLES`. Each sample has as many rays as the trace.
     """
     return min(2**number - 1, MOST_SAMPLES)
 

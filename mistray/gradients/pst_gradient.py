@@ -131,7 +131,7 @@ class PstRays:
     def _replayed(
         self, number: int, derivative: np.ndarray, request: GradientRequest, moves: bool, ends: PstEnds
     ) -> TableGradient:
-        """Return the derivatives from the rays of one direction at a wavelength, and notes on what is left out."""
+        """Return the derivatives from all forward or backward rays at one wavelength, with notes on omitted parts."""
         trace, backward = self.trace, ends.sky is not None
         scene = trace.split_scene(number) if backward else trace.forward_scene(number)
         start = scene.table.detector if backward else None

@@ -103,12 +103,12 @@ class ScatterEvent:
 
 class ScatterReplay(Scattering):
     """
-    Scatter of all surfaces at one wavelength, differentiable; to be called where AD is on.
+    Scatter of all surfaces at one wavelength, differentiable; call its methods with automatic differentiation enabled.
 
     Parameters
     ----------
     scattering : Scattering
-        Scatter of the run; a surface must scatter.
+        Scatter of the run; at least one surface must scatter.
     """
 
     def __init__(self, scattering: Scattering) -> None:

@@ -1,4 +1,4 @@
-"""Derivatives of a metric as the tracer accumulates them: by coating rows, geometry, indices, scatter tables."""
+"""Derivatives of a metric with respect to numbers of the tracer: coating rows, geometry, indices, scatter tables."""
 
 from __future__ import annotations
 

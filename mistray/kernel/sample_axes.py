@@ -32,7 +32,7 @@ NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incid
 
 
 def axis_row(axis: str, rotation_deg: float) -> np.ndarray:
-    """Return the numbers, (4,) float64, that encode the sample axis of a surface in the frame of its shape."""
+    """Return the code of a surface's sample axis, (4,) float64: cosine and sine of its rotation, 0, index in `AXES`."""
     turn = np.radians(rotation_deg)
     return np.array([np.cos(turn), np.sin(turn), 0.0, float(AXES.index(axis))])
 

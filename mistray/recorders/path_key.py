@@ -34,7 +34,7 @@ def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
 
 
 def mixed_word(word: mi.UInt32) -> mi.UInt32:
-    """Return a hash of a 32-bit word, all bits of which depend on all of its bits; steps as in MurmurHash3."""
+    """Return a hash of a 32-bit word, each bit of which depends on all bits of the word; steps as in MurmurHash3."""
     mixed = word * 0x85EBCA6B
     mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
     return mixed ^ (mixed >> 16)

@@ -18,8 +18,8 @@ def outline(shape: Any) -> Target:
     """
     Return the clear aperture of a shape as a flat target.
 
-    For Mitsuba's own shapes, except rectangles and disks, it is the circle around the bounding box. The circle is
-    normal to the shortest edge of the box.
+    For Mitsuba's own shapes, except rectangles and disks, it is the circle around the bounding box. Its plane is normal
+    to the shortest edge of the box.
     """
     # Analytic: the opening of the surface, which is curved, lies at the height of its rim
     if is_analytic(shape):

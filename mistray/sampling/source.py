@@ -234,7 +234,7 @@ class SceneSource(ABC):
         return o, np.tile(self.direction, (len(o), 1))
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
-        """Return this source with more rays aimed at an aperture, or a part of it; of a beam, only probe rays."""
+        """Return this source with more rays aimed at an aperture, or at its part `lit`; by default unchanged."""
         return self
 
     def unaimed(self) -> SceneSource:

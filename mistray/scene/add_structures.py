@@ -96,7 +96,7 @@ def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
 
 
 def _values(element: Element) -> dict[str, Value] | None:
-    """Return the values of an element whose children are plain numbers, strings or booleans; None if one is not."""
+    """Return the values of an element by name if all children are plain numbers, texts or booleans; else None."""
     values: dict[str, Value] = {}
     for child in element.children:
         name, text = child.values.get("name"), child.values.get("value")

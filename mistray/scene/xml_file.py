@@ -145,7 +145,7 @@ class SceneFile:
         return element.start
 
     def tail(self, element: Element) -> int:
-        """Return the byte offset at which an element ends, including a comment behind it on its line."""
+        """Return the byte offset at which an element ends, including a comment that follows it on the same line."""
         for start, end in self.comments:
             between = self.data[element.end : start] if start >= element.end else b"\n"
             if not between.strip() and b"\n" not in between:

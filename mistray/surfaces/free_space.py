@@ -136,7 +136,7 @@ def _triangles(shape: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _distance(corners: np.ndarray) -> np.ndarray:
-    """Return the distances of triangles in a plane, (n, 3, 2), from its origin, (n,), mm."""
+    """Return the distances of triangles in a plane, (n, 3, 2), from its origin, (n,), mm; 0 if it lies inside."""
     sides = np.roll(corners, -1, axis=1) - corners
     turn = corners[..., 0] * sides[..., 1] - corners[..., 1] * sides[..., 0]
     inside = (np.all(turn >= 0, axis=1) | np.all(turn <= 0, axis=1)) & np.any(turn != 0, axis=1)

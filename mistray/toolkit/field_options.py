@@ -1,4 +1,4 @@
-"""Options of a command from the fields of a request, and the request from the options that were read."""
+"""Conversion of the fields of a request into options of a command, and of parsed options into a request."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _value_text(value: Any) -> str:
 
 
 def _metavar(demand: Any) -> Any:
-    """Return the placeholder of values that meet a demand: that of their unit, N for whole numbers, else F."""
+    """Return the placeholder of a value in the help of a command, such as its unit, NAME, or N for whole numbers."""
     if isinstance(demand, Interval):
         return "LOW", "HIGH"
     if isinstance(demand, ByName):

@@ -54,7 +54,7 @@ class _Shown:
 
 def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     """
-    Declare a field of a row.
+    Return the declaration of a field of a row of a result, with its display in tables.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
         ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
         ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``absent``,
         value that is shown as missing; ``percent``, whether a fraction is shown in percent: the column of "change" is
-        "change_percent" then; "shown": in tables of pages only; ``between``, separator of several texts. A table
+        then "change_percent"; "shown" does so in tables of pages only; ``between``, separator of several texts. A table
         shows a number with its standard error, which is an `Estimate` or stands in a column of its own, "power_se_W".
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})

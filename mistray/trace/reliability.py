@@ -222,7 +222,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _rows(trace: Trace) -> tuple[AimedRow, ...]:
-    """Return a judgement of the aimed rays of each surface or medium, by the share that reached the detector."""
+    """Return how well the aimed rays of each surface or medium reach the detector."""
     return tuple(
         AimedRow(
             entry.id,

@@ -66,7 +66,7 @@ class RenderedTables(ScatterTables):
 
 class ModelTables(ReplayTables):
     """
-    Scatter tables of one surface, each entry with a zero that has derivatives by the values of the models.
+    Scatter tables of one surface; a zero added to each entry carries its derivatives by parameters of the models.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class ModelTables(ReplayTables):
     Attributes
     ----------
     moving : list of (mi.Float, dict)
-        Zeros with derivatives, each with the slopes of the arrays; it must be set before tables are read.
+        One zero for each parameter, with the derivatives of all arrays by it; to be set before tables are read.
     """
 
     def __init__(self, tables: ScatterTables) -> None:
@@ -87,7 +87,7 @@ class ModelTables(ReplayTables):
         self._slopes: dict[tuple[int, str], dict[str, mi.Float]] = {}
 
     def slopes(self, table: Any, plugin: Any, name: str) -> dict[str, mi.Float]:
-        """Return the derivatives of all entries with respect to a value of a model, by the names of the arrays."""
+        """Return the derivatives of all entries by the parameter `name` of a model, keyed by name of the array."""
         if (id(plugin), name) not in self._slopes:
             cases = [case for case in self.all_cases if _has(case, plugin)]
             found = {array: np.zeros(size) for array, size in self.sizes.items()}

@@ -246,7 +246,7 @@ class LightSource(mi.Emitter):
         return self.matrix[:3, 3], rotation @ direction, rotation @ u, rotation @ v
 
     def field_of(self, height_mm: float) -> float:
-        """Return the field angle, degrees, of an object height, mm; an error if there is no object plane."""
+        """Return the field angle, degrees, of an object height, mm; raise `MistrayError` without an object plane."""
         raise MistrayError(f"{self.owner}: its light comes from infinity; give its field in degrees")
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:

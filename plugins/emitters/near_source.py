@@ -67,7 +67,7 @@ class NearSource(LightSource):
         )
 
     def power_per(self, density: str) -> float:
-        """Return the flux, W, for a value of 1 of one of `densities`."""
+        """Return the flux, W, for which `density`, one of `densities`, is 1 in its unit."""
         raise NotImplementedError
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:

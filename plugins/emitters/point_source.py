@@ -61,7 +61,7 @@ class PointSource(ConeSource):
         self._limit_cone(props)
 
     def power_per(self, density: str) -> float:
-        """Return the flux, W, for an intensity of 1 W/sr on the axis."""
+        """Return the flux, W, for an intensity of 1 W/sr on the axis; `density` is "intensity"."""
         return self.solid_angle
 
 

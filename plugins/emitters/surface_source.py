@@ -87,7 +87,7 @@ class SurfaceSource(ConeSource):
         return float(np.pi * (n["radius"] ** 2 - n["inner_radius"] ** 2))
 
     def power_per(self, density: str) -> float:
-        """Return the flux, W, for a radiance of 1 W/mm²/sr on the normal."""
+        """Return the flux, W, for a radiance of 1 W/mm²/sr along the normal; `density` is "radiance"."""
         return self.area * self.solid_angle
 
     def offset(self, place: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:

@@ -224,7 +224,7 @@ def allocate(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndar
 
 
 def excess(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> float:
-    """Return the largest ratio of a metric to its limit with every variable at its best; it must be at most 1."""
+    """Return the largest ratio of a metric to its limit, all variables at their best; above 1 no choice is enough."""
     best = np.array([v.grades().min() for v in variables])
     return float(np.max(model.metrics(variables, best) / limits))
 

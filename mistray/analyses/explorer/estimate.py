@@ -214,7 +214,7 @@ def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
 
 
 def _map(of: Traced, factor: Floats) -> Floats:
-    """Return the stray power on the cells of the detector, (h, w), W, from factors on the paths, (paths,)."""
+    """Return the stray power on the detector's cells, (h, w), W, once the power of each path changes by `factor`."""
     others = np.setdiff1d(np.flatnonzero(of.stray), of.maps.ways)
     power = np.asarray(of.ways.power_W)[others]
     rest = float((power * factor[others]).sum() / power.sum()) if power.sum() > 0 else 1.0

@@ -534,7 +534,7 @@ def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:
 
 
 def _shapes(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
-    """Return the values in a state that move rays: shapes that estimates follow to first order, field, wavelength."""
+    """Return the control values of a trace that move its rays: field, wavelength, and shapes that estimates follow."""
     return {
         name: value
         for name, value in of.state.items()

@@ -1,4 +1,4 @@
-"""All light of an object point: rays by two coordinates, for points at infinity and near points."""
+"""Rays of one object point, at infinity or near, that are addressed by two coordinates."""
 
 from __future__ import annotations
 

@@ -361,6 +361,11 @@ class FieldImage:
             Centre of the circles or squares.
         square : bool
             Whether to use squares.
+
+        Raises
+        ------
+        MistrayError
+            If a radius is below 0 or beyond the computed image.
         """
         if about not in MIDDLES:
             raise MistrayError(f"about is '{about}'; give 'centroid', 'chief' or 'peak'")

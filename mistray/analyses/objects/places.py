@@ -111,7 +111,7 @@ class Places:
 
     @property
     def gaps(self) -> int:
-        """Number of gaps along the design path; 1 if there is none."""
+        """Number of gaps between successive surfaces of the design path; 1 if there is no such path."""
         return len(self.path.steps) if self.path is not None else 1
 
     # ---- the gap of a ray

@@ -224,7 +224,11 @@ class BackwardRun:
         return min(max(plan.rays_for(needed, counts), least), most)
 
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
-        """Save the finished passes after workers were lost, and add the saved file and the PST so far to the error."""
+        """
+        Save the finished passes after workers were lost, and add the saved file and the PST so far to the error.
+
+        `unsaved` tells whether a finished pass is not yet in the saved file.
+        """
         where = ""
         if self._state is not None and self._trace.sums.passes:
             if unsaved:

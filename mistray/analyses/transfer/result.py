@@ -221,7 +221,7 @@ class FieldTransfer:
 
     @cached_property
     def _direct_within(self) -> Array:
-        """Fraction of the direct image within each ring edge, (n + 1,)."""
+        """Fraction of the flux of the direct image within the radius of each ring edge, (n + 1,)."""
         return _continued(self.image, self.edges_mm)
 
     @cached_property
@@ -405,7 +405,7 @@ def _estimate(found: Sampled) -> Estimate:
 
 def _continued(image: FieldImage, radii_mm: Array) -> Array:
     """
-    Return the share of the direct image within circles about its centroid, (m,).
+    Return the fraction of the flux of the direct image within circles about its centroid, (m,).
 
     Far out the share outside falls with the inverse of the radius, as for any aperture with a hard edge. This law
     takes over at `JOIN` of the period of the sampled point spread function, or farther out if rays of the image get

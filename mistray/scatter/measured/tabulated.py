@@ -259,7 +259,26 @@ class Tabulated(Placement):
     def _planes(
         self, relative: np.ndarray, table: BsdfSamples, axes: str, second: np.ndarray, angle: np.ndarray
     ) -> np.ndarray:
-        """Return ratios, (incidences, m, k), at nodes of r and ψ about the specular direction, or of cos θs and φ."""
+        """
+        Return `relative` of a table at the measured angles of incidence and given scattered directions.
+
+        Parameters
+        ----------
+        relative : ndarray
+            Ratio of the measured BSDF to the carrier lobe at the points of `table`.
+        table : BsdfSamples
+            Measurement at one rotation of the sample.
+        axes : str
+            "radial": directions by r and ψ about the specular direction; else by cos θs and φ.
+        second : (m,) float64
+            Nodes of r or cos θs.
+        angle : (k,) float64
+            Nodes of ψ or φ, rad.
+
+        Returns
+        -------
+        (incidences, m, k) float64
+        """
         planes, second = [], second[:, None]
         for index, specular in enumerate(np.radians(table.specular_deg)):
             if axes == "radial":

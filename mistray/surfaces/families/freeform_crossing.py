@@ -99,7 +99,7 @@ def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own
 
 
 def _of_quadric(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own: mi.Bool) -> mi.Float:
-    """Return the distance to a ray's first crossing with a quadric, mm, from the roots of a quadratic equation."""
+    """Return the distance, mm, to a ray's first crossing with a quadric, by its roots; infinity if there is none."""
     sag, outline = piece.local.sag, piece.outline
     oz = ray.oz - n["z"]
     # From the point that is closest to the middle, which keeps the digits of rays that come from afar

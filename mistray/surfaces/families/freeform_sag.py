@@ -97,9 +97,9 @@ class FreeformSag:
 
     def evaluate(self, x: Any, y: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """
-        Return the sag, mm, and its slopes in x and y; on the host NaN beyond the end of a conic.
+        Return the sag, mm, and its slopes in x and y at points, mm; on the host NaN beyond the end of a conic.
 
-        The arrays are of NumPy or Dr.Jit.
+        `n` has the `numbers` by name. All arrays are of NumPy or of Dr.Jit.
         """
         across, along = n["cx"] * x + n["lx"], n["cy"] * y + n["ly"]
         if self.curved:

@@ -67,7 +67,7 @@ def mark_of(row: Any) -> str:
 
 
 def marked(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return rows of a path table with the mark of each appended to its label."""
+    """Return rows of a path table; labels end with the mark of doubtful numbers, see `mark_of`."""
     return rows.assign(label=[f"{row.label} {mark_of(row)}".rstrip() for row in rows.itertuples()])
 
 

@@ -27,7 +27,7 @@ def with_next_orders(
     study: DesignStudy, scene: Any, first: tuple[Levels, Levels], seconds: float, measure: Measure
 ) -> tuple[Comparison, tuple[NextOrder, ...]]:
     """
-    Compare two designs with one more scatter event and, apart from that, with one more reflection on each path.
+    Compare two designs with one more scatter event on each path and, separately, with one more reflection.
 
     Parameters
     ----------

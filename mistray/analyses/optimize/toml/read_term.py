@@ -27,7 +27,7 @@ SPACED = {"field_deg": FIELD_DEG, "wavelength_nm": WAVELENGTH_NM}
 
 
 def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
-    """Read settings of traces at keys of a section, with the checks that do not depend on the kind of term."""
+    """Return the trace settings of a term at given keys of a section, checked as far as for any kind of term."""
     found: dict[str, Any] = {}
     for key in keys:
         value = section.content[key]
