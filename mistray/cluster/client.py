@@ -173,7 +173,7 @@ class Cluster:
             job.close()
 
     def sending(self, action: Callable[[], Any]) -> Any:
-        """Return the result of an action that uses the scheduler; raise `UnfinishedError` if it is lost."""
+        """Return the result of an action that uses the scheduler; raise `UnfinishedError` if the scheduler is lost."""
         if self.client.status != "running":
             raise self.gone()
         try:

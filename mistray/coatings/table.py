@@ -188,7 +188,7 @@ class CoatingTable:
 
 
 def _header(names: Sequence[str], what: str) -> list[str]:
-    """Return the names of the columns if they are valid; otherwise raise an error."""
+    """Return the names of the columns if they are valid; otherwise raise `MistrayError`."""
     given = list(names)
     unknown = [name for name in given if name not in COLUMNS]
     doubled = sorted({name for name in given if given.count(name) > 1})

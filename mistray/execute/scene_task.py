@@ -46,7 +46,7 @@ class SceneTask:
     arrays: Sequence[list[np.ndarray]]
 
     def make(self) -> Any:
-        """Return the object that a worker builds; raise an error if its kernel would read other arrays than here."""
+        """Return the object that a worker builds; raise `MistrayError` if its kernel would read other arrays."""
         made = self.kind(self.scene, *self.arguments)
         there = made.kernel_arrays()
         if len(self.arrays) != len(there) or not all(agree(a, b) for a, b in zip(self.arrays, there, strict=True)):

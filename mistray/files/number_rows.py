@@ -24,7 +24,7 @@ def read_cells(path: str | Path, what: str) -> list[tuple[int, list[str]]]:
 
 
 def numbers(words: Sequence[str], count: int, where: str) -> list[float]:
-    """Return the numbers in the words of a line, all finite and `count` in number; otherwise raise an error."""
+    """Return the numbers in the words of a line, all finite and `count` in number; otherwise raise `MistrayError`."""
     try:
         values = [float(word) for word in words]
     except ValueError as error:

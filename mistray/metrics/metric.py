@@ -223,7 +223,7 @@ def combine(
 
 
 def log(metric: Metric) -> Metric:
-    """Return the natural logarithm of a metric, whose derivatives are relative; an error if it is not positive."""
+    """Return the natural logarithm of a metric, whose derivatives are relative; raise `MistrayError` if it is ≤ 0."""
 
     def function(observations: list[Any]) -> Any:
         value = mi.Float64(metric.function(observations))
@@ -434,7 +434,7 @@ def _solid_angle(axis: Observation, group: list[Observation]) -> Any:
 
 
 def require_known(given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise an error if a keyword is not known."""
+    """Raise `MistrayError` if a keyword is not known."""
     names = list(known)
     for key in given:
         if key not in names:
@@ -449,7 +449,7 @@ def _brightest(observation: Observation, selection: Selection, norm: float) -> A
 
 
 def _signal(observation: Observation, name: str) -> Any:
-    """Return the power of the direct image, W, for a ratio; raise an error if it is 0."""
+    """Return the power of the direct image, W, for a ratio; raise `MistrayError` if it is 0."""
     power = observation.power(DIRECT)
     if not float(dr.detach(power)[0]) > 0:
         raise MistrayError(

@@ -284,7 +284,7 @@ class Ledger(Recorder):
         return self._lost or self.used > 0.7 * self.capacity
 
     def decode(self) -> DecodedPaths:
-        """Return the paths and their sums on the host; raise an error if an event list does not hash to its key."""
+        """Return the paths and their sums on the host; raise an error if an event list does not match its key."""
         slots, keys, events, lengths = read_lists("ledger", self.keys, self.lengths, self.events)
         sums = self.sums.numpy().reshape(self.capacity, BATCHES, self.row)[slots, :, : self.terms]
         return DecodedPaths(keys, slots, events, lengths, sums)

@@ -162,7 +162,7 @@ def source_of(scene: mi.Scene) -> PackedScene | SceneDict:
 
 
 def _owners(scene: mi.Scene) -> Iterator[Any]:
-    """Yield plugins of mistray in a scene; as Python objects, they can take attributes."""
+    """Yield the emitters, integrator, shapes and BSDFs of a scene that are plugins of mistray."""
     for item in (*scene.emitters(), scene.integrator(), *scene.shapes()):
         for plugin in (item, item.bsdf()) if isinstance(item, mi.Shape) else (item,):
             if type(plugin).__module__.startswith(OURS):

@@ -93,7 +93,7 @@ def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) 
 
 
 def check_where(words: Sequence[str]) -> list[str]:
-    """Return the names of surfaces among `words`; raise if light that leaves is combined with anything else."""
+    """Return the names of surfaces among `words`; raise `MistrayError` if leaving light is combined with others."""
     if len(words) > 1 and any(word in (ESCAPED, RETURNED) for word in words):
         raise MistrayError(f"where is {', '.join(words)}; give {ESCAPED} or {RETURNED} alone, or names of surfaces")
     return [word for word in words if word not in ELSEWHERE]

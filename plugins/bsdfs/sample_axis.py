@@ -123,7 +123,7 @@ class SampleAxis:
 
 
 def common_axis(scatterers: Sequence[Any], title: str) -> SampleAxis | None:
-    """Return the axis that a surface's anisotropic models share, or None; raise an error if their axes differ."""
+    """Return the axis that a surface's anisotropic models share, or None; raise `MistrayError` if their axes differ."""
     axes = {item.sample_axis for item in scatterers if item.sample_axis is not None}
     if len(axes) > 1:
         raise MistrayError(

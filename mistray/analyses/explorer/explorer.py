@@ -330,7 +330,7 @@ class Explorer:
             self._note()
 
     def _compared(self, before: Traced, found: Traced) -> dict[str, Any] | None:
-        """Return estimated and traced stray power of a state, W, and their difference in percent; None if dark."""
+        """Return estimated and traced stray power of a state, W, and their difference in percent; None without any."""
         made = self._guessed(before, found.state)
         stray = found.stray_W
         if not stray.value > 0:

@@ -51,7 +51,7 @@ def ratio(top: Sequence[np.ndarray], bottom: Sequence[np.ndarray]) -> Estimate:
 
 
 def with_band_error(value: Estimate, bound: float) -> Estimate:
-    """Return an estimate with the error by the choice of wavelengths added, uniformly distributed within `bound`."""
+    """Return an estimate with the error of the sampled band added: relative, uniform within ±`bound`; 0 if infinite."""
     more = bound / math.sqrt(3) if math.isfinite(bound) else 0.0  # a note says if it is not known
     return Estimate(value.value, math.hypot(value.se, more * value.value))
 

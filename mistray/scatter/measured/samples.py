@@ -261,13 +261,13 @@ def uncovered(title: str, azimuth_deg: np.ndarray) -> MistrayError:
 
 
 def check_rotations(title: str, rotation_deg: np.ndarray, most: float = 360 + ANGLE_ROUNDING_DEG) -> None:
-    """Raise an error if rotations of a sample, degrees, do not ascend, or span more than `most`."""
+    """Raise `MistrayError` if rotations of a sample, degrees, do not ascend, or span more than `most`."""
     if np.any(np.diff(rotation_deg) <= 0) or rotation_deg[-1] - rotation_deg[0] > most:
         raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
 
 
 def check_anisotropy(title: str, anisotropy: str) -> None:
-    """Raise an error if `anisotropy` is not one of `ANISOTROPY`."""
+    """Raise `MistrayError` if `anisotropy` is not one of `ANISOTROPY`."""
     if anisotropy not in ANISOTROPY:
         raise MistrayError(f"{title}: anisotropy is '{anisotropy}'; use {' or '.join(map(repr, ANISOTROPY))}")
 

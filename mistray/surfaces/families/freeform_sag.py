@@ -246,7 +246,7 @@ class LocalSag:
 
 
 def _probe(n: Mapping[str, Any], size: float) -> dict[str, Any]:
-    """Return numbers near those of a sag, none of them 0 or equal to another, so that its form holds for all values."""
+    """Return a sag's numbers, slightly changed so that no free one is 0 and no curvatures agree: the general form."""
     twofold = "curvature_x" in n or "toroid_curvature" in n
     found: dict[str, Any] = {}
     for k, (name, value) in enumerate(n.items()):

@@ -1,5 +1,4 @@
-"""Drawings of baffles: sections with the rays that place the vanes, and the wall zones that are lit, or seen by the
-optic.
+"""Drawings of baffles: sections with the rays that place the vanes, and the zones of the wall that are lit or seen.
 
 The public functions return Matplotlib figures that are not registered with pyplot.
 """

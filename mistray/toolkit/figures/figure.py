@@ -100,7 +100,7 @@ class Figure(figure.Figure):
         return self.small_print(small_print, right) if small_print else self
 
     def small_print(self, text: str, right: bool = False) -> Self:
-        """Write how to read the panels below them in small print, centred or on the right, and return the figure."""
+        """Write a text in small print below the panels, centred or on the right, and return the figure."""
         self.supxlabel(text, fontsize=7.5, color="#555555", **({"x": 0.99, "ha": "right"} if right else {}))
         return self
 

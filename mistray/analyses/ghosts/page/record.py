@@ -87,7 +87,7 @@ def _filtered(found: Filtered) -> dict[str, Any]:
 
 
 def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
-    """Return the values of a field at each wavelength; the listed worst paths are those of all light."""
+    """Return the record of a field at each wavelength, one dict each, with the paths that are worst in all light."""
     lines = []
     worst = [report.spectrum(field_deg, path_id) for path_id in report.listed(field_deg, WORST_SHOWN).path_id]
     frame = summary_frame(report, per_wavelength=True)

@@ -98,7 +98,7 @@ def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
 
 
 def check_coatings(terms: tuple[Term, ...], names: list[str], section: TomlSection) -> None:
-    """Raise an error if a term on layers names a coating that the study lacks, or the study has no coating."""
+    """Raise `MistrayError` if a term on layers names a coating that the study lacks, or the study has none."""
     for number, term in enumerate(terms, start=1):
         if not of_layers(term):
             continue
