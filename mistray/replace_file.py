@@ -346,7 +346,7 @@ def telling(path: Path, what: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _marked(files: Sequence[Path], obsolete: Collection[Path]) -> Iterator[list[Path]]:
-    """Keep `incomplete` up to date while a block renames files; the block appends each one to the list that it gets."""
+    """Keep the file `incomplete` up to date while a block renames files and appends each to the yielded list."""
     several = len(files) + len(obsolete) > 1
     before = {folder: incomplete_sets(folder) for folder in sorted({path.parent for path in files})}
     for folder, sets in before.items() if several else ():

@@ -99,7 +99,7 @@ def _close(client: Client) -> None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence the log of distributed within a block; errors that matter are raised."""
+    """Silence the logs of the packages distributed and tornado within a block; exceptions are raised all the same."""
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in ("distributed", "tornado")]
     loggers = [logging.getLogger(name) for name in names]
     before = [logger.level for logger in loggers]

@@ -16,7 +16,7 @@ SUM_TOLERANCE = 1e-6
 
 def check_shares(r: float, t: float, what: str) -> None:
     """
-    Raise an error if R and T of one angle and wavelength are not fractions of a flux.
+    Raise `MistrayError` if R and T of one angle and wavelength are not fractions of a flux.
 
     Raises
     ------

@@ -268,7 +268,7 @@ class BackwardTrace(GridTrace):
         trace_whole(scene, start, self.settings, recorders)
 
     def split_scene(self, number: int) -> KernelScene:
-        """Return the kernel's scene for backward rays at a wavelength, with the weight windows of a pilot."""
+        """Return the kernel's scene for backward rays at a wavelength, with the weight windows of a pilot, if any."""
         band = self.bands[number]
         # Light that a medium scatters branches with the probability of the surface behind it, whose weight window does
         # not account for the importance of the medium

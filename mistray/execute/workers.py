@@ -63,7 +63,7 @@ def current_workers() -> Workers | None:
 
 
 def refuse_workers_in_time() -> None:
-    """Raise an error if there are workers; called where a time budget is given, since their parts are not timed."""
+    """Raise `MistrayError` if there are workers, whose parts are not timed; called where a time budget is given."""
     if current_workers() is not None:
         raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
 

@@ -94,7 +94,7 @@ def layer_tangent(optics: Optics, tangents: Mapping[tuple[int, str], np.ndarray]
     """
     Return the rates at which the rows of the tables of R and T change with layers, (rows, 3) float64.
 
-    `tangents` are the rates of the parameters, (entries,), by identity of the plugin and name.
+    `tangents` are the rates of the parameters, see `mistray.gradients.parameter_gradient.number_tangent`.
     """
     rows = np.zeros((optics.rows, TRANSMISSION + 1))
     asked = []

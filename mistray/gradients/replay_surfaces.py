@@ -198,7 +198,7 @@ class ReplaySurfaces:
         return dr.gather(mi.Vector2d, self._indices, batch * self._surfaces + s, active)
 
     def to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool, inverse: bool = False) -> mi.Vector3d:
-        """Return vectors rotated from the frames of the surfaces s to the world, these frames held fixed."""
+        """Return vectors rotated from the frames of the surfaces s, held fixed, to the world; `inverse`: back."""
         if not self.table.rotated:
             return v
         m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]

@@ -94,8 +94,8 @@ def fixed(plugin: Any, name: str) -> str | None:
     """
     Return the reason why a parameter of a scatter model has no derivative in a trace; None if it has one.
 
-    At 0 lobes may appear or vanish, as at the amplitude 0: a trace then holds only one side. A model may also allow a
-    single value.
+    There is none where lobes appear or vanish at 0, such as at an amplitude of 0, or where the model allows only one
+    value.
     """
     value = float(dr.detach(plugin.values[name])[0])
     try:

@@ -330,7 +330,7 @@ def _reach(row: Row) -> float:
 
 
 def _clip(surface: Surface) -> tuple[float, bool, Outline | None]:
-    """Return the semi-diameter of a surface, mm, whether its rim stops light, and its aperture."""
+    """Return the semi-diameter of a surface, mm, whether its rim stops light, and its outline, None for a disc."""
     if surface.outline is not None:
         return surface.outer_radius, False, surface.outline
     if surface.semi_diameter is None:

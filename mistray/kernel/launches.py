@@ -93,7 +93,7 @@ class Launches:
             yield done
 
     def whole(self, start: StartRays, trace: Callable[[StartRays], object]) -> None:
-        """Trace all start rays whatever the time budget; raise if an interrupt is overdue. See `run`."""
+        """Trace all start rays whatever the time budget; raise KeyboardInterrupt if one is overdue. See `run`."""
         count = dr.width(start.lane)
         for done in self.run(start, trace, whole=True):
             if done < count:

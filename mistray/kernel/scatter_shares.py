@@ -268,7 +268,7 @@ class ScatterShares:
         return dr.select(it.tir, 1, it.T) if self.tables.backward else it.T
 
     def _x_axis(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> mi.Vector3f | None:
-        """Return the x axis of the sample, if there is an anisotropic one."""
+        """Return the x axis of the sample; None if no surface has an anisotropic one."""
         if self.tables.frames is None:
             return None
         return self.tables.frames.at(s, dr.select(it.from_front, it.axis, -it.axis), it.local, active)

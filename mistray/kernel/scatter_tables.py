@@ -415,7 +415,7 @@ class ScatterTables:
 
     @staticmethod
     def _sides_of(ids: Sequence[str], optics: Optics, s: int) -> list[Side]:
-        """Return the scatter from front and back of a surface; raise if a side sends on more light than meets it."""
+        """Return the scatter from front and back of a surface; raise `MistrayError` if a side gains light."""
         found = []
         for from_front in (True, False):
             n_in, n_out = light_indices(optics, s, from_front)
@@ -470,7 +470,7 @@ def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float
 def check_side(
     title: str, side: Side, n_in: float, n_out: float, response: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 ) -> None:
-    """Raise an error if a surface reflects, transmits and scatters more than the incident flux at any angle."""
+    """Raise `MistrayError` if a surface reflects, transmits and scatters more than the incident flux at any angle."""
     cos_i = np.linspace(0.0, 1.0, ANGLES + 1)
     # Rows of transmission are over the cosine in the rarer medium; here all are compared at the same cos θi
     rarer = np.minimum(cos_i, specular_cosine("transmission", cos_i, n_in, n_out))

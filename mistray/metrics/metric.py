@@ -467,7 +467,7 @@ def _of_paths(
     unit: str,
     name: str,
 ) -> Metric:
-    """Return a metric: the mean over the fields of a number of some paths; raise if the scene cannot have them."""
+    """Return a metric, the mean over fields of a number of some paths; raise `MistrayError` for impossible paths."""
     check_paths(scene, texts_of(selection))
     return _mean(scene, number, traced, unit, name)
 

@@ -227,7 +227,7 @@ class Observation:
         return self._sums[key]
 
     def _moments(self, selection: Selection, groups: Sequence[Sequence[int] | np.ndarray]) -> Moments:
-        """Return the moments of the light in groups of rows of the path table; raise if a group is dark."""
+        """Return the moments of light in groups of rows of the path table; raise `MistrayError` if one is dark."""
         light = [self._moments_of_rows[list(group), 0].sum() for group in groups]
         if not light or not np.all(np.array(light) > 0):
             raise MistrayError(

@@ -126,7 +126,7 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
 
 
 def bounds(table: pd.DataFrame) -> npt.NDArray[np.float64]:
-    """Return bounds of the RMS irradiance of rows, (2, n), W/mm²: `SURE` errors below and above, NaN without one."""
+    """Return bounds of the RMS irradiance of rows, (2, n), W/mm²: `SURE` errors below and above; NaN if unknown."""
     value, se = (table[f"rms_irradiance{name}_W_mm2"].to_numpy(np.float64) for name in ("", "_se"))
     with np.errstate(invalid="ignore"):
         return np.stack([value - SURE * se, value + SURE * se])

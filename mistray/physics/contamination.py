@@ -234,7 +234,7 @@ def cloud(
 
 
 def check_distribution(level: float, slope: float, min_um: float, max_um: float | None) -> None:
-    """Raise an error if no size distribution has these parameters; see `cloud`."""
+    """Raise `MistrayError` if no size distribution has these parameters; see `cloud`."""
     if not (np.isfinite(level) and level >= 1):
         raise MistrayError(f"particles: cleanliness level {level:g}; it must be 1 or more, 100 … 1000 is usual")
     if not slope > 0:

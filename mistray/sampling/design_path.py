@@ -187,7 +187,7 @@ class DesignPath:
         return outline(self.table.shapes[step.surface]).holds(p)
 
     def meet(self, step: DesignStep, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the points, mm, where lines cross a step's surface, nearest to its own, and normals, (n, 3) each."""
+        """Return where lines cross a step's surface nearest to the base ray, mm, and the normals there, (n, 3) each."""
         # The opening is plane, and of one of Mitsuba's own shapes it is the tangent plane
         if step.surface == OPENING or step.surface >= len(self.table.pieces):
             with np.errstate(all="ignore"):
@@ -266,7 +266,7 @@ def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneS
 
 def check_place(table: SurfaceTable, source: SceneSource) -> None:
     """
-    Raise an error if a near source stands in a metal, through which no light travels.
+    Raise `MistrayError` if a near source stands in a metal, through which no light travels.
 
     Raises
     ------

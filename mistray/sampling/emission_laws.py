@@ -233,7 +233,7 @@ def step_of(nodes: mi.Float64, count: int, value: mi.Float64) -> tuple[mi.UInt32
 
 
 def _linear(first: mi.Float64, last: mi.Float64, share: mi.Float64) -> mi.Float64:
-    """Return the x, 0 … 1, up to which a trapezoid from a to b has a share: (a x + (b - a) x²/2) / ((a + b)/2)."""
+    """Return the x, 0 … 1, at which (a x + (b - a) x²/2) / ((a + b)/2) = `share`; a is `first`, b is `last`."""
     # The form of the quadratic's root without cancellation
     root = dr.safe_sqrt(first * first + share * (last * last - first * first))
     return share * (first + last) / dr.maximum(first + root, 1e-300)

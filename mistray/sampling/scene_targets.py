@@ -157,7 +157,7 @@ def _middle(shape: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sphere(shape: Any, scale: float, half_axes: tuple[float, ...]) -> Ellipsoid:
-    """Return a sphere, or an ellipsoid of these half axes (mm) along the axes of the sphere's own frame."""
+    """Return a sphere times `scale` as an ellipsoid, if given with other half axes, mm, along its own axes."""
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
     centre, half = _middle(shape)
     # Columns of the matrix without their lengths

@@ -22,7 +22,7 @@ def index_step(event: str, n_in: Any, n_out: Any) -> Any:
 
 def need_smooth(title: str, event: str, rms_um: float, wavelength_um: float, step: float, remedy: str) -> None:
     """
-    Raise an error if a surface is not smooth, 2π Δn σ ≪ λ.
+    Raise `MistrayError` if a surface is not smooth, 2π Δn σ ≪ λ.
 
     Raises
     ------

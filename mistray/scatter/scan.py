@@ -69,7 +69,7 @@ class IncidentLight:
         Raises
         ------
         MistrayError
-            If the angle is not in 0 … 90°, or transmission is requested for totally reflected light.
+            If the angle is not from 0° to below 90°, or transmission is requested for totally reflected light.
         """
         if not 0 <= angle_deg < 90:
             raise MistrayError(f"angle of incidence {angle_deg:g}°; give angles from 0 to below 90°")

@@ -255,7 +255,7 @@ def totals(
 
 def check_loss(title: str, event: str, sums: Totals, cos_i: np.ndarray, lit: np.ndarray | bool = True) -> None:
     """
-    Raise an error if scatter takes more light from a specular beam than it has.
+    Raise `MistrayError` if scatter takes more light from a specular beam than it has.
 
     Parameters
     ----------

@@ -87,7 +87,7 @@ def _scatters(file: SceneFile, element: Element) -> bool:
 
 
 def _references(file: SceneFile, within: str) -> Iterator[Element]:
-    """Yield references to shared models from shapes, or from the BSDFs in these."""
+    """Yield the references to shared models directly within elements of tag `within`: shapes, or BSDFs in shapes."""
     shared = _shared(file)
     for element in file.root.walk():
         if element.tag == "ref" and element.values.get("id") in shared and element.parent is not None:

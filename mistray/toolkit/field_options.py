@@ -84,7 +84,7 @@ def _metavar(demand: Any) -> Any:
 def options_of(request: type, *names: str) -> tuple[Option, ...]:
     """Return the options of the named fields of a request (default: all).
 
-    A nested object or a part gives one per field.
+    A nested object, or a subset of the fields of another dataclass, gives one per field.
     """
     found: list[Option] = []
     declared = {field.name: field for field in dataclasses.fields(request)}

@@ -255,7 +255,7 @@ def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSu
 
 
 def from_flat(request: type, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a request by name, from values by keyword; those of a part go into its mapping."""
+    """Return the fields of a request by name, from values by keyword; those of a `FieldSubset` form a mapping."""
     found: dict[str, Any] = {}
     for declared in dataclasses.fields(request):
         part = demand_of(declared)

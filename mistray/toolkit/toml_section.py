@@ -151,7 +151,7 @@ class TomlSection:
         return tuple(float(v) for v in values)
 
     def texts(self, key: str, form: str) -> tuple[str, ...]:
-        """Return a list of texts that are not empty; `form` says in the message what to give."""
+        """Return the non-empty texts listed at a key; raise `MistrayError` for anything else, with remedy `form`."""
         value = self.content.get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
             raise self.fail(key, f"is {value!r}; give {form}")

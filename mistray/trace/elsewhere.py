@@ -185,7 +185,7 @@ def _flux_of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> 
 
 
 def check_columns(requested: PathFilter) -> None:
-    """Raise if a filter compares a column that only light on a detector has, such as its power."""
+    """Raise `MistrayError` if a filter compares a column that only light on a detector has, such as its power."""
     missing = requested.columns - set(COLUMNS)
     if missing:
         raise MistrayError(

@@ -85,7 +85,7 @@ class Named:
         return exactly(np.array([known[pair] for pair in zip(labels, ends, strict=True)], dtype=bool))
 
     def check(self, rows: Rows) -> None:
-        """Raise if the name contains a surface, event or detector that does not exist."""
+        """Raise `UnknownError` if the name contains a surface, event or detector that does not exist."""
         text = _typed_alike(self.text)
         before, comma, detector = text.rpartition(", on ")
         if comma and not any(", on " in name for name in rows.events.ids):
@@ -186,7 +186,7 @@ def _all_known(pieces: Sequence[str], rows: Rows) -> bool:
 
 
 def _check_pieces(pieces: Sequence[str], between: str, rows: Rows) -> None:
-    """Raise if pieces of a text are no ids; an id may contain the separator."""
+    """Raise `UnknownError` if pieces of a text are no ids; an id may contain the separator."""
     while pieces:
         # The longest known id first
         for count in range(len(pieces), 0, -1):

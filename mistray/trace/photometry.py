@@ -23,7 +23,7 @@ from mistray.spectra.cie import VISIBLE_NM, luminous_efficacy
 
 def check_light(scene: mi.Scene, wavelength_nm: Sequence[float] | None) -> None:
     """
-    Raise if the light of a scene has no photometric units: a source states no wavelength, or none is visible.
+    Raise `MistrayError` if light has no photometric units: a source states no wavelength, or none is visible.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def check_light(scene: mi.Scene, wavelength_nm: Sequence[float] | None) -> None:
 
 
 def check_visible(wavelengths_nm: Sequence[float]) -> None:
-    """Raise if none of these wavelengths, nm, is visible."""
+    """Raise `MistrayError` if none of these wavelengths, nm, is visible."""
     low, high = VISIBLE_NM
     if not any(low <= nm <= high for nm in wavelengths_nm):
         listed = ", ".join(f"{nm:g}" for nm in wavelengths_nm)

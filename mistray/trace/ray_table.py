@@ -43,7 +43,7 @@ Columns = dict[str, np.ndarray]
 
 
 def check_box(box: Sequence[float]) -> Sequence[float]:
-    """Return a rectangle x0, x1, y0, y1, mm; raise if it is empty."""
+    """Return a rectangle x0, x1, y0, y1, mm; raise `MistrayError` if it is empty."""
     x0, x1, y0, y1 = box
     if not (x0 < x1 and y0 < y1):
         raise MistrayError(f"box is x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm; it needs x0 < x1 and y0 < y1")

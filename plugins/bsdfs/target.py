@@ -113,7 +113,7 @@ class TargetMark(mi.BSDF):
         self.m_flags = self.m_components[0]
 
     def _check(self, title: str) -> None:
-        """Raise an error for properties that no target can have, or that would be ignored."""
+        """Raise `MistrayError` for properties that no target can have, or that would be ignored."""
         if self.about and self.about not in CONES:
             raise MistrayError(f"{title}: about is '{self.about}'; use {', '.join(CONES[:-1])} or {CONES[-1]}")
         if bool(self.about) != bool(self.cone_deg):

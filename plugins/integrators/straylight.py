@@ -217,7 +217,7 @@ def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
 
 
 def _check_differentiable(params: Any, tracked: dict[tuple[int, str], tuple[str, mi.Float]]) -> None:
-    """Raise an error if a requested gradient would silently be 0."""
+    """Raise `MistrayError` if a requested gradient would silently be 0."""
     known = {value.index_ad for _, value in tracked.values()}
     for key in params.keys() if params is not None else ():
         value = peek(params, key)

@@ -147,7 +147,7 @@ class FormulaShape(mi.Mesh):
         return tuple(key for key in self.values if key not in held)
 
     def step(self, name: str) -> float:
-        """Return the step of differences for a parameter, in its unit."""
+        """Return the step of finite differences for a parameter, in its unit."""
         if name in POSE:
             return DEGREES if name.startswith("tilt") else MM
         return RELATIVE * self.outer_radius
@@ -251,7 +251,7 @@ def curvature_of(shape: FormulaShape, props: mi.Properties, radius: str, curvatu
 
 
 def check_reach(vertices: np.ndarray, name: str) -> None:
-    """Raise an error if vertices of a shape, mm in world space, are far too large."""
+    """Raise `MistrayError` if vertices of a shape, mm in world space, are far too large."""
     farthest = float(np.abs(vertices).max())
     if not farthest < FARTHEST_MM:
         raise MistrayError(

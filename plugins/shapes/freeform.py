@@ -248,7 +248,7 @@ class FreeformShape(FormulaShape):
             )
 
     def _check_grid(self) -> None:
-        """Raise an error if the outline extends beyond the grid."""
+        """Raise `MistrayError` if the outline extends beyond the grid."""
         if not self._grid:
             return
         x, y = self._samples
@@ -281,7 +281,7 @@ class FreeformShape(FormulaShape):
 
     @property
     def held(self) -> set[str]:
-        """Names of the parameters without derivative: radii of polynomials, missing holes; all if too many."""
+        """Parameters without derivative: radii of polynomials, a hole of radius 0; all but the pose if too many."""
         if len(self._local.sag.numbers) + len(self.outline.numbers()) > len(OWN):
             return set(self.values) - set(MOVES)
         return {key for key in self.values if key in LENGTHS or (key == "inner_semi_diameter" and not self.values[key])}

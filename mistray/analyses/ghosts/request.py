@@ -120,7 +120,7 @@ class Alias(Demand):
         return text if text in ALL_SURFACES else self._pair(text)
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return an alias unchanged; raise `MistrayError` if it is not one."""
+        """Return an alias, a pair as a tuple; raise `MistrayError` if it is not one."""
         if isinstance(value, str) and value in ALL_SURFACES:
             return value
         if isinstance(value, tuple | list) and len(value) == 2:

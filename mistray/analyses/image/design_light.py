@@ -46,7 +46,7 @@ class DesignLight:
 
 
 def check_sheets(path: DesignPath) -> None:
-    """Raise an error if a surface of the path is a mesh, because its facets give no wavefront."""
+    """Raise `MistrayError` if a surface of the path is a mesh, because its facets give no wavefront."""
     for step in path.steps[:-1]:
         if step.surface >= len(path.table.pieces):
             raise MistrayError(
@@ -70,7 +70,7 @@ def media(path: DesignPath) -> list[complex]:
 
 def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False) -> DesignLight:
     """
-    Trace rays along a design path.
+    Return the light at the end of a design path, from rays traced along it.
 
     Parameters
     ----------

@@ -200,7 +200,7 @@ def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str |
 
 
 def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
-    """Return the optical surface and its step if a stop is the mount around it, else the stop's own."""
+    """Return the number and step of the optical surface in a mount, if the stop is a mount; else those of the stop."""
     ring = outline(path.table.shapes[surface])
     for other in (place, place - 1):
         if not 0 <= other < len(path.steps) - 1:

@@ -41,7 +41,7 @@ class Arriving:
         return {"arriving_share": self.share, "entrances": {**asdict(self.entrances), "others": others}}
 
     def require(self) -> None:
-        """Raise an error if no light arrives; the scene file is kept."""
+        """Raise `MistrayError` if no light arrives; the scene file is kept."""
         if self.share > 0:
             return
         raise MistrayError(

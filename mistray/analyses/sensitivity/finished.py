@@ -155,7 +155,7 @@ def _check(saved: Mapping[str, Any]) -> TracedChange:
 
 
 def _require_value(path: str | Path, was: float, value: float) -> None:
-    """Raise an error if a metric traced again differs from the saved one by more than 1e-6."""
+    """Raise `MistrayError` if a metric traced again differs from the saved one by more than 1e-6."""
     if not math.isclose(value, was, rel_tol=SAME):
         raise MistrayError(
             f"state '{path}' belongs to another run: the metric was {was:.6g} and is {value:.6g}; use another "

@@ -74,7 +74,7 @@ class FullRims:
 
     @cached_property
     def full(self) -> list[tuple[int, Key, np.ndarray]]:
-        """Just-filled rims, each as line of the beam's edge, key of the passage, and mask of rays there, (n,) bool."""
+        """Rims that the beam just fills: line of its edge, key of the passage, mask of the rays there, (n,) bool."""
         found = []
         for line, key, passage in self._along():
             here = passage.counts & (passage.slope < ALONG)

@@ -248,7 +248,7 @@ class MarginalRays:
         passage.depth[place], passage.point[place], passage.counts[place] = depth, point, counts
 
     def _otherwise(self, rays: MarginalBundle, hits: np.ndarray) -> np.ndarray:
-        """Whether light continues at the end of the other branch, (n,): rays hit what they passed, or the reverse."""
+        """Whether light continues on the other branch, (n,): rays hit a rim's surface where `hits`, else pass it."""
         after, ends = self._after(rays, normals(self.table, int(rays.last[0]), rays.o))
         ends &= hits
         lit = ends & ~self._black(rays.last)

@@ -13,7 +13,7 @@ MEMORY_BYTES = 8 << 30
 
 
 def main(source: str, target: str, tolerance_mm: str, angle_rad: str, seconds: str) -> int:
-    """Convert the file and return the exit status: 0, 3 if cascadio is not installed, 4 if it cannot read the file."""
+    """Convert a STEP file to glTF; return the exit status: 0, 3 without cascadio, 4 if it cannot read the file."""
     with contextlib.suppress(ImportError, ValueError, OSError):  # not on every system
         import resource
 

@@ -173,7 +173,7 @@ class ZemaxSection:
 
     def take(self, key: str) -> ZemaxLine | None:
         """
-        Take the line with a keyword; None if there is none.
+        Remove and return the line with a keyword; None if there is none.
 
         Raises
         ------

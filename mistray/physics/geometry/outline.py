@@ -55,7 +55,7 @@ class OutlineFigure:
 
     def check(self, owner: str) -> None:
         """
-        Raise an error if the figure is not valid.
+        Raise `MistrayError` if the figure is not valid.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class Outline:
 
     def check(self, owner: str) -> None:
         """
-        Raise an error if the outline does not define a surface.
+        Raise `MistrayError` if the outline does not define a surface.
 
         Raises
         ------

@@ -95,7 +95,7 @@ def _numbered(name: str) -> tuple[str, int, int | None] | None:
 
 def check_names(names: Iterable[str], owner: str) -> None:
     """
-    Raise an error if numbers with these names do not define a sag.
+    Raise `MistrayError` if numbers with these names do not define a sag.
 
     Raises
     ------

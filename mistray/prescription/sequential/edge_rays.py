@@ -294,7 +294,7 @@ def _object_point(lens: Sequential, data: SequentialFirstOrder, field: tuple[flo
 
 
 def _stop_radius(lens: Sequential, data: SequentialFirstOrder) -> float:
-    """Stated radius of the stop, or the radius at which the real marginal ray meets it, mm."""
+    """Return the radius of the stop, mm: the stated one, else that at which the real marginal ray meets it."""
     stop = stop_place(lens)
     row = lens.rows[stop]
     opening = row.aperture.annulus if row.stop and row.aperture else None

@@ -82,7 +82,7 @@ def _found(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
 
 
 def _search(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
-    """Return the declared sequences, and for the other detectors those that probes find."""
+    """Return the sequences by detector: declared ones, else those that probes find; detectors without are left out."""
     lists = {detector: declared(table, detector) for detector in table.detectors}
     # Sources and fields in their order, until every detector has some
     missing = [detector for detector, found in lists.items() if not found]

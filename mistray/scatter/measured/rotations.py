@@ -187,7 +187,7 @@ def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple
 
 
 def _check_round(title: str, angles: np.ndarray) -> None:
-    """Raise an error if rotations do not ascend within a full turn, or leave a part of it uncovered."""
+    """Raise `MistrayError` if rotations do not ascend within a full turn, or leave a part of it uncovered."""
     check_rotations(title, angles, 360 - ANGLE_ROUNDING_DEG)
     left = 360 - (angles[-1] - angles[0])
     if len(angles) > 1 and left > LARGEST_GAP * float(np.max(np.diff(angles))) + ANGLE_ROUNDING_DEG:

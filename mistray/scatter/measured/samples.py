@@ -136,7 +136,7 @@ class BsdfSamples:
 
     def check_cover(self) -> None:
         """
-        Raise an error if directions of the hemisphere lie beyond the last polar angle.
+        Raise `MistrayError` if directions of the hemisphere lie beyond the last polar angle.
 
         Raises
         ------

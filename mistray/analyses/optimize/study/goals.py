@@ -134,7 +134,7 @@ def pieces(
 
 def check(terms: Sequence[Term], values: Mapping[str, float], start: Mapping[str, float], where: str, at: str) -> None:
     """
-    Raise an error if the values of the terms have no merit: not finite, or not compatible with their goals.
+    Raise `MistrayError` if the values of the terms have no merit: not finite, or not compatible with their goals.
 
     Parameters
     ----------

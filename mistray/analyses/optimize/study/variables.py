@@ -309,7 +309,7 @@ def find_variables(
 def _check_indices(
     variables: Sequence[Variable], known: Mapping[str, Parameter], together: Mapping[str, list[str]], where: str
 ) -> None:
-    """Raise an error if a variable changes a material's index on some sides only; light would stop there."""
+    """Raise `MistrayError` if a variable changes a material's index on some sides only; light would stop there."""
     for variable in variables:
         moved = {place.key for place in variable.places}
         for name, keys in together.items():
