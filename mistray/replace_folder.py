@@ -198,7 +198,7 @@ def _obsolete(folder: Path, page: str) -> set[str]:
 
 
 def _with_list(page: bytes, files: Mapping[str, bytes]) -> bytes:
-    """Insert the list of a page's files with checksums before its end; a page without ``</html>`` stays as it is."""
+    """Return a page with the list of its files and checksums before its end; unchanged if it has no ``</html>``."""
     start, end, rest = page.rpartition(END)
     if not end:
         return page

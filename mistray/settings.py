@@ -45,7 +45,7 @@ class RayControl(Demand):
     demand = f"must be one of {', '.join(RAY_CONTROLS)}, or letters of {', '.join(OPERATIONS)}"
 
     def check(self, name: str, value: Any, owner: str = "") -> str:
-        """Return the name of a ray control, or its letters in the order of `OPERATIONS`; raises for others."""
+        """Return the name of a ray control, else its letters as in `OPERATIONS`; raise `MistrayError` if invalid."""
         if isinstance(value, str) and value in RAY_CONTROLS:
             return str(value)
         letters = value.replace(",", "").replace(" ", "") if isinstance(value, str) else ""

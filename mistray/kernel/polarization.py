@@ -51,7 +51,7 @@ def carried(u: Any, axis: Any, d: Any) -> Any:
 
 
 def plane_of_incidence(d: mi.Vector3f, normal: mi.Vector3f) -> mi.Vector3f:
-    """Return the unit vector s normal to the plane of incidence of light along d."""
+    """Return the unit vector s normal to the plane of incidence of light along d; at normal incidence `first_axis`."""
     s = dr.cross(d, normal)
     square = dr.squared_norm(s)
     return dr.select(square > NORMAL_INCIDENCE, s * dr.rsqrt(square), first_axis(d))

@@ -40,7 +40,7 @@ class DirectImage:
     path_ids: tuple[int, ...] = field(repr=False, compare=False)
 
     def dividing(self, above: Sampled, what: Literal["light", "density"]) -> Sampled:
-        """Divide power ("light") or RMS irradiance ("density") of paths by that of the image; NaN without an image."""
+        """Return power ("light") or RMS irradiance ("density") of paths over that of the image; NaN without one."""
         if not self.path_ids:
             return Sampled(np.full_like(above.value, np.nan), np.full_like(above.apart, np.nan))
         own: Sampled = getattr(self.paths.numbers([self.path_ids]), what)

@@ -157,7 +157,7 @@ def _middle(shape: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sphere(shape: Any, scale: float, half_axes: tuple[float, ...]) -> Ellipsoid:
-    """Return a sphere times `scale` as an ellipsoid, if given with other half axes, mm, along its own axes."""
+    """Return a sphere, or an ellipsoid of given half axes, mm, along its own axes; both are enlarged by `scale`."""
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
     centre, half = _middle(shape)
     # Columns of the matrix without their lengths

@@ -190,7 +190,7 @@ class SceneFile:
         return element
 
     def _child(self, element: Element, part: str) -> Element | None:
-        """Return the object that ``mi.traverse`` names `part` within an element."""
+        """Return the object that ``mi.traverse`` names `part` within an element; None if there is none."""
         if element.tag == "shape":
             found = self.surface(element)
             return found[1] if found is not None and part == "bsdf" else None

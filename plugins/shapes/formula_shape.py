@@ -170,7 +170,7 @@ class FormulaShape(mi.Mesh):
         raise NotImplementedError
 
     def _checked_mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return vertices, (n, 3), in world space, mm, and faces, (m, 3); an error if numbers are far too large."""
+        """Return vertices, (n, 3), in world space, mm, and faces, (m, 3); raise `MistrayError` if too large."""
         with np.errstate(over="ignore", invalid="ignore"):
             vertices, faces = self._tessellate()
             check_reach(vertices, self.name)

@@ -220,7 +220,7 @@ def _sampled(
     system: _System, path: DesignPath, bundle: PointBundle, region: Region, frame: ImageFrame, chief: ChiefRay,
     grid: int | None, radius: float | None, name: str, notes: list[str],
 ) -> PupilSamples:  # fmt: skip
-    """Sample the light of a field at one wavelength on a grid that resolves the wavefront, up to 512 cells."""
+    """Return the light of a field at one wavelength on a grid that resolves the wavefront, up to 512 cells across."""
     count = grid or FIRST_GRID
     while True:
         sampled = sample_pupil(path, bundle, region, frame, system.stop, chief.coordinates, count)

@@ -269,7 +269,7 @@ class Places:
         return ApertureStop(self.table.parts[surface], gap, float(self.along(np.array([gap]), point)[0]))
 
     def _fan(self, tracer: ChainTracer, out: np.ndarray, heights: np.ndarray) -> _FanEnds:
-        """Trace rays parallel to the base ray, at `heights` (mm) along `out`, until they leave the design path."""
+        """Return where rays parallel to the base ray, at `heights` (mm) along `out`, leave the design path."""
         assert self.path is not None
         steps, n = self.path.steps, len(out)
         o = steps[0].point + heights[:, None] * out - 4 * self._size() * steps[0].before

@@ -60,7 +60,7 @@ class HitSamples:
     rays: int
 
     def only(self, here: np.ndarray) -> HitSamples:
-        """Select the hits where `here`, (m,) bool, is true."""
+        """Return the hits where `here`, (m,) bool, is true."""
         return HitSamples(**{name: getattr(self, name)[here] for name in NO_HITS}, rays=self.rays)
 
 

@@ -133,7 +133,7 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
 
 
 def _spread(by_node: np.ndarray) -> np.ndarray:
-    """Distribute derivatives from uniform nodes between 0 and 1 linearly to the nodes `COSINES`, keeping their sum."""
+    """Return derivatives at uniform nodes between 0 and 1, shared linearly among the nodes `COSINES`."""
     place = np.linspace(0.0, 1.0, len(by_node)) * (len(COSINES) - 1)
     low = np.minimum(place.astype(int), len(COSINES) - 2)
     share = place - low

@@ -122,7 +122,7 @@ def _next(tried: tuple[float, float] | None, first: float, left: float) -> float
 
 
 def _taken(metric: Metric, chosen: Mapping[str, Parameter], request: GradientRequest, times: float) -> Taken:
-    """Compute the gradient of a metric from `times` the number of its rays."""
+    """Return the gradient of a metric from `times` the number of its rays, with the time that it took."""
     began = time.perf_counter()
     metric = metric if times == metric.times else metric.with_rays_times(times)
     seen = metric.observe()

@@ -379,7 +379,7 @@ class _Reader:
         self.unread += [line.unread(f"not known to mistray, on {section.name}") for line in section.left()]
 
     def _after(self) -> None:
-        """Report lines behind the surfaces as unread if the file is not indented, so that they may be misplaced."""
+        """Report lines after the surfaces as unread if the file is not indented, since they may belong elsewhere."""
         if not self.sections.indented:
             self.unread += [
                 line.unread("not known to mistray, behind the surfaces") for line in self.sections.after.left()

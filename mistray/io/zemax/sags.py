@@ -65,7 +65,7 @@ class SagNumbers:
 
     @classmethod
     def of(cls, section: ZemaxSection, unit: float, semi_diameter: float = 0.0) -> SagNumbers:
-        """Take the PARM and XDAT lines of a section and return their numbers."""
+        """Remove the PARM and XDAT lines of a section and return their numbers."""
         found = cls(section.name, unit, semi_diameter)
         for key, values, most in (("PARM", found.parameters, MOST_PARAMETERS), ("XDAT", found.extra, MOST_EXTRA)):
             for line in section.take_all(key):
@@ -84,7 +84,7 @@ class SagNumbers:
         return self.parameters.pop(place, 0.0)
 
     def series(self) -> tuple[float, tuple[float, ...]]:
-        """Take the normalisation radius (lens units; 1 if there are no terms) and the terms of the extra data."""
+        """Remove and return the normalisation radius (lens units; 1 without terms) and the terms of the extra data."""
         count = self.extra.pop(1, 0.0)
         radius = self.extra.pop(2, 0.0)
         terms = trimmed(self.extra.pop(2 + k, 0.0) for k in range(1, int(max(count, 0.0)) + 1))

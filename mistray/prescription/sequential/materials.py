@@ -48,7 +48,7 @@ def same_material(names: Sequence[str], index_at: Callable[[float], float], wave
 
 
 def with_k(material: str, wavelengths_nm: Sequence[float]) -> str:
-    """Append `` k=0`` to a material string if its absorption is unknown at one of the wavelengths, nm."""
+    """Return a material string, with `` k=0`` appended if its absorption is unknown at one of the wavelengths, nm."""
     try:
         for wavelength in wavelengths_nm:
             complex_index(material, wavelength)

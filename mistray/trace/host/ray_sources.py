@@ -230,7 +230,7 @@ def even(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _around(axis: np.ndarray, cosine: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
-    """Return unit vectors at given polar angles and azimuths, rad, about unit vectors (n, 3)."""
+    """Return unit vectors about unit vectors, (n, 3), from cosines of the polar angle and azimuths, rad, (n,)."""
     # T. Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017
     x, y, z = axis.T
     sign = np.copysign(1.0, z)

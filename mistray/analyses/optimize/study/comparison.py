@@ -228,7 +228,7 @@ def try_terms(study: DesignStudy, scene: Any) -> None:
 
 
 def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
-    """Compare two steps of a search by the values on the search's own seed; the standard errors are NaN."""
+    """Return the comparison of two steps of a search by values on its own seed; standard errors are NaN."""
     rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:
         b, a = before.terms[term.name], after.terms[term.name]

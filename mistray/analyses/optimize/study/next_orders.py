@@ -87,7 +87,7 @@ def _takes(term: Term, limit: str) -> bool:
 
 
 def _compared(first: Levels, more: Levels, limit: str, of_term: dict[str, int]) -> NextOrder:
-    """Compare two measurements of the terms over their common seeds, in which both traced the same rays."""
+    """Return the change of the terms between two measurements over common seeds, which trace the same rays."""
     count = len(more.seeds)
     before = np.stack([first.of(name) for name in of_term])
     after = np.stack([more.of(name) for name in of_term])

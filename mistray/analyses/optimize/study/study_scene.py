@@ -75,7 +75,7 @@ def band(scene: Any, study: DesignStudy) -> tuple[tuple[float, ...], tuple[float
 
 def place(scene: Any, study: DesignStudy) -> tuple[PlacedDesign, ...]:
     """
-    Find the surfaces of each coating of a study.
+    Return each coating of a study with the surfaces of the scene that it covers.
 
     Raises
     ------

@@ -255,7 +255,7 @@ def find_variables(
     study: DesignStudy, params: Any, known: Mapping[str, Parameter], coatings: Mapping[str, str]
 ) -> Variables:
     """
-    Find the variables of a study: every layer of its coatings, and those of the sections ``[[variable]]``.
+    Return the variables of a study: every layer of its coatings, and those of the sections ``[[variable]]``.
 
     Parameters
     ----------
