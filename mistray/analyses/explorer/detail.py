@@ -52,10 +52,11 @@ def path_detail(
     Returns
     -------
     dict
-        ``events`` ([surface, event in words, whether the light turns there] of each), ``rays`` (polylines z, y, z, y,
-        …, mm), ``power_W``, ``turns`` (surfaces that reflect or scatter the path, each with the percentage of all stray
-        light that turns there) and ``remedies``: for each part with such a surface, the coating that leaves the least
-        stray light, with the power of the path and of all stray light left, W; the best part first.
+        ``events``: surface, event in words, and whether the light turns there, of each event. ``rays``: polylines z, y,
+        z, y, …, mm. ``power_W``: power of the path. ``turns``: surfaces that reflect or scatter the path, each with the
+        percentage of all stray light that turns there. ``remedies``: for each part with such a surface, the coating
+        that leaves the least stray light, the best part first. Each has the power of the path and of all stray light
+        left, W.
 
     Raises
     ------
