@@ -13,8 +13,8 @@ import cloudpickle
 import mitsuba as mi
 import numpy as np
 
-from mistray.cluster.scene_numbers import put_numbers, read_numbers
 from mistray.errors import MistrayError
+from mistray.execute.scene_numbers import put_numbers, read_numbers
 from mistray.scene.source import source_of
 from mistray.trace.forward import versions
 

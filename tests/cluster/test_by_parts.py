@@ -26,7 +26,7 @@ from workers_here import Here, assert_same
 
 import mistray
 from mistray import MistrayError, UnfinishedError
-from mistray.cluster.scene_numbers import put_numbers, read_numbers
+from mistray.execute.scene_numbers import put_numbers, read_numbers
 from mistray.cluster.travel import Parcel, Unpacked
 from mistray.execute import by_parts
 from mistray.execute.workers import current_workers, do_parts, working_with
