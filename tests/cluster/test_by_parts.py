@@ -278,6 +278,18 @@ def test_a_file_that_changed_since_is_noticed(plate, tmp_path):
         mistray.trace(scene, rays=500)
 
 
+def test_a_small_change_since_the_trace_is_noticed():
+    """Of a curvature, beside a radius that is a thousand times as large."""
+    scene = mistray.load("plate")
+    with working_with(Here()):
+        t = mistray.trace(scene, rays=500)
+        params = mi.traverse(scene)
+        params["plate_front.curvature"] = 1e-4
+        params.update()
+        with pytest.raises(MistrayError, match="another one at the worker"):
+            t.maps([[0]])
+
+
 @pytest.mark.quick
 def test_scenes_from_dicts_travel_with_their_frames():
     """But not those that hold objects, nor those of an unknown source."""
