@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import stubs
 import tiers
 from command_line import fails
 
@@ -150,8 +151,8 @@ class TestEverythingIsTested:
         assert {suffix for suffix in suffixes if suffix not in sources()} == set()
 
     def test_functions(self) -> None:
-        packages = [f"mistray.{each.name}" for each in pkgutil.iter_modules(mistray.__path__) if each.ispkg]
-        modules = [mistray, *map(importlib.import_module, packages)]
+        packages = {f"mistray.{each.name}" for each in pkgutil.iter_modules(mistray.__path__) if each.ispkg}
+        modules = map(importlib.import_module, packages.union(stubs.packages()))
         names = {
             name
             for module in modules

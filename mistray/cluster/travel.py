@@ -11,14 +11,12 @@ from typing import Any
 
 import cloudpickle
 import mitsuba as mi
-import numpy as np
 
-from mistray.cluster.scene_numbers import put_numbers, read_numbers
 from mistray.errors import MistrayError
+from mistray.execute.scene_numbers import put_numbers, read_numbers
 from mistray.scene.source import source_of
 from mistray.trace.forward import versions
 
-SCENE, FRAME = "scene", "frame"
 SCENES_KEPT, TASKS_KEPT = 4, 2  # by a worker
 
 
@@ -64,7 +62,7 @@ def surroundings() -> dict[str, str]:
 
 
 class _Pickler(cloudpickle.Pickler):
-    """Pickler that replaces scenes by their hashes and collects them; Mitsuba's frames become matrices."""
+    """Pickler that replaces scenes by their hashes and collects them."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
@@ -72,16 +70,14 @@ class _Pickler(cloudpickle.Pickler):
         self._known: dict[int, str] = {}
 
     def persistent_id(self, item: Any) -> Any:
-        """Return the substitute for a scene or a frame; None for all other objects."""
-        if isinstance(item, mi.Scene):
-            if id(item) not in self._known:
-                packed = _packed(item)
-                self._known[id(item)] = digest = hashlib.sha256(packed).hexdigest()
-                self.scenes[digest] = packed
-            return SCENE, self._known[id(item)]
-        if isinstance(item, mi.ScalarTransform4f):
-            return FRAME, np.array(item.matrix).tolist()
-        return None
+        """Return the hash of a scene; None for all other objects."""
+        if not isinstance(item, mi.Scene):
+            return None
+        if id(item) not in self._known:
+            packed = _packed(item)
+            self._known[id(item)] = digest = hashlib.sha256(packed).hexdigest()
+            self.scenes[digest] = packed
+        return self._known[id(item)]
 
 
 class _Unpickler(pickle.Unpickler):
@@ -89,10 +85,9 @@ class _Unpickler(pickle.Unpickler):
         super().__init__(file)
         self._scenes = scenes
 
-    def persistent_load(self, given: tuple[str, Any]) -> Any:
-        """Return the object for a substitute made by `persistent_id`."""
-        kind, value = given
-        return self._scenes[value] if kind == SCENE else mi.ScalarTransform4f(np.array(value))
+    def persistent_load(self, digest: str) -> mi.Scene:
+        """Return the scene of a hash made by `persistent_id`."""
+        return self._scenes[digest]
 
 
 def _packed(scene: mi.Scene) -> bytes:

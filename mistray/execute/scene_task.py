@@ -18,8 +18,8 @@ from mistray.errors import MistrayError
 from mistray.kernel.scattering import Scattering
 from mistray.surfaces.surfaces import SurfaceTable
 
-# Machines may differ in the last digits of a table
-TOLERANCE = 1e-5
+# Machines may differ in the last digits of a number, and in what is left of differences of larger ones
+TOLERANCE, ROUNDING = 1e-5, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +61,14 @@ class SceneTask:
         return made.do(part)
 
 
-def kernel_arrays(table: SurfaceTable, scattering: Scattering) -> list[np.ndarray]:
-    """Return the arrays of geometry, coatings, media and scatter that the kernel reads at one wavelength."""
+def kernel_arrays(table: SurfaceTable, scattering: Scattering | None = None) -> list[np.ndarray]:
+    """Return the arrays of geometry, coatings and media that the kernel reads at one wavelength, and of scatter."""
     optics = table.optics
-    arrays = [table.quadric, table.vertex, table.polynomial, table.rotation, table.clip, optics.words]
-    arrays += [optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]
-    return [np.array(values) for values in (*arrays, *scattering.arrays)]
+    geometry = table.quadric, table.vertex, table.polynomial, table.rotation, table.clip
+    arrays = [optics.words, optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]
+    arrays += scattering.arrays if scattering is not None else ()
+    # A row for each surface: its numbers are of different units and sizes
+    return [np.array(values).reshape(table.count, -1) for values in geometry] + [np.array(values) for values in arrays]
 
 
 def fingerprint(bands: Iterable[tuple[SurfaceTable, Scattering]]) -> str:
@@ -88,8 +90,9 @@ def agree(here: Sequence[np.ndarray], there: Sequence[np.ndarray]) -> bool:
 
 
 def _agree(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two arrays agree: floats within `TOLERANCE` of the largest value, others exactly."""
+    """Whether two arrays agree: floats within `TOLERANCE` of the largest value of their column, others exactly."""
     if a.shape != b.shape or a.dtype.kind != "f":
         return np.array_equal(a, b)
-    largest = float(np.max(np.abs(a), initial=0, where=np.isfinite(a)))
-    return np.allclose(a, b, rtol=TOLERANCE, atol=TOLERANCE * largest, equal_nan=True)
+    largest = np.max(np.abs(a), axis=0, initial=0, where=np.isfinite(a))
+    allowed = TOLERANCE * largest + ROUNDING * np.max(largest, initial=0)
+    return bool(np.all(np.isclose(a, b, rtol=TOLERANCE, atol=allowed, equal_nan=True)))

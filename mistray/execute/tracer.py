@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -94,6 +95,23 @@ class RunSums(Sums):
     seconds: float
 
 
+@dataclass(frozen=True, eq=False)
+class Preparation:
+    """Arguments of `prepare`, from which another process makes the same runs."""
+
+    scene: mi.Scene
+    settings: Settings
+    light: Light
+
+    @cached_property
+    def runs(self) -> list[Run]:
+        """Runs that were made again of them."""
+        return prepare(self.scene, self.settings, self.light)
+
+    def __reduce__(self) -> Any:
+        return Preparation, (self.scene, self.settings, self.light)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
     """
@@ -111,6 +129,10 @@ class Run:
         Flux of a start ray, W.
     design : DesignSequences
         Event sequences of the direct image.
+    prepared : Preparation
+        What it was made of, together with the other runs of its trace.
+    number : int
+        Its number among them.
     parts : tuple of Part or None
         Parts that are traced; None: all passes.
     ledger : Ledger or None
@@ -125,6 +147,8 @@ class Run:
     rays: int
     seed: int
     unit: float
+    prepared: Preparation
+    number: int
     design: DesignSequences = field(default_factory=DesignSequences)
     parts: tuple[Part, ...] | None = None
     ledger: Ledger | None = None
@@ -506,7 +530,7 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
     scattering = {nm: Scattering(ScatterTables(table, targets)) for nm, table in tables.items()}
     design = design_sequences(scene, *tables.values())
     # Runs, with a stream of random numbers each
-    runs = []
+    runs, prepared = [], Preparation(scene, settings, light)
     for number, source in enumerate(sources):
         count = source.count(max(1, round(settings.rays * shares[number])))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
@@ -521,6 +545,8 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
                 rays=count,
                 seed=stream,
                 unit=unit,
+                prepared=prepared,
+                number=number,
                 design=design,
             )
         )

@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -85,6 +86,9 @@ class PstRays:
 
     trace: BackwardTrace
     cells: AllCells | None = None
+
+    def __reduce__(self) -> Any:
+        return type(None), ()  # rays stay in the process that traced them
 
     def gradient(
         self, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None

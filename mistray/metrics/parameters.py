@@ -19,6 +19,7 @@ import numpy as np
 from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
+from mistray.execute.pickles import Missing
 from mistray.gradients.coating_gradient import IDEAL_PARAMETERS, SHIFTS
 from mistray.gradients.geometry_gradient import shape_parameters
 from mistray.ids import fits
@@ -46,7 +47,7 @@ class Parameter:
     value : (entries,) float64
         Present value in the scene; several entries for the layers of a coating.
     owner : object
-        Plugin that has the parameter.
+        Plugin that has the parameter; a pickle has none.
     name : str
         Name of the parameter in that plugin.
     shapes : tuple of str
@@ -67,6 +68,10 @@ class Parameter:
     tolerance: float
     low: float
     high: float
+
+    def __getstate__(self) -> dict[str, Any]:
+        reason = f"parameter '{self.key}' was pickled, without its scene; take it from parameters(scene) here"
+        return vars(self) | {"owner": Missing(reason)}
 
 
 def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict[str, Parameter]:

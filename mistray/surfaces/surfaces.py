@@ -91,8 +91,11 @@ class SurfaceTable:
 
     Attributes
     ----------
+    scene : mi.Scene
     detectors : list of int
         Numbers of the surfaces whose light is recorded, in the order of their ids.
+    design_mirrors : frozenset of int
+        Numbers of the opaque surfaces that are mirrors of the design, see `with_mirrors`.
     detector_axes : dict
         Middle, mm, and unit vectors along x and y, on the device, of each detector that is a Mitsuba shape.
     centre : (3,) float64
@@ -110,6 +113,7 @@ class SurfaceTable:
         stokes: bool = False,
     ) -> None:
         # In the order of their ids: a ray that meets two surfaces within the rounding must not see the scene's order
+        self.scene = scene
         named = named_shapes(scene)
         shapes = sorted(named.items())
         analytic = [(name, shape) for name, shape in shapes if is_analytic(shape)]
@@ -124,7 +128,7 @@ class SurfaceTable:
         self.wavelength_nm = wavelength_nm
         self.interfaces = [_interface(shape) for shape in self.shapes]
         self.detectors = self._find_detectors(detector)
-        self._design_mirrors: frozenset[int] = frozenset()
+        self.design_mirrors: frozenset[int] = frozenset()
         self._geometry(self.shapes[: len(analytic)])
         self._stock(self.shapes[len(analytic) :])
         self.detector_frames = {i: self._detector_frame(i) for i in self.detectors if i >= len(self.pieces)}
@@ -137,21 +141,26 @@ class SurfaceTable:
 
     def at(self, wavelength_nm: float) -> SurfaceTable:
         """Return the surfaces of the scene at another wavelength, nm; the geometry is shared."""
-        return self._changed(wavelength_nm, self.detectors, self._design_mirrors)
+        return self._changed(wavelength_nm, self.detectors, self.design_mirrors)
 
     def on(self, detector: int) -> SurfaceTable:
         """Return the surfaces of the scene with one detector alone; other detectors count as ordinary surfaces."""
         if self.detectors == [detector]:
             return self
-        return self._changed(self.wavelength_nm, [detector], self._design_mirrors)
+        return self._changed(self.wavelength_nm, [detector], self.design_mirrors)
 
     def with_mirrors(self, surfaces: frozenset[int]) -> SurfaceTable:
         """Return the surfaces of the scene with some opaque ones marked as mirrors of the design."""
         return self._changed(self.wavelength_nm, self.detectors, surfaces) if surfaces else self
 
+    def __copy__(self) -> SurfaceTable:
+        other = object.__new__(type(self))  # as it is: a pickle would make it anew
+        vars(other).update(vars(self))
+        return other
+
     def _changed(self, wavelength_nm: float, detectors: list[int], mirrors: frozenset[int]) -> SurfaceTable:
         other = copy(self)
-        other.wavelength_nm, other.detectors, other._design_mirrors = wavelength_nm, detectors, mirrors
+        other.wavelength_nm, other.detectors, other.design_mirrors = wavelength_nm, detectors, mirrors
         stokes = self.optics.stokes
         other.optics = Optics(self.ids, self.interfaces, other._flags(), self.bodies, wavelength_nm, stokes)
         return other
@@ -336,7 +345,7 @@ class SurfaceTable:
             flags[i] = (
                 (DETECTOR if i in self.detectors else 0)
                 | (STOCK if piece is None else 0)
-                | (MIRROR if i in self._design_mirrors else 0)
+                | (MIRROR if i in self.design_mirrors else 0)
                 | (WALL if piece is not None and piece.wall else 0)
                 | (ASPHERIC if piece is not None and piece.searched else 0)
             )

@@ -5,6 +5,7 @@ from mistray._variant import active_variant, ensure_variant
 if active_variant() is None:  # types of the variant are used while modules are imported
     ensure_variant()
 
+from mistray.execute.pickles import register
 from mistray.settings import Settings
 from mistray.trace.energy import Energy, FluxReport, SurfaceFlux
 from mistray.trace.forward import trace
@@ -25,6 +26,8 @@ __all__ = [
     "Trace",
     "trace",
 ]
+
+register()
 
 
 def __dir__() -> list[str]:

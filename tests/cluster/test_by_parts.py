@@ -26,9 +26,9 @@ from workers_here import Here, assert_same
 
 import mistray
 from mistray import MistrayError, UnfinishedError
-from mistray.cluster.scene_numbers import put_numbers, read_numbers
 from mistray.cluster.travel import Parcel, Unpacked
 from mistray.execute import by_parts
+from mistray.execute.scene_numbers import put_numbers, read_numbers
 from mistray.execute.workers import current_workers, do_parts, working_with
 from mistray.metrics import metric as metrics
 from mistray.scene.source import source_of
@@ -278,13 +278,31 @@ def test_a_file_that_changed_since_is_noticed(plate, tmp_path):
         mistray.trace(scene, rays=500)
 
 
+def test_a_small_change_since_the_trace_is_noticed():
+    """Of a curvature, beside a radius that is a thousand times as large."""
+    scene = mistray.load("plate")
+    with working_with(Here()):
+        t = mistray.trace(scene, rays=500)
+        params = mi.traverse(scene)
+        params["plate_front.curvature"] = 1e-4
+        params.update()
+        with pytest.raises(MistrayError, match="another one at the worker"):
+            t.maps([[0]])
+
+
 @pytest.mark.quick
 def test_scenes_from_dicts_travel_with_their_frames():
-    """But not those that hold objects, nor those of an unknown source."""
-    place = mi.ScalarTransform4f().translate([0.1, 0, 1])
+    """In single and in double precision; but not those that hold objects, nor those of an unknown source."""
+    place, further = mi.ScalarTransform4f().translate([0.1, 0, 1]), mi.ScalarTransform4d().translate([0.1, 0, 1.1])
     bsdf = {"type": "interface", "front": "air", "back": "1.5"}
     plate = {"type": "asphere", "id": "front", "semi_diameter": 2.0, "to_world": place, "bsdf": bsdf}
-    scene = mistray.load({"type": "scene", "plate": plate})
+    scene = mistray.load(
+        {
+            "type": "scene",
+            "plate": plate,
+            "rear": plate | {"id": "rear", "to_world": further, "bsdf": {"type": "interface", "front": "1.5"}},
+        }
+    )
     parcel = Parcel.of(Power(scene))
     _, made = Unpacked().task(parcel.task, parcel.digest, parcel.scenes)
     for key, value in read_numbers(scene).items():
@@ -424,7 +442,7 @@ def alone(scene):
     return mistray.trace(scene, rays=RAYS)
 
 
-# The next four use up one cluster, in this order
+# The next five use up one cluster, in this order
 
 
 @pytest.mark.long
@@ -440,6 +458,16 @@ def test_a_worker_of_another_version_is_refused(cluster, scene, monkeypatch):
 def test_processes_give_the_numbers_of_one(cluster, scene, alone):
     with mistray.distribute(cluster.address):
         assert_same(alone, mistray.trace(scene, rays=RAYS))
+
+
+def test_an_analysis_by_processes_and_its_result_from_one(cluster, scene):
+    alone = mistray.ghosts(scene, [0], rays=RAYS)
+    with mistray.distribute(cluster.address):
+        assert_same(alone[0.0], mistray.ghosts(scene, [0], rays=RAYS)[0.0])
+    with distributed.Client(cluster.address) as client:
+        found = client.submit(mistray.ghosts, scene, [0], rays=RAYS).result(LIMIT_S)
+    assert_same(alone[0.0], found[0.0])
+    np.testing.assert_array_equal(found.stray_map(0.0), alone.stray_map(0.0))
 
 
 def test_a_worker_that_is_killed_loses_nothing(cluster, scene, alone):

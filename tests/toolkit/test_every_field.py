@@ -9,7 +9,6 @@ import re
 from collections.abc import Iterator
 from decimal import Decimal
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ import pytest
 import stubs
 from toolkit.right_values import needed, right
 
-import mistray
 from mistray.analyses.coating.request import CoatingRequest
 from mistray.errors import MistrayError
 from mistray.ranges import ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of
@@ -147,19 +145,3 @@ def test_wrong_arguments_beside_the_fields(name: str, given: dict[str, Any], tol
     known = {subject: scene} if "optimize." not in name else {"scene": "plate"} if subject == "scene" else {}
     with pytest.raises(MistrayError, match=told):
         call(name, **known | given)
-
-
-@pytest.mark.long
-def test_results_are_pickled(tmp_path: Path) -> None:
-    """Those that hold data alone; those that trace again when they are asked hold their scene."""
-    plate, triplet = mistray.load("plate"), mistray.load("cooke_triplet")
-    found = (
-        mistray.thermal(plate, rays=100),
-        mistray.sweep("plate", 0, rays=100, cache=False),
-        mistray.export_step(plate, tmp_path / "plate.step"),
-        mistray.image_quality(triplet, grid=16),
-    )
-    for result in found:
-        again = pickle.loads(pickle.dumps(result))
-        assert type(again) is type(result)
-        assert str(again) == str(result)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import mitsuba as mi
@@ -83,6 +84,10 @@ def test_wrong_and_missing_names(load_text) -> None:
         with pytest.raises(mistray.MistrayError, match=words):
             call()
     assert both.on("side").on("side").irradiance.shape == (20, 16)
+    for t in (both, both.on("side")):  # through a pickle
+        found = pickle.loads(pickle.dumps(t))
+        assert found.detectors == t.detectors
+        np.testing.assert_array_equal(found.on("side").maps([[0]]), t.on("side").maps([[0]]))
     assert mistray.ghosts(scene, rays=100, detector="back")[0.0].detectors == ["back"]
 
 

@@ -82,7 +82,7 @@ class Pst:
     extent_mm : tuple of float
         Bounds x0, x1, y0, y1 of the detector, in its own frame.
     source : PstRays, optional
-        Rays of the computation, for derivatives.
+        Rays of the computation, for derivatives; a pickle has none.
     plan : Plan, optional
         Plan of its pilot, if forward and backward rays share the light (multiple importance sampling).
     techniques : dict of str to (c, n, m, b) float64
@@ -144,7 +144,7 @@ class Pst:
             If this is not the result of a trace from the detector in this process.
         """
         if self.source is None:
-            raise MistrayError("this PST has no rays to differentiate; compute it without method='forward'")
+            raise MistrayError("this PST has no rays to differentiate; compute it here, without method='forward'")
         yield from self.source.gradient(np.asarray(derivative), request, groups)
 
     def __post_init__(self) -> None:

@@ -10,13 +10,13 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.sweep.configurations import Configuration, Resolved, resolve
-from mistray.cluster.scene_numbers import put_numbers, read_numbers
 from mistray.errors import MistrayError
+from mistray.execute.scene_numbers import StoredScene, read_numbers
 from mistray.metrics.scene_values import assign
 from mistray.scene import coat, find, load
 from mistray.scene.add_structures import add_structures
 from mistray.scene.check import check_overlaps
-from mistray.scene.source import PackedScene, source_of
+from mistray.scene.source import PackedScene
 
 
 class Original:
@@ -86,28 +86,26 @@ class _Loaded:
     """Original of a sweep that is a loaded scene, with the source that it was loaded from."""
 
     def __init__(self, scene: mi.Scene) -> None:
-        self._source = source_of(scene)
-        self._numbers = read_numbers(scene)
-        self.parts = {"sources": self._source.sources, "sensors": self._source.sensors}
+        self._stored = StoredScene.of(scene)
+        self.parts = {"sources": self._stored.source.sources, "sensors": self._stored.source.sensors}
 
     def copy(self) -> mi.Scene:
         """Return a copy of the scene with its present values."""
-        scene = self._source.load()
-        put_numbers(scene, self._numbers)
-        return scene
+        return self._stored.load()
 
     def file(self, folder: Path) -> Path:
         """Return the scene's file, unpacked in a folder.
 
         Raise `MistrayError` if there is none or the scene differs from it.
         """
-        if not isinstance(self._source, PackedScene):
+        source = self._stored.source
+        if not isinstance(source, PackedScene):
             raise MistrayError(
                 "a scene of a dict cannot be painted, coated or blocked; write it to an XML file and load that"
             )
-        file = self._source.unpack(folder)
+        file = source.unpack(folder)
         for key, numbers in read_numbers(load(file, **self.parts)).items():
-            if not np.array_equal(numbers, self._numbers[key]):
+            if not np.array_equal(numbers, self._stored.numbers[key]):
                 raise MistrayError(
                     f"'{key}' of the scene is not what its file says, which is what is painted, coated or blocked; "
                     "reload the scene, and set it in the values of the configuration"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -114,7 +115,7 @@ def run_bsdf(models: LobeModel | Sequence[LobeModel], request: BsdfTransferReque
         raise MistrayError(f"surface transfer function: nothing goes on in {event}; give a share above 0")
     plateau = specular / (specular + scattered)
     if scattered == 0:
-        return SurfaceTransfer(wavelength_um, 1.0, lambda lag: np.ones_like(np.asarray(lag, dtype=np.float64)))
+        return SurfaceTransfer(wavelength_um, 1.0, partial(np.ones_like, dtype=np.float64))
     cos_0 = float(specular_cosine(event, cosines, n_in, n_out)[0])
     sin_0 = float(np.sqrt(1 - cos_0 * cos_0))
     symmetric = sin_0 == 0 and not any(lobe.anisotropic for lobe in lobes)
@@ -129,11 +130,7 @@ def run_bsdf(models: LobeModel | Sequence[LobeModel], request: BsdfTransferReque
 
     rings = _Rings.of(profile, 1 + sin_0)
     n = n_in if event == "reflection" else n_out
-    return SurfaceTransfer(
-        wavelength_um,
-        plateau,
-        lambda lag: plateau + (1 - plateau) * rings.transform(n / wavelength_um * np.asarray(lag)),
-    )
+    return SurfaceTransfer(wavelength_um, plateau, partial(rings.beside, plateau, n / wavelength_um))
 
 
 transfer_of_bsdf = analysis("transfer_of_bsdf", BsdfTransferRequest, run_bsdf)
@@ -183,14 +180,10 @@ def run_spectrum(model: RoughSurface, request: SurfaceTransferRequest) -> Surfac
         )
     variance = float(ghs.phase_variance(path, rms_um, wavelength_um))
     if variance == 0:
-        return SurfaceTransfer(wavelength_um, 1.0, lambda lag: np.ones_like(np.asarray(lag, dtype=np.float64)))
+        return SurfaceTransfer(wavelength_um, 1.0, partial(np.ones_like, dtype=np.float64))
     psd, highest = model.psd(wavelength_nm), n / wavelength_um
     rings = _Rings.of(lambda r: np.asarray(psd(r * highest)), 1.0)
-    return SurfaceTransfer(
-        wavelength_um,
-        float(np.exp(-variance)),
-        lambda lag: formulas.surface_transfer(rings.transform(highest * np.asarray(lag)), variance),
-    )
+    return SurfaceTransfer(wavelength_um, float(np.exp(-variance)), partial(rings.of_phase, variance, highest))
 
 
 transfer_of_spectrum = analysis("transfer_of_spectrum", SurfaceTransferRequest, run_spectrum)
@@ -231,3 +224,11 @@ class _Rings:
         """Return the Hankel sum Σ flux J0(2π r q), (m,), of the rings at frequencies q, (m,)."""
         flat = np.atleast_1d(frequency)
         return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))
+
+    def beside(self, specular: float, highest: float, lag: Array) -> Array:
+        """Return the transform at lags, µm, of a specular share and of these rings up to a highest frequency, 1/µm."""
+        return specular + (1 - specular) * self.transform(highest * np.asarray(lag))
+
+    def of_phase(self, variance: float, highest: float, lag: Array) -> Array:
+        """Return the transfer function at lags, µm, of a phase of this variance, whose spectrum these rings are."""
+        return formulas.surface_transfer(self.transform(highest * np.asarray(lag)), variance)

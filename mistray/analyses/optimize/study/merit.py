@@ -98,7 +98,7 @@ class Merit:
             If a term to be minimised is 0 at the start, a value is not finite, or there is nothing to improve.
         """
         x = self.variables.values(y)
-        self.variables.apply(x)
+        self.variables.apply(self.params, x)
         seed = seed_of(self.study.optimizer, number)
         parameters = self.variables.parameters(x)
         layers = {

@@ -245,14 +245,14 @@ def run(
                 spent = time.perf_counter() - started
                 left = spent if end is None else min(spent, end - time.perf_counter())
                 comparison, orders = with_next_orders(read, opened.scene, levels, left, both)
-            variables.apply(designs[1])
+            variables.apply(opened.params, designs[1])
             metrics = [
                 traced_metric(term, opened.scene, read.optimizer.seed) for term in read.terms if not of_layers(term)
             ]
             unpolarized = tuple(seen_unpolarized(opened.scene, [view for metric in metrics for view in metric.views]))
         except Exception as error:  # what the search has found is not lost to it
             unverified, comparison = in_words(error), of_search(read, searches.steps[0], best)
-            variables.apply(designs[1])
+            variables.apply(opened.params, designs[1])
         gaps = contacts.opened(opened.scene)  # which is the result now
     return Optimization(
         study=read,
@@ -290,7 +290,7 @@ def _levels(
     seconds: float = math.inf,
 ) -> Levels:
     """Return the values of all terms, by seed, for given variables; see `measure` for the seeds."""
-    variables.apply(x)
+    variables.apply(opened.params, x)
     layers = [term for term in study.terms if of_layers(term)]
     numbers = {
         term.name: layer_value(term, study.coatings, opened.thickness_keys, variables.parameters(x))[0]

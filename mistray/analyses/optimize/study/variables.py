@@ -166,7 +166,6 @@ class Variables:
 
     def __init__(self, params: Any, variables: Sequence[Variable]) -> None:
         self.variables = tuple(variables)
-        self._params = params
         moved = [place.key for v in variables for place in v.places]
         moved += [key for v in variables for motion in v.motions for key in motion.body.keys]
         self.keys = tuple(dict.fromkeys(moved))
@@ -213,9 +212,9 @@ class Variables:
                 found[key] = found.get(key, 0.0) + change
         return found
 
-    def apply(self, x: Sequence[float] | np.ndarray) -> None:
-        """Set the parameters of the scene for values of the variables, (n,)."""
-        assign(self._params, self.parameters(x))
+    def apply(self, params: Any, x: Sequence[float] | np.ndarray) -> None:
+        """Set ``mi.traverse(scene)`` of the scene, or of one like it, for values of the variables, (n,)."""
+        assign(params, self.parameters(x))
 
     def slope(self, gradient: Mapping[str, np.ndarray], x: Sequence[float] | np.ndarray) -> np.ndarray:
         """

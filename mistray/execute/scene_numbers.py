@@ -1,8 +1,9 @@
-"""Numeric parameters of a scene, keyed as in ``mi.traverse``: read to the host, set in another copy of the scene."""
+"""Numbers of a scene, keyed as in ``mi.traverse``: read to the host, set in a scene from the same source; copies of it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -11,7 +12,27 @@ import numpy as np
 
 from mistray._mitsuba_compat import holds_numbers, peek
 from mistray.errors import MistrayError
+from mistray.scene.source import PackedScene, SceneDict, source_of
 from mistray.surfaces.upload import upload
+
+
+@dataclass(frozen=True, eq=False)
+class StoredScene:
+    """A scene as the source that it was loaded from, with its numbers at that moment."""
+
+    source: PackedScene | SceneDict
+    numbers: Mapping[str, np.ndarray]
+
+    @classmethod
+    def of(cls, scene: mi.Scene) -> StoredScene:
+        """Return a scene as it is now; raise an error if its source is not known, see `source_of`."""
+        return cls(source_of(scene), read_numbers(scene))
+
+    def load(self) -> mi.Scene:
+        """Return a scene of its own from the source, with the numbers; raise an error if that is impossible here."""
+        scene = self.source.load()
+        put_numbers(scene, self.numbers)
+        return scene
 
 
 def read_numbers(scene: mi.Scene) -> dict[str, np.ndarray]:
