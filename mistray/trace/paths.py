@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, overload
 
@@ -467,6 +468,17 @@ class PathTable(Sequence[PathRow]):
             the tuple of the `path_id` of a row; its own ``path_id`` is the strongest of them. The numbers of a row come
             from the sums of its paths in the ledger.
         """
+        if aliases is None:
+            return self._by_way.copy()
+        return self._merged(aliases)
+
+    @cached_property
+    def _by_way(self) -> pd.DataFrame:
+        """Table of `by_way` without aliases, which several parts of a report read."""
+        return self._merged(None)
+
+    def _merged(self, aliases: Mapping[str, str] | str | None) -> pd.DataFrame:
+        """Return the table of `by_way`."""
         table = self.to_pandas()
         table["events"], table["path"] = way_text(table.events), way_letters(table.path)
         # Facts that aliases must not merge: they enter the key of a way
