@@ -92,10 +92,19 @@ class TracedRuns:
         Light of the trace and the detector that records it.
     ledger : bool
         Whether the paths are recorded in a ledger.
+    runs_of : callable, optional
+        Function that returns the runs of the settings and the light; by default `prepare` of the scene.
     """
 
-    def __init__(self, scene: mi.Scene, settings: Settings, light: Light, ledger: bool) -> None:
-        self.runs = prepare(scene, settings, light)
+    def __init__(
+        self,
+        scene: mi.Scene,
+        settings: Settings,
+        light: Light,
+        ledger: bool,
+        runs_of: Callable[[Settings, Light], list[Run]] | None = None,
+    ) -> None:
+        self.runs = prepare(scene, settings, light) if runs_of is None else runs_of(settings, light)
         self._arguments, self._ledger = (scene, settings, light, ledger), ledger
         self._tables: dict[tuple[int, int], SurfaceTable] = {}  # with one detector alone, by run and detector
 

@@ -77,8 +77,6 @@ class Observation:
     ----------
     trace : Trace
         Trace with its results, which are not differentiable.
-    irradiance : (height · width,) mi.Float64
-        Irradiance of all light, W/mm², row by row; row 0 is at the smallest y.
     """
 
     resamples = True
@@ -88,9 +86,13 @@ class Observation:
         self.trace = result
         self._rows = list(result.paths)
         self._moments_of_rows = result.paths.moments()
-        self.irradiance = leaf(result.irradiance)
         self._sums: dict[tuple[tuple[int, ...], ...], tuple[mi.Float64, ...]] = {}
         self._maps: dict[tuple[int, ...], tuple[mi.Float64, Sampled]] = {}
+
+    @property
+    def irradiance(self) -> mi.Float64:
+        """Irradiance of all light, W/mm², (height · width,), row by row; row 0 is at the smallest y."""
+        return self._map(tuple(range(len(self._rows))))
 
     @property
     def launched_W(self) -> float:
@@ -119,8 +121,7 @@ class Observation:
     @property
     def _pixel_area(self) -> float:
         """Area of a pixel, mm²."""
-        x0, x1, y0, y1 = self.trace.extent
-        return (x1 - x0) * (y1 - y0) / self.trace.irradiance.size
+        return self.trace.runs[0].pixel_area
 
     # ---- numbers
 
@@ -189,12 +190,16 @@ class Observation:
         selection : str, sequence of str or callable
             Paths, see `power`.
         """
-        chosen = tuple(self.chosen(selection).tolist())
-        if len(chosen) == len(self._rows):
-            return self.irradiance
+        return self._map(tuple(self.chosen(selection).tolist()))
+
+    def _map(self, chosen: tuple[int, ...]) -> mi.Float64:
+        """Return the irradiance of chosen rows of the path table together, W/mm², (height · width,)."""
         if chosen not in self._maps:
-            with dr.suspend_grad():
-                (found,) = self.trace.each_map([[self._rows[k].path_id for k in chosen]], [True])
+            if len(chosen) == len(self._rows):
+                found = self.trace.light
+            else:
+                with dr.suspend_grad():
+                    (found,) = self.trace.each_map([[self._rows[k].path_id for k in chosen]], [True])
             self._maps[chosen] = leaf(found.value), found
         return self._maps[chosen][0]
 
@@ -244,8 +249,9 @@ class Observation:
         """Return the derivative of the metric's value by the flux of a hit, in its unit per W, by path and position."""
         by_sum = self._by_sum()
         path = by_sum @ TERM_COEFFICIENTS if np.any(by_sum) else None
-        images = [(np.arange(len(self._rows)), self._by_pixel(self.irradiance))]
-        images += [(np.array(chosen), self._by_pixel(image)) for chosen, (image, _) in self._maps.items()]
+        images = [
+            (np.array(chosen, dtype=np.int64), self._by_pixel(image)) for chosen, (image, _) in self._maps.items()
+        ]
         images = [(chosen, by_pixel) for chosen, by_pixel in images if np.any(by_pixel)]
         if not images:
             return HitDerivative(None, path)
@@ -273,8 +279,7 @@ class Observation:
         by_sum = self._by_sum()
         by_batch = self.trace.paths.by_batch(by_sum) if np.any(by_sum) else np.zeros(BATCHES)
         total = Sampled.of(by_batch, np.ones(BATCHES))
-        images = [(self.irradiance, self.trace.light), *self._maps.values()]
-        for image, found in images:
+        for image, found in self._maps.values():
             by_pixel = self._by_pixel(image)
             if np.any(by_pixel):
                 batches = self._pixel_area * np.einsum("yx,yxb->b", by_pixel, found.by_batch)
@@ -284,7 +289,7 @@ class Observation:
     def clear(self) -> None:
         """Clear the derivatives that previous evaluations of the metric have left."""
         sums = (term for terms in self._sums.values() for term in terms)
-        for array in (self.irradiance, *sums, *(image for image, _ in self._maps.values())):
+        for array in (*sums, *(image for image, _ in self._maps.values())):
             dr.clear_grad(array)
 
     def _by_sum(self) -> np.ndarray:
@@ -298,7 +303,7 @@ class Observation:
 
     def _by_pixel(self, image: mi.Float64) -> np.ndarray:
         """Return the derivative of the metric's value by the flux in each pixel, (height, width), in its unit per W."""
-        height, width = self.trace.irradiance.shape
+        width, height, _ = self.trace.runs[0].table.film()
         by_irradiance = np.broadcast_to(np.array(dr.grad(image)), height * width).reshape(height, width)
         return np.asarray(by_irradiance / self._pixel_area)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -10,13 +11,21 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.surfaces.optics import MIRROR, OPAQUE
-from mistray.surfaces.surface import NO_SURFACE, TracedSurface
+from mistray.surfaces.surface import (
+    NO_SURFACE,
+    Bounds,
+    TracedSurface,
+    quadric_crossings,
+    quadric_gradient,
+    within_bounds,
+)
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 BOX_ROOM = 1e-6  # margin around the boxes of surfaces, in units of their size
+AT_ONCE = 4  # boxes that a ray enters next, whose surfaces are tested together
 TINY = 1e-150  # least direction cosine; a ray with a smaller one counts as parallel to the sides of a box
 
 
@@ -89,21 +98,13 @@ def first_hit(
     """
     best = np.full(len(o), np.inf)
     surface = np.full(len(o), -1)
-    for piece, rays, entry in _near(table, o, d):
-        rays = rays[entry <= best[rays]]
-        if not len(rays):
-            continue
-        from_here, along = o[rays], d[rays]
-        t = crossings(table, piece.index, from_here, along)
-        nearest = np.where(last[rays] == piece.index, piece.self_hit, 0.0)
-        with np.errstate(invalid="ignore"):
-            some, crossing = np.nonzero((t > nearest[:, None]) & (t < best[rays, None]))
-        if not len(some):
-            continue
-        t = t[some, crossing]
-        own = np.flatnonzero(inside(table, piece.index, from_here[some] + t[:, None] * along[some]))
-        own = own[np.argsort(-t[own], kind="stable")]  # of two crossings of a ray the nearer one is written last
-        best[rays[some[own]]], surface[rays[some[own]]] = t[own], piece.index
+    host = table.host
+    for rays, members in _nearest_first(table, o, d, best):
+        hit, t = host.hits(o[rays], d[rays], members, last[rays])
+        rays, members = rays[hit], members[hit]
+        order = np.argsort(-t, kind="stable")  # of the hits of a ray the nearest is written last
+        order = order[t[order] < best[rays[order]]]
+        best[rays[order]], surface[rays[order]] = t[order], members[order]
     # Mitsuba aborts the process when it is asked for the hits of no rays
     stock = _stock_hit(table, o, d, best) if table.mitsuba_scene is not None and len(o) else None
     if stock is not None:
@@ -111,9 +112,8 @@ def first_hit(
         best, surface = np.where(nearer, stock[0], best), np.where(nearer, stock[1], surface)
     p = o + np.where(surface >= 0, best, 0.0)[:, None] * d
     normal = np.zeros_like(p) if stock is None else stock[2]
-    for number in np.unique(surface[(surface >= 0) & (surface < len(table.pieces))]):
-        here = surface == number
-        normal[here] = normals(table, int(number), p[here])
+    own = np.flatnonzero((surface >= 0) & (surface < len(table.pieces)))
+    normal[own] = host.normals(p[own], surface[own])
     return surface, p, normal
 
 
@@ -122,36 +122,174 @@ def _place(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
     return np.asarray((p - table.vertices[surface]) @ table.rotations[surface])
 
 
-def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[TracedSurface, np.ndarray, np.ndarray]]:
-    """Yield each analytic surface with the numbers of the rays that may meet it, and their distances to its box, mm."""
-    looped = set(table.tree.members) if table.tree else set()
-    near = table.tree.candidates(o - table.centre, d, table.frames) if table.tree else {}
-    for index, rays in near.items():
-        yield table.pieces[index], rays, np.full(len(rays), -np.inf)
-    boxed = [piece for piece in table.pieces if piece.index not in looped]
-    entry = np.full((len(o), len(boxed)), np.inf)
-    for number in {piece.frame for piece in boxed}:
-        columns = [k for k, piece in enumerate(boxed) if piece.frame == number]
-        entry[:, columns] = _entries(
-            table, [boxed[k] for k in columns], o @ table.frames[number], d @ table.frames[number]
+def _nearest_first(
+    table: SurfaceTable, o: np.ndarray, d: np.ndarray, best: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """
+    Yield rays and surfaces that they may meet, as pairs of numbers: (n,) int each.
+
+    Surfaces of the tree come first, then those whose boxes a ray enters, the nearest first, up to `best`, mm, the
+    nearest hit of each ray so far.
+    """
+    if table.tree:
+        near = table.tree.candidates(o - table.centre, d, table.frames)
+        if near:
+            yield (
+                np.concatenate(list(near.values())),
+                np.repeat(list(near), [len(rays) for rays in near.values()]),
+            )
+    entry = np.concatenate([boxes.entries(o, d) for boxes in table.host.boxes] or [np.empty((len(o), 0))], axis=1)
+    members = np.concatenate([boxes.members for boxes in table.host.boxes] or [np.empty(0, dtype=np.int64)])
+    order = np.argsort(entry, axis=1, kind="stable")
+    rays = np.arange(len(o))
+    for first in range(0, len(members), AT_ONCE):
+        columns = order[rays, first : first + AT_ONCE]
+        distance = entry[rays[:, None], columns]
+        row, column = np.nonzero(np.isfinite(distance) & (distance <= best[rays, None]))
+        if not len(row):
+            break
+        yield rays[row], members[columns[row, column]]
+        rays = rays[np.unique(row)]
+
+
+@dataclass(frozen=True)
+class _Boxes:
+    """
+    Boxes around surfaces of one orientation, in that orientation.
+
+    Attributes
+    ----------
+    members : (m,) int
+        Numbers of the surfaces.
+    frame : (3, 3) float64
+        Axes of the orientation as columns.
+    middle, corners : (m, 3) float64
+        Middles of the boxes, and their half sides, mm.
+    """
+
+    members: np.ndarray
+    frame: np.ndarray
+    middle: np.ndarray
+    corners: np.ndarray
+
+    @staticmethod
+    def of(table: SurfaceTable, pieces: list[TracedSurface]) -> _Boxes:
+        """Return the boxes around surfaces of one frame."""
+        frame = table.frames[pieces[0].frame]
+        size = np.array([piece.size for piece in pieces])
+        low, high = np.array([piece.z_range for piece in pieces]).T
+        room = BOX_ROOM * (size + high - low) + np.array([piece.overlap for piece in pieces])
+        members = np.array([piece.index for piece in pieces])
+        return _Boxes(
+            members,
+            frame,
+            table.vertices[members] @ frame + np.stack([0 * size, 0 * size, 0.5 * (high + low)], axis=1),
+            np.stack([size + room, size + room, 0.5 * (high - low) + room], axis=1),
         )
-    for k in np.argsort(entry.min(axis=0, initial=np.inf), kind="stable"):
-        rays = np.flatnonzero(np.isfinite(entry[:, k]))
-        yield boxed[k], rays, entry[rays, k]
+
+    def entries(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        """Return the distances, (n, m), mm, at which rays enter the boxes; infinity for those that they miss."""
+        first, last = np.full((len(o), len(self.members)), -np.inf), np.full((len(o), len(self.members)), np.inf)
+        for start, way, middle, corner in zip(
+            (o @ self.frame).T, (d @ self.frame).T, self.middle.T, self.corners.T, strict=True
+        ):
+            slope = 1 / np.where(np.abs(way) < TINY, np.copysign(TINY, way), way)[:, None]
+            centre, half = (middle - start[:, None]) * slope, np.abs(slope) * corner
+            np.maximum(first, centre - half, out=first)
+            np.minimum(last, centre + half, out=last)
+        return np.where((first <= last) & (last >= 0), first, np.inf)
 
 
-def _entries(table: SurfaceTable, pieces: list[TracedSurface], o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Return the distances, (n, m), mm, at which rays enter the boxes around surfaces of one frame; else infinity."""
-    size = np.array([piece.size for piece in pieces])
-    low, high = np.array([piece.z_range for piece in pieces]).T
-    room = BOX_ROOM * (size + high - low) + np.array([piece.overlap for piece in pieces])
-    vertices = np.array([table.vertices[piece.index] for piece in pieces]) @ table.frames[pieces[0].frame]
-    corners = np.stack([size + room, size + room, 0.5 * (high - low) + room], axis=1)
-    middle = vertices + np.stack([0 * size, 0 * size, 0.5 * (high + low)], axis=1)
-    slope = 1 / np.where(np.abs(d) < TINY, np.copysign(TINY, d), d)[:, None, :]
-    centre, half = (middle - o[:, None, :]) * slope, np.abs(slope) * corners
-    first, last = (centre - half).max(axis=2), (centre + half).min(axis=2)
-    return np.where((first <= last) & (last >= 0), first, np.inf)
+class HostSurfaces:
+    """
+    Analytic surfaces of a scene as arrays, by which rays meet many quadrics in one evaluation, in float64.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+
+    Attributes
+    ----------
+    boxes : list of _Boxes
+        Boxes around the surfaces that are in no tree, one item for each orientation.
+    """
+
+    def __init__(self, table: SurfaceTable) -> None:
+        looped = set(table.tree.members) if table.tree else set()
+        by_frame: dict[int, list[TracedSurface]] = {}
+        for piece in table.pieces:
+            if piece.index not in looped:
+                by_frame.setdefault(piece.frame, []).append(piece)
+        self.boxes = [_Boxes.of(table, pieces) for pieces in by_frame.values()]
+        self._pieces = table.pieces
+        self._vertices, self._rotations = table.vertices, table.rotations
+        self._rotated = table.rotated
+        self._self_hit = np.array([piece.self_hit for piece in table.pieces])
+        self._quadric = np.array([piece.quadric for piece in table.pieces]).reshape(-1, 4)
+        self._bounds = np.array([piece.bounds or Bounds() for piece in table.pieces]).reshape(-1, len(Bounds._fields))
+        self._pooled = np.array([piece.bounds is not None and not piece.searched for piece in table.pieces], dtype=bool)
+        self._sign = np.array([piece.sign for piece in table.pieces])
+
+    def _inward(self, v: np.ndarray, members: np.ndarray) -> np.ndarray:
+        """Return vectors of the world, (n, 3), in the frames of surfaces."""
+        return np.einsum("ij,ijk->ik", v, self._rotations[members]) if self._rotated else v
+
+    def hits(
+        self, o: np.ndarray, d: np.ndarray, members: np.ndarray, last: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the hits of rays with one surface each.
+
+        Parameters
+        ----------
+        o, d : (n, 3) float64
+            Origins (mm) and unit directions in the world.
+        members, last : (n,) int
+            Numbers of the surface that each ray may meet, and of the surface that it leaves.
+
+        Returns
+        -------
+        rays : (k,) int
+            Number of the ray of each hit; a ray may hit a surface twice.
+        t : (k,) float64
+            Distance along the ray, mm.
+        """
+        start, way = self._inward(o - self._vertices[members], members), self._inward(d, members)
+        nearest = np.where(last == members, self._self_hit[members], 0.0)
+        pooled = self._pooled[members]
+        found = []
+        with np.errstate(all="ignore"):
+            chosen = np.flatnonzero(pooled)
+            if len(chosen):
+                bounds = self._bounds[members[chosen]].T
+                t = quadric_crossings(self._quadric[members[chosen]].T, bounds[0], start[chosen], way[chosen])
+                some, crossing = np.nonzero((t > nearest[chosen, None]) & (t < np.inf))
+                t, rays = t[some, crossing], chosen[some]
+                inside = within_bounds(bounds[:, some], start[rays] + t[:, None] * way[rays])
+                found.append((rays[inside], t[inside]))
+            for number in np.unique(members[~pooled]).tolist():
+                chosen, piece = np.flatnonzero(members == number), self._pieces[number]
+                t = piece.crossings(start[chosen], way[chosen])
+                some, crossing = np.nonzero((t > nearest[chosen, None]) & (t < np.inf))
+                t, rays = t[some, crossing], chosen[some]
+                inside = piece.inside(start[rays] + t[:, None] * way[rays])
+                found.append((rays[inside], t[inside]))
+        if not found:
+            return np.empty(0, dtype=np.int64), np.empty(0)
+        return np.concatenate([rays for rays, _ in found]), np.concatenate([t for _, t in found])
+
+    def normals(self, p: np.ndarray, members: np.ndarray) -> np.ndarray:
+        """Return the unit normals, (n, 3), from front to back, at world points, (n, 3), mm, of one surface each."""
+        q = self._inward(p - self._vertices[members], members)
+        a, b, e, _ = self._quadric[members].T
+        normal = quadric_gradient(a, b, e, q)
+        for number in np.unique(members[~self._pooled[members]]).tolist():
+            here = members == number
+            normal[here] = self._pieces[number].gradient(q[here])
+        normal *= self._sign[members, None]
+        if self._rotated:
+            normal = np.einsum("ij,ikj->ik", normal, self._rotations[members])
+        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
 def _stock_hit(

@@ -529,7 +529,10 @@ class Optics:
         """Whether each surface is opaque and reflects more than half the light at normal incidence, (s,) bool."""
         found = np.zeros(len(self.bsdfs), dtype=bool)
         for i in np.flatnonzero(self.host_words & OPAQUE).tolist():
-            found[i] = max(self.shares(i, from_front, np.ones(1))[0][0] for from_front in (True, False)) > 0.5
+            if self.bsdfs[i].ideal:
+                found[i] = self.host_indices[i, 2] > 0.5
+            else:
+                found[i] = max(self.shares(i, from_front, np.ones(1))[0][0] for from_front in (True, False)) > 0.5
         return found
 
     def attenuate(

@@ -7,9 +7,9 @@ all other sags. `mistray.surfaces.families.implicit_surface` has the surfaces th
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -50,6 +50,31 @@ class Opening:
     half_size: tuple[float, float]
     hole: float = 0.0
     rectangular: bool = False
+
+
+class Bounds(NamedTuple):
+    """
+    Bounds of the points of a surface, in the frame of its vertex; infinite where there is none.
+
+    Attributes
+    ----------
+    sheet : float
+        Only points of a quadric with 1 - sheet z > 0 belong to the surface, 1/mm; 0 where both of its sheets do.
+    low2, high2 : float
+        Least and greatest squared distance from the axis, mm².
+    half_x, half_y : float
+        Greatest |x| and |y|, mm.
+    low_z, high_z : float
+        Least and greatest position along the axis, mm.
+    """
+
+    sheet: float = 0.0
+    low2: float = -np.inf
+    high2: float = np.inf
+    half_x: float = np.inf
+    half_y: float = np.inf
+    low_z: float = -np.inf
+    high_z: float = np.inf
 
 
 @dataclass(kw_only=True)
@@ -157,26 +182,34 @@ class TracedSurface(ABC):
 
     # ---- rays on the host
 
-    @abstractmethod
+    @property
+    def bounds(self) -> Bounds | None:
+        """Bounds of the surface's points, by which many quadrics are tested at once; None if `inside` tests others."""
+        return None
+
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         """
         Return the distances, (n, k), mm, of either sign, at which lines cross the unbounded sheet; NaN for none.
 
         `o` and `d` are (n, 3) origins, mm, and unit directions.
         """
+        assert self.bounds is not None
+        return quadric_crossings(self.quadric, self.bounds.sheet, o, d)
 
-    @abstractmethod
     def inside(self, q: np.ndarray) -> np.ndarray:
         """Return whether points (n, 3) of the surface's sheet lie within its bounds, (n,) bool; False for NaN."""
+        assert self.bounds is not None
+        return within_bounds(self.bounds, q)
 
     def residual(self, q: np.ndarray) -> np.ndarray:
         """Return the implicit function F, (n,), at points (n, 3); F = 0 on the surface."""
         a, b, e, g = self.quadric
         return np.asarray(a * (q[:, 0] ** 2 + q[:, 1] ** 2) + (b * q[:, 2] + e) * q[:, 2] + g)
 
-    @abstractmethod
     def gradient(self, q: np.ndarray) -> np.ndarray:
         """Return half the gradient of F, (n, 3), at points (n, 3)."""
+        a, b, e, _ = self.quadric
+        return quadric_gradient(a, b, e, q)
 
     # ---- points and areas
 
@@ -283,3 +316,35 @@ class TracedSurface(ABC):
 
         `own` is True for rays that start on this surface.
         """
+
+
+# The numbers of surfaces in these three are floats, or arrays (n,) with those of the surface that each ray may meet
+
+
+def quadric_crossings(quadric: Sequence[Any], sheet: Any, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """
+    Return the distances, (n, 2), mm, at which lines cross a sheet of a quadric, without cancellation.
+
+    They are not finite for none; see `Bounds` for the sheet.
+    """
+    (a, b, e, g), (x, y, z), (dx, dy, dz) = quadric, o.T, d.T
+    A = a * (dx**2 + dy**2) + b * dz**2
+    B = a * (x * dx + y * dy) + (b * z + 0.5 * e) * dz
+    C = a * (x**2 + y**2) + (b * z + e) * z + g
+    q = -(B + np.copysign(np.sqrt(B * B - A * C), B))
+    t = np.stack([C / q, q / A])
+    return np.where(1 - sheet * (z + t * dz) > 0, t, np.nan).T
+
+
+def within_bounds(bounds: Sequence[Any], q: np.ndarray) -> np.ndarray:
+    """Return whether points (n, 3), mm, of a surface's sheet lie within its `Bounds`, (n,) bool; False for NaN."""
+    (_, low2, high2, half_x, half_y, low_z, high_z), (x, y, z) = bounds, q.T
+    r2 = x**2 + y**2
+    beside = (np.abs(x) <= half_x) & (np.abs(y) <= half_y)
+    return np.asarray((r2 >= low2) & (r2 <= high2) & beside & (z >= low_z) & (z <= high_z))
+
+
+def quadric_gradient(a: Any, b: Any, e: Any, q: np.ndarray) -> np.ndarray:
+    """Return half the gradient of F, (n, 3), at points (n, 3), mm; see `TracedSurface.quadric`."""
+    x, y, z = q.T
+    return np.stack([a * x, a * y, b * z + 0.5 * e], axis=1)

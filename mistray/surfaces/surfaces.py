@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -29,6 +30,7 @@ from mistray.surfaces.bodies import Bodies
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.family_table import FamilyTable
 from mistray.surfaces.free_space import FreeSpace
+from mistray.surfaces.host_rays import HostSurfaces
 from mistray.surfaces.optics import ASPHERIC, DETECTOR, MIRROR, STOCK, WALL, Optics
 from mistray.surfaces.seams import WallRims, let_overlap
 from mistray.surfaces.shell_tree import ShellTree, many
@@ -138,6 +140,11 @@ class SurfaceTable:
         }
         self.bodies = Bodies(self)
         self.optics = Optics(self.ids, self.interfaces, self._flags(), self.bodies, wavelength_nm, stokes)
+
+    @cached_property
+    def host(self) -> HostSurfaces:
+        """Analytic surfaces as arrays in float64, for rays on the host."""
+        return HostSurfaces(self)
 
     def at(self, wavelength_nm: float) -> SurfaceTable:
         """Return the surfaces of the scene at another wavelength, nm; the geometry is shared."""

@@ -22,10 +22,24 @@ from mistray.execute.tracer import Run
 from mistray.kernel.polarization import NORMAL_INCIDENCE
 from mistray.kernel.scatter_tables import ANGLES, Case, light_indices
 from mistray.kernel.targets import AimSet, Target
+from mistray.physics.fresnel import amplitudes, total_product, transmitted_product
 from mistray.scatter.evaluate import bsdf
 from mistray.surfaces.host_points import lambertian_directions
 from mistray.surfaces.host_rays import first_hit, specular
-from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, MIRROR, OPAQUE
+from mistray.surfaces.optics import (
+    BACK_MEDIUM_SHIFT,
+    FRESNEL,
+    FRONT_MEDIUM_SHIFT,
+    MEDIUM_MASK,
+    MIRROR,
+    OPAQUE,
+    REFLECTION_BACK,
+    REFLECTION_FRONT,
+    TABLED,
+    TRANSMISSION,
+    Optics,
+    angle_table,
+)
 from mistray.surfaces.upload import upload
 
 SEED = 20  # a fixed one: the mode of a trace must not depend on its seed
@@ -152,6 +166,25 @@ class Arrivals:
         return f"{self.name} by {100 * self.change:+.3g}{f' ± {100 * self.error:.1g}' if shown else ''} %"
 
 
+def started(run: Run, rays: int) -> tuple[Branches, float]:
+    """Return start rays of a run as branches, and the flux of one, W."""
+    pilot = replace(run, rays=run.source.count(rays), seed=SEED, parts=None)
+    start = pilot.start_pass(0)
+    if (given := dr.width(start.lane)) > 2 * rays:  # a source may have rays of its own
+        start = start.take(upload(mi.UInt32, np.linspace(0, given - 1, rays).astype(np.int64)))
+    o, d = pilot.exact(start)
+    n = len(o)
+    weight = np.broadcast_to(np.array(start.w, dtype=np.float64), n)
+    light = np.zeros((n, 4))
+    light[:, 0] = weight
+    left = run.table.ids.index(run.source.shape) if run.source.shape else -1
+    zero, none = np.zeros(n, dtype=np.int64), np.zeros((n, 0), dtype=np.int64)
+    return Branches(
+        o, d, _across(d), weight.copy(), light, run.settings.flux_threshold * weight, zero + left,
+        zero + (run.source.medium or 0), zero, np.arange(n), np.zeros(n, dtype=bool), none,
+    ), run.source.power / n  # fmt: skip
+
+
 def follow(run: Run, rays: int) -> tuple[list[Arrivals], int]:
     """
     Trace a sample of the rays of a run in float64; return the flux of each path on the detectors in both modes.
@@ -170,31 +203,12 @@ def follow(run: Run, rays: int) -> tuple[list[Arrivals], int]:
     hits : int
         Number of hits of surfaces that were traced.
     """
-    branches, unit = _started(run, rays)
+    branches, unit = started(run, rays)
     tree = _Tree(run, np.random.default_rng(SEED))
     tree.grow(branches)
     if tree.dim:
         tree.grow(tree.scatter())
     return [found for end in tree.ends for found in _by_path(*end, unit)], tree.hits
-
-
-def _started(run: Run, rays: int) -> tuple[Branches, float]:
-    """Return start rays of a run as branches, and the flux of one, W."""
-    pilot = replace(run, rays=run.source.count(rays), seed=SEED, parts=None)
-    start = pilot.start_pass(0)
-    if (given := dr.width(start.lane)) > 2 * rays:  # a source may have rays of its own
-        start = start.take(upload(mi.UInt32, np.linspace(0, given - 1, rays).astype(np.int64)))
-    o, d = pilot.exact(start)
-    n = len(o)
-    weight = np.broadcast_to(np.array(start.w, dtype=np.float64), n)
-    light = np.zeros((n, 4))
-    light[:, 0] = weight
-    left = run.table.ids.index(run.source.shape) if run.source.shape else -1
-    zero, none = np.zeros(n, dtype=np.int64), np.zeros((n, 0), dtype=np.int64)
-    return Branches(
-        o, d, _across(d), weight.copy(), light, run.settings.flux_threshold * weight, zero + left,
-        zero + (run.source.medium or 0), zero, np.arange(n), np.zeros(n, dtype=bool), none,
-    ), run.source.power / n  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -257,6 +271,7 @@ class _Tree:
         self._aims = tables.aims
         self._cases = {(case.surface, case.from_front, case.event): case for case in tables.all_cases}
         self._extinction = np.array(run.table.optics.extinction, dtype=np.float64)
+        self._coatings = _Coatings(run.table.optics)
         self.ends: list[tuple[Branches, Floats, Floats]] = []
         self.dim: list[_Lit] = []
         self.hits = 0
@@ -324,10 +339,10 @@ class _Tree:
         back, through, total = specular(b.d, normal, eta)
         opaque = (words & OPAQUE) != 0
         total &= ~opaque
-        shares = self._shares(surface, from_front, cosine, opaque, total)
+        shares = self._coatings.shares(surface, from_front, cosine, eta, opaque)
         b = _turned(b, normal)
-        s, (reflected, transmitted) = b.axis, (_child(b.light, *X) for X in shares)
-        mean_r, mean_t = (b.mean * X.mean(axis=1) for X, _ in shares)
+        s, (reflected, transmitted) = b.axis, (_child(b.light, X) for X in shares)
+        mean_r, mean_t = (b.mean * 0.5 * (X[:, 0] + X[:, 1]) for X in shares)
 
         # Record hits of detectors
         here = np.flatnonzero(np.isin(surface, table.detectors))
@@ -357,32 +372,11 @@ class _Tree:
 
         # Scatter waits until all specular branches are traced, so that its rays can be sampled by flux
         if self._cases and self._settings.max_scatters:
-            sent = {"reflection": (shares[0][0], reflected), "transmission": (shares[1][0], transmitted)}
+            sent = {"reflection": (shares[0][:, :2], reflected), "transmission": (shares[1][:, :2], transmitted)}
             self._light(b, surface, from_front, normal, sent)
         found = Branches.together(children)
         # A branch that is dark in one mode only is followed, too
         return found.take(np.maximum(found.mean, found.light[:, 0]) > found.floor)
-
-    def _shares(
-        self, surface: Whole, from_front: np.ndarray, cosine: Floats, opaque: np.ndarray, total: np.ndarray
-    ) -> list[tuple[Floats, npt.NDArray[np.complex128]]]:
-        """Return exact R and T of coatings for s and p, (n, 2) each, with the complex product of both amplitudes."""
-        optics, n = self._table.optics, len(surface)
-        R, T = np.zeros((n, 2)), np.zeros((n, 2))
-        phase_r, phase_t = np.zeros(n), np.zeros(n)
-        for number in np.unique(surface).tolist():
-            for side in (True, False):
-                here = np.flatnonzero((surface == number) & (from_front == side))
-                if not len(here):
-                    continue
-                found = optics.response(number, side, cosine[here])
-                R[here], T[here] = found.R, found.T
-                phase_r[here], phase_t[here] = found.phase_r, found.phase_t
-        T[opaque | total] = 0
-        return [
-            (X, np.sqrt(np.maximum(X[:, 0] * X[:, 1], 0)) * np.exp(1j * phase))
-            for X, phase in ((R, phase_r), (T, phase_t))
-        ]
 
     def _kept(self, surface: Whole, from_front: np.ndarray, event: str, cosine: Floats) -> Floats:
         """Return the share of the coating's R or T that scatter leaves in the specular beam, (n,)."""
@@ -512,10 +506,80 @@ def _turned(b: Branches, normal: Floats) -> Branches:
     return replace(b, light=np.stack([flux, cos2 * q + sin2 * u, cos2 * u - sin2 * q, v], axis=1), axis=s)
 
 
-def _child(light: Floats, X: Floats, product: npt.NDArray[np.complex128]) -> Floats:
+def _child(light: Floats, X: Floats) -> Floats:
     """Return the Stokes vectors of a child, (n, 4), by R or T of s and p and the product of their amplitudes."""
     flux, q, u, v = light.T
-    half, difference = 0.5 * (X[:, 0] + X[:, 1]), 0.5 * (X[:, 0] - X[:, 1])
-    re, im = product.real, product.imag
-    rest = re * u - im * v, im * u + re * v
-    return np.stack([half * flux + difference * q, difference * flux + half * q, *rest], axis=1)
+    s, p, re, im = X.T
+    half, difference = 0.5 * (s + p), 0.5 * (s - p)
+    return np.stack([half * flux + difference * q, difference * flux + half * q, re * u - im * v, im * u + re * v], 1)
+
+
+class _Coatings:
+    """R and T of all surfaces for s and p: Fresnel's equations, and tables over the angle of incidence."""
+
+    def __init__(self, optics: Optics) -> None:
+        self._indices = optics.host_indices
+        self._kind = optics.host_words & 3
+        self._places = np.zeros((len(self._kind), 4), dtype=np.int64)
+        rows: list[Floats] = [np.zeros((0, 3, 4))]
+        count = 0
+        for i in np.flatnonzero(self._kind == TABLED).tolist():
+            opaque = bool(optics.host_words[i] & OPAQUE)
+            found = angle_table(
+                optics.bsdfs[i].coating, optics.wavelength_nm, *optics.complex_indices[i], opaque, stokes=True
+            )
+            first, second = len(found.refraction), len(found.total)
+            self._places[i] = count, first - 1, count + first, second - 1
+            rows += [found.refraction, found.total]
+            count += first + second
+        self._rows = np.concatenate(rows)
+
+    def shares(
+        self, surface: Whole, from_front: np.ndarray, cos_i: Floats, eta: Floats, opaque: np.ndarray
+    ) -> tuple[Floats, Floats]:
+        """
+        Return the coefficients of reflection and of transmission at hits of surfaces.
+
+        Parameters
+        ----------
+        surface, from_front, opaque : (n,)
+            Numbers of the surfaces, whether the light comes from the front, and whether it ends behind.
+        cos_i, eta : (n,) float64
+            Cosine of the angle of incidence, and ratio of the indices n_i/n_t.
+
+        Returns
+        -------
+        reflection, transmission : (n, 4) float64
+            R, or T, for s and for p, and real and imaginary part of the product of the amplitude of s with the
+            conjugate amplitude of p.
+        """
+        kind, (front, back, R, T) = self._kind[surface], self._indices[surface].T
+        sin2_t = eta**2 * (1 - cos_i**2)
+        total = (sin2_t >= 1) & ~opaque
+        cos_t, beyond = np.sqrt(np.maximum(1 - sin2_t, 0)), np.sqrt(np.maximum(sin2_t - 1, 0))
+        # An ideal coating acts on s and p alike, as a bare surface does at normal incidence
+        R = np.where(total, R + T, R)
+        reflection, transmission = np.stack([R, R, -R, 0 * R], axis=1), np.stack([T, T, T, 0 * T], axis=1)
+        if len(bare := np.flatnonzero(kind == FRESNEL)):
+            n_i, n_t = (np.where(from_front, a, b)[bare] for a, b in ((front, back), (back, front)))
+            c_i, c_t = cos_i[bare], cos_t[bare]
+            r_s, r_p = amplitudes(c_i, c_t, n_i, n_t)
+            re, im = total_product(c_i, beyond[bare], n_i, n_t)
+            s, p, there = r_s**2, r_p**2, total[bare]
+            reflection[bare] = np.stack([s, p, np.where(there, re, r_s * r_p), np.where(there, im, 0)], axis=1)
+            through = transmitted_product(c_i, c_t, n_i, n_t)
+            transmission[bare] = np.stack([1 - s, 1 - p, through, 0 * s], axis=1)
+        if len(tabled := np.flatnonzero(kind == TABLED)):
+            there, places = total[tabled], self._places[surface[tabled]].T
+            # The smaller cosine is that in the rarer medium
+            x = np.where(there, beyond[tabled], np.minimum(cos_i, cos_t)[tabled])
+            x /= np.where(there, x + (eta * cos_i)[tabled], 1)
+            x *= np.where(there, places[3], places[1])
+            node = np.minimum(x.astype(np.int64), np.where(there, places[3], places[1]) - 1)
+            row, fraction = np.where(there, places[2], places[0]) + node, (x - node)[:, None]
+            side = np.where(from_front[tabled], REFLECTION_FRONT, REFLECTION_BACK)
+            for found, channel in ((reflection, side), (transmission, TRANSMISSION)):
+                low, high = self._rows[row, channel], self._rows[row + 1, channel]
+                found[tabled] = low + fraction * (high - low)
+        transmission[opaque | total] = 0
+        return reflection, transmission

@@ -170,9 +170,10 @@ def trace(
     with within(seconds):  # pilots of few rays choose wavelengths and polarisation, within the budget as well
         if is_limited():
             refuse_workers_in_time()
-        light, lines, choice = _spectral_choices(scene, settings, light, made, seconds is not None)
+        runs_of = _preparing(scene)
+        light, lines, choice = _spectral_choices(scene, settings, light, made, seconds is not None, runs_of)
         settings = replace(settings, polarization=choice.mode)
-        planned = TracedRuns(scene, settings, light, ledger)
+        planned = TracedRuns(scene, settings, light, ledger, runs_of)
         workers, task = current_workers(), None
         facts = asdict(settings) | choice.facts | (lines.facts if lines else {})
         _check_budget(planned.runs)
@@ -197,13 +198,31 @@ def trace(
     return found
 
 
+def _preparing(scene: mi.Scene) -> Callable[[Settings, Light], list[Run]]:
+    """Return a function that prepares runs of a scene, each once: a pilot and the trace often need the same."""
+    known: dict[str, list[Run]] = {}
+
+    def runs_of(settings: Settings, light: Light) -> list[Run]:
+        key = repr((settings, light))
+        if key not in known:
+            known[key] = prepare(scene, settings, light)
+        return known[key]
+
+    return runs_of
+
+
 def _spectral_choices(
-    scene: mi.Scene, settings: Settings, light: Light, made: PolarizationChoice | None, limited: bool
+    scene: mi.Scene,
+    settings: Settings,
+    light: Light,
+    made: PolarizationChoice | None,
+    limited: bool,
+    runs_of: Callable[[Settings, Light], list[Run]],
 ) -> tuple[Light, WavelengthChoice | None, PolarizationChoice]:
     """Return the light that is traced, the choice of its wavelengths (None: all are traced), and the polarisation."""
     lines = light.wavelength_nm if isinstance(light.wavelength_nm, WavelengthChoice) else None
     light = replace(light, **lines.arguments) if lines else light
-    choice = made or chosen_polarization(scene, settings, [light])
+    choice = made or chosen_polarization(scene, settings, [light], runs_of)
     # The pilot has to trace in the mode of the trace, whose time it measures
     if limited and lines is None:
         settings = replace(settings, polarization=choice.mode)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, overload
 
@@ -467,6 +468,17 @@ class PathTable(Sequence[PathRow]):
             the tuple of the `path_id` of a row; its own ``path_id`` is the strongest of them. The numbers of a row come
             from the sums of its paths in the ledger.
         """
+        if aliases is None:
+            return self._by_way.copy()
+        return self._merged(aliases)
+
+    @cached_property
+    def _by_way(self) -> pd.DataFrame:
+        """Table of `by_way` without aliases, which several parts of a report read."""
+        return self._merged(None)
+
+    def _merged(self, aliases: Mapping[str, str] | str | None) -> pd.DataFrame:
+        """Return the table of `by_way`."""
         table = self.to_pandas()
         table["events"], table["path"] = way_text(table.events), way_letters(table.path)
         # Facts that aliases must not merge: they enter the key of a way
@@ -563,14 +575,17 @@ def path_table(runs: Sequence[Run]) -> PathTable:
     return PathTable(columns, runs, number[order], np.concatenate(places)[order], found[order])
 
 
-def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[Note]:
+def undeclared_images(runs: Sequence[Run], table_of: Callable[[], PathTable]) -> list[Note]:
     """Return a note on each detector without design path that gets over `IMAGE` of its light by an unscattered path."""
     found = []
     table, design = runs[0].table, runs[0].design
-    power, names = paths.column("power_W"), paths.column("detector")
     for detector in table.detectors:
-        own = np.flatnonzero(names == table.ids[detector])
-        if design.lists.get(detector) or not len(own) or not power[own].sum() > 0:
+        if design.lists.get(detector):
+            continue
+        paths = table_of()
+        power = paths.column("power_W")
+        own = np.flatnonzero(paths.column("detector") == table.ids[detector])
+        if not len(own) or not power[own].sum() > 0:
             continue
         share, row = power[own[0]] / power[own].sum(), paths[int(own[0])]
         words = event_words(row.events)[:-1]  # without the absorption at the detector

@@ -9,25 +9,30 @@ table shows. Stokes vectors are used where it is more than `LEAST_CHANGE`.
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 
 from mistray.coatings import Ideal
 from mistray.errors import MistrayError
 from mistray.events import REFLECTED, kind_of, place_of
+from mistray.execute.scene_task import kernel_arrays
 from mistray.execute.tracer import Run, prepare
 from mistray.light import AS_THE_SCENE, Light
 from mistray.messages import Message
 from mistray.notes import Note
+from mistray.sampling.importance_targets import remembered, signature
 from mistray.sampling.sources import source_emitters, spectrum
 from mistray.settings import Settings, polarized_sources
 from mistray.surfaces.optics import MIRROR
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.trace.both_ways import Arrivals, follow
+from mistray.trace.both_ways import Arrivals, follow, started
 from mistray.trace.history import spread
 
 LEAST_CHANGE = 0.01  # relative change of a printed number from which on Stokes vectors are used
@@ -41,6 +46,8 @@ FEWEST = 4  # start rays of a run
 PROBED = np.linspace(0.0, 1.0, 17)[1:]  # cosines at which a coating is tested for a difference between s and p
 SAME = 1e-9  # difference of R or T between s and p that is due to rounding
 LEAST_SHARE = 0.01  # share of the direct light from which on a direct path is compared
+
+_known: dict[str, list[Arrivals]] = {}
 
 
 @dataclass(frozen=True)
@@ -78,7 +85,12 @@ def words_of(settings: Mapping[str, Any]) -> str:
     return f"polarization: {settings['polarization']} ({settings['polarization_reason']})"
 
 
-def chosen_polarization(scene: Any, settings: Settings, beams: Sequence[Light] = (AS_THE_SCENE,)) -> PolarizationChoice:
+def chosen_polarization(
+    scene: Any,
+    settings: Settings,
+    beams: Sequence[Light] = (AS_THE_SCENE,),
+    runs_of: Callable[[Settings, Light], list[Run]] | None = None,
+) -> PolarizationChoice:
     """
     Return the polarisation mode for traces of several beams, one mode for all; with "auto" a pilot decides.
 
@@ -90,6 +102,8 @@ def chosen_polarization(scene: Any, settings: Settings, beams: Sequence[Light] =
         Settings with `polarization` "auto"; any other mode is returned as it is.
     beams : sequence of Light
         Light of each trace. `MOST_RUNS` of their sources and wavelengths are tested, spread over all.
+    runs_of : callable, optional
+        Function that prepares the runs of settings and light; by default `mistray.execute.tracer.prepare`.
     """
     # Cases that need no trace
     if settings.polarization != "auto":
@@ -101,17 +115,18 @@ def chosen_polarization(scene: Any, settings: Settings, beams: Sequence[Light] =
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
 
     # Coatings of the surfaces that a run holds
-    settings = replace(settings, polarization="unpolarized")
+    settings, runs_of = replace(settings, polarization="unpolarized"), runs_of or partial(prepare, scene)
     runs: list[tuple[str, Run]] = []
     for beam in _spread(beams, MOST_RUNS):
         field = f" at {beam.field_deg:g} deg" if len(beams) > 1 and beam.field_deg is not None else ""
-        runs += [(field, run) for run in prepare(scene, settings, _with_few_wavelengths(beam))]
+        runs += [(field, run) for run in runs_of(settings, _with_few_wavelengths(beam))]
     tables = {id(run.table): run.table for _, run in runs}
     if not any(_polarizes(table) for table in tables.values()):
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
 
-    # Pilot
-    rows = _pilot(_spread(runs, MOST_RUNS))
+    # Pilot, unless the same light was tested before
+    runs = _spread(runs, MOST_RUNS)
+    rows = remembered(_known, _facts(scene, runs), lambda: _pilot(runs))
     largest = max(rows, key=lambda row: abs(row.change), default=Arrivals(name="no path"))
     if abs(largest.change) > LEAST_CHANGE:
         return PolarizationChoice("stokes", f"Stokes vectors change {largest.words}", largest.change)
@@ -180,6 +195,27 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
         if hits + (hits - before) * ROUNDS[number] / count > MOST_HITS * beams:
             break
     return listed
+
+
+def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
+    """Return a hash of all that the pilot depends on: surfaces, coatings, scatter, settings and start rays."""
+    digest = hashlib.sha256()
+    for field, run in runs:
+        table = run.table
+        digest.update(signature(table, scene, table.detectors).encode())
+        digest.update(repr([hash(one.coating) for one in table.interfaces]).encode())
+        digest.update(repr((field, run.source.name, replace(run.settings, rays=1, seed=0))).encode())
+        start, unit = started(run, ROUNDS[0])
+        for values in (*kernel_arrays(table, run.scattering), start.o, start.d, start.mean, unit):
+            digest.update(np.array(values).tobytes())
+        if table.mitsuba_scene is not None:  # its vertices are not in the signature
+            digest.update(np.concatenate([_vertices(shape) for shape in table.shapes]).tobytes())
+    return digest.hexdigest()
+
+
+def _vertices(shape: Any) -> np.ndarray:
+    """Return the vertices of a mesh, (3 n,), mm; without any for other shapes."""
+    return np.array(mi.traverse(shape)["vertex_positions"]) if shape.is_mesh() else np.empty(0)
 
 
 def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:

@@ -100,8 +100,6 @@ class Trace:
         self.recorders: dict[str, Recorder] = {}
         self.rays_traced = round(sum(float(run.started.sum()) for run in runs))
         self.rays_planned = sum(run.rays for run in runs)
-        listed = all(run.sums.paths is not None for run in runs)
-        self._paths = path_table(runs) if listed else None  # None: no ledger, or an interrupt
         self.surfaces = flux_report(runs)
         self.energy = energy_ledger(runs, self.surfaces)
         self.coating_error = max(run.table.optics.error for run in runs)
@@ -116,7 +114,7 @@ class Trace:
         self.own_notes += dict.fromkeys(note for run in runs for note in run.table.optics.notes)
         if self.rays_traced != self.rays_planned:
             self.own_notes.append(fewer_rays(self.rays_traced, self.rays_planned))
-        self.own_notes += undeclared_images(runs, self._paths) if self._paths is not None else []
+        self.own_notes += undeclared_images(runs, lambda: self.paths) if self.has_paths else []
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
         self.segments = round(sum(float(run.sums.channels[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.sums.seconds for run in runs)
@@ -126,7 +124,7 @@ class Trace:
         """Notes on the reliability of the trace; `trace` raises them as warnings, see docs/warnings.md."""
         return [note for _, note in trace_notes([self])]
 
-    @property
+    @cached_property
     def paths(self) -> PathTable:
         """
         Table of the paths from the sources to the detectors, the strongest first.
@@ -136,11 +134,11 @@ class Trace:
         MistrayError
             If it was traced with ``ledger=False``, or interrupted when there were too many to read them at once.
         """
-        if self._paths is None:
+        if not self.has_paths:
             raise MistrayError(
                 "this trace has no path table; trace with ledger=True, and do not interrupt it if it has many paths"
             )
-        return self._paths
+        return path_table(self.runs)
 
     @property
     def pupil_W(self) -> float:
@@ -155,7 +153,7 @@ class Trace:
     @property
     def has_paths(self) -> bool:
         """Whether there is a path table, see `paths`."""
-        return self._paths is not None
+        return all(run.sums.paths is not None for run in self.runs)
 
     @property
     def detectors(self) -> list[str]:
@@ -195,19 +193,15 @@ class Trace:
         """Bounds of the irradiance map in the detector's frame: x0, x1, y0, y1, mm."""
         return self.runs[0].table.film()[2]
 
-    @property
+    @cached_property
     def irradiance(self) -> np.ndarray:
         """Absorbed flux density on the detector, (height, width), W/mm²; row 0 is at the smallest y."""
-        return self._map[0]
-
-    @property
-    def irradiance_se(self) -> np.ndarray:
-        """Standard error of `irradiance`, (height, width), W/mm²; NaN where too few rays meet a pixel."""
-        return self._map[1]
+        return self.light.value
 
     @cached_property
-    def _map(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.light.with_se
+    def irradiance_se(self) -> np.ndarray:
+        """Standard error of `irradiance`, (height, width), W/mm²; NaN where too few rays meet a pixel."""
+        return self.light.se
 
     @property
     def light(self) -> Pixels:
@@ -579,7 +573,7 @@ class Trace:
             yield raw
 
     def __repr__(self) -> str:
-        count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"
+        count = f"{len(self.paths)} paths" if self.has_paths else "no ledger"
         detected = f"detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W"
         if self.rays_traced != self.rays_planned:
             count = f"unfinished: {self.rays_traced} of {self.rays_planned} rays, {count}"

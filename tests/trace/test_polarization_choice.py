@@ -6,6 +6,7 @@ from dataclasses import replace
 from math import prod
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from oracles.glass import absorption_per_mm, refractive_index
@@ -20,6 +21,7 @@ from mistray.light import AS_THE_SCENE, Light
 from mistray.prescription import Coating
 from mistray.scenes.cooke_triplet.prescription import build
 from mistray.settings import Settings
+from mistray.trace import polarization_choice
 from mistray.trace.both_ways import Arrivals, follow
 from mistray.trace.polarization_choice import LEAST_CHANGE, PolarizationChoice, chosen_polarization
 
@@ -143,6 +145,27 @@ class TestChoice:
         found = choice(mistray.load("head_up_display"))
         assert found.mode == "stokes"
         assert found.change == pytest.approx(0.595, abs=0.005)
+
+
+def test_the_same_light_is_tested_once(monkeypatch) -> None:
+    scene, tested = mistray.load("cooke_triplet"), []
+    monkeypatch.setattr(polarization_choice, "follow", lambda *of: tested.append(of) or follow(*of))
+
+    def tests(**light: float) -> int:
+        tested.clear()
+        choice(scene, [Light(**light)])
+        return len(tested)
+
+    assert tests(field_deg=7.25)
+    assert not tests(field_deg=7.25)
+    assert tests(field_deg=7.5)
+    assert tests(field_deg=7.25, wavelength_nm=600.0)
+    parameters = mi.traverse(scene)
+    for key in ("L1_front.curvature", "L1_front.bsdf.n_back_shift"):
+        parameters[key] += 1e-3
+        parameters.update()
+        assert tests(field_deg=7.25)
+        assert not tests(field_deg=7.25)
 
 
 def test_trace_and_ghosts_say_it(load_text) -> None:

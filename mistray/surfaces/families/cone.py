@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from mistray.surfaces.crossings import cone_crossing
-from mistray.surfaces.families.sag_surface import azimuth, quadric_crossings
+from mistray.surfaces.families.sag_surface import azimuth
 from mistray.surfaces.gradient_columns import HIGH, LOW
-from mistray.surfaces.surface import ENDS, Opening, TracedSurface
+from mistray.surfaces.surface import ENDS, Bounds, Opening, TracedSurface
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -74,15 +74,10 @@ class Cone(TracedSurface):
         """Clear aperture of the cone as a flat figure, in the plane of its larger rim."""
         return Opening(self.z_range[int(self._rims[1] > self._rims[0])], (self.size, self.size))
 
-    def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        return quadric_crossings(self.quadric, o, d)
-
-    def inside(self, q: np.ndarray) -> np.ndarray:
-        return np.asarray((q[:, 2] >= self.z_range[0]) & (q[:, 2] <= self.z_range[1]))
-
-    def gradient(self, q: np.ndarray) -> np.ndarray:
-        _, b, e, _ = self.quadric
-        return np.stack([q[:, 0], q[:, 1], b * q[:, 2] + 0.5 * e], axis=1)
+    @property
+    def bounds(self) -> Bounds:
+        low, high = self.z_range
+        return Bounds(low_z=low, high_z=high)
 
     def points(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         (first, last), (low, high) = self._rims, self.z_range

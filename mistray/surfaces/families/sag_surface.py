@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from mistray.physics.geometry.sag import conic_end, sag, sag_derivative, trimmed
 from mistray.surfaces.crossings import conic_crossing, plane_crossing
 from mistray.surfaces.gradient_columns import COEFFICIENTS, HALF_HEIGHT, HALF_WIDTH, INNER, OUTER
-from mistray.surfaces.surface import RECTANGLE, ROUND, Opening, TracedSurface
+from mistray.surfaces.surface import RECTANGLE, ROUND, Bounds, Opening, TracedSurface, quadric_crossings
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -73,16 +74,10 @@ class SagSurface(TracedSurface):
         """Return the optical surface with given curvature, 1/mm, conic constant, coefficients and aperture, mm."""
         coefficients = trimmed(coefficients)
         size = outer or float(np.hypot(*half_size))
-        r = np.linspace(0.0, min(size, conic_end(curvature, conic)), 2001)
-        z = np.asarray(sag(r * r, curvature, conic, coefficients))
-        if np.isnan(z[-1]):  # the rounding of the point where the conic stands upright
-            z[-1] = 1 / (curvature * (1 + conic)) + sag(r[-1] ** 2, 0.0, 0.0, coefficients)
-        flat = not curvature and not coefficients
-        slope = np.zeros_like(r) if flat else np.gradient(z, r, edge_order=2)
-        span = max(float(np.ptp(z)), 1e-6 * size)
+        z_range, steepest = _reach(curvature, conic, coefficients, size)
         return cls(
             sign=-1.0,
-            z_range=(float(z.min()) - 1e-3 * span, float(z.max()) + 1e-3 * span),
+            z_range=z_range,
             wall=False,
             curvature=curvature,
             conic=conic if curvature else 0.0,
@@ -90,7 +85,7 @@ class SagSurface(TracedSurface):
             outer=outer,
             inner=inner,
             half_size=half_size,
-            slope=1.02 * float(np.max(np.abs(slope))),
+            slope=1.02 * steepest,
             departure=_mild_departure(curvature, conic, coefficients, size) if coefficients else 0.0,
         )
 
@@ -169,15 +164,21 @@ class SagSurface(TracedSurface):
 
     # ---- rays on the host
 
+    @property
+    def bounds(self) -> Bounds:
+        # A plane has one sheet
+        sheet = self.quadric[1] if self.curvature else 0.0
+        if self.outer:
+            return Bounds(sheet, self.inner**2, self.outer**2)
+        return Bounds(sheet, half_x=self.half_size[0], half_y=self.half_size[1])
+
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        t = quadric_crossings(self.quadric, o, d)
-        if self.coefficients:
-            flat = -o[:, 2] / d[:, 2]
-            t[:, 0] = np.where(np.isfinite(t[:, 0]), t[:, 0], flat)
-            t = self._onto_polynomial(o, d, t)
-        elif self.curvature:  # a quadric has a second sheet
-            t = np.where(1 - self.quadric[1] * (o[:, 2:] + t * d[:, 2:]) > 0, t, np.nan)
-        return t
+        if not self.coefficients:
+            return super().crossings(o, d)
+        t = quadric_crossings(self.quadric, 0.0, o, d)
+        flat = -o[:, 2] / d[:, 2]
+        t[:, 0] = np.where(np.isfinite(t[:, 0]), t[:, 0], flat)
+        return self._onto_polynomial(o, d, t)
 
     def _onto_polynomial(self, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
         """Return the distances, mm, to the asphere by Newton's method from those to the conic; NaN if it fails."""
@@ -198,12 +199,6 @@ class SagSurface(TracedSurface):
                 break
         return found
 
-    def inside(self, q: np.ndarray) -> np.ndarray:
-        if self.outer:
-            r2 = q[:, 0] ** 2 + q[:, 1] ** 2
-            return np.asarray((r2 <= self.outer**2) & (r2 >= self.inner**2))
-        return np.asarray((np.abs(q[:, 0]) <= self.half_size[0]) & (np.abs(q[:, 1]) <= self.half_size[1]))
-
     def residual(self, q: np.ndarray) -> np.ndarray:
         if self.coefficients:
             return 2 * (self.sag(q[:, 0] ** 2 + q[:, 1] ** 2) - q[:, 2])
@@ -213,8 +208,7 @@ class SagSurface(TracedSurface):
         if self.coefficients:
             slope = 2 * self.sag_derivative(q[:, 0] ** 2 + q[:, 1] ** 2)
             return np.stack([slope * q[:, 0], slope * q[:, 1], -np.ones(len(q))], axis=1)
-        a, b, e, _ = self.quadric
-        return np.stack([a * q[:, 0], a * q[:, 1], b * q[:, 2] + 0.5 * e], axis=1)
+        return super().gradient(q)
 
     # ---- points and areas
 
@@ -310,16 +304,6 @@ class SagSurface(TracedSurface):
         return (conic_crossing if self.curvature else plane_crossing)(ray, self, numbers, own)
 
 
-def quadric_crossings(quadric: tuple[float, ...], o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Return the distances, (n, 2), mm, at which lines cross a quadric, without cancellation; not finite for none."""
-    a, b, e, g = quadric
-    A = a * (d[:, 0] ** 2 + d[:, 1] ** 2) + b * d[:, 2] ** 2
-    B = a * (o[:, 0] * d[:, 0] + o[:, 1] * d[:, 1]) + (b * o[:, 2] + 0.5 * e) * d[:, 2]
-    C = a * (o[:, 0] ** 2 + o[:, 1] ** 2) + (b * o[:, 2] + e) * o[:, 2] + g
-    q = -(B + np.copysign(np.sqrt(B * B - A * C), B))
-    return np.stack([C / q, q / A], axis=1)
-
-
 def azimuth(q: np.ndarray) -> np.ndarray:
     """Return the azimuths of points (n, 3) about the axis, (n,), as fractions 0 … 1 of a turn, from -x."""
     return np.asarray(0.5 + np.arctan2(q[:, 1], q[:, 0]) / (2 * np.pi))
@@ -330,6 +314,7 @@ def _nodes(parts: int) -> np.ndarray:
     return (np.arange(parts)[:, None] + NODES) / parts
 
 
+@lru_cache(maxsize=1024)
 def _mild_departure(c: float, k: float, coefficients: tuple[float, ...], outer: float) -> float:
     """Return the largest axial distance of an asphere from its conic, mm; 0 if it or its slope is not small."""
     r = np.linspace(0.0, MILD_MARGIN * outer, 513)
@@ -338,3 +323,19 @@ def _mild_departure(c: float, k: float, coefficients: tuple[float, ...], outer: 
     polynomial = np.asarray(sag(r * r, 0.0, 0.0, coefficients))
     departure, slope = np.max(np.abs(polynomial)), np.max(np.abs(np.gradient(polynomial, r)))
     return float(departure) if departure < MILD_DEPARTURE * outer and slope < MILD_SLOPE else 0.0
+
+
+@lru_cache(maxsize=1024)
+def _reach(
+    curvature: float, conic: float, coefficients: tuple[float, ...], size: float
+) -> tuple[tuple[float, float], float]:
+    """Return the range of the sag up to the radius `size`, mm, and the largest slope |dz/dr|, from 2001 points."""
+    r = np.linspace(0.0, min(size, conic_end(curvature, conic)), 2001)
+    z = np.asarray(sag(r * r, curvature, conic, coefficients))
+    if np.isnan(z[-1]):  # the rounding of the point where the conic stands upright
+        z[-1] = 1 / (curvature * (1 + conic)) + sag(r[-1] ** 2, 0.0, 0.0, coefficients)
+    flat = not curvature and not coefficients
+    slope = np.zeros_like(r) if flat else np.gradient(z, r, edge_order=2)
+    span = max(float(np.ptp(z)), 1e-6 * size)
+    z_range = float(z.min()) - 1e-3 * span, float(z.max()) + 1e-3 * span
+    return z_range, float(np.max(np.abs(slope)))
