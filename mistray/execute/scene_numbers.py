@@ -1,4 +1,4 @@
-"""Numbers of a scene, keyed as in ``mi.traverse``: read to the host, set in a scene from the same source; copies of it."""
+"""Numbers of a scene by key of ``mi.traverse``: read to the host, set in a scene of one source; copies of scenes."""
 
 from __future__ import annotations
 
