@@ -175,13 +175,9 @@ ENDLESS = "99999999999999999999"
 def test_malformed_files(tmp_path: Path, text: str, line: int, words: str) -> None:
     path = tmp_path / "bad.dat"
     path.write_text(text)
-    with pytest.raises(MistrayError) as caught:
+    with refused(f"^coating file '{path}', line {line}: ", words) as caught:
         read_coating_file(path)["A"]
-    message = str(caught.value)
-    assert message.startswith(f"coating file '{path}', line {line}: ")
-    assert words in message
-    assert "\n" not in message
-    assert len(message) < 400
+    assert len(str(caught.value)) < 400
 
 
 def test_an_edited_file_in_every_encoding_is_read_anew(tmp_path: Path) -> None:

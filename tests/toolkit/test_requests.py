@@ -10,6 +10,7 @@ from dataclasses import KW_ONLY, dataclass, fields, make_dataclass
 from typing import Any
 
 import pytest
+from refusals import refused
 
 from mistray import ranges
 from mistray.errors import MistrayError
@@ -129,11 +130,8 @@ def test_values(scene: Any) -> None:
     ],
 )
 def test_wrong_values(scene: Any, given: dict[str, Any], named: tuple[str, ...]) -> None:
-    with pytest.raises(MistrayError) as error:
+    with refused("", *named):
         toy(scene, **given)
-    assert "\n" not in str(error.value)
-    for words in named:
-        assert words in str(error.value)
 
 
 def test_no_scene() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from oracles.derivatives import central_differences
 from oracles.small_scenes import plates_text, write
+from refusals import refused
 
 import mistray
 from mistray.analyses.optimize.reflectance_weights import best_thicknesses, reflectance_weights
@@ -276,9 +277,8 @@ class TestMerit:
     )
     def test_no_merit(self, plate: Path, term: dict[str, Any], message: str) -> None:
         merit = merit_of(plate, by_reflectance(term))
-        with pytest.raises(MistrayError, match=message) as caught:
+        with refused(message):
             at_start(merit)
-        assert "\n" not in str(caught.value)
 
 
 def broken_metric(scene: Any, factor: float, **traced: Any) -> Any:

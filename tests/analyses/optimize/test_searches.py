@@ -12,6 +12,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from refusals import refused
 
 import mistray
 from mistray.analyses.optimize.search import stop_reason
@@ -511,7 +512,5 @@ def test_what_belongs_together_in_a_scene() -> None:
     ],
 )
 def test_refusals(sections: list[dict[str, Any]], message: str) -> None:
-    with pytest.raises(MistrayError, match=message) as caught:
+    with refused(f"^study 'study': .*{message}"):
         variables(*sections)
-    assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith("study 'study': ")
