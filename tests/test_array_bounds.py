@@ -1,15 +1,23 @@
-"""No kernel reads or writes outside of its arrays, on which LLVM and CUDA would do different things in silence.
-
-Dr.Jit checks that in its debug mode, and says where it happened.
-"""
+"""No kernel leaves its arrays, as Dr.Jit checks in its debug mode; small files say so before they take gigabytes."""
 
 from __future__ import annotations
 
+import io
+import resource
 import subprocess
 import sys
 import textwrap
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
 
+import numpy as np
 import pytest
+from refusals import refused
+
+import mistray
+from mistray.files.irradiance_files import read_irradiance
+from mistray.files.sag_grid import read_sag_grid
 
 # Large sums may have a copy for each thread, whose places Dr.Jit would take for a mistake
 BEGINNING = """
@@ -63,3 +71,86 @@ def test_arrays_are_used_within_their_bounds(name: str) -> None:
     assert done.returncode == 0, done.stderr
     found = [line for line in (done.stdout + done.stderr).splitlines() if "out-of-bounds" in line]
     assert bool(found) == (name == "a wrong index"), "\n".join(found)
+
+
+HUGE = 30_000  # points a side: 29 GB of four numbers
+SMALL_MEMORY_KB = 200_000
+
+
+def header(shape: tuple[int, ...], kind: str = "<f8") -> bytes:
+    """The beginning of a ``.npy`` of this shape, without its numbers."""
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": kind, "fortran_order": False, "shape": shape})
+    return stream.getvalue()
+
+
+def archive(path: Path, size: int, zeros: int = 0) -> Path:
+    """A grid whose heights claim size by size points and are so many bytes of zeros."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
+        for name, content in (
+            ("corners", header((size, size, 4)) + bytes(min(zeros, 1 << 20))),
+            ("missing", header((2, 2), "|b1") + bytes(4)),
+            ("step", header((2,)) + np.ones(2).tobytes()),
+            ("middle", header((2,)) + np.zeros(2).tobytes()),
+        ):
+            with file.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                entry.write(content)
+                for _ in range(zeros >> 20 if name == "corners" else 0):
+                    entry.write(bytes(1 << 20))
+    return path
+
+
+def said_of(read: Callable[[Path], object], path: Path) -> str:
+    """What is said of a file; no memory for its arrays was taken."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with refused("", path.name) as caught:
+        read(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < SMALL_MEMORY_KB
+    return str(caught.value)
+
+
+def test_a_grid_that_claims_more_than_it_holds(tmp_path: Path) -> None:
+    assert "26.8 GiB" in said_of(read_sag_grid, archive(tmp_path / "grid.npz", HUGE))
+    assert "by its header" in said_of(read_sag_grid, archive(tmp_path / "less.npz", 1000))
+    grid = str(tmp_path / "grid.npz")
+    shape = {"type": "freeform", "grid": grid, "semi_diameter": 5.0, "bsdf": {"type": "interface"}}
+    with refused(r"'mirror'.*26\.8 GiB"):
+        mistray.load({"type": "scene", "mirror": shape})
+
+
+def test_a_grid_that_unpacks_to_more_than_its_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mistray.files.sag_grid.MOST_BYTES", 64 << 20)
+    path = archive(tmp_path / "grid.npz", 1000, zeros=128 << 20)
+    assert path.stat().st_size < 1 << 20
+    assert "would unpack to 0.126 GiB, more than 0.0625 GiB" in said_of(read_sag_grid, path)
+
+
+def test_a_grid_of_too_many_points(tmp_path: Path) -> None:
+    """Each number is a byte here, and would be eight."""
+    path = tmp_path / "grid.npz"
+    side = 4097
+    square = np.zeros((side, side, 4), np.int8)
+    np.savez_compressed(path, corners=square, missing=square[..., 0] > 0, step=[1.0, 1.0], middle=[0.0, 0.0])
+    assert f"{side} by {side} points" in said_of(read_sag_grid, path)
+    text = tmp_path / "grid.dat"
+    text.write_text("100000 100000 1 1 0 0 0\n0 0 0 0\n")
+    assert "100000 by 100000 points" in said_of(read_sag_grid, text)
+
+    scene = mistray.load("plate")
+    state = archive(tmp_path / "state.npz", HUGE)
+    assert "26.8 GiB" in said_of(lambda path: mistray.pst(scene, [0.0], rays=10, state=path, resume=True), state)
+    path = tmp_path / "map.npy"
+    path.write_bytes(header((HUGE, HUGE, 4)))
+    assert "26.8 GiB" in said_of(read_irradiance, path)
+
+
+def test_a_map_of_too_many_pixels(tmp_path: Path) -> None:
+    """An EXR of a few hundred bytes whose header says 60,000 by 60,000 pixels."""
+    openexr = pytest.importorskip("OpenEXR")
+    path = tmp_path / "map.exr"
+    pixels = np.zeros((4, 4), np.float32)
+    with openexr.File({"compression": openexr.NO_COMPRESSION, "type": openexr.scanlineimage}, {"Y": pixels}) as file:
+        file.write(str(path))
+    window, large = (np.array([0, 0, last, last], "<i4").tobytes() for last in (3, 59_999))
+    path.write_bytes(path.read_bytes().replace(window, large))
+    assert "pixels are more than" in said_of(read_irradiance, path)

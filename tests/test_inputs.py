@@ -6,6 +6,7 @@ import ast
 import importlib
 import importlib.util
 import os
+import re
 import signal
 from collections.abc import Callable, Iterator
 from operator import attrgetter
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from refusals import refused
 from test_cli_import import SEQ, ZMX
 
 import mistray
@@ -150,11 +152,8 @@ def test_what_is_no_such_file_is_named_at_once(
     file = tmp_path / f"odd one{ending}"
     KINDS[kind](file)
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(MistrayError) as caught:
+    with refused(f"odd one|{re.escape(str(file.resolve()))}"):
         read(file)
-    text = str(caught.value)
-    assert "\n" not in text
-    assert "odd one" in text or str(file.resolve()) in text
 
 
 OPENING = {"open", "read_text", "read_bytes", "fromfile", "memmap", "loadtxt", "genfromtxt", "read_csv", "read_parquet"}

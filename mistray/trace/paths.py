@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,9 +15,6 @@ from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, LETTERS
 from mistray.execute.tracer import Run
 from mistray.ids import event_words
-from mistray.messages import Message
-from mistray.notes import Note
-from mistray.percent import percent_text
 from mistray.recorders.path_events import DIRECT, Events, describe_events, event_keys, way, way_letters, way_text
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, sum_of_runs
@@ -34,7 +31,6 @@ if TYPE_CHECKING:
 ROWS_PRINTED = 20
 # Columns that paths have in common whose rays have similar weights
 SAME_KIND = ("source", "detector", "kind", "scatters", "scatter_1")
-IMAGE = 0.9  # share of the light of a detector from which on a path may be an image that nobody has declared
 MOMENT_SUMS = [2, 3, 4, 5]  # sums of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
 
 
@@ -573,26 +569,6 @@ def path_table(runs: Sequence[Run]) -> PathTable:
     columns["path_id"] = np.arange(len(order))
     columns |= _percents(found.light[order], found.light.total(), columns["few_rays"])
     return PathTable(columns, runs, number[order], np.concatenate(places)[order], found[order])
-
-
-def undeclared_images(runs: Sequence[Run], table_of: Callable[[], PathTable]) -> list[Note]:
-    """Return a note on each detector without design path that gets over `IMAGE` of its light by an unscattered path."""
-    found = []
-    table, design = runs[0].table, runs[0].design
-    for detector in table.detectors:
-        if design.lists.get(detector):
-            continue
-        paths = table_of()
-        power = paths.column("power_W")
-        own = np.flatnonzero(paths.column("detector") == table.ids[detector])
-        if not len(own) or not power[own].sum() > 0:
-            continue
-        share, row = power[own[0]] / power[own].sum(), paths[int(own[0])]
-        words = event_words(row.events)[:-1]  # without the absorption at the detector
-        if share > IMAGE and words and not row.scatters:
-            facts = {"detector": row.detector, "share": percent_text(share), "path": " ".join(words)}
-            found.append(Message.UNDECLARED_IMAGE.note(**facts))
-    return found
 
 
 def _percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndarray]:

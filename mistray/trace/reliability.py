@@ -14,6 +14,7 @@ import numpy as np
 
 from mistray.events import FIRST_SCATTERED, kind_of, place_of
 from mistray.execute.tracer import Run
+from mistray.ids import event_words
 from mistray.kernel.targets import Inside, Target
 from mistray.messages import CUTS, Message
 from mistray.notes import Note
@@ -27,6 +28,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 if TYPE_CHECKING:
     from mistray.trace.result import Trace
 
+IMAGE = 0.9  # share of the light of a detector from which on a path may be an image that nobody has declared
 LEAST_CUT = 1e-6  # share of the launched flux below which cut flux is not worth a note
 MUCH_CUT = 0.01  # share of the launched flux above which cut flux is a warning
 COARSE = 1e-4  # largest error of R and T by interpolation over the angle
@@ -76,6 +78,26 @@ def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
             message = Message.LOST if reason == "medium" else Message.CUT
             warns = message is Message.LOST or max(shares) > MUCH_CUT
             found.append((at, message.note(warns, share=max(shares), what=text)))
+    return found
+
+
+def undeclared_images(trace: Trace) -> list[Note]:
+    """Return a note on each detector without design path that gets over `IMAGE` of its light by an unscattered path."""
+    found = []
+    table, design = trace.runs[0].table, trace.runs[0].design
+    for detector in table.detectors:
+        if design.lists.get(detector):
+            continue
+        paths = trace.paths
+        power = paths.column("power_W")
+        own = np.flatnonzero(paths.column("detector") == table.ids[detector])
+        if not len(own) or not power[own].sum() > 0:
+            continue
+        share, row = power[own[0]] / power[own].sum(), paths[int(own[0])]
+        words = event_words(row.events)[:-1]  # without the absorption at the detector
+        if share > IMAGE and words and not row.scatters:
+            facts = {"detector": row.detector, "share": percent_text(share), "path": " ".join(words)}
+            found.append(Message.UNDECLARED_IMAGE.note(**facts))
     return found
 
 

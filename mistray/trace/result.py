@@ -29,11 +29,11 @@ from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import Ray, RayHistory, path_history, sample_rays
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.path_images import path_images
-from mistray.trace.paths import PathTable, path_table, undeclared_images
+from mistray.trace.paths import PathTable, path_table
 from mistray.trace.photometry import illuminance, luminous_flux
 from mistray.trace.polarization_choice import words_of
 from mistray.trace.ray_table import check_box, ray_table
-from mistray.trace.reliability import aimed_surfaces, silent_places, trace_notes
+from mistray.trace.reliability import aimed_surfaces, silent_places, trace_notes, undeclared_images
 from mistray.trace.sampled_hits import LightCone, SampledHits, light_cones, sampled_hits
 
 if TYPE_CHECKING:
@@ -88,6 +88,8 @@ class Trace:
         Sums of the trace by source and wavelength, and all that it takes to trace their rays again.
     task : SceneTask or None
         Task from which workers build the same runs, see `mistray.distribute`; None if no workers traced.
+    has_paths : bool
+        Whether there is a path table, see `paths`.
     segments : int
         Number of ray segments that were traced.
     seconds : float
@@ -100,6 +102,7 @@ class Trace:
         self.recorders: dict[str, Recorder] = {}
         self.rays_traced = round(sum(float(run.started.sum()) for run in runs))
         self.rays_planned = sum(run.rays for run in runs)
+        self.has_paths = all(run.sums.paths is not None for run in runs)
         self.surfaces = flux_report(runs)
         self.energy = energy_ledger(runs, self.surfaces)
         self.coating_error = max(run.table.optics.error for run in runs)
@@ -114,10 +117,15 @@ class Trace:
         self.own_notes += dict.fromkeys(note for run in runs for note in run.table.optics.notes)
         if self.rays_traced != self.rays_planned:
             self.own_notes.append(fewer_rays(self.rays_traced, self.rays_planned))
-        self.own_notes += undeclared_images(runs, lambda: self.paths) if self.has_paths else []
+        self.own_notes += undeclared_images(self) if self.has_paths else []
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
         self.segments = round(sum(float(run.sums.channels[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.sums.seconds for run in runs)
+
+    def __getstate__(self) -> dict[str, Any]:
+        if self.has_paths:  # its table may be wanted where its runs cannot be made again
+            self.paths
+        return self.__dict__
 
     @property
     def notes(self) -> list[Note]:
@@ -149,11 +157,6 @@ class Trace:
         wider than its aperture. Else it is all flux of the sources.
         """
         return float(sum(run.source.pupil_power for run in self.runs))
-
-    @property
-    def has_paths(self) -> bool:
-        """Whether there is a path table, see `paths`."""
-        return all(run.sums.paths is not None for run in self.runs)
 
     @property
     def detectors(self) -> list[str]:

@@ -1,17 +1,33 @@
-"""Stacks of layers: which side is which, agreement with `tmm`, shifts, text."""
+"""Coatings: bare surfaces, shares, stacks beside `tmm`, presets beside vectors, tables of both sides."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+import vectors
+from refusals import refused
 
-from mistray.coatings import Bare, Layer, Stack, layer_text, parse_layers
+from mistray.coatings import (
+    PRESETS,
+    Bare,
+    CoatingTable,
+    Ideal,
+    Layer,
+    Stack,
+    layer_text,
+    parse_layers,
+    preset,
+    spectrum,
+)
+from mistray.coatings.response import total_reflection
 from mistray.errors import MistrayError
 
-tmm = pytest.importorskip("tmm")
 pytestmark = pytest.mark.quick
+
+tmm = pytest.importorskip("tmm")
 
 ABSORBING = (Layer("1.38", 120.0), Layer("2.3+0.4i", 15.0), Layer("1.6", 90.0))
 NUMBERS = [(1.38 + 0j, 120.0), (2.3 + 0.4j, 15.0), (1.6 + 0j, 90.0)]
@@ -129,3 +145,225 @@ def test_layers_from_text_and_back() -> None:
     for layer, words in ((Layer("1.38", 10.0, 0.1), "n_shift = 0.1, k_shift = 0"), (Layer("a,b.csv", 1.0), "a comma")):
         with pytest.raises(MistrayError, match=words):
             layer_text([layer])
+
+
+MANY = np.cos(np.radians(np.concatenate([np.linspace(0, 89.9, 60), [90.0]])))
+CROWN, ALUMINIUM = 1.5168 + 0j, 0.958 + 6.69j
+
+
+def test_grazing_light_is_finite() -> None:
+    """What bare surfaces reflect is compared with `tmm` above, in test_fresnel.py with vectors."""
+    for front, back in ((1 + 0j, CROWN), (CROWN, 1 + 0j), (1.2 + 0j, ALUMINIUM), (1 + 0j, 1 + 0j)):
+        grazing = Bare().response(550.0, front, back, np.array([0.0, 1e-12, 0.5]), True)
+        np.testing.assert_allclose(grazing.R + grazing.T, 1.0, atol=1e-12)
+
+
+def test_absorption_of_the_medium_in_front_is_booked_along_the_ray() -> None:
+    """R + T > 1 is possible for waves that decay along their way; only the real part of their index counts."""
+    grey = Bare().response(550.0, 1.5 + 0.01j, 1 + 0j, MANY, True)
+    clear = Bare().response(550.0, 1.5 + 0j, 1 + 0j, MANY, True)
+    np.testing.assert_array_equal(grey.R, clear.R)
+    np.testing.assert_array_equal(grey.T, clear.T)
+    assert grey.A.min() > -1e-12
+
+
+def test_ideal_shares() -> None:
+    """The same everywhere; beyond the critical angle what would be transmitted is reflected too."""
+    front, back = (Ideal(0.3, 0.5).response(550.0, 1 + 0j, CROWN, MANY, side) for side in (True, False))
+    for found, expected in ((front.R, 0.3), (front.T, 0.5), (front.A, 0.2), (front.phase_r, np.pi), (front.phase_t, 0)):
+        np.testing.assert_allclose(found, expected)
+    beyond = total_reflection(1 + 0j, CROWN, MANY, False)
+    assert beyond.sum() > 20
+    assert not total_reflection(1 + 0j, CROWN, MANY, True).any()
+    np.testing.assert_allclose(back.R[beyond], 0.8)
+    np.testing.assert_allclose(back.T[beyond], 0.0)
+    np.testing.assert_allclose(back.T[~beyond], 0.5)
+    assert Ideal(0.3, 0.0).opaque
+    assert not Ideal(0.3, 0.1).opaque
+
+
+@pytest.mark.parametrize(("r", "t"), [(0.6, 0.5), (-0.1, 0.5), (0.1, -0.2), (float("nan"), 0.0)])
+def test_bad_shares(r: float, t: float) -> None:
+    with pytest.raises(MistrayError, match=r"coating 'x': R = .* and T = .*R \+ T must not exceed 1"):
+        Ideal(r, t, "x")
+
+
+SUBSTRATE = "1.5168"
+BAND = np.arange(450.0, 650.1, 2.5)
+# The vectors' aluminium has no end, the preset's 150 nm pass exp(-4πkd/λ) < 2e-8 of the light to and fro
+FILM, LAST = preset("protected_al").layers
+MIRROR = Stack((FILM, Layer("0.958+6.69i", LAST.thickness_nm)), opaque=True)
+
+
+@pytest.mark.parametrize(
+    ("stack", "design"),
+    [
+        (preset("mgf2_quarter_wave"), "MgF2_QW"),
+        (preset("v_coat"), "V_138_210"),
+        (preset("bbar3"), "QHQ_138_210_163"),
+        (preset("bbar4"), "BBAR4_LHLH"),
+        (MIRROR, "Al_SiO_HW"),
+    ],
+)
+def test_against_vectors(stack: Stack, design: str) -> None:
+    """7 wavelengths, 4 angles, s and p; the vectors come from an independent program, checked with `tmm`."""
+    rows = [row for row in vectors.rows("thinfilm.csv") if row["design"] == design]
+    assert len(rows) == 56
+    for row in rows:
+        cosine = np.cos(np.radians([float(row["aoi_deg"])]))
+        own = stack.response(float(row["lambda_nm"]), 1 + 0j, 1.5168 + 0j, cosine, True)
+        pol = "sp".index(row["pol"])
+        assert own.R[0, pol] == pytest.approx(float(row["R"]), abs=3e-8 if stack is MIRROR else 1e-12)
+        if stack is not MIRROR:
+            assert own.T[0, pol] == pytest.approx(float(row["T"]), abs=1e-12)
+
+
+def test_figures_of_the_antireflection_coatings() -> None:
+    """What the docstring says, at normal incidence on n = 1.5168."""
+
+    def reflectance(name: str, wavelengths_nm: np.ndarray | list[float]) -> np.ndarray:
+        return spectrum(preset(name), wavelengths_nm, [0.0], back=SUBSTRATE).mean()[:, 0]
+
+    assert reflectance("mgf2_quarter_wave", [550.0])[0] == pytest.approx(0.012835, abs=5e-7)
+    below, at, above = reflectance("v_coat", [500.0, 550.0, 600.0])
+    assert at < 1e-9
+    assert min(below, above) > 1e-3, "a V: narrow"
+    assert reflectance("bbar3", BAND).max() <= 0.0026
+    assert reflectance("bbar4", np.arange(420.0, 681.0, 10.0)).mean() == pytest.approx(9.36e-4, abs=5e-7)
+    fine = reflectance("bbar4", np.linspace(420.0, 680.0, 2001))
+    assert fine.mean() == pytest.approx(8.5e-4, abs=1e-5)
+    assert fine.max() <= 0.0033
+
+
+@pytest.mark.parametrize(("name", "low", "high"), [("protected_al", 0.90, 0.925), ("protected_ag", 0.965, 0.99)])
+def test_metals(name: str, low: float, high: float) -> None:
+    """Freshly evaporated aluminium and silver in the green; so thick that less than 1e-6 passes from 400 nm on."""
+    mirror = spectrum(preset(name), [550.0], [0.0, 45.0])
+    assert low < mirror.mean()[0, 0] < high
+    assert np.all(mirror.T == 0)
+    assert preset(name).opaque
+    assert spectrum(Stack(preset(name).layers), np.arange(400.0, 1001.0, 25.0), [0.0]).T.max() < 1e-6
+
+
+def test_design_wavelength() -> None:
+    """The curves of a design without dispersion scale with the wavelength; a metal keeps its thickness."""
+    short = spectrum(preset("bbar3", 550.0), [500.0, 550.0], [0.0, 30.0], back=SUBSTRATE)
+    long = spectrum(preset("bbar3", 1100.0), [1000.0, 1100.0], [0.0, 30.0], back=SUBSTRATE)
+    np.testing.assert_allclose(short.R, long.R, atol=1e-12)
+    assert preset("protected_al", 1100.0).layers[1] == LAST
+    for name, design in PRESETS.items():
+        stack = preset(name)
+        assert (stack.first, stack.name, stack.layers[0].material) == ("outside", name, design.films[0][0])
+
+
+def test_what_is_no_preset() -> None:
+    for name, words in (("bbar5", "did you mean 'bbar4'?"), ("xyz", f"choose one of {', '.join(PRESETS)}")):
+        with refused(f"coating preset '{name}' is unknown", words):
+            preset(name)
+    with refused("coating preset 'bbar3': design_nm = -1"):
+        preset("bbar3", -1.0)
+
+
+RARE, DENSE = 1 + 0j, 1.5 + 0j
+PLAIN = """# measured
+wavelength_nm,angle_deg,R,T
+500,0,.10,.80
+500,60,.20,.70
+600,0,.30,.60
+600,60,.40,.50
+"""
+POLARISED = """wavelength_nm,angle_deg,R_s,R_p,T_s,T_p,R_back_s,R_back_p,phase_r_deg,phase_t_deg,phase_r_back_deg
+550,0,.1,.1,.8,.8,.15,.15,180,0,180
+550,60,.3,.1,.6,.85,.35,.12,150,-10,170
+"""
+HALF = np.degrees(np.arccos(0.75))  # in the middle between 0° and 60° in the cosine
+
+
+@pytest.fixture
+def read(tmp_path: Path):
+    def from_text(text: str) -> CoatingTable:
+        path = tmp_path / "ar.csv"
+        path.write_text(text, encoding="utf-8")
+        return CoatingTable.read(path)
+
+    return from_text
+
+
+def at(table: CoatingTable, nm: float, degrees: float, from_front: bool = True):
+    """Response at one angle in the air in front."""
+    cosine = np.cos(np.radians([degrees]))
+    if not from_front:
+        cosine = np.sqrt(1 - (1 - cosine**2) / DENSE.real**2)
+    return table.response(nm, RARE, DENSE, cosine, from_front)
+
+
+def test_shares(read) -> None:
+    """At the nodes, linear between them in wavelength and cosine; beyond the steepest angle the last value holds."""
+    table = read(PLAIN)
+    np.testing.assert_allclose(at(table, 500.0, 60.0).R, [[0.2, 0.2]], atol=1e-15)
+    np.testing.assert_allclose(at(table, 600.0, 0.0).T, [[0.6, 0.6]], atol=1e-15)
+    np.testing.assert_allclose(at(table, 600.0, 0.0).A, [[0.1, 0.1]], atol=1e-15)
+    assert at(table, 525.0, HALF).R[0, 0] == pytest.approx(0.25 * 0.35 + 0.75 * 0.15, abs=1e-15)
+    np.testing.assert_allclose(at(table, 500.0, 80.0).R, 0.2)
+    head, *rows = PLAIN.splitlines()[1:]
+    np.testing.assert_array_equal(read("\n".join([head, rows[2], rows[1], rows[3], rows[0]])).shares, table.shares)
+    with refused(r"ar.csv': 450 nm is outside of its 500 … 600 nm"):
+        at(table, 450.0, 0.0)
+
+
+def test_both_polarisations_and_sides(read) -> None:
+    """The angle is that in the rarer material; a table of one wavelength holds for all."""
+    table = read(POLARISED)
+    front, behind = at(table, 550.0, 60.0), at(table, 550.0, 60.0, from_front=False)
+    np.testing.assert_allclose(front.R, [[0.3, 0.1]], atol=1e-15)
+    np.testing.assert_allclose(front.T, [[0.6, 0.85]], atol=1e-15)
+    np.testing.assert_allclose(behind.R, [[0.35, 0.12]], atol=1e-12)
+    np.testing.assert_allclose(behind.T, front.T, atol=1e-12)
+    np.testing.assert_array_equal(at(table, 400.0, 60.0).R, front.R)
+
+
+def test_total_reflection_takes_the_transmitted_share_too(read) -> None:
+    beyond = read(PLAIN).response(500.0, RARE, DENSE, np.array([0.2]), False)
+    np.testing.assert_allclose(beyond.R, 0.9)
+    np.testing.assert_allclose(beyond.T, 0.0)
+    # An opaque table has the angle of the side of incidence
+    table = read("wavelength_nm,angle_deg,R,T\n550,0,.1,0\n550,60,.3,0\n")
+    assert table.opaque
+    assert not read(PLAIN).opaque
+    for from_front in (True, False):
+        np.testing.assert_allclose(table.response(550.0, RARE, DENSE, np.array([0.5]), from_front).R, 0.3)
+
+
+def test_phases(read) -> None:
+    plain, table = at(read(PLAIN), 550.0, 30.0), read(POLARISED)
+    np.testing.assert_allclose(np.exp(1j * plain.phase_r), -1, atol=1e-12)
+    np.testing.assert_allclose(plain.phase_t, 0, atol=1e-12)
+    assert np.degrees(at(table, 550.0, 60.0).phase_r[0]) == pytest.approx(150)
+    assert np.degrees(at(table, 550.0, 60.0).phase_t[0]) == pytest.approx(-10)
+    assert np.degrees(at(table, 550.0, 60.0, from_front=False).phase_r[0]) == pytest.approx(170)
+    # between 180 and 150 degrees lies 165, not a value on the far side of the circle
+    assert np.degrees(at(table, 550.0, HALF).phase_r[0]) == pytest.approx(165)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "column wavelength_nm, angle_deg, R or R_s and R_p, T or T_s and T_p is missing"),
+        ("wavelength_nm,angle_deg,R,T_s\n", "column the partner of T_s is missing"),
+        ("wavelength_nm,angle_deg,R,R_s,R_p,T\n", "columns R and R_s are both there"),
+        ("wavelength_nm,angle_deg,R,T,note\n", "column 'note' is unknown; possible are wavelength_nm, angle_deg, R,"),
+        ("wavelength_nm,angle_deg,R,T,T\n", "column 'T' is there twice"),
+        (PLAIN.replace(".20", "n/a"), "line 4: could not convert string to float: 'n/a'; every value must be a number"),
+        (PLAIN.replace("500,60,.20,.70", "500,60,.20"), "line 4: 3 values where 4 are needed"),
+        (PLAIN.replace(".20", "nan"), "line 4: nan; every value must be a finite number"),
+        (PLAIN.replace("600,60,.40,.50\n", ""), "3 rows for 2 wavelengths and 2 angles; give every angle once at"),
+        (PLAIN.splitlines()[1], "0 rows for 0 wavelengths"),
+        (PLAIN.replace(".80", ".95"), "R + T reaches 1.05 or a value is negative"),
+        (PLAIN.replace(".80", "-.1"), "or a value is negative"),
+        (POLARISED.replace(".35,.12", ".45,.12"), "R + T reaches 1.05"),
+        (PLAIN.replace(",60,", ",95,"), "angles must lie in 0 … 90°"),
+    ],
+)
+def test_bad_files(read, text: str, words: str) -> None:
+    with refused("coating table '", words):
+        read(text)

@@ -1,19 +1,26 @@
-"""Bodies that are displaced and tilted as a whole: the same as parts that are built there, exactly."""
+"""Bodies that are moved as a whole, as if built there, and the gaps that changes open, by plain geometry."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 import pytest
+from oracles.scatter_integrals import disc_to_disc
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
+from mistray.analyses.import_lens.entrances import entrances
 from mistray.analyses.optimize.study.variables import Variables, find_variables
 from mistray.analyses.sweep.configurations import Configuration, resolve
 from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import column_derivatives
 from mistray.metrics.bodies import Body
+from mistray.metrics.changes.first_surfaces import Entering, FirstLight, spoils, together
+from mistray.metrics.changes.gaps import Contacts, Gap
 from mistray.metrics.scene_values import changed
 from mistray.optimize import bodies, parameters, path_power, read_study
 from mistray.physics.geometry.pose import moved
@@ -177,3 +184,153 @@ def test_derivative_by_several_numbers(here: Any, known: dict[str, Body]) -> Non
     assert along.se == pytest.approx(float(np.std(parts, ddof=1) * np.sqrt(32)))
     with pytest.raises(MistrayError, match=r"the gradient has no 'front\.curvature'"):
         found.along({**slopes, "front.curvature": 1.0})
+
+
+DETECTOR = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=3.0, half_height=3.0)
+Load = Callable[..., mi.Scene]
+
+
+@pytest.fixture
+def load(load_scene: Callable[[str], mi.Scene]) -> Load:
+    return lambda *shapes: load_scene(scene_text(*shapes, DETECTOR))
+
+
+def tube(name: str, r0: float, z0: float, r1: float, z1: float) -> str:
+    return shape_xml("frustum", name, r0=r0, z0=z0, r1=r1, z1=z1)
+
+
+def opened(scene: mi.Scene, **values: float) -> tuple[Gap, ...]:
+    """Gaps after values of parameters; a double underscore stands for a point."""
+    keys = {key.replace("__", "."): np.array([value]) for key, value in values.items()}
+    contacts = Contacts(scene)
+    with changed(mi.traverse(scene), keys):
+        found = contacts.opened(scene)
+        assert contacts.opened(scene, {key.partition(".")[0] for key in keys}) == found
+    assert contacts.opened(scene) == ()
+    return found
+
+
+def only(found: tuple[Gap, ...], *surfaces: str) -> float:
+    (gap,) = found
+    assert set(gap.surfaces) == set(surfaces)
+    return gap.gap_mm
+
+
+def test_tubes_and_the_edge_of_a_lens(load: Load) -> None:
+    scene = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10, 6, 20), tube("vane", 3, 10, 5, 10))
+    # The vane stays with the front tube, and the gap is between it and the rear one, wherever the rim is
+    assert only(opened(scene, rear__z=0.3), "rear", "front") == pytest.approx(0.3, abs=1e-6)
+    assert opened(scene, front__z=0.2) == ()
+    assert opened(scene, rear__z=5e-4) == ()
+    # Circles in one plane whose centres are 0.1 mm apart are 0.1 mm apart where they are farthest
+    assert only(opened(scene, rear__x=0.1), "rear", "front") == pytest.approx(0.1, rel=1e-3)
+    apart = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10.01, 5, 20))
+    assert opened(apart, rear__z=1.0) == ()  # what did not meet has no gap
+    walls = (tube("front", 5, 0, 5, 10), tube("middle", 5, 10, 5, 20), tube("rear", 5, 20, 5, 30))
+    scene = load(*walls, tube("vane", 3, 10, 5, 10))
+    assert opened(scene, vane__z=12.0) == opened(scene, vane__z=-3.0) == ()
+    (gap,) = opened(scene, vane__r1=4.5)
+    assert set(gap.surfaces) in ({"vane", "front"}, {"vane", "middle"})
+    assert gap.gap_mm == pytest.approx(0.5, abs=1e-6)
+    # A wall may slide on a flange; a cone narrower than the hole leaves a gap, and one that is lifted too
+    scene = load(tube("cone", 5, 0, 4, 8), tube("flange", 3.5, 8, 9, 8))
+    assert opened(scene, cone__r1=3.6) == ()
+    assert only(opened(scene, cone__r1=3.0), "cone", "flange") == pytest.approx(0.5, abs=1e-6)
+    assert only(opened(scene, flange__z=0.25), "cone", "flange") == pytest.approx(0.25, abs=1e-6)
+    assert opened(scene, flange__z=-0.25) == ()
+    # The rim of a sphere lies at its sag, R - √(R² - r²)
+    sag = 50 - math.sqrt(50**2 - 8**2)
+    glass = interface_xml("air", "1.5")
+    scene = load(
+        shape_xml("asphere", "face", 0.0, glass, radius=50.0, semi_diameter=8.0),
+        shape_xml("asphere", "back", 6.0, interface_xml("1.5", "air"), semi_diameter=8.0),
+        tube("edge", 8, sag, 8, 6),
+        tube("barrel", 8, 6, 8, 30),
+    )
+    flatter = 40 - math.sqrt(40**2 - 8**2)
+    assert opened(scene, face__curvature=1 / 40) == ()  # the rim has moved along the edge
+    steeper = sag - (100 - math.sqrt(100**2 - 8**2))
+    assert flatter > sag
+    assert only(opened(scene, face__curvature=1 / 100), "face", "edge") == pytest.approx(steeper, rel=1e-5)
+    assert opened(scene, back__z=0.4) == ()  # the lens has moved along the barrel
+    assert only(opened(scene, barrel__z=0.4), "barrel", "edge") == pytest.approx(0.4, abs=1e-6)
+
+
+def test_straight_rims_of_a_prism() -> None:
+    corners = [(-5.0, 0.0), (5.0, 0.0), (5.0, 10.0), (-5.0, 10.0)]
+    body = prism("body", corners, 8.0, material="1.5", ends=None)
+    detector, source = Detector(z=30.0, semi_diameter=4.0), Source(radius=1.0)
+    scene = Prescription(name="prism", surfaces=body, detector=detector, source=source).to_scene()
+    contacts = Contacts(scene)
+    assert {"body_1", "body_2", "body_3", "body_4", "body_left", "body_right"} <= contacts.surfaces
+    with changed(mi.traverse(scene), {"body_3.z": np.array([0.2])}):
+        found = contacts.opened(scene)
+    assert found
+    assert all("body_3" in gap.surfaces and gap.gap_mm == pytest.approx(0.2, abs=1e-5) for gap in found)
+
+
+def light(unseen: float = 0.0, direct: float = 0.0, **power: float) -> FirstLight:
+    """Light of one path by each surface, known to 1 %; `direct` of it by the surface `front` is the image."""
+    variance = {name: (0.01 * value) ** 2 for name, value in power.items()}
+    return FirstLight(power, variance, {name: direct * (name == "front") for name in power}, power, unseen)
+
+
+BEFORE = light(front=8.0, hood=0.02)
+BRIGHT = {"front": 4.0, "L3": 1.0}
+LOUD = FirstLight(BRIGHT, {"front": 0.0, "L3": 0.16}, {"front": 0.0, "L3": 0.0}, BRIGHT)
+
+
+def test_what_is_new_and_its_share_of_the_stray_light() -> None:
+    for after, before, new in (
+        (BEFORE, BEFORE, []),
+        (light(front=0.001, hood=0.02), BEFORE, []),  # the old light has gone, none is new
+        (light(), BEFORE, []),
+        (BEFORE, light(), []),
+        (light(front=4.0, hood=4.0), BEFORE, ["hood"]),
+        (light(front=4.0, hood=1.9), BEFORE, []),  # a trace of it before counts for none
+        (light(front=4.0, L3=1.0), light(front=8.0, unseen=2.0), []),  # the list before may have left it out
+        (light(front=4.0, L3=1.0), light(front=8.0, unseen=0.5), ["L3"]),
+        (light(front=4.0, L3=0.003), BEFORE, []),  # less than 0.1 %
+        (LOUD, BEFORE, []),  # less than three standard errors
+    ):
+        assert [one.surface for one in after.since(before)] == new
+    (one,) = light(front=4.0, L3=1.0).since(BEFORE)
+    assert one == Entering("L3", pytest.approx(0.2), pytest.approx(0.002), pytest.approx(1 / 8.02))
+    # The image does not count: 3 of the light by the front
+    (one,) = light(front=4.0, L3=1.0, direct=3.0).since(light(front=4.0, direct=3.0))
+    assert (one.share, one.of_before) == pytest.approx((0.5, 1.0))
+    both = light(front=1.0, L3=2.0).plus(light(front=3.0))  # independent traces add up
+    assert both.power == {"front": 4.0, "L3": 2.0}
+    assert both.variance["front"] == pytest.approx(0.01**2 * (1 + 9))
+    assert both.strongest == {"front": 3.0, "L3": 2.0}
+    # There is no gain above a percent; but little light left of much is one, all that is left being new
+    assert not spoils(())
+    assert not spoils((Entering("a", 0.009, 0.001, 0.5),))
+    two = Entering("a", 0.009, 0.003, 0.008), Entering("b", 0.002, 0.004, 0.003)
+    assert spoils(two)
+    assert together(two) == pytest.approx((0.011, 0.005))
+    (one,) = light(front=1e-6, vane=8e-3).since(BEFORE)
+    assert (one.share, one.of_before) == pytest.approx((1.0, 8e-3 / 8.02), rel=1e-3)
+    assert not spoils([one])
+    assert spoils(light(front=1e-6, vane=0.2).since(BEFORE))
+
+
+RADIUS, SHEET, DISTANCE = 3.0, 5.0, 4.0
+SHEET_XML = shape_xml("asphere", "sheet", 0.0, interface_xml(R=0.0, T=1.0), semi_diameter=SHEET)
+DISC = shape_xml("asphere", "detector", DISTANCE, sensor=True, semi_diameter=RADIUS)
+
+
+def test_around_a_sheet(load_scene) -> None:
+    """What does not come through the sheet comes straight; χ² of 20 seeds between its quantiles 1e-5 and 1 - 1e-5."""
+    scene = load_scene(scene_text(SHEET_XML, DISC))
+    seeds = [entrances(scene, seed=seed) for seed in range(20)]
+    assert {(found.first, *found.others) for found in seeds} == {("sheet", "detector")}
+    exact = 1 - disc_to_disc(RADIUS, SHEET, DISTANCE)
+    assert 3.0 < sum(((one.share - exact) / one.share_se) ** 2 for one in seeds) < 60.0
+    assert all(0.005 < one.share_se < 0.03 for one in seeds)
+    tube = shape_xml("frustum", "tube", r0=SHEET, z0=0.0, r1=SHEET, z1=DISTANCE + 1)
+    found = entrances(load_scene(scene_text(SHEET_XML, tube, DISC)))
+    assert (found.share, found.others) == (0.0, {})
+    assert found.rays >= 100
+    found = entrances(load_scene(scene_text(DISC)))
+    assert (found.first, found.rays) == ("", 0)

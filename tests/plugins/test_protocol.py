@@ -1,7 +1,8 @@
-"""The plugins keep Mitsuba's protocols: variants, render, traverse; and a target is invisible to stock integrators."""
+"""Plugins keep Mitsuba's protocols; probes, far fields, maps and splits as sensors of a scene or beside its file."""
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -13,9 +14,13 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
+from command_line import Captured, fails, succeeds
+from oracles.small_scenes import plates_text
 
 import mistray
 from mistray import MistrayError
+from mistray.recorders import FarField, Probe
+from mistray.scene.other_sensors import sensor_dict
 from mistray.surfaces.surfaces import SurfaceTable
 
 
@@ -153,3 +158,151 @@ def test_stock_integrators_see_through_it() -> None:
     assert float(bsdf.pdf(context, si, wo)[0]) == 0
     np.testing.assert_array_equal(np.array(bsdf.eval(context, si, wo)).ravel(), 0.0)
     np.testing.assert_array_equal(np.array(bsdf.eval_null_transmission(si)).ravel(), 1.0)
+
+
+PROBE = """
+<sensor type="probe" id="ahead of it">
+    <float name="half_width" value="0.5"/><float name="half_height" value="0.25"/><integer name="directions" value="4"/>
+    <film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="2"/></film>
+    <transform name="to_world"><translate z="-1"/></transform>
+</sensor>"""
+SKY = """
+<sensor type="far_field" id="sky">
+    <string name="edges_deg" value="{}"/><integer name="azimuths" value="3"/>
+</sensor>"""
+
+
+def text_of(*sensors: str) -> str:
+    text = plates_text(1, index="1.5").replace('name="radius"', 'name="distance" value="3"/><float name="radius"', 1)
+    return text.replace("</scene>", "".join(sensors) + "</scene>")
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sensors") / "plate.xml"
+    path.write_text(text_of(PROBE, SKY.format("90:180:45")), encoding="utf-8")
+    return path
+
+
+@pytest.mark.quick
+def test_a_scene_of_a_file(plate: Path, load_text) -> None:
+    """A trace has what recorders of the same numbers have, of its own each time; a rendering is its irradiance."""
+    scene = mistray.load(plate)
+    found = mistray.trace(scene, rays=4000, max_reflections=1).recorders
+    probe = Probe("p", (0, 0, -1), half_width=0.5, half_height=0.25, pixels=(4, 2), directions=4)
+    sky = FarField("s", edges_deg=(90, 135, 180), azimuths=3)
+    mistray.trace(load_text(text_of())[0], rays=4000, max_reflections=1, recorders=[probe, sky])
+    assert list(found) == ["ahead of it", "sky"]
+    for one, other in zip(found.values(), (probe, sky), strict=True):
+        np.testing.assert_array_equal(one.flux.value, other.flux.value)
+        np.testing.assert_array_equal(one.image[1], other.image[1])
+    assert found["ahead of it"].radiance[0].shape == (2, 4, 4, 4)
+    again = mistray.trace(scene, rays=1000, seed=1).recorders["ahead of it"]
+    assert again.power[0] == pytest.approx(0.5, abs=5 * again.power[1])
+    numbers = {sensor.id(): k for k, sensor in enumerate(scene.sensors())}
+    irradiance = np.array(mi.render(scene, sensor=numbers["ahead of it"], spp=8000))
+    assert irradiance.shape == (2, 4, 1)
+    assert irradiance == pytest.approx(1.0, rel=0.05)  # 64,000 rays, 2600 in a pixel: 5 SE are 0.05
+    assert np.array(mi.render(scene, sensor=numbers["sky"], spp=1)).shape == (2, 3, 1)
+
+
+@pytest.mark.quick
+def test_light_of_surfaces() -> None:
+    """`surface_maps` and `flux_split` on a Lambertian wall across a beam of 1 W/mm²: shares and map in closed form."""
+    scene = scene_dicts.load(
+        beam={"type": "collimated", "half_width": 3.0, "half_height": 2.0},
+        wall={"type": "asphere", "half_width": 3.0, "half_height": 2.0, "bsdf": {"type": "paint", "reflectance": 0.25}},
+        detector=scene_dicts.detector(-90.0, semi_diameter=0.1, x=20.0),
+        maps={"type": "surface_maps", "surfaces": "wall", "azimuths": 6, "lengths": 4},
+        split={"type": "flux_split", "surfaces": "wall"},
+    )
+    found = mistray.trace(scene, rays=40_000, max_scatters=0).recorders
+    (row,) = found["split"].rows
+    assert row.incident[0] == pytest.approx(24.0, rel=1e-3)
+    assert row.absorbed[0] == pytest.approx(0.75 * row.incident[0], rel=1e-6)
+    assert row.scattered_reflection[0] == pytest.approx(0.25 * row.incident[0], rel=1e-6)
+    value, se = found["maps"].maps["wall"].irradiance
+    assert value.shape == (4, 6)
+    assert np.all(np.abs(value - 1) < 6 * se)  # of 24 cells, from 32 batches: a false alarm in 3e-5 of runs
+
+
+@pytest.mark.quick
+def test_stock_integrators_see_the_irradiance_of_a_probe() -> None:
+    """π L under a uniform sky, however it is turned."""
+    scene = scene_dicts.load(
+        probe={"type": "probe", "half_width": 2.0, "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 50)},
+        sky={"type": "constant", "radiance": 2.0},
+        integrator={"type": "path"},
+    )
+    assert np.array(mi.render(scene, spp=4)) == pytest.approx(2 * np.pi, rel=1e-5)
+
+
+@pytest.mark.quick
+def test_texts_beside_a_file(plate: Path) -> None:
+    text = "probe:0.1,0,-2,half_width=0.2,half_height=0.1,normal=0 0 -1,up=1 0 0,pixels=8 4,id=back"
+    scene = mistray.load(plate, "beam:radius=1,distance=9", [text, "far_field:edges_deg=0 90 180"])
+    sensors = sorted(sensor.id() for sensor in scene.sensors() if sensor.get_shape() is None)
+    assert sensors == ["ahead of it", "back", "far_field", "sky"]
+    found = mistray.trace(scene, rays=20_000, max_reflections=1).recorders
+    r, back = 0.04, found["back"]
+    assert back.power[0] == pytest.approx(0.4 * 0.2 * (r + r * (1 - r) ** 2), abs=5 * back.power[1])
+    assert back.irradiance[0].shape == (4, 8)
+    assert back.extent == (-0.2, 0.2, -0.1, 0.1)
+    assert found["far_field"].power[0] > 0
+
+
+@pytest.mark.quick
+def test_the_frame_of_a_probe() -> None:
+    frame = np.array(sensor_dict("probe:1,2,3,normal=0 3 4,up=0 0 1")["to_world"].matrix)
+    np.testing.assert_allclose(frame[:3], [[-1, 0, 0, 1], [0, -0.8, 0.6, 2], [0, 0.6, 0.8, 3]], atol=1e-12)
+    turned = np.array(sensor_dict("probe:0,0,0,normal=0 -1 0")["to_world"].matrix)
+    np.testing.assert_allclose(turned[:3, 1:3], [[0, 0], [0, -1], [1, 0]], atol=1e-12)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ((PROBE, PROBE), "ahead of it"),
+        ((PROBE, SKY.format("90:80:5")), "far field 'sky': edges_deg is '90:80:5'"),
+        ((SKY.format("0, x"),), "edges_deg is '0, x'"),
+        ((PROBE.replace('translate z="-1"', 'scale value="2"'),), "to_world scales"),
+        ((PROBE.replace("directions", "direction"),), "direction"),
+        (["probe:0,0,1,id=a", "far_field:id=a"], "sensor 'a': two sensors have this id"),
+        (["probe:0,0,1,id=sky"], "sensor 'sky': the scene has something else of that id"),
+        (["probe:id=a"], "its place is missing"),
+        (["far_field:0,0,1"], "it has no place"),
+        (["probe:0,0"], "its place is 0,0"),
+        (["probe:0,0,1,half_width=big"], "give a number"),
+        (["probe:0,0,1,normal=0 0"], "normal is '0 0'"),
+        (["probe:0,0,1,normal=0 1 0,up=0 2 0"], "no two directions"),
+        (["probe:0,0,1,pixels=4.5"], "pixels is '4.5'"),
+        (["lamp:0,0,1"], "'lamp' is none"),
+        ([{"half_width": 1}], "type"),
+    ],
+)
+def test_bad_ones(plate: Path, tmp_path: Path, given: Any, words: str) -> None:
+    (tmp_path / "bad.xml").write_text(text_of(*given) if isinstance(given, tuple) else "", encoding="utf-8")
+    where = (tmp_path / "bad.xml",) if isinstance(given, tuple) else (plate, None, given)
+    with pytest.raises(mistray.MistrayError, match=words) as error:
+        mistray.load(*where)
+    assert "\n" not in str(error.value)
+
+
+SCENE = ["--field-deg", "0", "5", "--rays", "4000", "--quiet"]
+BOTH = ["--probe", "0,0,-1,half_width=0.5,half_height=0.25,directions=4,id=ahead", "--far-field", "edges_deg=90:180:45"]
+
+
+def test_json_of_the_command(tmp_path: Path, capsys: Captured) -> None:
+    path = tmp_path / "bare.xml"
+    path.write_text(text_of(), encoding="utf-8")
+    found = json.loads(succeeds(capsys, "ghosts", path, *SCENE, *BOTH, "--json"))["sections"]["probes"]
+    first, second = found["probes"]
+    assert (first["field_deg"], second["field_deg"]) == (0, 5)
+    assert first["power_W"] == pytest.approx(0.5, abs=5 * first["power_se_W"])
+    assert first["mean_irradiance_W_mm2"] == pytest.approx(2 * first["power_W"])
+    assert first["highest_radiance_W_mm2_sr"] > 0
+    assert [(row["from_deg"], row["to_deg"]) for row in found["far_fields"]] == 2 * [(90, 135), (135, 180)]
+    without = json.loads(succeeds(capsys, "ghosts", path, *SCENE, "--json"))
+    assert "probes" not in without.get("sections", {})
+    assert "two sensors have this id" in fails(capsys, "ghosts", path, *SCENE, "--probe", "0,0,1,id=a", "0,0,2,id=a")

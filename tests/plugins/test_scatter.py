@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
+from refusals import refused
 from scatter_surfaces import IMPORTANCE, MODELS, context, direction, interaction, surface, vectors, write_table
 
 from mistray import MistrayError
@@ -91,12 +92,8 @@ class TestScene:
             ({"type": "abg", "A": 1.0, "B": 0.1}, "g is missing; give A, B, g"),
             ({"type": "tabulated", "file": "nowhere.bsdf"}, "nowhere.bsdf"),
         ):
-            with pytest.raises(MistrayError) as caught:
+            with refused("wall", words):
                 scene_dicts.load(wall={**SHAPE, "bsdf": {"type": "interface", "model": values}})
-            text = str(caught.value)
-            assert words in text
-            assert "wall" in text
-            assert "\n" not in text
 
     def test_an_impossible_sum(self) -> None:
         """R + T + scatter > 1 is refused when light is to be scattered, by surface and angle."""

@@ -82,7 +82,7 @@ class TestTotals:
 
 
 def test_sheet_of_a_rough_surface(capsys: Captured) -> None:
-    """TracePro's sheet "ABg from RMS", with its own integral; its steps are in physics/test_abg.py."""
+    """TracePro's sheet "ABg from RMS", with its own integral; its steps: physics/test_lobe_formulas.py."""
     sheet = ("bsdf", "abg", "--rms-nm", 5, "--correlation-um", 100, "--wavelength-nm", 500)
     out = succeeds(capsys, *sheet, "--R", 0.95, "--raw-integral", "0.015552516", "--angles-deg", 0)
     for name, value in (("BSDF(0)", "3770.36324"), ("correction", "0.957013661"), ("B", "5.03930226e-10"), ("g", "3")):

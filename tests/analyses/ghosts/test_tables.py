@@ -1,5 +1,6 @@
-"""Numbers as text, tables, CSV and Parquet, and irradiance maps as EXR, FITS, NPY: what is read is what was traced."""
+"""Ranks, sums and maps of ghosts, and numbers as text, tables and files: what is read is what was traced."""
 
+import importlib
 import json
 import math
 import re
@@ -7,20 +8,15 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
-from analyses.fake_trace import (
-    EXTENT,
-    SHAPE,
-    SHARES,
-    FakeTrace,
-    ghosts_of,
-    scatter_trace_at,
-    trace_at,
-    trace_in_colours,
-)
+from analyses import fake_trace as fake
 
+import mistray
+from mistray.analyses.ghosts.run import ghosts
+from mistray.analyses.ghosts.spectral import spectral_maps
 from mistray.analyses.ghosts.tables.ghosts import main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import write_csv
 from mistray.analyses.study.page import fact_text
@@ -28,6 +24,8 @@ from mistray.analyses.study.step import Fact
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.files.parquet import unit
+from mistray.metrics.ranking import direct_image
+from mistray.recorders.path_events import STRAY_KINDS
 from mistray.report import IrradianceMap, read_irradiance, write_formats, write_irradiance, write_parquet
 from mistray.toolkit.pages.formats import require_formats
 from mistray.toolkit.pages.model import Table, columns
@@ -41,7 +39,7 @@ pytestmark = pytest.mark.quick
 
 @pytest.fixture(scope="module")
 def report():
-    return ghosts_of(*map(trace_at, (0.0, 10.0, 20.0)))
+    return fake.ghosts_of(*map(fake.trace_at, (0.0, 10.0, 20.0)))
 
 
 def test_numbers_headings_and_columns():
@@ -89,12 +87,12 @@ def test_main_table_names_the_worst_ghost_of_each_field(report):
     assert any("of the direct image on axis" in line for line in lines)
     assert any(line.startswith("energy closure, worst field: ") for line in lines)
     # Limits that cut light are warnings, and so are an open balance, a coarse coating and few rays
-    t = trace_at(0.0, cut_events=1e-4)
-    before = ghosts_of(t).notes
+    t = fake.trace_at(0.0, cut_events=1e-4)
+    before = fake.ghosts_of(t).notes
     assert any("2.0e-05 of the launched flux was cut by max_events = 32" in text for text in before)
     t.energy = replace(t.energy, escaped_W=t.energy.escaped_W + 0.0015)
     t.coating_error = 2e-3
-    after = ghosts_of(t).notes
+    after = fake.ghosts_of(t).notes
     for words in ("field 0 deg: the energy closes to 3.0e-04 only", "too fast with the angle"):
         assert [any(words in text for text in notes) for notes in (before, after)] == [False, True]
     assert any("field 0, 10, 20 deg: some of the worst four paths hold too few rays" in w for w in report.notes)
@@ -120,14 +118,14 @@ def test_csv_holds_every_digit(report, tmp_path):
 
 
 def test_csv_per_wavelength_adds_up(tmp_path):
-    colours = ghosts_of(*map(trace_in_colours, (0.0, 10.0)))
+    colours = fake.ghosts_of(*map(fake.trace_in_colours, (0.0, 10.0)))
     names = [file.name for file in write_csv(colours, tmp_path, per_wavelength=True)]
     assert names[4:8] == [f"{name}_per_wavelength.csv" for name in ("summary", "paths", "energy", "surfaces")]
     tables = {name: pd.read_csv(tmp_path / name) for name in names}
     for name in ("energy", "surfaces"):
         parts, whole = tables[f"{name}_per_wavelength.csv"], tables[f"{name}.csv"]
         assert list(parts.columns) == ["field_deg", "wavelength_nm", *whole.columns[1:]]
-        assert sorted(parts.wavelength_nm.unique()) == list(SHARES)
+        assert sorted(parts.wavelength_nm.unique()) == list(fake.SHARES)
         column, key = ("power_W", ["field_deg", "name"]) if name == "energy" else ("incident_W", ["field_deg", "id"])
         got, expected = (table.groupby(key)[column].sum() for table in (parts, whole))
         pd.testing.assert_series_equal(got, expected, rtol=1e-9, atol=1e-12)
@@ -153,16 +151,16 @@ UNITS |= {"rms_irradiance_W_mm2": "W/mm²", "rms_irradiance_se_W_mm2": "W/mm²",
 
 
 @pytest.fixture(scope="module")
-def trace() -> FakeTrace:
-    return scatter_trace_at(5.0)
+def trace() -> fake.FakeTrace:
+    return fake.scatter_trace_at(5.0)
 
 
 @pytest.fixture(scope="module")
-def one(trace: FakeTrace) -> IrradianceMap:
+def one(trace: fake.FakeTrace) -> IrradianceMap:
     return IrradianceMap.of(trace)
 
 
-def test_tables_come_back(trace: FakeTrace, tmp_path: Path) -> None:
+def test_tables_come_back(trace: fake.FakeTrace, tmp_path: Path) -> None:
     """Parquet to the last bit, CSV to nine digits; the columns of Parquet have units."""
     import pyarrow.parquet as parquet
 
@@ -184,7 +182,7 @@ def test_tables_come_back(trace: FakeTrace, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", ["fits", "npy", "EXR"])
-def test_maps_come_back(trace: FakeTrace, one: IrradianceMap, tmp_path: Path, ending: str) -> None:
+def test_maps_come_back(trace: fake.FakeTrace, one: IrradianceMap, tmp_path: Path, ending: str) -> None:
     """To the last bit, but for the single precision of EXR; odd extents, numbers of all sizes, facts beyond ASCII."""
     kind, file = np.float32 if ending == "EXR" else np.float64, tmp_path / f"map.{ending}"
     Trace.write_irradiance(trace, file)
@@ -205,15 +203,15 @@ def test_astropy_places_the_pixels(one: IrradianceMap, tmp_path: Path) -> None:
     from astropy.wcs import WCS
 
     write_irradiance(one, tmp_path / "map.fits")
-    x0, x1, y0, y1 = EXTENT
-    half_x, half_y = (x1 - x0) / SHAPE[1] / 2, (y1 - y0) / SHAPE[0] / 2
+    x0, x1, y0, y1 = fake.EXTENT
+    half_x, half_y = (x1 - x0) / fake.SHAPE[1] / 2, (y1 - y0) / fake.SHAPE[0] / 2
     with fits.open(tmp_path / "map.fits", checksum=True) as hdus:
         assert [hdu.name for hdu in hdus] == ["PRIMARY", "STDERR"]
         for hdu in hdus:
             assert units.Unit(hdu.header["BUNIT"]) == units.W / units.mm**2
             wcs = WCS(hdu.header)
             assert wcs.pixel_to_world_values(0, 0) == pytest.approx((x0 + half_x, y0 + half_y))
-            last = wcs.pixel_to_world_values(SHAPE[1] - 1, SHAPE[0] - 1)
+            last = wcs.pixel_to_world_values(fake.SHAPE[1] - 1, fake.SHAPE[0] - 1)
             assert last == pytest.approx((x1 - half_x, y1 - half_y))
             # wcslib turns mm into m only where it knows the kind of axis
             assert list(wcs.wcs.cunit) == [units.mm, units.mm]
@@ -231,9 +229,9 @@ def test_astropy_places_the_pixels(one: IrradianceMap, tmp_path: Path) -> None:
 
 
 def test_formats_are_written_by_name_and_wrong_ones_refused(
-    one: IrradianceMap, tmp_path: Path, trace: FakeTrace, monkeypatch: pytest.MonkeyPatch
+    one: IrradianceMap, tmp_path: Path, trace: fake.FakeTrace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bright = IrradianceMap(np.full((2, 2), 1e40), np.zeros((2, 2)), EXTENT)
+    bright = IrradianceMap(np.full((2, 2), 1e40), np.zeros((2, 2)), fake.EXTENT)
     for what, name, words in (
         (one, "map.tif", "its name must end in"),
         (one, "nowhere/map.npy", "check the folder and its permissions"),
@@ -253,7 +251,7 @@ def test_formats_are_written_by_name_and_wrong_ones_refused(
             read_irradiance(tmp_path / name)
     for shape, its_unit, words in (((2, 3), "lx", "give two arrays"), ((2, 2), "W/m2", "'W/m2'")):
         with pytest.raises(MistrayError, match=words):
-            IrradianceMap(np.zeros((2, 2)), np.zeros(shape), EXTENT, unit=its_unit)
+            IrradianceMap(np.zeros((2, 2)), np.zeros(shape), fake.EXTENT, unit=its_unit)
     table = trace.paths.to_pandas()
     files = write_formats(["npy", "parquet", "fits"], tmp_path, {"paths.csv": table}, {"irradiance_0deg": one})
     assert [file.name for file in files] == ["irradiance_0deg.npy", "paths.parquet", "irradiance_0deg.fits"]
@@ -263,3 +261,188 @@ def test_formats_are_written_by_name_and_wrong_ones_refused(
             monkeypatch.setitem(sys.modules, module, None)
         with pytest.raises(MistrayError, match=r"pip install 'mistray\["):
             require_formats([name])
+
+
+def test_normalised_rms_irradiance_is_over_the_on_axis_image(report):
+    direct = report[0.0].paths[0]
+    nominal = 3.0 / (math.pi * direct.rms_radius_mm**2)
+    assert report.nominal.rms_irradiance_W_mm2.value == pytest.approx(nominal, rel=1e-12)
+    table = report.table(20.0)
+    expected = table.power_W / (math.pi * table.rms_radius_mm**2) / nominal
+    np.testing.assert_allclose(table.normalised_rms_irradiance, expected, rtol=1e-12)
+    assert (table.normalised_rms_irradiance_se[~table.few_rays] > 0).all()
+    assert table.normalised_rms_irradiance_se[table.few_rays].isna().all()
+    got = Estimate(2.0, 0.02).over(Estimate(4.0, 0.08))
+    assert (got.value, got.se) == (0.5, pytest.approx(0.5 * math.hypot(0.01, 0.02)))
+    assert math.isnan(Estimate(1.0, 0.1).over(Estimate(0.0, 0.0)).value)
+    # Two discs of equal power 0.4 mm apart: the pooled second moment is the mean one plus 0.2²
+    lines = [fake.FakePath(f"{fake.LENS} detector:A", 1.0, 5000, x, 0.0, 0.1, wavelength=550 + x) for x in (-0.2, 0.2)]
+    trace = fake.FakeTrace(lines)
+    image = direct_image(trace.paths)
+    a, b = trace.paths
+    radius2 = (a.rms_radius_mm**2 + b.rms_radius_mm**2 + ((a.x_mm - b.x_mm) ** 2 + (a.y_mm - b.y_mm) ** 2) / 2) / 2
+    assert image.power_W.value == pytest.approx(2.0, rel=1e-12)
+    assert image.rms_radius_mm.value**2 == pytest.approx(radius2, rel=1e-12)
+    assert image.rms_irradiance_W_mm2.value == pytest.approx(2.0 / (math.pi * radius2), rel=1e-12)
+
+
+def test_ranks_and_sums(report):
+    """Power and irradiance differ; a path of a few rays comes last, direct light has no rank."""
+    by_power, by_irradiance = report.top(10.0, rank="power"), report.top(10.0, 4)
+    assert list(by_power.label[:2]) == ["detector → window_rear", "detector → L1_rear"]
+    assert list(by_irradiance.label[:2]) == ["detector → L1_rear", "detector → window_rear"]
+    assert list(by_power.rank_power) == [1, 2, 3, 4]
+    few = by_irradiance[by_irradiance.few_rays]
+    assert (list(few.rays), list(few.rank_rms_irradiance)) == ([3], [4])
+    assert few.rms_irradiance_W_mm2.iloc[0] > by_irradiance.rms_irradiance_W_mm2.iloc[0]
+    table = report.table(0.0)
+    assert (table.rank_power[table.kind == "direct"] == 0).all()
+    assert sorted(table.rank_power[table.kind != "direct"]) == [1, 2, 3, 4]
+    s = report.summary(10.0)
+    assert s.stray_W.value == pytest.approx(2e-4 + 1e-4 + 3e-6 + 1e-9)
+    assert s.stray_W.value == pytest.approx(sum(part.value for part in s.stray_of_kind_W.values()))
+    assert s.direct.power_W.value == pytest.approx(3.0, rel=1e-12)
+    assert s.ghost_to_signal.value == pytest.approx(s.stray_W.value / 3.0)
+    assert list(s.paths_of_kind) == ["direct", *STRAY_KINDS]
+    counts = {kind: count for kind, count in s.paths_of_kind.items() if count}
+    assert (s.paths, counts) == (5, {"direct": 1, "ghost": 2, "structure": 2})
+    assert s.brightest == report.top(10.0, 1).path_id.iloc[0]
+    outside = report.summary(20.0)  # of the field: there is no signal
+    assert outside.direct.power_W.value == 0
+    assert math.isnan(outside.ghost_to_signal.value)
+    assert outside.stray_to_nominal.value == pytest.approx(outside.stray_W.value / 3.0)
+
+
+def test_maps_add_to_the_whole(report):
+    (direct,), stray, light = report[10.0].each_map([[0]], [True]), report.stray_light(10.0), report[10.0].light
+    np.testing.assert_allclose(direct.value + stray.value, light.value, rtol=1e-12)
+    np.testing.assert_allclose(direct.weights + stray.weights, light.weights, rtol=1e-9, atol=1e-9)
+    # Paths of one trace share start rays: the squares of the errors add where only one of the two has light
+    apart = (direct.value == 0) | (stray.value == 0)
+    whole, own, others = (np.square(one.apart).sum(axis=-1) for one in (light, direct, stray))
+    np.testing.assert_allclose((own + others)[apart], whole[apart], rtol=1e-9)
+    value, se = report.stray_map(10.0)
+    assert np.all((se > 0) | np.isnan(se) | (value == 0))
+    np.testing.assert_array_equal(np.isnan(se), stray.few_rays)
+    parts = [report.map(10.0, path_id)[0] for path_id in report.top(10.0, 4).path_id]
+    np.testing.assert_allclose(np.sum(parts, axis=0), value, rtol=1e-12)
+    with pytest.raises(MistrayError, match="path 0 is not among the worst 4 of field 10 deg"):
+        report.map(10.0, 0)
+    assert list(report) == [0.0, 10.0, 20.0]
+    assert (len(report), report.get(7)) == (3, None)
+    with pytest.raises(MistrayError, match="field 7 deg was not traced"):
+        report.table(7.0)
+    # The peak is that of the stray map over that of the nominal image, of the field on axis or of its own trace
+    for found in (report, fake.ghosts_of(fake.trace_at(10.0), nominal=fake.trace_at(0.0))):
+        image, se = found.stray_map(10.0)
+        numbers = found.stray_statistics(10.0)
+        assert (numbers.maximum, numbers.maximum_se) == (image.max(), se.flat[np.argmax(image)])
+        assert numbers.incident_rays == 903
+        nominal, _ = found.nominal_trace.irradiance_of([0])
+        assert found.peak_to_nominal(10.0).value == pytest.approx(image.max() / nominal.max())
+
+
+def test_on_axis_field_is_traced_for_the_yardstick(monkeypatch):
+    """Before the others, as an interrupt then leaves a report, with their spectrum and without stray light."""
+    traced = []
+
+    def trace(scene, field_deg=None, progress=None, **settings):
+        traced.append({"field_deg": field_deg, **settings})
+        if progress:
+            progress(500, 1000)
+            progress(1000, 1000)
+        return fake.trace_at(4.0 if field_deg is None else field_deg)
+
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.field_traces"), "trace", trace)
+    monkeypatch.setattr("mistray.toolkit.analysis.require_scene", lambda *_: None)
+    spectrum = {"wavelength_nm": (450.0, 550.0), "weights": (1.0, 2.0), "polarization": "stokes"}
+    seen = []
+    report = ghosts("scene", field_deg=[5.0, 20.0], rays=1000, seed=7, progress=lambda *at: seen.append(at), **spectrum)
+    assert [call["field_deg"] for call in traced] == [0.0, 5.0, 20.0]
+    assert traced[0]["max_reflections"] == traced[0]["max_scatters"] == 0
+    assert spectrum.items() <= traced[0].items()
+    assert traced[1] == {"field_deg": 5.0, "rays": 1000, "seed": 7, **spectrum}
+    assert list(report) == [5.0, 20.0]
+    assert seen[-2:] == [(1.5, 2), (2.0, 2)]
+    traced.clear()
+    report = ghosts("scene", field_deg=[0, 5, 5.0])
+    assert [call["field_deg"] for call in traced] == [0.0, 5.0]
+    assert report.nominal_trace is report[0.0]
+    assert list(ghosts("scene", field_deg=0.0)) == [0.0]
+    assert list(ghosts("scene")) == [4.0]  # the source's own
+    traced.clear()
+    for given, words in (
+        ({"max_bounces": 3}, "there is no argument 'max_bounces'"),
+        ({"field_deg": []}, "field_deg is empty"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            ghosts("scene", **given)
+    assert traced == []
+
+
+@pytest.fixture
+def colours():
+    return fake.ghosts_of(*map(fake.trace_in_colours, (0.0, 10.0)))
+
+
+def test_a_path_occurs_once_for_all_wavelengths(colours):
+    """Its spectrum has its lines, its map their light; the ghost off the window lacks 450 nm."""
+    assert colours.wavelengths_nm == [450.0, 550.0, 650.0]
+    assert [colours.weight(wavelength) for wavelength in colours.wavelengths_nm] == [0.25, 0.5, 0.25]
+    table = colours.table(10.0)
+    assert (len(table), len(colours.table(10.0, per_wavelength=True))) == (5, 5 * 3 - 1)
+    assert table.power_W.sum() == pytest.approx(colours[10.0].energy.detected_W, rel=1e-12)
+    lens, window = (table[table.ghost_2 == name].iloc[0] for name in ("L1_rear", "window_rear"))
+    assert lens.power_W == pytest.approx(1e-4)
+    spectrum = colours.spectrum(10.0, lens.path_id)
+    assert list(spectrum.wavelength_nm) == [450.0, 550.0, 650.0]
+    assert spectrum.power_W.sum() == pytest.approx(lens.power_W)
+    assert sorted(spectrum.path_id) == sorted(lens.path_ids)
+    assert list(colours.spectrum(10.0, window.path_id).wavelength_nm) == [550.0, 650.0]
+    worst = colours.top(10.0, 1).iloc[0]
+    whole = colours[10.0].irradiance_of(worst.path_ids)
+    np.testing.assert_allclose(colours.map(10.0, worst.path_id), whole, rtol=1e-12)
+    fake, rays = colours[10.0].fakes[worst.path_id], colours.rays_of(10.0, worst.path_id)
+    assert rays[0][-1, :2] == pytest.approx((fake.x, fake.y))
+    assert colours.rays_of(10.0, worst.path_id) is rays
+
+
+def test_one_wavelength_is_normalised_to_the_image_at_it(colours):
+    rows = colours.table(10.0, per_wavelength=True)
+    row = rows[(rows.wavelength_nm == 650.0) & (rows.ghost_2 == "L1_rear")].iloc[0]
+    nominal = colours.nominal_at(650.0)
+    assert nominal.power_W.value == pytest.approx(0.25 * 3.0)
+    expected = row.rms_irradiance_W_mm2 / nominal.rms_irradiance_W_mm2.value
+    assert row.normalised_rms_irradiance == pytest.approx(expected, rel=1e-12)
+    assert sorted(rows.rank_power[(rows.wavelength_nm == 450.0) & (rows.kind != "direct")]) == [1, 2, 3]
+    for ask in (colours.nominal_at, colours.weight, lambda nm: colours.summary(0.0, nm)):
+        with pytest.raises(MistrayError, match="500 nm was not traced"):
+            ask(500.0)
+    whole = colours.summary(10.0)
+    parts = [colours.summary(10.0, wavelength) for wavelength in colours.wavelengths_nm]
+    assert [part.paths for part in parts] == [4, 5, 5]
+    assert sum(part.stray_W.value for part in parts) == pytest.approx(whole.stray_W.value)
+    assert math.sqrt(sum(part.stray_W.se**2 for part in parts)) == pytest.approx(whole.stray_W.se)
+    assert sum(part.map.flux_W for part in parts) == pytest.approx(whole.map.flux_W)
+    assert sum(part.direct.power_W.value for part in parts) == pytest.approx(3.0)
+    t = colours[10.0]
+    maps = spectral_maps(t)
+    np.testing.assert_array_equal(maps.wavelengths_nm, [450.0, 550.0, 650.0])
+    np.testing.assert_allclose((maps.direct + maps.stray).sum(axis=0), t.irradiance, rtol=1e-12)
+    np.testing.assert_allclose(maps.direct[2] + maps.stray[2], t.irradiance_at(650.0)[0], rtol=1e-12)
+    np.testing.assert_allclose(maps.stray.sum(axis=0), colours.stray_map(10.0)[0], rtol=1e-12)
+
+
+def test_watts_are_absorbed_or_incident() -> None:
+    """Of a detector that reflects R everywhere: absorbed = (1 - R) incident, by sums, tables and single rays."""
+    scene = mistray.load("singlet_window_detector")
+    reflectance = float(mi.traverse(scene)["detector.bsdf.R"][0])
+    assert reflectance > 0.01
+    report = mistray.ghosts(scene, field_deg=[0.0], rays=1000, max_reflections=1)
+    s, t = report.summary(0.0), report[0.0]
+    for absorbed, incident in ((s.direct.power_W, s.direct_incident_W), (s.stray_W, s.stray_incident_W)):
+        assert absorbed.value == pytest.approx((1 - reflectance) * incident.value, rel=1e-5)
+        assert absorbed.se == pytest.approx((1 - reflectance) * incident.se, rel=1e-5)
+    arriving = t.rays(n=None).flux_W.sum()
+    assert arriving == pytest.approx(s.direct_incident_W.value + s.stray_incident_W.value, rel=1e-5)
+    assert all(words in main_table(report) for words in ("[W absorbed]", "[W incident]"))

@@ -1,4 +1,4 @@
-"""What a ghost analysis comes to: the worst paths, the surface to change first, and several wavelengths."""
+"""What a ghost analysis comes to: the worst paths, the surface to change first, several wavelengths, Airy discs."""
 
 from __future__ import annotations
 
@@ -7,32 +7,40 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
+from analyses import fake_trace as fake
 from analyses.fake_scene import lens_scene
-from analyses.fake_trace import LENS, ROUND, WIDE, FakePath, FakeTrace, ghosts_of, paths_at, scatter_paths_at, trace_at
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z
 
 import mistray
+from mistray.analyses.ghosts import peaks
+from mistray.analyses.ghosts.airy import with_airy
+from mistray.analyses.ghosts.combine import by_path
+from mistray.analyses.ghosts.maps.path_maps import FieldMaps, PathMap
 from mistray.analyses.ghosts.page.answer import verdict
 from mistray.analyses.ghosts.page.record import record
+from mistray.analyses.ghosts.peaks import with_peaks
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.run import ghosts
-from mistray.analyses.ghosts.tables.ghosts import CONTESTED, main_table
-from mistray.analyses.ghosts.tables.ghosts_csv import summary_frame
+from mistray.analyses.ghosts.tables.ghosts import AIRY_TEXT, CONTESTED, main_table
+from mistray.analyses.ghosts.tables.ghosts_csv import path_table, summary_frame
 from mistray.analyses.ghosts.verdict import brightest_field, most_stray, remedy, shares_of_kinds, worst_of_all_fields
-from mistray.errors import Interrupted
+from mistray.errors import Interrupted, MistrayError
 from mistray.metrics.ranking import bounds
 from mistray.prescription import Detector, Prescription, Source, Surface
+from mistray.toolkit.irradiance import log10_image, log_range, mirror_asymmetry, pixel_size, statistics
+from mistray.trace.sampled_hits import LightCone
 
 
 def report_of(paths_by_field, rank="rms"):
-    traces = {field: FakeTrace(paths, field) for field, paths in paths_by_field.items()}
-    return GhostReport(lens_scene(), traces, traces.get(0.0, trace_at(0.0)), {}, rank)
+    traces = {field: fake.FakeTrace(paths, field) for field, paths in paths_by_field.items()}
+    return GhostReport(lens_scene(), traces, traces.get(0.0, fake.trace_at(0.0)), {}, rank)
 
 
 def test_worst_paths_stand_once_at_their_worst_field():
-    report = report_of({field: paths_at(field) for field in (0.0, 10.0, 20.0)})
+    report = report_of({field: fake.paths_at(field) for field in (0.0, 10.0, 20.0)})
     worst = worst_of_all_fields(report)
     assert len({path.label for path in worst}) == len(worst) == 4
     assert worst[0].label == "detector → L1_rear"
@@ -40,33 +48,34 @@ def test_worst_paths_stand_once_at_their_worst_field():
     values = {field: bounds(report.top(field, 1, "rms"))[0, 0] for field in report}
     assert worst[0].field_deg == max(values, key=values.get)
     assert worst[-1].few_rays  # three rays in a point have the highest irradiance
-    powers = [path.power_W.value for path in worst_of_all_fields(report_of({0.0: paths_at(0.0)}, "power"), 3)]
+    powers = [path.power_W.value for path in worst_of_all_fields(report_of({0.0: fake.paths_at(0.0)}, "power"), 3)]
     assert powers == sorted(powers, reverse=True)
     assert powers[0] == pytest.approx(2e-4)
-    report = report_of({0.0: scatter_paths_at(0.0)})
+    report = report_of({0.0: fake.scatter_paths_at(0.0)})
     shares = shares_of_kinds(report, 0.0)
     assert sum(share.value for share in shares.values()) == pytest.approx(100)
     assert list(shares.values()) == sorted(shares.values(), reverse=True)
-    (alone,) = shares_of_kinds(report_of({0.0: [FakePath(f"stop_wall:R {LENS} detector:A", 1e-3, 99)]}), 0.0).values()
+    straight = fake.FakePath(f"stop_wall:R {fake.LENS} detector:A", 1e-3, 99)
+    (alone,) = shares_of_kinds(report_of({0.0: [straight]}), 0.0).values()
     assert (alone.value, alone.se) == pytest.approx((100, 0), abs=1e-9)
 
 
 def test_a_field_without_stray_light_is_left_with_none():
     """The remedy is not the detector, at which all ghosts of the fake trace turn; a dark one needs none."""
-    dark = [FakePath(f"{LENS} detector:A", 1.0, 99)]
-    found = remedy(report_of({0.0: paths_at(0.0), 10.0: dark, 20.0: []}))
+    dark = [fake.FakePath(f"{fake.LENS} detector:A", 1.0, 99)]
+    found = remedy(report_of({0.0: fake.paths_at(0.0), 10.0: dark, 20.0: []}))
     assert found.surface == "window_rear"
     assert found.left_W[0.0].value > 0 == found.left_W[10.0].value == found.left_W[20.0].value
     report = report_of({0.0: []})
     assert (worst_of_all_fields(report), most_stray(report), remedy(report)) == ([], None, None)
     assert verdict(report) == ["No stray path reaches the detector."]
     # The surface to change: most of the light of field 20 has one cause, and a ghost off the lens is left
-    ghost, direct = FakePath(ROUND, 1e-4, 400), FakePath(DIRECT, 3.0, 1000)
+    ghost, direct = fake.FakePath(fake.ROUND, 1e-4, 400), fake.FakePath(DIRECT, 3.0, 1000)
     for events, deed in (
-        (f"{LENS} detector:R window_rear:R L1_front:T L1_rear:T detector:A", "reflects"),
+        (f"{fake.LENS} detector:R window_rear:R L1_front:T L1_rear:T detector:A", "reflects"),
         ("window_front:T window_rear:t L1_front:T L1_rear:T detector:A", "scatters"),
     ):
-        found = remedy(report_of({0.0: [direct, ghost], 20.0: [ghost, FakePath(events, 9e-4, 500)]}))
+        found = remedy(report_of({0.0: [direct, ghost], 20.0: [ghost, fake.FakePath(events, 9e-4, 500)]}))
         assert (found.surface, found.deed, found.field_deg) == ("window_rear", deed, 20.0)
         assert found.percent.value == pytest.approx(90)
         assert {field: left.value for field, left in found.left_W.items()} == pytest.approx({0.0: 1e-4, 20.0: 1e-4})
@@ -105,18 +114,18 @@ def test_what_is_left_without_a_surface_is_left_without_it(load_scene):
     assert np.isfinite([left.se for left in found.left_W.values()]).all()
 
 
-DIRECT = f"{LENS} detector:A"
+DIRECT = f"{fake.LENS} detector:A"
 CLOSE = 10.0  # field, degrees
 
 
 def lens_trace(field_deg, rays, rival):
     """A field whose ghosts have so many rays, and a second one of `rival` of the irradiance of the first."""
     paths = [
-        FakePath(DIRECT, 3.0, rays, radius=0.02),
-        FakePath(ROUND, 1e-4, rays, y=0.5, radius=0.05),
-        FakePath(WIDE, rival * 1e-4, rays, y=-0.5, radius=0.05),
+        fake.FakePath(DIRECT, 3.0, rays, radius=0.02),
+        fake.FakePath(fake.ROUND, 1e-4, rays, y=0.5, radius=0.05),
+        fake.FakePath(fake.WIDE, rival * 1e-4, rays, y=-0.5, radius=0.05),
     ]
-    t = FakeTrace(paths, field_deg)
+    t = fake.FakeTrace(paths, field_deg)
     t.settings = t.settings | {"rays": rays}
     return t
 
@@ -148,7 +157,7 @@ def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced, monk
     assert report[10.0].settings["rays"] == 6400
     assert list(report) == [0.0, 10.0]
     assert report.rivals(10.0).empty
-    assert report.top(10.0, 1).events.iloc[0] == ROUND
+    assert report.top(10.0, 1).events.iloc[0] == fake.ROUND
     traced.clear()  # several sources may each have an angle of their own, which stays
     assert ghosts(lens_scene(), rays=100).traced_again == (10.0,)
     assert traced == [(None, 100), (0.0, 100), (None, 400)]
@@ -187,7 +196,7 @@ def test_what_is_told(traced):
     """Of rays: those of each field. Of what is still contested: a mark, a warning that names the path, a column."""
     report = ghosts(lens_scene(), [0.0, 10.0], rays=100)
     rival = report.rivals(10.0)
-    assert list(rival.events) == [WIDE]
+    assert list(rival.events) == [fake.WIDE]
     assert list(summary_frame(report).rays) == [100, 400]
     told = record(report)
     assert [field["rays"] for field in told["fields"]] == [100, 400]
@@ -195,8 +204,8 @@ def test_what_is_told(traced):
     assert f"{rival.path_id.iloc[0]} {CONTESTED}" in main_table(report)
     assert any("is open" in text and f"path {rival.path_id.iloc[0]} " in text for text in report.notes)
     # The worst of all fields are contested by the first of all
-    first, other = lens_trace(0.0, 400, 0.01), FakeTrace([FakePath(WIDE, 1e-4, 100, radius=0.05)], 10.0)
-    report = ghosts_of(first, other)
+    first, other = lens_trace(0.0, 400, 0.01), fake.FakeTrace([fake.FakePath(fake.WIDE, 1e-4, 100, radius=0.05)], 10.0)
+    report = fake.ghosts_of(first, other)
     assert report.rivals(0.0).empty
     assert report.rivals(10.0).empty
     worst = worst_of_all_fields(report)
@@ -311,3 +320,256 @@ def test_standard_errors_of_the_ghost_of_all_lines(scene):
         errors = np.array([getattr(row, error) for row in rows])
         chi2 = float(np.sum(((values - values.mean()) / errors) ** 2))
         assert 9.5 < chi2 < 100, f"{value}: χ² = {chi2:.1f} for 39 degrees of freedom"
+
+
+@pytest.mark.parametrize("rank", fake.ORDERS)
+def test_each_rank_has_its_order(rank):
+    assert tuple(fake.ranked_report().top(0.0, rank=rank).events) == fake.ORDERS[rank]
+    report = fake.ranked_report(rank)
+    assert tuple(report.top(0.0).events) == fake.ORDERS[rank]
+    for count in (0, 1, 2, 9):  # every list has the strongest path
+        events = list(report.listed(0.0, count).events)
+        assert tuple(events[:count]) == fake.ORDERS[rank][:count]
+        assert events.count(fake.WIDE) == min(count, 1)
+        assert len(events) <= count + 1
+
+
+def test_a_peak_is_the_brightest_pixel_of_all_wavelengths():
+    """The wide disc covers 628 pixels of 318 rays each: 3.8 σ of the brightest is 21 %, whose spread is below 10 %."""
+    report = fake.ranked_report("peak")
+    table = report.table(0.0).set_index("events")
+    for events, peak in (
+        (fake.WIDE, 1e-3 / (math.pi * 0.5)),
+        (fake.ROUND, 2e-4 / (math.pi * 0.04)),
+        (fake.TWIN, 1e-4 / (math.pi * 0.01)),
+    ):
+        image, se = report[0.0].irradiance_of(table.path_ids[events])
+        at = np.unravel_index(np.argmax(image), image.shape)
+        assert table.peak_W_mm2[events] == image[at]
+        assert table.peak_se_W_mm2[events] == se[at]
+        assert 1.0 < table.peak_W_mm2[events] / peak < 1.4
+    assert table.rank_peak[table.kind == "direct"].tolist() == [0]
+    for call in (fake.ranked_report, lambda name: fake.ranked_report().top(0.0, rank=name)):
+        with pytest.raises(MistrayError, match=r"'rms_irradiance'.*rms, power, peak"):
+            call("rms_irradiance")
+
+
+def test_maps_that_do_not_fit_come_from_several_runs(monkeypatch):
+    report = fake.ranked_report()
+    whole = with_peaks(report.table(0.0), report[0.0])
+    monkeypatch.setattr(peaks, "MAP_BYTES", 1.0)  # room for one path
+    single = with_peaks(report.table(0.0), report[0.0])
+    for column in ("peak_W_mm2", "peak_se_W_mm2", "rank_peak"):
+        np.testing.assert_array_equal(single[column], whole[column])
+    monkeypatch.setattr(peaks, "SURE", 1)
+    found = with_peaks(report.table(0.0), report[0.0])
+    assert found.peak_W_mm2.notna().tolist() == [True, False, False, False]
+    assert found.rank_peak.tolist() == [0, 1, 2, 3]  # by power, as nothing else is known
+
+
+EVENTS = f"{fake.LENS} detector:A"
+# share of the power, x and radius of the disc in mm, at 450, 550, 650 nm
+DISCS = {450.0: (1.0, -0.05, 0.08), 550.0: (3.0, 0.0, 0.1), 650.0: (2.0, 0.12, 0.14)}
+
+
+def made(*more):
+    lines = [
+        fake.FakePath(EVENTS, share, 500, x, 0.02, radius, wavelength=nm) for nm, (share, x, radius) in DISCS.items()
+    ]
+    return fake.FakeTrace([*lines, *more], shares=dict.fromkeys(DISCS, 1 / 3))
+
+
+def test_numbers_are_those_of_all_rays_together():
+    trace = made()
+    points = np.concatenate([path.points for path in trace.fakes])
+    weights = np.concatenate([np.full(path.rays, path.power / path.rays) for path in trace.fakes])
+    centre = np.average(points, axis=0, weights=weights)
+    radius = math.sqrt(np.average(np.sum((points - centre) ** 2, axis=1), weights=weights))
+    rows = trace.paths.by_way()
+    (got,) = by_path(rows, trace.paths).itertuples()
+    assert got.power_W == pytest.approx(6.0, rel=1e-12)
+    assert got.power_se_W == pytest.approx(float(np.linalg.norm(rows.power_se_W)), rel=1e-12)  # of independent rays
+    assert got.incident_W == pytest.approx(6.0 / fake.DETECTOR_ABSORBS, rel=1e-12)
+    assert (got.percent, got.percent_se) == (pytest.approx(100.0, rel=1e-12), pytest.approx(0.0, abs=1e-9))
+    assert got.rays == 1500
+    assert (got.x_mm, got.y_mm) == pytest.approx(tuple(centre), rel=1e-9)
+    assert got.rms_radius_mm == pytest.approx(radius, rel=1e-9)
+    assert got.rms_irradiance_W_mm2 == pytest.approx(6.0 / (math.pi * radius**2), rel=1e-9)
+    assert got.wavelength_nm == pytest.approx((450 + 3 * 550 + 2 * 650) / 6, rel=1e-12)
+    assert math.isnan(got.polarization)
+    one = rows[rows.wavelength_nm == 550.0].reset_index(drop=True)
+    pd.testing.assert_frame_equal(by_path(one, trace.paths), one)
+    assert len(by_path(one.iloc[:0], trace.paths)) == 0
+    rows = made(fake.FakePath(fake.ROUND, 0.1, 1, wavelength=550.0)).paths.by_way()
+    row = rows[rows.events == fake.ROUND].iloc[0]
+    assert (row.rms_radius_mm, row.effective_rays, row.error_rays) == pytest.approx((0, 1, 1))
+    assert row.few_rays
+    assert all(math.isnan(row[name]) for name in ("rms_irradiance_W_mm2", "rms_radius_se_mm", "power_se_W"))
+
+    # A path of three weak lines is stronger than another of one strong line; the shares of both have one error
+    for power, ids in ((0.5, [(0, 1, 2), (3,)]), (3.5, [(1, 2, 3), (0,)])):
+        t = made(fake.FakePath(fake.ROUND, power, 100, wavelength=550.0))
+        rows = t.paths.by_way()
+        table = by_path(rows, t.paths)
+        assert list(table.events) == [EVENTS, fake.ROUND]
+        assert [tuple(sorted(one)) for one in table.path_ids] == ids
+        assert table.power_W.tolist() == pytest.approx([6.0, power])
+        assert table.percent.sum() == pytest.approx(100.0, rel=1e-12)
+        assert table.percent_se.iloc[0] == pytest.approx(table.percent_se.iloc[1], rel=1e-9)
+        assert dict(table.dtypes) == dict(rows.dtypes)
+
+
+def spot(shape: tuple[int, int], rows: slice, columns: slice) -> np.ndarray:
+    power = np.zeros(shape)
+    power[rows, columns] = 0.1 + np.random.default_rng(3).random(power[rows, columns].shape)
+    return power
+
+
+def test_cells_are_as_small_as_they_may_be():
+    """97 pixels from an odd one on touch 49 cells of two, one too many; darkness has none; a grid has the largest."""
+    for shape, rows, columns, pixels in (
+        ((512, 512), slice(200, 230), slice(7, 90), 1),  # 83 columns: full resolution
+        ((512, 512), slice(0, 97), slice(0, 96), 2),
+        ((512, 512), slice(0, 512), slice(0, 512), 8),  # 512/96 = 5.3
+        ((500, 300), slice(1, 499), slice(0, 300), 8),  # cells reach beyond the edge
+        ((60, 80), slice(59, 60), slice(79, 80), 1),
+    ):
+        power = spot(shape, rows, columns)
+        found = PathMap.of(power, 96)
+        assert found.pixels == pixels
+        assert max(found.power_W.shape) <= 96
+        assert found.power_W.sum() == pytest.approx(power.sum(), rel=1e-13)
+        assert found.row * pixels <= rows.start < (found.row + 1) * pixels
+        assert found.column * pixels <= columns.start < (found.column + 1) * pixels
+    assert PathMap.of(spot((512, 512), slice(1, 98), slice(0, 1)), 48).pixels == 4
+    dark = PathMap.of(np.zeros((5, 6)), 96)
+    assert (dark.pixels, dark.power_W.shape, dark.within((0, 6), (0, 5))) == (1, (0, 0), 0)
+    small, large = PathMap.of(spot((512, 512), slice(3, 5), slice(3, 5)), 96), PathMap.of(np.ones((512, 512)), 96)
+    assert FieldMaps(large, large, {0: small}, small, {}).grid == 1
+    assert FieldMaps(small, small, {0: small, 1: large}, small, {}).grid == 8
+    rng = np.random.default_rng(5)
+    power = spot((500, 300), slice(30, 480), slice(11, 270))
+    found = PathMap.of(power, 64)
+    assert found.pixels == 8
+    for _ in range(50):
+        c0, c1 = sorted(rng.choice(np.arange(0, 305, 8), 2, replace=False))
+        r0, r1 = sorted(rng.choice(np.arange(0, 505, 8), 2, replace=False))
+        expected = power[r0:r1, c0:c1].sum()
+        assert found.within((c0, c1), (r0, r1)) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+
+
+EXTENT = (-2.0, 2.0, -1.5, 1.5)
+
+
+@pytest.fixture
+def noisy():
+    counts = np.random.default_rng(3).poisson(50, (60, 80)).astype(float)
+    return counts, np.sqrt(counts)
+
+
+def test_statistics_asymmetry_and_range_of_a_map(noisy):
+    image, se = noisy
+    got = statistics(image, se, EXTENT, incident_rays=1234)
+    assert (got.minimum, got.maximum, got.mean) == (image.min(), image.max(), image.mean())
+    assert got.rms == pytest.approx(np.linalg.norm(image) / np.sqrt(image.size), rel=1e-12)
+    assert got.flux_W == pytest.approx(image.sum() * 0.05**2, rel=1e-12)
+    assert got.maximum_se == se.flat[np.argmax(image)]
+    assert got.incident_rays == 1234
+    assert pixel_size(np.zeros((3, 8)), EXTENT) == (0.5, 1.0)
+    measured, expected = mirror_asymmetry(*noisy)
+    # 2400 independent pairs: the mean of |N| has a relative error of 0.76/sqrt(2400) = 1.5 %
+    assert measured == pytest.approx(expected, rel=4 * 0.0155)
+    noisy[0][:, :40] *= 1.5  # lopsided
+    measured, expected = mirror_asymmetry(*noisy)
+    assert measured > 1.5 * expected
+    assert np.isnan(mirror_asymmetry(np.zeros((2, 2)), np.zeros((2, 2)))).all()
+
+    for width in (4, 5):  # a symmetric map
+        row = np.minimum(np.arange(width), np.arange(width)[::-1]) + 1.0
+        measured, expected = mirror_asymmetry(np.tile(row, (3, 1)), np.ones((3, width)))
+        assert measured == 0
+        assert expected == pytest.approx(2 / np.sqrt(np.pi) * (width - width % 2) / (2 * row.sum()))
+    assert log_range([np.array([[2e-4, 3e-2]]), np.array([[0.0, 50.0]])], decades=12) == (-4.0, 2.0)
+    assert log_range([np.array([[1e-15, 50.0]])], decades=12) == (-10.0, 2.0)
+    assert log_range([np.array([[1.0, 1.0]])]) == (-1.0, 0.0)
+    assert log_range([np.zeros((2, 2))]) is None
+    assert log_range([]) is None
+    image = log10_image(np.array([[0.0, 1e-9], [1e-3, 100.0]]), floor=1e-6)
+    assert np.isnan(image[0]).all()
+    np.testing.assert_allclose(image[1], [-3.0, 2.0], rtol=1e-15)
+    with pytest.raises(MistrayError, match="floor is 0 W/mm²"):
+        log10_image(np.ones((2, 2)), 0.0)
+
+
+LAMBDA_MM, INDEX, RADIUS = 550e-6, 1.5, 10.0
+FOCUS = INDEX * RADIUS / (INDEX - 1)  # mm behind the vertex
+FIRST_ZERO = 3.8317059702075125  # of J1
+
+
+def ellipsoid(half: float, inner: float = 0.0) -> str:
+    """A surface into glass of conic constant -1/n² (Descartes), a detector at its focus, its middle covered or not."""
+    glass = interface_xml("air", f"{INDEX}", R=0.0, T=1.0)
+    shapes = [
+        shape_xml("asphere", "front", 0.0, glass, radius=RADIUS, conic=-1 / INDEX**2, semi_diameter=half),
+        shape_xml("asphere", "detector", FOCUS, interface_xml(f"{INDEX}", R=0.0), sensor=True, semi_diameter=1.0),
+    ]
+    if inner:
+        shapes.append(shape_xml("asphere", "spot", -1.0, interface_xml(R=0.0), semi_diameter=inner))
+    return scene_text(*shapes, radius=half)
+
+
+def aperture(half: float, inner: float) -> float:
+    """√(2 <n² sin²u>) over an evenly lit annulus, by Gauss-Legendre over the squares of the heights."""
+    x, weight = np.polynomial.legendre.leggauss(40)
+    square = inner**2 + (half**2 - inner**2) * (x + 1) / 2
+    sag = square / RADIUS / (1 + np.sqrt(1 - (1 - 1 / INDEX**2) * square / RADIUS**2))
+    sine = square / (square + (FOCUS - sag) ** 2)
+    return float(INDEX * np.sqrt(2 * np.sum(weight * sine) / 2))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("half", "inner"), [(1.5, 0.0), (4.0, 2.0)])
+def test_airy_radius_of_a_perfect_focus_in_glass(load_scene, half: float, inner: float) -> None:
+    """The aperture is n sin u in the glass, within 4 errors (false alarm 6e-5 each) of below 3 %; P/(π r²) follows."""
+    report = mistray.ghosts(load_scene(ellipsoid(half, inner)), [0.0], rays=4000, seed=1)
+    table = report.table(0.0)
+    (cone,) = report[0.0].light_cones(list(table.path_id)).values()
+    exact = aperture(half, inner)
+    assert cone.aperture_se < 0.03 * exact
+    assert abs(cone.aperture - exact) < 4 * cone.aperture_se
+    row = report.with_airy(0.0, table).iloc[0]
+    expected = FIRST_ZERO / (2 * math.pi) * LAMBDA_MM / exact
+    assert row.rms_radius_mm < 0.05 * expected  # the raw value stays
+    assert row.airy_radius_mm == pytest.approx(expected, abs=4 * row.airy_radius_se_mm)
+    assert row.airy_radius_se_mm / row.airy_radius_mm == pytest.approx(cone.aperture_se / cone.aperture, rel=1e-9)
+    assert row.airy_irradiance_W_mm2 == pytest.approx(row.power_W / (math.pi * row.airy_radius_mm**2), rel=1e-12)
+    assert row.airy_irradiance_W_mm2 < row.rms_irradiance_W_mm2
+    assert list(path_table(report).airy_radius_mm) == [row.airy_radius_mm]
+
+
+def test_only_radii_below_the_floor_of_a_known_cone_have_one() -> None:
+    """Of F/4: 1.22 λN = 2.684 µm; half of it at half of the wavelength. Then cones of few or parallel rays, none."""
+    lines, radii = [550, 550, 275, 275, 550, 550, 550], [2.6e-3, 2.7e-3, 1.3e-3, 1.4e-3, 1e-4, 1e-4, 1e-4]
+    table = pd.DataFrame({"path_id": range(7), "wavelength_nm": lines, "rms_radius_mm": radii})
+    cones = dict.fromkeys(range(4), LightCone(0.125, 0.0025, 99))
+    cones |= {4: LightCone(0.125, 0.01, 9), 5: LightCone(0.0, 0.0, 99)}
+    found = with_airy(table.assign(power_W=2.0, power_se_W=0.1), cones)
+    assert list(found.airy_radius_mm[[0, 2]]) == pytest.approx([2.683274e-3, 1.341637e-3], rel=1e-6)
+    names = [name for name in found if str(name).startswith("airy")]
+    assert len(names) == 4
+    assert found[names].isna().all(axis=1).tolist() == [False, True, False, True, True, True, True]
+    row = found.iloc[0]  # errors of cone and power add up
+    assert row.airy_radius_se_mm == pytest.approx(0.02 * row.airy_radius_mm)
+    assert row.airy_irradiance_se_W_mm2 == pytest.approx(math.hypot(0.05, 0.04) * row.airy_irradiance_W_mm2)
+
+
+@pytest.mark.long
+def test_where_it_is_told() -> None:
+    report = mistray.ghosts(mistray.load("phone_camera"), [10.0], rays=50_000, contested_rays=0, seed=2)
+    listed = report.with_airy(10.0, report.listed(10.0, 4))
+    floored = listed[listed.airy_radius_mm.notna()]
+    assert 0 < len(floored) < len(listed)
+    assert floored.label.str.contains("stop_front").all()
+    assert AIRY_TEXT in main_table(report)
+    paths = record(report)["fields"][0]["worst_paths"]
+    assert [path["airy_radius_mm"] is not None for path in paths] == list(listed.airy_radius_mm.notna())

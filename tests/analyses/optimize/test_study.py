@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from refusals import refused
 
 import mistray
 from mistray.analyses.optimize.study.study_scene import band, place
@@ -222,10 +223,8 @@ class TestRefusals:
         ],
     )
     def test_one_line_with_key_and_remedy(self, place: str, value: Any, message: str) -> None:
-        with pytest.raises(MistrayError, match=message) as caught:
+        with refused(f"^study: .*{message}"):
             read_study(changed(place, value))
-        assert "\n" not in str(caught.value)
-        assert str(caught.value).startswith("study: ")
 
     def test_files_and_what_may_not_change(self, tmp_path: Path) -> None:
         study, file = changed("term", GOOD["term"][:1]), tmp_path / "study.toml"

@@ -16,21 +16,12 @@ import pytest
 from analyses.fake_pst import FACTS, fake_pst
 from matplotlib.collections import QuadMesh
 
-from mistray.analyses.pst import causes
+from mistray.analyses.pst import causes, tables
 from mistray.analyses.pst.causes import breaks, cause_frame, field_edge, main_cause, stray_paths
 from mistray.analyses.pst.figures import pst_causes, pst_curve, pst_irradiance, pst_map
 from mistray.analyses.pst.page import pst_report, write_pst
 from mistray.analyses.pst.result import CLASSES, Pst
 from mistray.analyses.pst.state import PstProgress
-from mistray.analyses.pst.tables import (
-    cell_frame,
-    curve_frame,
-    curve_text,
-    path_frame,
-    pst_record,
-    pst_text,
-    top_paths_text,
-)
 from mistray.errors import MistrayError
 from mistray.files.saved_state import load_state, require_same, save_state
 from mistray.recorders.directions import DirectionGrid
@@ -229,7 +220,7 @@ def rows(text: str) -> list[list[str]]:
 
 
 def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> None:
-    frame = curve_frame(pst)
+    frame = tables.curve_frame(pst)
     batches = pst.by_batch[:, :, 0]  # (c, n, b)
     total, stray = batches.sum(axis=0), batches[1:].sum(axis=0)
     np.testing.assert_allclose(frame.pst_total, total.mean(axis=-1), rtol=1e-12)
@@ -239,7 +230,7 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> No
     assert list(frame.largest_share[[0, 40]]) == [0.002, 0.31]
     assert list(frame.angle_from_deg[:2]) == [0.0, 1.0]
     low, high = np.radians(pst.grid.edges_deg).T
-    ratio = curve_frame(pst.to("projected")).pst_total / frame.pst_total
+    ratio = tables.curve_frame(pst.to("projected")).pst_total / frame.pst_total
     np.testing.assert_allclose(ratio, 2 / (np.cos(low) + np.cos(high)), rtol=1e-12)
     # The edge of the field is where direct light is half
     edge = field_edge(fake_pst(field_deg=np.arange(0, 40, 0.5), noise=1e-3))
@@ -250,11 +241,11 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> No
     (noisy,) = fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]).notes
     assert re.match("standard error up to .* at 70, 80°", noisy)
     assert "angles from" in fake_pst(noise=1.0, notes=[]).notes[0]
-    cells = cell_frame(around)
+    cells = tables.cell_frame(around)
     means = cells.pst_total.to_numpy().reshape(3, 4).mean(axis=1)
-    np.testing.assert_allclose(means, curve_frame(around).pst_total, rtol=1e-12)
+    np.testing.assert_allclose(means, tables.curve_frame(around).pst_total, rtol=1e-12)
     assert set(cells.largest_share) == {0.002}
-    frame = path_frame(around)
+    frame = tables.path_frame(around)
     of_cells = frame.groupby(["angle_deg", "azimuth_deg"])
     assert len(of_cells) == 12
     for _, part in of_cells:
@@ -272,7 +263,7 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> No
 
 
 def test_curve_text_has_the_numbers_with_their_errors(pst: Pst) -> None:
-    text = curve_text(pst)
+    text = tables.curve_text(pst)
     table = rows(text)
     assert len(table) == 41
     angle, total, stray, *classes, share = table[20]
@@ -283,25 +274,25 @@ def test_curve_text_has_the_numbers_with_their_errors(pst: Pst) -> None:
     assert classes[0] == "–"  # no direct light there
     assert float(share) == 0.2
     assert stray_paths(pst, 44.0).label.isin(["straight shot"]).sum() == 1
-    assert rows(curve_text(fake_pst(dark_from_deg=50)))[-1][:-1] == ["80", *["–"] * 7]
+    assert rows(tables.curve_text(fake_pst(dark_from_deg=50)))[-1][:-1] == ["80", *["–"] * 7]
     expected = stray_paths(pst, 20.0, 2)
-    angle, first, share, second, second_share = rows(top_paths_text(pst, 2))[10]
+    angle, first, share, second, second_share = rows(tables.top_paths_text(pst, 2))[10]
     assert angle == "20"
     assert [first, second] == list(expected.label) == ["barrel_1 (structure)", "detector → L1_rear"]
     assert [float(share), float(second_share)] == pytest.approx(list(expected.percent_of_stray), rel=5e-3)
 
 
 def test_text(pst: Pst) -> None:
-    text = pst_text(pst)
+    text = tables.pst_text(pst)
     assert "edge of the field, half of the direct light at 0°, interpolated: 26.1°" in text
-    assert "Strongest stray paths" not in pst_text(fake_pst(paths=False))
-    assert "Strongest stray paths" not in pst_text(pst, 0)
+    assert "Strongest stray paths" not in tables.pst_text(fake_pst(paths=False))
+    assert "Strongest stray paths" not in tables.pst_text(pst, 0)
     breaks = rows(text[text.index("Breaks of the curve") : text.index("±: one standard error")])
     assert any("ghosts" in row[3] and "barrel_1 (reflects)" in row[4] for row in breaks if len(row) == 5)
     dark = fake_pst(dark_from_deg=0, notes=["PST is 0: it sees no opening"])
     assert dark.is_dark
-    assert "no stray light was seen" in pst_text(dark)
-    record = pst_record(dark)
+    assert "no stray light was seen" in tables.pst_text(dark)
+    record = tables.pst_record(dark)
     assert record["field_edge_deg"] is None
     assert all(row["pst_total"] == 0 for row in record["curve"])
     assert "it sees no opening" in html_page(pst_report(dark))
@@ -327,7 +318,7 @@ def test_files(around: Pst, tmp_path: Path) -> None:
     assert record["curve"][1]["pst_total"] == pytest.approx(around.value[1])
     assert [len(row["paths"]) for row in record["curve"]] == [3, 3, 3]
     assert (len(record["cells"]), record["facts"]["seed"]) == (12, 0)
-    assert "cells" not in pst_record(fake_pst(field_deg=(0, 20)))
+    assert "cells" not in tables.pst_record(fake_pst(field_deg=(0, 20)))
     text = (written / "report.html").read_text(encoding="utf-8")
     html_pages.check(text)
     assert "a <b> & c" not in text
