@@ -123,9 +123,8 @@ class Trace:
         self.seconds = sum(run.sums.seconds for run in runs)
 
     def __getstate__(self) -> dict[str, Any]:
-        if self.has_paths:  # its table may be wanted where its runs cannot be made again
-            self.paths
-        return self.__dict__
+        # With the path table, since there are processes that cannot make the runs again
+        return self.__dict__ | ({"paths": self.paths} if self.has_paths else {})
 
     @property
     def notes(self) -> list[Note]:
