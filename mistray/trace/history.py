@@ -15,8 +15,8 @@ from mistray.kernel.launches import GOLDEN
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
+from mistray.trace.host.retrace import retrace
 from mistray.trace.paths import LocatedPaths, PathTable
-from mistray.trace.precise import retrace
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,7 +17,7 @@ import mistray
 from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 from mistray.recorders.branch_recorder import NODE_FLOATS
 from mistray.scatter.kinds import KINDS
-from mistray.trace.precise import retrace
+from mistray.trace.host.retrace import retrace
 
 ROOT = Path(__file__).parents[2]
 NUDGE = 1e-5
