@@ -45,6 +45,7 @@ PARTS = {
     "systems": ("systems", "a housing of triangles, freeforms and segments against lenses alone"),
     "sources": ("sources", "a point source against a collimated beam"),
     "start": ("start_up", "import, help, first ghost table with an empty and a filled kernel cache"),
+    "waiting": ("waiting", "small traces, moves of the explorer, first kernels, the PST of the Cassegrain"),
     "memory": ("memory", "largest memory"),
     "growth": ("growth", "growth with rays, surfaces, paths, layers and threads"),
 }

@@ -28,6 +28,8 @@ from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.physics import planck
 from mistray.physics.netd import netd_by_detectivity, netd_by_photons
+from mistray.sampling.warm.emissivity import emissivities
+from mistray.surfaces.surfaces import SurfaceTable
 
 pytestmark = pytest.mark.quick
 PER_M2 = 1e-6
@@ -338,6 +340,21 @@ def test_absorbing_medium(load: Load) -> None:
     assert slab.irradiance_W_mm2.se < 0.01 * expected
     assert_z("slab", slab.irradiance_W_mm2.value, expected, slab.irradiance_W_mm2.se, k=4.0, floor=4e-3 * expected)
     assert f"({medium})" in report.by_part()
+
+
+def test_emissivity_is_what_is_neither_reflected_nor_transmitted(load: Load) -> None:
+    sheets = {"dark": (0.1, 0.0), "half": (0.1, 0.5), "clear": (0.25, 0.75)}
+    scene = load(
+        detector_xml(R=0.3),
+        *(
+            placed_xml("asphere", name, interface_xml(R=R, T=T), at=(0, 0, -9 + k), semi_diameter=1.0)
+            for k, (name, (R, T)) in enumerate(sheets.items())
+        ),
+    )
+    table = SurfaceTable(scene, 1e4)
+    found = dict(zip(table.ids, emissivities(table, np.array([1.0, 0.2])), strict=True))
+    for name, (R, T) in {"detector": (0.3, 0.0), **sheets}.items():
+        np.testing.assert_allclose(found[name], 1 - R - T, rtol=0, atol=1e-6)
 
 
 def test_band_weights() -> None:
