@@ -117,9 +117,10 @@ class BackwardRun:
             return self._plan
         started = time.perf_counter()
         counts = cells_up_to(self._trace.grid, up_to_deg).ravel()
-        pilot = Pilot(self._trace, self._points, counts, needed is not None)
-        # For a fixed number of rays the pilot has a fixed size, so that the run may be continued. For an error it
-        # grows, because its first variances are unreliable
+        # A run that may be continued can become long. For an error the pilot grows, because its first variances are
+        # unreliable
+        run_rays = self._trace.settings.rays if self._state is None else math.inf
+        pilot = Pilot(self._trace, self._points, counts, needed is not None, math.inf if needed else run_rays)
         with share(1 / (1 + PILOT_SHARE)):
             plan = pilot.search(0)
             while needed is not None and not time_is_up():

@@ -8,6 +8,7 @@ weight of forward rays in its path determines how q changes with their number.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -30,7 +31,11 @@ from mistray.sampling.sharing.path_classes import PathClassVariances
 from mistray.sampling.sharing.start_map import MapSamples, StartMap
 from mistray.time_budget import time_is_up
 
-FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # rays of the first round; each further round has twice as many
+FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # most rays of the first round; each further round has twice as many
+SMALLEST_ROUND, SHARE_OF_RUN = (
+    1 << 9,
+    0.5,
+)  # least rays of the first round, and rays of all rounds over those of the run
 ROUNDS_TO_AN_ERROR = 6  # least number: light that the pilot misses makes the run too short
 REMEMBERED = 3  # rounds whose samples the start map is made of
 SAMPLES_OF_CELL = 16000  # samples of a cell that are kept of a round
@@ -64,10 +69,22 @@ class Pilot:
         Cells whose error is taken into account.
     to_an_error : bool
         Whether the run aims at the same error in all cells; else its number of rays is given.
+    run_rays : float
+        Backward rays of the run: the pilot of a short one is short.
     """
 
-    def __init__(self, trace: BackwardTrace, points: np.ndarray, counts: np.ndarray, to_an_error: bool = False) -> None:
+    def __init__(
+        self,
+        trace: BackwardTrace,
+        points: np.ndarray,
+        counts: np.ndarray,
+        to_an_error: bool = False,
+        run_rays: float = math.inf,
+    ) -> None:
         self._trace, self._points, self._counts, self._to_an_error = trace, points, counts, to_an_error
+        # A power of two, so that rounds divide into batches
+        wanted = SHARE_OF_RUN * run_rays / ((1 << LEAST_ROUNDS) - 1)
+        self._first_round = 1 << round(math.log2(min(max(wanted, SMALLEST_ROUND), FIRST_ROUND)))
         count = int(np.prod(trace.grid.shape))
         starts_per_connection = np.full(count, 1 / count) if trace.may_connect else np.zeros(count)
         unscattered = np.full(count, LEAST_UNSCATTERED) if trace.scatters else None
@@ -105,7 +122,7 @@ class Pilot:
         """
         least = ROUNDS_TO_AN_ERROR if self._to_an_error else LEAST_ROUNDS
         while self._plan is None or (not time_is_up() and (self._rounds < least or self.rays < rays)):
-            self._plan = self._round(FIRST_ROUND << self._rounds)
+            self._plan = self._round(self._first_round << self._rounds)
         # Path classes, from the samples of the latest rounds
         sharing = self._plan.sharing
         cell, kind, path_class, weight, odds = (np.concatenate(column) for column in zip(*self._seen, strict=True))
