@@ -83,8 +83,8 @@ class Pilot:
     ) -> None:
         self._trace, self._points, self._counts, self._to_an_error = trace, points, counts, to_an_error
         # A power of two, so that rounds divide into batches
-        wanted = SHARE_OF_RUN * run_rays / ((1 << LEAST_ROUNDS) - 1)
-        self._first_round = 1 << round(math.log2(min(max(wanted, SMALLEST_ROUND), FIRST_ROUND)))
+        asked = SHARE_OF_RUN * run_rays / ((1 << LEAST_ROUNDS) - 1)
+        self._first_round = 1 << round(math.log2(min(max(asked, SMALLEST_ROUND), FIRST_ROUND)))
         count = int(np.prod(trace.grid.shape))
         starts_per_connection = np.full(count, 1 / count) if trace.may_connect else np.zeros(count)
         unscattered = np.full(count, LEAST_UNSCATTERED) if trace.scatters else None
