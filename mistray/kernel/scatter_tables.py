@@ -350,10 +350,15 @@ class ScatterTables:
         targets = lobes = 0
         self.total_rows = NO_TOTALS
         self.most_lobes = 0
+        alike: dict[tuple[Any, ...], list[Side]] = {}  # surfaces of equal scatter, coating and media share theirs
         for s, bsdf in enumerate(bsdfs):
             if not bsdf.scatter:
                 continue
-            found = self._sides_of(table.ids, optics, s)
+            media = [light_indices(optics, s, from_front) for from_front in (True, False)]
+            kind = (*bsdf.scatter, bsdf.coating, *media, *optics.complex_indices[s], optics.host_words[s] & OPAQUE)
+            if kind not in alike:
+                alike[kind] = self._sides_of(table.ids, optics, s)
+            found = alike[kind]
             for side, from_front in enumerate((True, False)):
                 sides[2 * s + side, 2] = bsdf.scatter_rays << RANDOM_RAYS_SHIFT
                 for number, event in enumerate(EVENT_NAMES):

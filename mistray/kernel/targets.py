@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -74,13 +75,13 @@ class Target:
         if not np.linalg.norm(np.cross(self.u, self.v)) > 0:
             raise MistrayError(f"target at {self.centre.tolist()} mm has no area; give it a size")
 
-    @property
+    @cached_property
     def normal(self) -> np.ndarray:
         """Unit normal of the target along u × v, (3,) float64."""
         normal = np.cross(self.u, self.v)
         return np.asarray(normal / np.linalg.norm(normal))
 
-    @property
+    @cached_property
     def area(self) -> float:
         """Area of the target, mm²."""
         # A parallelogram has half edges, so that it is four times u × v
