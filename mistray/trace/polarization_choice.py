@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
 from mistray.coatings import Ideal
 from mistray.errors import MistrayError
 from mistray.events import REFLECTED, kind_of, place_of
+from mistray.execute.scene_numbers import read_numbers
 from mistray.execute.scene_task import kernel_arrays
 from mistray.execute.tracer import Run, prepare
 from mistray.light import AS_THE_SCENE, Light
@@ -208,14 +208,10 @@ def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
         start, unit = started(run, ROUNDS[0])
         for values in (*kernel_arrays(table, run.scattering), start.o, start.d, start.mean, unit):
             digest.update(np.array(values).tobytes())
-        if table.mitsuba_scene is not None:  # its vertices are not in the signature
-            digest.update(np.concatenate([_vertices(shape) for shape in table.shapes]).tobytes())
+        if table.mitsuba_scene is not None:  # numbers of its shapes, such as vertices, are not in the signature
+            for values in read_numbers(scene).values():
+                digest.update(values.tobytes())
     return digest.hexdigest()
-
-
-def _vertices(shape: Any) -> np.ndarray:
-    """Return the vertices of a mesh, (3 n,), mm; without any for other shapes."""
-    return np.array(mi.traverse(shape)["vertex_positions"]) if shape.is_mesh() else np.empty(0)
 
 
 def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:
