@@ -24,6 +24,9 @@ from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
+# By its own choice Dr.Jit gives each thread a copy of a small array, whose size is a literal of the kernel; another
+# number of cells would compile anew
+REDUCE = dr.ReduceMode.Local
 # Classes of the light, in the order of their sums
 CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatter", "edge_diffraction")
 CLASS_COUNT = len(CLASSES)
@@ -167,15 +170,15 @@ class SkyRecorder(Recorder):
         kind, cell, weight, active = light
         w = mi.Float64(weight)
         place = (kind * self._cells + cell) * BATCHES + end.start.batch
-        dr.scatter_reduce(dr.ReduceOp.Add, self._sums, w, place, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._sums, w, place, active, REDUCE)
         # The bits of positive floats are in the order of the floats
         bits = dr.reinterpret_array(mi.UInt32, weight)
-        dr.scatter_reduce(dr.ReduceOp.Max, self._largest, bits, cell, active & (kind >= SINGLE))
+        dr.scatter_reduce(dr.ReduceOp.Max, self._largest, bits, cell, active & (kind >= SINGLE), REDUCE)
         # Map of the cell: sum and sum of squares side by side in a pixel
         if self._maps is not None:
             place = 2 * (cell * self._pixels + pixel)
             for k, value in enumerate((w, w * w)):
-                dr.scatter_reduce(dr.ReduceOp.Add, self._maps, value, place + k, active)
+                dr.scatter_reduce(dr.ReduceOp.Add, self._maps, value, place + k, active, REDUCE)
         if self.paths is not None:
             self.paths.record(end.key, end.depth + 1, end.event, cell, weight, active)
 
@@ -327,7 +330,7 @@ class ArrivalRecorder(SkyRecorder):
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
         """Add the numbers of ray segments of complete trees to the start cells of their rays."""
-        dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), start.cell, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), start.cell, active, REDUCE)
 
     def read(self) -> dict[str, Any]:
         """Return sums by class and start cell, in units of a start ray's flux, and numbers of ``segments``, (n, m)."""
