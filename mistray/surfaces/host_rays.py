@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -207,6 +207,7 @@ class HostSurfaces:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
 
     Attributes
     ----------
@@ -257,25 +258,23 @@ class HostSurfaces:
         start, way = self._inward(o - self._vertices[members], members), self._inward(d, members)
         nearest = np.where(last == members, self._self_hit[members], 0.0)
         pooled = self._pooled[members]
-        found = []
+        found = [(np.empty(0, dtype=np.int64), np.empty(0))]
+
+        def meet(chosen: np.ndarray, t: np.ndarray, inside: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
+            # Crossings ahead, and of these the ones within the bounds of the surface
+            some, crossing = np.nonzero((t > nearest[chosen, None]) & (t < np.inf))
+            t, rays = t[some, crossing], chosen[some]
+            hit = inside(start[rays] + t[:, None] * way[rays], some)
+            found.append((rays[hit], t[hit]))
+
         with np.errstate(all="ignore"):
-            chosen = np.flatnonzero(pooled)
-            if len(chosen):
+            if len(chosen := np.flatnonzero(pooled)):
                 bounds = self._bounds[members[chosen]].T
                 t = quadric_crossings(self._quadric[members[chosen]].T, bounds[0], start[chosen], way[chosen])
-                some, crossing = np.nonzero((t > nearest[chosen, None]) & (t < np.inf))
-                t, rays = t[some, crossing], chosen[some]
-                inside = within_bounds(bounds[:, some], start[rays] + t[:, None] * way[rays])
-                found.append((rays[inside], t[inside]))
+                meet(chosen, t, lambda q, some: within_bounds(bounds[:, some], q))
             for number in np.unique(members[~pooled]).tolist():
                 chosen, piece = np.flatnonzero(members == number), self._pieces[number]
-                t = piece.crossings(start[chosen], way[chosen])
-                some, crossing = np.nonzero((t > nearest[chosen, None]) & (t < np.inf))
-                t, rays = t[some, crossing], chosen[some]
-                inside = piece.inside(start[rays] + t[:, None] * way[rays])
-                found.append((rays[inside], t[inside]))
-        if not found:
-            return np.empty(0, dtype=np.int64), np.empty(0)
+                meet(chosen, piece.crossings(start[chosen], way[chosen]), lambda q, _, piece=piece: piece.inside(q))  # type: ignore[misc]
         return np.concatenate([rays for rays, _ in found]), np.concatenate([t for _, t in found])
 
     def normals(self, p: np.ndarray, members: np.ndarray) -> np.ndarray:
