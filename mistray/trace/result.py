@@ -195,15 +195,19 @@ class Trace:
         """Bounds of the irradiance map in the detector's frame: x0, x1, y0, y1, mm."""
         return self.runs[0].table.film()[2]
 
-    @cached_property
+    @property
     def irradiance(self) -> np.ndarray:
         """Absorbed flux density on the detector, (height, width), W/mm²; row 0 is at the smallest y."""
-        return self.light.value
+        return self._map[0]
 
-    @cached_property
+    @property
     def irradiance_se(self) -> np.ndarray:
         """Standard error of `irradiance`, (height, width), W/mm²; NaN where too few rays meet a pixel."""
-        return self.light.se
+        return self._map[1]
+
+    @cached_property
+    def _map(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.light.with_se
 
     @property
     def light(self) -> Pixels:

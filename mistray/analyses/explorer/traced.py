@@ -230,8 +230,7 @@ def _maps(t: Trace, ways: pd.DataFrame) -> Maps:
     own, others = stray[:MAPPED], stray[MAPPED:]  # the table is in the order of the power
     groups = [list(ways.path_ids[row]) for row in own]
     rest = [i for row in others for i in ways.path_ids[row]]
-    height, width = t.irradiance.shape
-    x0, x1, y0, y1 = t.extent
+    width, height, (x0, x1, y0, y1) = t.runs[0].table.film()
     pixel, block = (x1 - x0) / width * (y1 - y0) / height, max(1, -(-max(height, width) // CELLS))
     rows, columns = -(-height // block), -(-width // block)
     power = np.zeros((len(own) + 1, rows, columns))
