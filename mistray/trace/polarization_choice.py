@@ -22,7 +22,7 @@ from mistray.coatings import Ideal
 from mistray.errors import MistrayError
 from mistray.events import REFLECTED, kind_of, place_of
 from mistray.execute.scene_numbers import read_numbers
-from mistray.execute.scene_task import kernel_arrays
+from mistray.execute.scene_task import fingerprint
 from mistray.execute.tracer import Run, prepare
 from mistray.light import AS_THE_SCENE, Light
 from mistray.messages import Message
@@ -206,7 +206,8 @@ def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
         digest.update(repr([hash(one.coating) for one in table.interfaces]).encode())
         digest.update(repr((field, run.source.name, replace(run.settings, rays=1, seed=0))).encode())
         start, unit = started(run, ROUNDS[0])
-        for values in (*kernel_arrays(table, run.scattering), start.o, start.d, start.mean, unit):
+        digest.update(fingerprint([(table, run.scattering)]).encode())
+        for values in (start.o, start.d, start.mean, unit):
             digest.update(np.array(values).tobytes())
         if table.mitsuba_scene is not None:  # numbers of its shapes, such as vertices, are not in the signature
             for values in read_numbers(scene).values():

@@ -119,8 +119,8 @@ class BackwardRun:
         counts = cells_up_to(self._trace.grid, up_to_deg).ravel()
         # A run that may be continued can become long. For an error the pilot grows, because its first variances are
         # unreliable
-        run_rays = self._trace.settings.rays if self._state is None else math.inf
-        pilot = Pilot(self._trace, self._points, counts, needed is not None, math.inf if needed else run_rays)
+        run_rays = self._trace.settings.rays if needed is None and self._state is None else math.inf
+        pilot = Pilot(self._trace, self._points, counts, needed is not None, run_rays)
         with share(1 / (1 + PILOT_SHARE)):
             plan = pilot.search(0)
             while needed is not None and not time_is_up():
