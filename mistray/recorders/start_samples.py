@@ -16,7 +16,7 @@ import numpy as np
 
 from mistray.events import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTED
 from mistray.recorders.design_sequences import DesignKeys
-from mistray.recorders.direction_recorder import DirectionRecorder, MisWeighting, class_of_light
+from mistray.recorders.direction_recorder import REDUCE, DirectionRecorder, MisWeighting, class_of_light
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import COUNT_MASK, NO_EVENT, mixed_word, path_class_of
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
@@ -115,7 +115,7 @@ class _StartSamples(Recorder):
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
         """Add the numbers of ray segments of complete trees, to the start cells of their rays if there are any."""
         cell = mi.UInt32(0) if start.cell is None else start.cell
-        dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), cell, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), cell, active, REDUCE)
 
     def read(self) -> Samples:
         """Return the samples on the host; if there were more than fit, the weights of those kept are scaled up."""
