@@ -54,12 +54,16 @@ def best(*command: str, home: Path | None = None) -> Duration:
     return Duration(min(one.wall for one in runs), min(one.cpu for one in runs))
 
 
+def cold_and_warm(*command: str) -> tuple[Duration, Duration]:
+    """A run with an empty kernel cache, and the least times of runs with the cache that it leaves."""
+    with tempfile.TemporaryDirectory() as folder:
+        return run(*command, home=Path(folder)), best(*command, home=Path(folder))
+
+
 def rows(quick: bool = False, scene: str = "cooke_triplet") -> list[Row]:
     """The import, the help, and `mistray ghosts SCENE` with an empty and a warm kernel cache, against their bars."""
     ghosts = (*MODULE, "ghosts", scene, *(("--rays", "1000") if quick else ()))
-    with tempfile.TemporaryDirectory() as folder:
-        cold = run(*ghosts, home=Path(folder))
-        warm = best(*ghosts, home=Path(folder))
+    cold, warm = cold_and_warm(*ghosts)
     found = (
         ("import", "`import mistray`", best(sys.executable, "-c", "import mistray"), IMPORT_S),
         ("help", "`mistray --help`", best(*MODULE, "--help"), HELP_S),

@@ -8,15 +8,14 @@ that with a filled one. The last row is the largest relative error of a PST afte
 
 from __future__ import annotations
 
-import tempfile
+import itertools
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from rows import Row
-from start_up import MODULE, best, run
+from rows import Row, alternate
+from start_up import MODULE, cold_and_warm
 
 import mistray
 
@@ -35,16 +34,6 @@ FIRST_KERNELS = {
 }
 
 
-def least(work: Callable[[int], Any], repeats: int) -> float:
-    """Return the least wall time of `repeats` calls, s, which get numbers of their own."""
-    taken = []
-    for k in range(WARM_UPS + repeats):
-        began = time.perf_counter()
-        work(k)
-        taken.append(time.perf_counter() - began)
-    return min(taken[WARM_UPS:])
-
-
 def against(key: str, what: str, seconds: float, bar: float) -> Row:
     """Return the row of a time against its bar, s."""
     return Row(key, f"{what}, against the bar", f"{seconds:.3g} s", f"{bar:g} s", seconds / bar, 1.0, small=True)
@@ -55,11 +44,15 @@ def small_trace(key: str, repeats: int) -> Row:
     name, arguments, bar = SMALL[key]
     scene = mistray.load(name)
 
-    def work(k: int) -> None:
+    number = itertools.count()
+
+    def work() -> None:
+        k = next(number)
         mistray.trace(scene, rays=1000, field_deg=3 + 0.1 * k, seed=k, **arguments)
 
+    (fastest,) = alternate(work, repeats=repeats)
     said = "".join(f", {name} {value}" for name, value in arguments.items())
-    return against(key, f"`{name}`: a trace of 1000 rays, new field and seed{said}", least(work, repeats), bar)
+    return against(key, f"`{name}`: a trace of 1000 rays, new field and seed{said}", fastest.seconds, bar)
 
 
 def explorer_moves(moves: int) -> Row:
@@ -85,10 +78,8 @@ def explorer_moves(moves: int) -> Row:
 def first_kernels(key: str) -> Row:
     """Return the row of the time of a command with an empty kernel cache, less that with a filled one."""
     command, bar = FIRST_KERNELS[key]
-    with tempfile.TemporaryDirectory() as folder:
-        cold = run(*MODULE, *command, home=Path(folder)).wall
-        warm = best(*MODULE, *command, home=Path(folder)).wall
-    return against(f"first-kernels-{key}", f"`mistray {' '.join(command)}`: first kernels", cold - warm, bar)
+    cold, warm = cold_and_warm(*MODULE, *command)
+    return against(f"first-kernels-{key}", f"`mistray {' '.join(command)}`: first kernels", cold.wall - warm.wall, bar)
 
 
 def cassegrain(seconds: float) -> Row:
