@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -265,15 +264,16 @@ class Run:
         """Kernel's scene at this wavelength: surfaces, their scatter, and ray intersection."""
         return KernelScene(self.table, self.scattering, self.intersector)
 
-    def launches(self, *recorders: Recorder | None) -> Iterator[tuple[int, list[Part]]]:
-        """Trace the ray trees of all parts in turn; yield the rays and the parts traced so far after each launch."""
+    def launches(self, *recorders: Recorder | None) -> Iterator[tuple[int, list[Part], float]]:
+        """Trace the ray trees of all parts in turn; yield rays and parts so far, and the seconds of each launch."""
         launches, trace = launches_and_kernel(self.scene, self.settings, recorders)
         before = 0
         finished: list[Part] = []
         for part, start in self.starts():
             count = dr.width(start.lane)
             for done in launches.run(start, trace, self._order(part)):
-                yield before + done, [*finished, part if done == count else part._replace(rays=done)]
+                parts = [*finished, part if done == count else part._replace(rays=done)]
+                yield before + done, parts, launches.on_device
             before += count
             finished.append(part)
 
@@ -300,7 +300,6 @@ class Run:
         is not read. `progress` is called with the rays so far and their sums.
         """
         # Capacity of the ledger
-        started = time.perf_counter()
         films = [self.make_film(detector) for detector in self.table.detectors]
         several = len(films) > 1
         capacity = FIRST_CAPACITY_OF_SCATTER if self.scattering.any and self.settings.max_scatters else FIRST_CAPACITY
@@ -316,8 +315,9 @@ class Run:
             table = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
             others = Recorders(recorders)
             others.attach(self.scene)
-            found = None  # parts that were traced, if not all were
-            for done, traced in self.launches(tallies, table, others, *images):
+            found, seconds = None, 0.0  # parts that were traced, if not all were
+            for done, traced, on_device in self.launches(tallies, table, others, *images):
+                seconds += on_device
                 if progress:
                     progress(done, tallies)
                 if (table is not None and table.full) or time_is_up() or requested():
@@ -333,7 +333,6 @@ class Run:
                 )
             capacity = min(8 * capacity, LAST_CAPACITY)
         # Read the sums back
-        seconds = time.perf_counter() - started
         readable = table is not None and (not requested() or table.used <= MOST_PATHS_KEPT)
         sums = RunSums(
             **tallies.read(),

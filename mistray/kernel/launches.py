@@ -39,9 +39,17 @@ compilations: list[float] = []  # seconds that LLVM took for the kernels of each
 
 
 class Launches:
-    """Launches of one kernel, sized by its measured speed so that each takes about `SECONDS`."""
+    """
+    Launches of one kernel, sized by its measured speed so that each takes about `SECONDS`.
+
+    Attributes
+    ----------
+    on_device : float
+        Time that the last launch ran on the device, s: without its recording and compilation.
+    """
 
     def __init__(self) -> None:
+        self.on_device = 0.0
         self._rate = 0.0  # rays per second
         self._compiled = False
 
@@ -121,8 +129,10 @@ class Launches:
             began = time.perf_counter()
             work()
             dr.eval()
+            launched = time.perf_counter()
             dr.sync_thread()
-            seconds = time.perf_counter() - began
+            ended = time.perf_counter()
+            seconds, self.on_device = ended - began, ended - launched
             if first:
                 kernels = dr.kernel_history()
                 seconds = MILLISECOND * sum(kernel.get("execution_time", 0.0) for kernel in kernels)

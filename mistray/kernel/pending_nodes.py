@@ -183,13 +183,23 @@ def walk_in_lockstep(
         )
         return walk_in_lockstep(state, visit, resume, level - 1)
 
-    # To find what a loop leaves as it is, Dr.Jit follows its body twice, which would double with each level
-    with dr.scoped_set_flag(dr.JitFlag.OptimizeLoops, level == 0):
-        (state,) = dr.while_loop(
-            (state,),
-            lambda state: state["active"] & (state["resume_level"] <= level),
-            lambda state: (step(state),),
-            mode="symbolic",
-            label=f"ray tree, level {level}",
-        )
+    return recorded_once(
+        state, lambda state: state["active"] & (state["resume_level"] <= level), step, f"ray tree, level {level}"
+    )
+
+
+def recorded_once(
+    state: dict[str, Any],
+    condition: Callable[[dict[str, Any]], mi.Bool],
+    step: Callable[[dict[str, Any]], dict[str, Any]],
+    label: str,
+) -> dict[str, Any]:
+    """
+    Return the variables of a symbolic loop at its end, whose body Dr.Jit records once.
+
+    To find variables that a loop leaves as they are, Dr.Jit follows its body twice. The loops of the ray tree have
+    none, see `_Tree.walk`, and recording them is a quarter of the time of a trace of few rays.
+    """
+    with dr.scoped_set_flag(dr.JitFlag.OptimizeLoops, False):
+        (state,) = dr.while_loop((state,), condition, lambda state: (step(state),), mode="symbolic", label=label)
     return state

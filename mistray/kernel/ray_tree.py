@@ -29,6 +29,7 @@ from mistray.kernel.pending_nodes import (
     OPTIONAL,
     PendingNodes,
     needed_variables,
+    recorded_once,
     walk_in_lockstep,
 )
 from mistray.kernel.scatter_shares import ScatterHit, ScatterPdfs
@@ -228,13 +229,7 @@ class _Tree:
 
         resume = partial(self.nodes.resume, child=REFLECT)
         if self.scatters:  # until no lane has a node left; none waits
-            (state,) = dr.while_loop(
-                (state,),
-                lambda state: state["active"],
-                lambda state: (visit(resume(state)),),
-                mode="symbolic",
-                label="ray tree",
-            )
+            state = recorded_once(state, lambda state: state["active"], lambda state: visit(resume(state)), "ray tree")
         else:
             state = walk_in_lockstep(state, visit, resume)
         if self.supply is None:

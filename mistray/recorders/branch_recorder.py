@@ -94,8 +94,9 @@ class BranchRecorder(Recorder):
         self.count = dr.zeros(mi.UInt32, 1)
         self.lane = dr.zeros(mi.UInt32, self.capacity)
         self.length = dr.zeros(mi.UInt32, self.capacity)
-        self.codes = dr.zeros(mi.UInt32, size)
-        self.nodes = dr.zeros(mi.Float, size * self.node_floats)
+        # Events and nodes that are not written are never read: most of this memory stays untouched
+        self.codes = dr.empty(mi.UInt32, size)
+        self.nodes = dr.empty(mi.Float, size * self.node_floats)
         self.weight = dr.zeros(mi.Float64, self.capacity)
         self.heading = dr.zeros(mi.Float, 3 * self.capacity)
         self.place = dr.zeros(mi.Float, 2 * self.capacity)
@@ -210,9 +211,12 @@ class BranchRecorder(Recorder):
         return np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0), lengths
 
     def nodes_of(self, slots: np.ndarray, longest: int) -> np.ndarray:
-        """Return the first `longest` nodes of some branches, (n, longest, node_floats) float64; see `nodes`."""
+        """Return the first `longest` nodes of some branches, (n, longest, node_floats) float64; 0 beyond the last."""
         nodes = self.nodes.numpy().reshape(self.capacity, -1, self.node_floats)
-        return np.asarray(nodes[slots, :longest].astype(np.float64))
+        found = np.zeros((len(slots), longest, self.node_floats))
+        branch, node = np.nonzero(np.arange(longest) < self.length.numpy()[slots][:, None])
+        found[branch, node] = nodes[slots[branch], node]
+        return found
 
 
 @dataclass

@@ -172,8 +172,8 @@ class Pixels(Sampled):
             Factor from the unit of the film to that of the image, such as the flux of a start ray, W.
         """
         if len(film) == 1:
-            noise = np.full((*film.shape[1:], 1), np.nan)
-            return cls(scale * film[0], noise, np.full((WEIGHTS, *film.shape[1:]), np.nan))
+            noise, weights = (*film.shape[1:], 1), (WEIGHTS, *film.shape[1:])
+            return cls(scale * film[0], np.broadcast_to(np.nan, noise), np.broadcast_to(np.nan, weights))
         groups = len(film) - WEIGHTS
         # Batches go last as a view: the arithmetic runs image by image, as the film lies in memory
         found = Sampled.of(np.moveaxis(scale * film[:groups], 0, -1), started.reshape(groups, -1).sum(axis=1))

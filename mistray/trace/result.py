@@ -93,7 +93,7 @@ class Trace:
     segments : int
         Number of ray segments that were traced.
     seconds : float
-        Time in the kernel, compilation included, s.
+        Time in the kernel, s: neither recording nor compiling it counts.
     """
 
     def __init__(self, runs: list[Run], settings: dict[str, Any], task: SceneTask | None = None) -> None:

@@ -136,8 +136,8 @@ def brightest_field(report: GhostReport) -> float | None:
 
 def most_stray(report: GhostReport) -> float | None:
     """Return the field angle with the most stray light, degrees; None if no field has any."""
-    fields = [field for field in report if report.summary(field).stray_W.value > 0]
-    return max(fields, key=lambda field: report.summary(field).stray_W.value, default=None)
+    stray_W = {field: report.power_of(field, _stray(report, field)).value for field in report}
+    return max((field for field in report if stray_W[field] > 0), key=stray_W.__getitem__, default=None)
 
 
 def shares_of_kinds(report: GhostReport, field_deg: float) -> dict[str, Estimate]:
