@@ -22,7 +22,7 @@ from mistray.surfaces.surface import (
     quadric_gradient,
     within_bounds,
 )
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import download, upload
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
@@ -321,7 +321,7 @@ def _stock_hit(
     found = np.array(si.is_valid())
     number = dr.gather(mi.UInt32, table.mitsuba_lookup, dr.reinterpret_array(mi.UInt32, si.shape), si.is_valid())
     t = np.where(found, np.array(si.t, dtype=np.float64) + table.mitsuba_epsilon, np.inf)
-    normal = np.broadcast_to(np.array(si.n, dtype=np.float64).T, o.shape).copy()
+    normal = np.broadcast_to(download(si.n), o.shape).copy()
     return t, np.where(found, np.array(number, dtype=np.int64), NO_SURFACE), normal
 
 
