@@ -16,12 +16,13 @@ import pkgutil
 import re
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 
 from mistray._mitsuba_compat import import_mitsuba, own_folder_first
-from mistray.errors import MistrayError
+from mistray.entry_points import points_of
+from mistray.errors import MistrayError, MistrayWarning
 from mistray.ranges import THREADS
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
@@ -32,7 +33,8 @@ LLVM_REMEDY = (
     "conda install -c conda-forge libllvm19 (conda), brew install llvm (macOS); "
     "or set DRJIT_LIBLLVM_PATH to the library's file"
 )
-PLUGIN_ROOT = "mistray.plugins"
+PLUGIN_ROOT = "mistray.plugins"  # also the group of entry points that name modules of plugins
+PLUGIN_MODULES = "MISTRAY_PLUGINS"  # environment variable: more such modules, separated by commas
 LANES_OF_THREAD = 1 << 14  # which Dr.Jit gives to a thread at once
 
 _LIBRARY_NAME = re.compile(r"libLLVM[-.\d]*\.(so|dylib)[.\d]*")
@@ -200,6 +202,32 @@ def plugin_modules() -> list[str]:
     return [module.name for kind in _walk(root) for module in _walk(importlib.import_module(kind.name))]
 
 
+def plugins_of_others() -> dict[str, bool]:
+    """Full names of the modules of plugins that other packages have, and whether the user named them."""
+    given = [name.strip() for name in os.environ.get(PLUGIN_MODULES, "").split(",") if name.strip()]
+    return {value: value in given for value in (*(value for _, value in points_of(PLUGIN_ROOT)), *given)}
+
+
+def use_plugins(modules: Sequence[str]) -> None:
+    """
+    Register the plugins of modules, now or with the variant, and after each later switch of variant.
+
+    Parameters
+    ----------
+    modules : sequence of str
+        Full names of modules on the import path, such as "my_package.plugins".
+
+    Raises
+    ------
+    MistrayError
+        If a variant is active and a module cannot be imported.
+    """
+    given = [name for name, is_given in plugins_of_others().items() if is_given]
+    os.environ[PLUGIN_MODULES] = ",".join(dict.fromkeys([*given, *modules]))
+    if _registered_variant is not None:
+        _import_of_others()
+
+
 def register_plugins() -> None:
     """Register every plugin with the active variant, now and after each later switch of variant."""
     mi = import_mitsuba()
@@ -225,12 +253,27 @@ def _register_for(variant: str) -> None:
     # Plugin classes derive from classes of one variant. All modules are dropped before the first is imported again:
     # reloading them one by one would leave a class derived from another plugin's base on the base of the old variant.
     global _registered_variant
-    names = plugin_modules()
-    for name in names:
-        sys.modules.pop(name, None)
+    names, others = plugin_modules(), tuple(plugins_of_others())
+    for name in [
+        name for name in sys.modules if name in names or f"{name}.".startswith(tuple(f"{n}." for n in others))
+    ]:
+        del sys.modules[name]
     for name in names:
         importlib.import_module(name)
+    _import_of_others()
     _registered_variant = variant
+
+
+def _import_of_others() -> None:
+    """Import the plugins of other packages; leave out an installed one that cannot be, and raise for a named one."""
+    for name, is_given in plugins_of_others().items():
+        try:
+            importlib.import_module(name)
+        except Exception as error:  # code of others
+            told = f"plugins '{name}' cannot be imported ({type(error).__name__}: {error})"
+            if is_given:
+                raise MistrayError(f"{told}; install their package, or set PYTHONPATH to their folder") from None
+            warnings.warn(MistrayWarning(f"{told}; they are left out: repair or remove their package"), stacklevel=2)
 
 
 def _walk(package: ModuleType) -> Iterator[pkgutil.ModuleInfo]:

@@ -172,7 +172,7 @@ ELSEWHERE = {
     "mistray/analyses/explorer/assets.py: read_text": "a part of mistray",
     "mistray/toolkit/pages/render.py: read_text": "a part of mistray",
     "mistray/toolkit/pages/parts.py: read_text": "a part of mistray",
-    "mistray/toolkit/installed.py: open": "entry points of distributions",
+    "mistray/entry_points.py: open": "entry points of distributions",
     "mistray/files/irradiance_files.py: fits.open": "bytes of read_file",
     "mistray/files/sky_picture.py: fits.open": "bytes of read_file",
     "mistray/files/ray_sets.py: pd.read_csv": "text of read_text",

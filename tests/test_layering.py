@@ -18,7 +18,8 @@ ROOT = Path(__file__).parents[1]
 # From the ground up, side by side where a stroke stands: a module imports from its own layer and those before it
 GROUND_UP = """
     errors events ids percent estimate notes ranges param known_arguments named_values settings light messages _lazy
-    time_budget supervisor interrupts read_file replace_file replace_folder files cache _mitsuba_compat _variant
+    time_budget supervisor interrupts read_file replace_file replace_folder files cache _mitsuba_compat entry_points
+    _variant
     physics|materials|coatings spectra scatter prescription io mechanics scene surfaces recorders kernel sampling
     execute gradients trace metrics cluster toolkit analyses analysis|optimize|sweeps|report|explore doctor cli
     __main__

@@ -119,9 +119,10 @@ class Options(argparse.Namespace):
     def prepare_mitsuba(self) -> None:
         """Choose the Mitsuba variant and the number of threads; call it before anything imports Mitsuba."""
         from mistray._mitsuba_compat import silence_warnings
-        from mistray._variant import ensure_variant, set_threads
+        from mistray._variant import ensure_variant, set_threads, use_plugins
 
         with later():  # an interrupt may crash Mitsuba and Dr.Jit while they start
+            use_plugins(self.has("plugin") or ())
             ensure_variant(self.has("variant"))  # settles libLLVM
             if self.has("threads") is not None:
                 set_threads(self.threads)

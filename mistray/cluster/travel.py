@@ -12,6 +12,7 @@ from typing import Any
 import cloudpickle
 import mitsuba as mi
 
+from mistray._variant import plugins_of_others
 from mistray.errors import MistrayError
 from mistray.execute.scene_numbers import put_numbers, read_numbers
 from mistray.scene.source import source_of
@@ -57,8 +58,8 @@ class Parcel:
 
 
 def surroundings() -> dict[str, str]:
-    """Return package versions and the Mitsuba variant, which must agree in all processes, by names for messages."""
-    return {**versions(), "variant": mi.variant()}
+    """Return package versions, variant and plugins of others, which must agree in all processes, for messages."""
+    return {**versions(), "variant": mi.variant(), "plugins": ",".join(sorted(plugins_of_others()))}
 
 
 class _Pickler(cloudpickle.Pickler):

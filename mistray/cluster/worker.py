@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from mistray._variant import ensure_variant, set_threads
+from mistray._variant import ensure_variant, set_threads, use_plugins
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def do_part(
             f"worker {worker.address} has {worker.state.nthreads} threads; start it with --nthreads 1: a trace takes "
             "all cores by itself"
         )
+    use_plugins([name for name in surroundings.get("plugins", "").split(",") if name])
     ensure_variant(surroundings["variant"])
     from mistray.cluster.travel import Unpacked
     from mistray.cluster.travel import surroundings as own_surroundings

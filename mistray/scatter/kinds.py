@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from mistray.errors import MistrayError
 from mistray.scatter.abg import ABg
 from mistray.scatter.edge_diffraction import EdgeDiffraction
 from mistray.scatter.gaussian import Gaussian
@@ -18,21 +19,35 @@ from mistray.scatter.particulate import Particulate
 from mistray.scatter.phong import Phong
 from mistray.scatter.polynomial import Polynomial
 
-KINDS: Mapping[str, type[Placement]] = MappingProxyType(
-    {
-        "abg": ABg,
-        "edge_diffraction": EdgeDiffraction,
-        "gaussian_lobe": Gaussian,
-        "harvey_shack": HarveyShack,
-        "k_correlation": KCorrelation,
-        "paint": Paint,
-        "particulate": Particulate,
-        "phong": Phong,
-        "polynomial": Polynomial,
-        "psd_table": PsdTable,
-        "tabulated": Tabulated,
-    }
-)
-"""Model classes by the names of their plugins, whose properties are the model's fields.
+_OWN: Mapping[str, type[Placement]] = {
+    "abg": ABg,
+    "edge_diffraction": EdgeDiffraction,
+    "gaussian_lobe": Gaussian,
+    "harvey_shack": HarveyShack,
+    "k_correlation": KCorrelation,
+    "paint": Paint,
+    "particulate": Particulate,
+    "phong": Phong,
+    "polynomial": Polynomial,
+    "psd_table": PsdTable,
+    "tabulated": Tabulated,
+}
+_known = dict(_OWN)
+KINDS: Mapping[str, type[Placement]] = MappingProxyType(_known)
+"""Model classes by the names of their plugins, whose properties are the model's fields; those of others too.
 
 `Tabulated` and `PsdTable` are read from their property ``file``. `Polynomial` takes its coefficients by name."""
+
+
+def add_kind(kind: str, model: type[Placement]) -> None:
+    """
+    Add the model of a scatter plugin, or replace that of an earlier import of the plugin.
+
+    Raises
+    ------
+    MistrayError
+        If the name is that of another model of mistray.
+    """
+    if _OWN.get(kind, model) is not model:
+        raise MistrayError(f"scatter model '{kind}' of {model.__module__} has the name of one of mistray; rename it")
+    _known[kind] = model

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import importlib.util
-import os
 import pkgutil
-import sys
-from collections.abc import Iterator
 from types import ModuleType
+
+from mistray.entry_points import points_of
 
 ENTRY_POINTS = "mistray.analyses"  # group; each names a package with a module `command`
 
@@ -24,7 +22,7 @@ def analysis_commands() -> tuple[list[ModuleType], list[str]]:
     commands = [f"{name}.command" for name, is_package in _names_in("mistray.analyses") if is_package]
     modules = [importlib.import_module(name) for name in commands if importlib.util.find_spec(name)]
     left_out = []
-    for name, package in _packages_of_others():
+    for name, package in points_of(ENTRY_POINTS):
         try:
             module = importlib.import_module(f"{package}.command")
             list(module.COMMAND.options)  # all that it needs can be imported
@@ -47,24 +45,3 @@ def _names_in(package: str) -> list[tuple[str, bool]]:
         return []
     folder = importlib.import_module(package).__path__
     return [(f"{package}.{found.name}", found.ispkg) for found in pkgutil.iter_modules(folder)]
-
-
-def _packages_of_others() -> Iterator[tuple[str, str]]:
-    """Yield name and package of each analysis that other installed packages declare as an entry point."""
-    if not any(_names_analyses(folder) for folder in sys.path):
-        return
-    from importlib.metadata import entry_points
-
-    for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name):
-        yield point.name, point.value
-
-
-def _names_analyses(folder: str) -> bool:
-    """Return whether a package folder on the import path declares analyses as entry points."""
-    with contextlib.suppress(OSError):
-        for entry in os.scandir(folder or os.curdir):
-            if entry.name.endswith((".dist-info", ".egg-info")):
-                with contextlib.suppress(OSError), open(os.path.join(entry.path, "entry_points.txt"), "rb") as file:
-                    if f"[{ENTRY_POINTS}]".encode() in file.read():
-                        return True
-    return False

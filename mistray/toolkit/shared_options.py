@@ -61,6 +61,7 @@ TIME = Option("--seconds", "end this time after the start of the command, with w
 MACHINE = (
     Option("--variant", "Mitsuba variant; cuda_ad_rgb traces on an NVIDIA GPU (llvm_ad_rgb)", metavar="NAME"),
     Option("--threads", "threads of the processor (all)", THREADS, "N"),
+    Option("--plugin", "module with Mitsuba plugins of another package (docs/extending.md)", None, "MODULE", "+"),
 )
 SCHEDULER = Option("--scheduler", "trace by the workers of a dask cluster, tcp://host:port (this process)",
                    metavar="ADDRESS")

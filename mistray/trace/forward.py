@@ -174,28 +174,39 @@ def trace(
         light, lines, choice = _spectral_choices(scene, settings, light, made, seconds is not None, runs_of)
         settings = replace(settings, polarization=choice.mode)
         planned = TracedRuns(scene, settings, light, ledger, runs_of)
-        workers, task = current_workers(), None
         facts = asdict(settings) | choice.facts | (lines.facts if lines else {})
+        result = partial(_result, scene, settings=facts, field=field, ledger=ledger)
         _check_budget(planned.runs)
-        # By either way, an interrupt keeps what is finished
-        if workers is None:
-            with later():
-                runs = _execute(planned.runs, ledger, progress, recorders)
-                if requested():
-                    _keep(planned.runs, runs, lambda kept: _result(scene, kept, facts, field, ledger, None))
-        else:
-            _refuse_recorders(recorders)
-            task = planned.task
-            try:
-                runs = execute_by_parts(workers, task, planned.runs, progress)
-            except UnfinishedError as error:
-                _explain(error, lambda kept: _result(scene, kept, facts, field, ledger, task))
-                raise
-            _require_hits(runs)
-    found = _result(scene, runs, facts, field, ledger, task)
+        found = _traced(planned, ledger, progress, recorders, result)
     found.recorders = {recorder.name: recorder for recorder in recorders if recorder.name}
     found.own_notes += lines.notes() if lines else []
     return found
+
+
+def _traced(
+    planned: TracedRuns,
+    ledger: bool,
+    progress: Callable[[int, int], None] | None,
+    recorders: Sequence[Recorder],
+    result: Callable[..., Trace],
+) -> Trace:
+    """Trace planned runs, here or by workers; an interrupt keeps what is finished, as `result` makes it."""
+    workers = current_workers()
+    if workers is None:
+        with later():
+            runs = _execute(planned.runs, ledger, progress, recorders)
+            if requested():
+                _keep(planned.runs, runs, partial(result, task=None))
+        return result(runs, task=None)
+    _refuse_recorders(recorders)
+    task = planned.task
+    try:
+        runs = execute_by_parts(workers, task, planned.runs, progress)
+    except UnfinishedError as error:
+        _explain(error, partial(result, task=task))
+        raise
+    _require_hits(runs)
+    return result(runs, task=task)
 
 
 def _preparing(scene: mi.Scene) -> Callable[[Settings, Light], list[Run]]:

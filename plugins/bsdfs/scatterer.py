@@ -15,6 +15,7 @@ from mistray.param import Param, documented, params_of
 from mistray.plugins.bsdfs.interface import BY_ITSELF, Interface, _resolve
 from mistray.ranges import SHARE
 from mistray.scatter import Placement
+from mistray.scatter.kinds import add_kind
 from mistray.scatter.lobe import PLACEMENT
 
 REFLECTANCE = Param(
@@ -59,6 +60,7 @@ class Scatterer(Interface):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         cls.properties = properties_of(cls.model_type, vars(cls).get("properties", {}))
+        add_kind(cls.kind, cls.model_type)
         documented(cls)
 
     def _read_coating(self, props: mi.Properties) -> None:

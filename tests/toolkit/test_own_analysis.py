@@ -11,7 +11,12 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
+import mitsuba as mi
 import pytest
+from refusals import refused
+
+from mistray._variant import ensure_variant, plugins_of_others, use_plugins
+from mistray.scatter import kinds
 
 ROOT = Path(__file__).parents[2]
 MOST_LINES = 120
@@ -33,12 +38,12 @@ def folder_of_the_page(place: Path) -> Path:
     return folder
 
 
-def entry(place: Path, package: str) -> None:
-    """An entry point that names a package, as an installed distribution has it."""
+def entry(place: Path, package: str, group: str = "mistray.analyses", module: str = "") -> None:
+    """An entry point that names a package, or a module of it, as an installed distribution has it."""
     info = place / f"{package}-1.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1\n", encoding="utf-8")
-    (info / "entry_points.txt").write_text(f"[mistray.analyses]\n{package} = {package}\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(f"[{group}]\n{package} = {module or package}\n", encoding="utf-8")
 
 
 def mistray(place: Path, *words: str, code: int = 0) -> str:
@@ -107,6 +112,7 @@ def test_the_engine_does_not_need_analyses(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "mistray", tmp_path / "mistray", ignore=ignored)
     shutil.copytree(ROOT / "tests", tmp_path / "tests", ignore=shutil.ignore_patterns("__pycache__", "analyses"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
     for package in ("plugins", "scenes"):
         (tmp_path / package).symlink_to(ROOT / package)
         (tmp_path / "mistray" / package).symlink_to(ROOT / package)
@@ -120,3 +126,48 @@ def test_the_engine_does_not_need_analyses(tmp_path: Path) -> None:
     calls = re.compile(r"mistray\.analyses|cannot import name 'pst' from 'mistray'|invalid choice: 'ghosts'")
     assert [name for name, text in wrong.items() if not calls.search(text)] == []
     assert len(cases) - len(wrong) > 240
+
+
+TEMPLATE = ROOT / "examples" / "scatter_package"
+PLUGINS = "cosine_power.plugins"
+
+
+@pytest.mark.long
+def test_plugins_of_another_distribution(tmp_path: Path) -> None:
+    """The template's entry point makes its scatter model one of the command line, with its parameters as options."""
+    point = '[project.entry-points."mistray.plugins"]\ncosine_power = "cosine_power.plugins"'
+    assert point in (TEMPLATE / "pyproject.toml").read_text(encoding="utf-8")
+    shutil.copytree(TEMPLATE / "cosine_power", tmp_path / "cosine_power")
+    entry(tmp_path, "cosine_power", "mistray.plugins", PLUGINS)
+    assert "--power" in mistray(tmp_path, "bsdf", "--help")
+    found = json.loads(mistray(tmp_path, "bsdf", "cosine_power", "--total", "0.3", "--json"))
+    assert found["totals"][0]["incidence_deg"] == 0
+    assert found["totals"][0]["scattered"] == pytest.approx(0.3, rel=1e-3)
+    scatter = "barrel*=cosine_power total=0.3"
+    traced = ("ghosts", "cooke_triplet", "--rays", "1000", "--max-scatters", "1", "--json")
+    assert "barrel_face" in mistray(tmp_path, *traced, "--scatter", scatter)
+    # A package that is broken takes nothing else down
+    (tmp_path / "cosine_power" / "plugins.py").write_text("import no_such_module\n", encoding="utf-8")
+    assert json.loads(mistray(tmp_path, *traced))
+    told = mistray(tmp_path, *traced, "--scatter", scatter, code=2)
+    assert f"plugins '{PLUGINS}' cannot be imported" in told
+    assert "Traceback" not in told
+
+
+def test_named_modules_of_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(TEMPLATE))
+    monkeypatch.setenv("MISTRAY_PLUGINS", "")
+    monkeypatch.setattr(kinds, "_known", dict(kinds._known))
+    ensure_variant()
+    use_plugins([PLUGINS])
+    surface = mi.load_dict({"type": "interface", "R": 0.9, "haze": {"type": "cosine_power", "total": 0.3}})
+    assert "cosine_power.total" in mi.traverse(surface)
+    assert plugins_of_others() == {PLUGINS: True}
+    with refused("plugins 'no.such' cannot be imported", "PYTHONPATH"):
+        use_plugins(["no.such"])
+
+
+def test_a_model_needs_a_name_of_its_own() -> None:
+    kinds.add_kind("abg", kinds.KINDS["abg"])
+    with refused("scatter model 'abg'", "rename it"):
+        kinds.add_kind("abg", kinds.KINDS["paint"])

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 def model_argument() -> Option:
     """Return the argument that names the model; made on demand, because its help lists the models and needs NumPy."""
-    from mistray.analyses.bsdf.models import MODELS
+    from mistray.analyses.bsdf.models import known_models
 
-    return Option("model", MODELS, metavar="MODEL")
+    return Option("model", known_models(), metavar="MODEL")
 
 
 def model_options() -> Group:

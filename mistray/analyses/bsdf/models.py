@@ -7,6 +7,7 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
+from mistray._variant import ensure_variant, plugins_of_others
 from mistray.analyses.bsdf.request import BsdfRequest
 from mistray.errors import MistrayError
 from mistray.named_values import as_number, named_values
@@ -33,7 +34,18 @@ MADE_OF = {
     "polynomial": {"coefficients": Param("string", TEXT, "c000=-0.5,c100=-0.4,l10=-0.7")},
 }
 TABLES = (".bsdf", ".anisotropicbsdf", ".csv")
-MODELS = f"{', '.join(KINDS)}, a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME"
+
+
+def _kinds() -> Mapping[str, Any]:
+    """Return the models by name; those of other packages are known once their plugins are imported, with Mitsuba."""
+    if plugins_of_others():
+        ensure_variant()
+    return KINDS
+
+
+def known_models() -> str:
+    """Return what may be given as a model, as text."""
+    return f"{', '.join(_kinds())}, a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME"
 
 
 def parameters(kind: str) -> dict[str, Param]:
@@ -45,7 +57,7 @@ def parameters(kind: str) -> dict[str, Param]:
 def parameter_options() -> Group:
     """Return the parameters of all models as options; a parameter shared by several models is one option."""
     shared: dict[str, dict[str, Param]] = {}
-    for kind in KINDS:
+    for kind in _kinds():
         for key, param in parameters(kind).items():
             shared.setdefault(key, {})[kind] = param
     options = []
@@ -89,7 +101,7 @@ def kind_of(name: str) -> str:
     """
     kind = "tabulated" if name.lower().endswith(TABLES) else "abg" if ".dat:" in name.lower() else name
     if kind not in KINDS:
-        raise MistrayError(f"scatter model '{name}' is unknown; use {MODELS}")
+        raise MistrayError(f"scatter model '{name}' is unknown; use {known_models()}")
     return kind
 
 
