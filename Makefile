@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMPS := $(VENV)/.stamps
-CHECK  := from mistray._variant import find_llvm; from mistray._mitsuba_compat import import_mitsuba; \
+CHECK  := from mistray._llvm import find_llvm; from mistray._mitsuba_compat import import_mitsuba; \
           llvm = find_llvm(); import_mitsuba(); print(llvm)
 
 # A worker that dies ends the run: xdist waits for ever for the tests of one that it replaces
@@ -120,14 +120,16 @@ $(STAMPS)/notebooks: $(STAMPS)/installed
 	@$(PIP) -e '.[notebooks]'
 	@touch $@
 
-# Dr.Jit opens libLLVM and libatomic, which pip does not bring. LLVM 19 is the version the measurements were made with.
+# Dr.Jit opens libLLVM, which pip brings by an extra only. LLVM 19 is the version the measurements were made with.
 $(STAMPS)/libraries: | $(STAMPS)/installed
-	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && ! $(BIN)/python -c '$(CHECK)' >/dev/null 2>&1; then \
-	  apt-get update -qq; \
-	  names=$$(apt-cache pkgnames libllvm | grep -E '^libllvm(1[7-9]|2[0-2])(t64)?$$' | sort -rV); \
-	  llvm=$$(echo "$$names" | grep -x libllvm19 || echo "$$names" | head -n 1); \
-	  echo "installing $$llvm libatomic1"; \
-	  DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$llvm libatomic1 >/dev/null; fi
+	@if ! $(BIN)/python -c '$(CHECK)' >/dev/null 2>&1; then \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq; \
+	    names=$$(apt-cache pkgnames libllvm | grep -E '^libllvm(1[7-9]|2[0-3])(t64)?$$' | sort -rV); \
+	    llvm=$$(echo "$$names" | grep -x libllvm19 || echo "$$names" | head -n 1); \
+	    echo "installing $$llvm libatomic1"; \
+	    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$llvm libatomic1 >/dev/null; \
+	  else echo "installing the extra llvm into $(VENV)"; $(PIP) -e '.[llvm]'; fi; fi
 	@line=$$($(BIN)/python -c '$(CHECK)' 2>&1 | tail -n 1); \
 	  echo "$$line" | sed 's/^[A-Za-z.]*Error: //'; case "$$line" in LLVM*) ;; *) exit 1 ;; esac
 	@touch $@

@@ -12,6 +12,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mistray._libatomic import provide_libatomic
 from mistray.errors import MistrayError
 from mistray.interrupts import importing
 
@@ -43,6 +44,7 @@ def import_mitsuba() -> Any:
     if "HOME" not in os.environ:  # Dr.Jit asks nobody else where it keeps compiled kernels
         with contextlib.suppress(RuntimeError):
             os.environ["HOME"] = str(Path.home())  # of the user's entry
+    provide_libatomic()
     try:
         with importing():
             mi = importlib.import_module("mitsuba")

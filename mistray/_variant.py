@@ -1,97 +1,31 @@
-"""Selection of libLLVM and of the Mitsuba variant, and registration of the plugins.
+"""Selection of the Mitsuba variant, and registration of the plugins.
 
-Dr.Jit opens libLLVM only once, on import. So the library is selected here before that, with only the standard library.
-With LLVM 15 and 16 on x86, Dr.Jit starts but aborts the process without a traceback ("Cannot select: fmaximum") on the
-first kernel that takes a minimum or a maximum.
+Dr.Jit opens libLLVM only once, on import. So the library is selected before that, with only the standard library.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import glob
 import importlib
 import os
 import pkgutil
-import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from types import ModuleType
 
+from mistray._llvm import LLVM_REMEDY, OLDEST_LLVM, find_llvm, search_llvm, version_text
 from mistray._mitsuba_compat import import_mitsuba, own_folder_first
 from mistray.entry_points import points_of
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.ranges import THREADS
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
-OLDEST_LLVM = 17
-NEWEST_TRIED_LLVM = 22  # a newer one is taken only where there is nothing else
-LLVM_REMEDY = (
-    "install one: apt-get install libllvm19 (Debian, Ubuntu), dnf install llvm-libs (Fedora), "
-    "conda install -c conda-forge libllvm19 (conda), brew install llvm (macOS); "
-    "or set DRJIT_LIBLLVM_PATH to the library's file"
-)
 PLUGIN_ROOT = "mistray.plugins"  # also the group of entry points that name modules of plugins
 PLUGIN_MODULES = "MISTRAY_PLUGINS"  # environment variable: more such modules, separated by commas
 LANES_OF_THREAD = 1 << 14  # which Dr.Jit gives to a thread at once
 
-_LIBRARY_NAME = re.compile(r"libLLVM[-.\d]*\.(so|dylib)[.\d]*")
-_VERSION_IN_NAME = re.compile(r"libLLVM(?:-|\.so\.|\.)(\d+(?:\.\d+)*)")
-_VERSION_IN_FOLDER = re.compile(r"llvm[-@/]?(\d+(?:\.\d+)*)(?=/)")
-
 _registered_variant: str | None = None
-
-
-@dataclass(frozen=True)
-class Llvm:
-    """A libLLVM that Dr.Jit can use: `path` of the file and `version` (major, minor, patch)."""
-
-    path: str
-    version: tuple[int, ...]
-
-    def __str__(self) -> str:
-        return f"LLVM {version_text(self.version)} ({self.path})"
-
-
-def version_text(version: tuple[int, ...]) -> str:
-    """Format a version as text: (19, 1, 7) becomes "19.1.7"."""
-    return ".".join(str(number) for number in version)
-
-
-def find_llvm() -> Llvm:
-    """
-    Find the libLLVM for Dr.Jit.
-
-    ``DRJIT_LIBLLVM_PATH`` takes precedence if it is set. Otherwise the search covers the linker's cache, the
-    distribution's folders, the conda environment and Homebrew. The newest library that loads is taken, from
-    `OLDEST_LLVM` to `NEWEST_TRIED_LLVM`; a newer one only if there is no other.
-
-    Raises
-    ------
-    MistrayError
-        If the library that ``DRJIT_LIBLLVM_PATH`` names cannot be loaded or is too old, or if no library is found.
-    """
-    given = os.environ.get("DRJIT_LIBLLVM_PATH")
-    if not given:
-        found, rejected = _search()
-        if found:
-            return found
-        seen = f" (found only {', '.join(rejected)})" if rejected else ""
-        raise MistrayError(f"no libLLVM of version {OLDEST_LLVM} or newer{seen}; {LLVM_REMEDY}")
-    try:
-        version = _loaded_version(given)
-    except OSError as error:
-        raise MistrayError(f"DRJIT_LIBLLVM_PATH={given} cannot be loaded ({error}); {_remedy_for_given()}") from None
-    if version is None or version[0] < OLDEST_LLVM:
-        told = version or _named_version(given)
-        text = version_text(told) if told else "15 or older"
-        raise MistrayError(
-            f"DRJIT_LIBLLVM_PATH={given} is LLVM {text}, with which Dr.Jit aborts the process; "
-            f"version {OLDEST_LLVM} or newer is needed: {_remedy_for_given()}"
-        )
-    return Llvm(given, version)
 
 
 def ensure_variant(name: str | None = None) -> str:
@@ -296,94 +230,16 @@ def _require_backend(variant: str) -> None:
         version = dr.detail.llvm_version() if dr.has_backend(dr.JitBackend.LLVM) else ()
         if not version or version[0] < OLDEST_LLVM:
             held = f"LLVM {version_text(version)}" if version else "no LLVM"
-            found, _ = _search()
-            remedy = f"set DRJIT_LIBLLVM_PATH={found.path} before Python starts" if found else LLVM_REMEDY
+            found, _ = search_llvm()
+            remedy = (
+                f", or set DRJIT_LIBLLVM_PATH={found.path} before Python starts" if found else f", or {LLVM_REMEDY}"
+            )
             raise MistrayError(
                 f"variant '{variant}': Dr.Jit has been imported with {held} and needs version {OLDEST_LLVM} or newer; "
-                f"import mistray before mitsuba and drjit, or {remedy}"
+                f"import mistray before mitsuba and drjit{'' if found and found.needs else remedy}"
             )
     elif variant.startswith("cuda_") and not dr.has_backend(dr.JitBackend.CUDA):
         raise MistrayError(
             f"variant '{variant}': Dr.Jit finds no NVIDIA GPU with a recent driver; "
             f"'mistray doctor' says what it needs; or use {DEFAULT_VARIANT}"
         )
-
-
-def _remedy_for_given() -> str:
-    found, _ = _search()
-    return f"unset DRJIT_LIBLLVM_PATH to use {found}" if found else LLVM_REMEDY
-
-
-def _search() -> tuple[Llvm | None, list[str]]:
-    """Return the best libLLVM of this machine, None if there is none, and a line of text on each rejected one."""
-    candidates = []
-    rejected = []
-    for path in _libraries():
-        try:
-            version = _named_version(path) or _loaded_version(path)
-        except OSError:
-            version = None
-        if version is None or version[0] < OLDEST_LLVM:
-            rejected.append(f"{path} (LLVM {version_text(version)})" if version else path)
-        else:
-            candidates.append((version[0] <= NEWEST_TRIED_LLVM, version, path))
-    for _, _, path in sorted(candidates, reverse=True):
-        try:
-            version = _loaded_version(path)
-        except OSError as error:
-            rejected.append(f"{path} ({error})")
-            continue
-        if version and version[0] >= OLDEST_LLVM:
-            return Llvm(path, version), rejected
-        rejected.append(path)
-    return None, rejected
-
-
-def _libraries() -> list[str]:
-    """Paths of all libLLVM files on this machine, with links resolved, each once."""
-    listed = []
-    if sys.platform.startswith("linux"):
-        listed = re.findall(r"=> (.*libLLVM.*)", _linker_cache())
-    folders = [
-        "/usr/lib/llvm-*/lib",
-        "/usr/lib/*-linux-gnu",
-        "/usr/lib64",
-        "/usr/lib64/llvm*/lib*",
-        "/usr/lib",
-        f"{sys.prefix}/lib",
-        f"{os.environ.get('CONDA_PREFIX', sys.prefix)}/lib",
-        "/opt/homebrew/opt/llvm*/lib",
-        "/usr/local/opt/llvm*/lib",
-    ]
-    for folder in folders:
-        listed += glob.glob(f"{folder}/libLLVM*")
-    files = {os.path.realpath(path) for path in listed if _LIBRARY_NAME.fullmatch(os.path.basename(path))}
-    return sorted(path for path in files if os.path.isfile(path))
-
-
-def _linker_cache() -> str:
-    import subprocess
-
-    for program in ("/sbin/ldconfig", "ldconfig"):
-        try:
-            return subprocess.run([program, "-p"], capture_output=True, text=True, check=True).stdout
-        except (OSError, subprocess.CalledProcessError):
-            continue
-    return ""
-
-
-def _named_version(path: str) -> tuple[int, ...] | None:
-    """Version in the name of a file or of its folder; None if there is none."""
-    folder, name = os.path.split(os.path.realpath(path))
-    found = _VERSION_IN_NAME.match(name) or _VERSION_IN_FOLDER.search(folder + "/")
-    return tuple(int(number) for number in found[1].split(".")) if found else None
-
-
-def _loaded_version(path: str) -> tuple[int, int, int] | None:
-    """Version reported by a library itself; None below LLVM 16, which cannot report it. Raises OSError."""
-    library = ctypes.CDLL(path)  # RTLD_LOCAL: Dr.Jit does not see it unless it is the one it is told to open
-    if not hasattr(library, "LLVMGetVersion"):
-        return None
-    major, minor, patch = ctypes.c_uint(), ctypes.c_uint(), ctypes.c_uint()
-    library.LLVMGetVersion(ctypes.byref(major), ctypes.byref(minor), ctypes.byref(patch))
-    return major.value, minor.value, patch.value

@@ -75,7 +75,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 @lru_cache(maxsize=1)
 def gpu_missing() -> str:
     """Why no test can run on a GPU here; empty if they can."""
-    from mistray import doctor
+    from mistray.cli import doctor
 
     check = doctor._cuda()
     return "" if check.status == "ok" else f"no GPU to trace on ({check.found}); {check.remedy}"

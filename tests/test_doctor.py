@@ -5,14 +5,20 @@ from __future__ import annotations
 import ctypes
 import importlib.metadata
 import json
+import re
 import sys
+import tomllib
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
 from packaging.requirements import Requirement
 
-from mistray import doctor
+from mistray._llvm import Llvm
+from mistray.cli import doctor
 from mistray.errors import MistrayError
+
+ROOT = Path(__file__).parents[1]
 
 
 def by_name(checks):
@@ -43,7 +49,36 @@ def test_missing_and_wrong_packages(monkeypatch):
     assert (checks["tqdm"].status, checks["tqdm"].remedy[:17]) == ("missing", "pip install 'tqdm")
     assert (checks["mitsuba"].status, checks["mitsuba"].found) == ("missing", "3.10.0, needs <3.10,>=3.9.1")
     extra = checks["extra: batoid"]
-    assert (extra.status, extra.remedy) == ("optional", "pip install 'mistray[batoid]'")
+    assert (extra.status, extra.remedy.partition(",")[0]) == ("optional", "pip install 'mistray[batoid]'")
+    assert "would add lens files of batoid" in extra.found
+
+
+def test_extras_are_those_of_users():
+    """Every extra is a developers' or says what it adds; the page about installing has the same sentences."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    developers = {"bench", "dev", "docs", "notebooks", "scatmech"}
+    assert set(project["optional-dependencies"]) == developers | doctor.EXTRAS.keys()
+    assert not developers & doctor.EXTRAS.keys()
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8").partition("## Extras")[2]
+    rows = re.findall(r"^\| `(\w+)` \| (.*) \|$", page, re.MULTILINE)
+    assert {name: adds.replace("`", "") for name, adds in rows} == doctor.EXTRAS
+
+
+@pytest.mark.parametrize(
+    ("needs", "variable", "origin"),
+    [((), "", "of the system"), (("a",), "", "of the extra llvm"), (("a",), "/b", "named by DRJIT_LIBLLVM_PATH")],
+)
+def test_whose_llvm_is_used(monkeypatch, needs, variable, origin):
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", variable)
+    monkeypatch.setattr(doctor, "find_llvm", lambda: Llvm("/b", (23, 1, 4), needs))
+    assert doctor._llvm().found == f"LLVM 23.1.4 (/b), {origin}"
+
+
+def test_libatomic_is_named_where_it_is_missing(monkeypatch):
+    assert list(doctor._libatomic()) == []
+    monkeypatch.setattr(doctor, "provide_libatomic", lambda: "/proc/1/fd/3")
+    (check,) = doctor._libatomic()
+    assert (check.name, check.status) == ("libatomic", "ok")
 
 
 def test_no_llvm(monkeypatch, capsys):

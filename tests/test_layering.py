@@ -18,10 +18,10 @@ ROOT = Path(__file__).parents[1]
 # From the ground up, side by side where a stroke stands: a module imports from its own layer and those before it
 GROUND_UP = """
     errors events ids percent estimate notes ranges param known_arguments named_values settings light messages _lazy
-    time_budget supervisor interrupts read_file replace_file replace_folder files cache _mitsuba_compat entry_points
-    _variant
+    time_budget supervisor interrupts read_file replace_file replace_folder files cache _libatomic _llvm
+    _mitsuba_compat entry_points _variant
     physics|materials|coatings spectra scatter prescription io mechanics scene surfaces recorders kernel sampling
-    execute gradients trace metrics cluster toolkit analyses analysis|optimize|sweeps|report|explore doctor cli
+    execute gradients trace metrics cluster toolkit analyses analysis|optimize|sweeps|report|explore cli
     __main__
 """
 LAYERS = [set(names.split("|")) for names in GROUND_UP.split()]
@@ -40,7 +40,7 @@ MAY_IMPORT = {
 NO_MITSUBA = {
     "errors", "events", "ids", "ranges", "known_arguments", "named_values", "settings", "light", "replace_file",
     "replace_folder", "read_file", "files", "io", "cache", "physics", "materials", "coatings", "spectra", "scatter",
-    "scenes", "toolkit", "doctor", "cli", "mechanics",
+    "scenes", "toolkit", "cli", "mechanics", "_libatomic", "_llvm",
 }  # fmt: skip
 # Importing Dr.Jit opens libLLVM, so these do it in functions, once libLLVM is settled or somebody asks for a scene.
 LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}

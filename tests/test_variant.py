@@ -1,4 +1,4 @@
-"""libLLVM is settled before Mitsuba is imported, the variant is one that can trace, and every plugin follows it."""
+"""The variant is one that can trace, and every plugin follows it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 from refusals import refused
 
-from mistray import _mitsuba_compat, _variant
+from mistray import _llvm, _mitsuba_compat, _variant
 
 ROOT = Path(__file__).parents[1]
 
@@ -27,50 +27,6 @@ def run_python(code: str, *arguments: str, **environment: str | None) -> subproc
         text=True,
         timeout=120,
     )
-
-
-def test_search_takes_the_newest_that_loads(monkeypatch):
-    """By the version that it tells; what is too old by its name or folder, or does not load, is left out."""
-    versions = {
-        "/a/libLLVM-15.so.1": None, "/b/libLLVM-17.so.1": (17, 0, 6), "/c/libLLVM.so.19.1": (19, 1, 7),
-        "/d/libLLVM.so.21.1": OSError("wrong ELF class"), "/e/libLLVM.so.99.1": (99, 1, 0), "/f/libLLVM.so": None,
-    }  # fmt: skip
-
-    def loaded(path):
-        if isinstance(versions.get(path), OSError):
-            raise versions[path]
-        return versions.get(path)
-
-    def found(*paths):
-        monkeypatch.setattr(_variant, "_libraries", lambda: list(paths))
-        return _variant.find_llvm()
-
-    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
-    monkeypatch.setattr(_variant, "_loaded_version", loaded)
-    assert found(*versions) == _variant.Llvm("/c/libLLVM.so.19.1", (19, 1, 7))
-    assert found("/e/libLLVM.so.99.1", "/a/libLLVM-15.so.1").version == (99, 1, 0)
-    for path, version in (
-        ("/x/libLLVM.19.1.dylib", (19, 1)), ("/usr/llvm17/lib64/libLLVM.so", (17,)),
-        ("/x/llvm/21.1.2/lib/libLLVM.dylib", (21, 1, 2)), ("/x/llvm@18/18.1.8/lib/libLLVM.dylib", (18,)),
-    ):  # fmt: skip
-        assert _variant._named_version(path) == version
-    with refused() as caught:
-        found("/a/libLLVM-15.so.1")
-    for word in ("/a/libLLVM-15.so.1", "17 or newer", "apt-get", "dnf", "conda", "brew"):
-        assert word in str(caught.value)
-
-
-def test_a_given_library_that_is_no_good(monkeypatch, tmp_path):
-    monkeypatch.setattr(_variant, "_libraries", list)
-    (tmp_path / "libLLVM.so").write_text("not a library")
-    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM.so"))
-    with refused(r"libLLVM.so cannot be loaded"):
-        _variant.find_llvm()
-    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/a/libLLVM-15.so.1")
-    for loaded, shown in ((None, "LLVM 15"), ((16, 0, 6), "LLVM 16.0.6")):
-        monkeypatch.setattr(_variant, "_loaded_version", lambda path, loaded=loaded: loaded)
-        with refused(rf"^DRJIT_LIBLLVM_PATH=.* is {shown}, .* aborts .* install"):
-            _variant.find_llvm()
 
 
 @pytest.mark.long
@@ -90,7 +46,7 @@ def test_choice_of_the_variant(before, environment, argument, expected):
         f"""
         if {before!r}:
             import os
-            os.environ["DRJIT_LIBLLVM_PATH"] = {_variant.find_llvm().path!r}
+            os.environ["DRJIT_LIBLLVM_PATH"] = {_llvm.find_llvm().path!r}
             import mitsuba as mi
             {before or "pass"}
         try:

@@ -20,7 +20,7 @@ COMMAND = Command(
 
 def run(options: Options) -> int:
     """Print the report on this machine; return the exit code, 1 if something required is missing."""
-    from mistray import doctor
+    from mistray.cli import doctor
 
     with working("looking at this machine"):
         checks = doctor.report()

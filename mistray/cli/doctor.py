@@ -19,8 +19,11 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Literal
 
+from mistray._libatomic import NAME as LIBATOMIC
+from mistray._libatomic import provide_libatomic
+from mistray._llvm import find_llvm
 from mistray._mitsuba_compat import import_remedy
-from mistray._variant import DEFAULT_VARIANT, find_llvm
+from mistray._variant import DEFAULT_VARIANT
 from mistray.errors import MistrayError
 
 DISTRIBUTION = "mistray"
@@ -33,9 +36,24 @@ GPU_NEEDS = (
     "its driver, 535 or newer, and OptiX"
 )
 
+# What each extra of pyproject.toml adds for a user; the others are for developers
+EXTRAS = {
+    "batoid": "lens files of batoid, and its telescopes",
+    "cad": "mechanical parts from STEP, STL, OBJ, PLY and glTF files",
+    "distributed": "traces by the workers of a dask cluster",
+    "images": "irradiance as EXR and FITS files",
+    "llvm": "libLLVM without root, for Linux on x86-64",
+    "nlopt": "further methods of mistray optimize",
+    "pdf": "reports as PDF",
+    "tables": "tables as Parquet files",
+    "view": "scenes, rays and paths in 3-D, by mistray view",
+    "widget": "the live explorer in Jupyter",
+    "xarray": "traces and PSTs as xarray data sets, for NetCDF and Zarr",
+}
+# What `mistray` loads before Dr.Jit, as a process without it must do
+_PRELOAD = "import ctypes, sys\nfor path in sys.argv[2:]: ctypes.CDLL(path)\n"
 # Minimum and maximum abort LLVM 15 and 16; Float64 sums and a ray against a mesh are what every trace uses.
 _PROBE = """
-import sys
 import mitsuba as mi
 for variant in sys.argv[1].split(","):
     try:
@@ -86,7 +104,7 @@ def report() -> list[Check]:
         Checks of Python, required packages, libLLVM, the GPU, the Mitsuba variants and the optional extras. This takes
         a few seconds, because each variant runs a small kernel.
     """
-    checks = [*_packages(), _llvm()]
+    checks = [*_packages(), _llvm(), *_libatomic()]
     mitsuba = next((check for check in checks if check.name == "mitsuba"), None)
     cuda = _cuda()
     checks.append(cuda)
@@ -159,7 +177,7 @@ def _extras() -> Iterator[Check]:
     except ImportError:  # PackageNotFoundError is one; `_packages` has reported it
         return
     requirements = [Requirement(text) for text in metadata.get_all("Requires-Dist") or []]
-    for extra in metadata.get_all("Provides-Extra") or []:
+    for extra, adds in EXTRAS.items():
         absent = []
         present = []
         for requirement in requirements:
@@ -172,10 +190,10 @@ def _extras() -> Iterator[Check]:
             else:
                 absent.append(f"{requirement.name}{requirement.specifier}")
         if absent:
-            remedy = f"pip install '{DISTRIBUTION}[{extra}]'"
-            yield Check(f"extra: {extra}", "optional", f"not installed: {', '.join(absent)}", remedy)
-        else:
-            yield Check(f"extra: {extra}", "ok", ", ".join(present))
+            remedy = f"pip install '{DISTRIBUTION}[{extra}]', which brings {', '.join(absent)}"
+            yield Check(f"extra: {extra}", "optional", f"not installed, would add {adds}", remedy)
+        elif present:  # neither for an extra that is for other systems
+            yield Check(f"extra: {extra}", "ok", f"{adds} ({', '.join(present)})")
 
 
 def _installed_version(package: str) -> str | None:
@@ -187,10 +205,19 @@ def _installed_version(package: str) -> str | None:
 
 def _llvm() -> Check:
     try:
-        return Check("libLLVM", "ok", str(find_llvm()))
+        llvm = find_llvm()
     except MistrayError as error:
         problem, _, remedy = str(error).partition("; ")
         return Check("libLLVM", "missing", problem, remedy)
+    if os.environ.get("DRJIT_LIBLLVM_PATH"):
+        return Check("libLLVM", "ok", f"{llvm}, named by DRJIT_LIBLLVM_PATH")
+    return Check("libLLVM", "ok", f"{llvm}, of the {'extra llvm' if llvm.needs else 'system'}")
+
+
+def _libatomic() -> Iterator[Check]:
+    """Say that the machine has no libatomic, where the package stands in for it."""
+    if provide_libatomic():
+        yield Check("libatomic", "ok", f"no {LIBATOMIC}; mistray brings the one function of it that Dr.Jit calls")
 
 
 def _cuda() -> Check:
@@ -256,9 +283,12 @@ def _library(name: str, variable: str) -> ctypes.CDLL:
 def _variants(with_cuda: bool) -> list[Check]:
     """Run a small kernel in each JIT variant of Mitsuba, each backend in its own process; return the checks."""
     environment = dict(os.environ)
+    before = [path for path in (provide_libatomic(),) if path]
     with contextlib.suppress(MistrayError):  # reported by _llvm; the kernels show what Dr.Jit makes of it
-        environment["DRJIT_LIBLLVM_PATH"] = find_llvm().path
-    listing = _run_python("import mitsuba as mi; print(','.join(mi.variants()))", [], environment)
+        llvm = find_llvm()
+        environment["DRJIT_LIBLLVM_PATH"] = llvm.path
+        before += llvm.needs
+    listing = _run_python("import mitsuba as mi; print(','.join(mi.variants()))", "", before, environment)
     if listing.returncode:
         reason = _reason(listing)
         return [Check("variants", "missing", f"mitsuba cannot be imported: {reason}", import_remedy(reason))]
@@ -269,7 +299,7 @@ def _variants(with_cuda: bool) -> list[Check]:
     for backend, variants in backends.items():
         if backend == "scalar" or (backend == "cuda" and not with_cuda):
             continue
-        run = _run_python(_PROBE, [",".join(variants)], environment)
+        run = _run_python(_PROBE, ",".join(variants), before, environment)
         results = dict(line.split(" ", 1) for line in run.stdout.splitlines() if line.partition(" ")[0] in variants)
         for variant in variants:
             result = results.get(variant)
@@ -282,8 +312,11 @@ def _variants(with_cuda: bool) -> list[Check]:
     return checks
 
 
-def _run_python(code: str, arguments: list[str], environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", code, *arguments]
+def _run_python(
+    code: str, argument: str, before: list[str], environment: dict[str, str]
+) -> subprocess.CompletedProcess[str]:
+    """Run code with an argument in its own process, which loads the libraries `before` first."""
+    command = [sys.executable, "-c", _PRELOAD + code, argument, *before]
     try:
         return subprocess.run(
             command, env=environment, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S, errors="replace"
