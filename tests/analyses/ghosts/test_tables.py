@@ -102,7 +102,7 @@ def test_csv_holds_every_digit(report, tmp_path):
     files = write_csv(report, tmp_path)
     names = ["summary", "paths", "energy", "surfaces", "stray_levels"]
     assert [file.name for file in files] == [f"{name}.csv" for name in names]
-    _, paths, energy, surfaces, _ = map(pd.read_csv, files)
+    _, paths, energy, surfaces, _ = (pd.read_csv(file, float_precision="round_trip") for file in files)
     assert list(paths.field_deg.unique()) == [0.0, 10.0, 20.0]
     for field in report:
         written, table = paths[paths.field_deg == field].reset_index(drop=True), report.table(field)
