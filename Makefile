@@ -32,7 +32,7 @@ help:
 	@echo "make bench     measure the speed beside other programs; parts: make bench BENCH='--only batoid embree'"
 	@echo "make release-check build and check a release, and list what only the owner can fill in"
 	@echo "make venv      only set up $(VENV)"
-	@echo "make clean     remove $(VENV), caches and results"
+	@echo "make clean     remove $(VENV), other environments, caches and results"
 
 demo: venv
 	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --rays 2e4 --out out/demo --force
@@ -97,7 +97,7 @@ release-check:
 venv: $(STAMPS)/installed $(STAMPS)/libraries
 
 clean:
-	rm -rf $(VENV) .venv-lowest .venv-release out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-lowest .venv-release .nox out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find mistray plugins scenes tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 $(STAMPS)/created:

@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out" / "release"
 URLS = ("Repository", "Issues", "DOI")
-LEFT_OUT = (".git", ".venv*", "out", "build", "dist", "*.egg-info", "__pycache__", ".*_cache")
+LEFT_OUT = (".git", ".venv*", ".nox", "out", "build", "dist", "*.egg-info", "__pycache__", ".*_cache")
 # Files that others read, and the schemas, as check-jsonschema calls them, that they follow
 SCHEMAS = {
     "CITATION.cff": "vendor.citation-file-format",

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
 import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import release_check
@@ -70,6 +73,26 @@ def test_what_only_the_owner_can_say() -> None:
     page = (ROOT / "docs" / "releases.md").read_text(encoding="utf-8")
     assert all(f"`{word}`" in page for word in release_check.URLS)
     assert "`maintainers = " in page
+
+
+def test_the_page_of_support_says_how_to_read_addresses() -> None:
+    """What pip prints has the addresses of pyproject.toml, once they are there."""
+    page = (ROOT / "docs" / "support.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"(?m)^pip (.*)$", page)
+    done = subprocess.run([sys.executable, "-m", "pip", *command.split()], capture_output=True, text=True)
+    assert "Name: mistray" in done.stdout, done.stderr
+    assert "Project-URLs:" in done.stdout
+
+
+@pytest.mark.slow
+def test_make_release_check_says_what_is_missing() -> None:
+    """Installs its tools, and the wheel with all that it needs: minutes, and the package index."""
+    if shutil.which("make") is None or Path(sys.prefix) != ROOT / ".venv":
+        pytest.skip("not run by make in its own environment")
+    done = subprocess.run(["make", "release-check"], cwd=ROOT, capture_output=True, text=True, timeout=1500)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    assert all(one in done.stdout for one in release_check.missing(PYPROJECT["project"]))
+    assert {file.suffix for file in release_check.OUT.iterdir()} == {".whl", ".gz"}
 
 
 def deprecations(text: str) -> Iterator[str]:
