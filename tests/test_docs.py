@@ -110,7 +110,8 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "line", [line for page in (README, COMMANDS) for line in command_lines(page) if line.startswith("mistray")]
+    "line",
+    [line for line in dict.fromkeys(command_lines(README) + command_lines(COMMANDS)) if line.startswith("mistray")],
 )
 def test_a_command_of_the_readme_and_of_the_list(
     line: str, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
