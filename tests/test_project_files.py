@@ -75,6 +75,7 @@ def test_what_only_the_owner_can_say() -> None:
     assert "`maintainers = " in page
 
 
+@pytest.mark.long
 def test_the_page_of_support_says_how_to_read_addresses() -> None:
     """What pip prints has the addresses of pyproject.toml, once they are there."""
     page = (ROOT / "docs" / "support.md").read_text(encoding="utf-8")
