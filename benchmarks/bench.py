@@ -47,7 +47,7 @@ PARTS = {
     "start": ("start_up", "import, help, first ghost table with an empty and a filled kernel cache"),
     "waiting": ("waiting", "small traces, moves of the explorer, first kernels, the PST of the Cassegrain"),
     "memory": ("memory", "largest memory"),
-    "growth": ("growth", "growth with rays, surfaces, paths, layers and threads"),
+    "growth": ("growth", "growth with rays, surfaces, paths, layers, detectors, wavelengths and threads"),
 }
 
 

@@ -21,7 +21,7 @@ from mistray.execute.tracer import Run, prepare
 from mistray.recorders.tallies import SEGMENTS
 from mistray.settings import Settings
 
-CASES = (("double_gauss", 1 << 18, 10.0), ("phone_camera", 1 << 14, 3.0))
+CASES = (("double_gauss", 1 << 18, 14.0), ("phone_camera", 1 << 14, 6.0))
 OFFSET_MM = 1e-3  # along the ray: the facets lie up to their sag beside the surface that the ray leaves
 CLOSE_MM = 0.05  # a hit of the mesh this near to that of the tree is the same
 SAME = 0.95  # least share of such hits

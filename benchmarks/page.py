@@ -54,7 +54,7 @@ def write_page(path: Path, figure: Path, record: Record, parts: Mapping[str, tup
             lines += [sides, ""]
         lines += [*HEAD, *(str(kept.row) for kept in rows), ""]
         if part == "growth" and _draw(figure, rows):
-            lines += [f"![Cost over rays, surfaces, paths and layers]({figure.name})", ""]
+            lines += [f"![Cost over what grows]({figure.name})", ""]
     replace_file(path, "\n".join(lines), "page of benchmarks")
 
 

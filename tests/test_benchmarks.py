@@ -322,3 +322,36 @@ def test_outputs_that_changed_are_named(tmp_path):
     assert re.search(r"coating: options\.--design-nm\.help: .*\(500\).* → .*\(550\)", told)
     assert "ar.csv.columns.reflectance: " in told
     assert re.search(r"\n2 of \d+ calls differ\n$", told)
+
+
+def test_operations_of_a_kernel_are_counted():
+    """Blocks apart; operands that are not of the block are loads, once each, and float64 takes two packets."""
+    from roofline import Operations, operations
+
+    code = """
+entry:
+    %f1 = load <16 x float>, ptr %f1_p3, align 64
+    %f2_1 = insertelement <16 x float> undef, float 0x3ff0, i32 0
+    %f2 = shufflevector <16 x float> %f2_1, <16 x float> undef, <16 x i32> zeroinitializer
+    %f3 = fadd <16 x float> %f1, %f2
+    br i1 %u4_t, label %l_4_t, label %l_4_next
+l_4_t:
+    %f5 = fdiv <16 x float> %f3, %f2
+    %f6 = call <16 x float> @llvm.sqrt.v16f32(<16 x float> %f5)
+    %d7 = fmul <16 x double> %d6, %d6
+    br label %l_4_t_trailer
+l_4_t_trailer:
+    store <16 x float> %f3, ptr %f8_p3, align 64
+"""
+    first, block = operations(code)
+    assert first == Operations(arithmetic=1, loads=2, stores=1)
+    assert block == Operations(arithmetic=2, divisions=1, roots=1, loads=3)
+    assert first.bound == 1.0
+    assert block.bound == 35.0
+    assert (0.5 * block + first).total == 3.0
+
+
+@pytest.mark.slow
+def test_the_roofline_runs():
+    table, _ = run("plate", program="roofline.py")
+    assert [line.split("|")[1].strip() for line in table.splitlines() if line.startswith("| ")][-1] == "all"

@@ -38,7 +38,7 @@ from mistray.sampling.sources import scene_sources
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import download, upload
 from mistray.time_budget import time_is_up
 
 PASS_LANES = 1 << 20  # start rays of a pass, by which its memory is bounded
@@ -212,7 +212,7 @@ class Run:
         lane = index + dr.opaque(mi.UInt32, done)
         rng, scrambled = generators(self.seed, lane)
         # Batches of a grid are random, because blocks of its rows would be no samples of it
-        blocks = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
+        blocks = mi.UInt32(mi.Float64(index) * dr.opaque(mi.Float64, BATCHES / lanes))
         batch = scrambled % BATCHES if self.source.pattern == "grid" else blocks
         dr.eval(lane, batch, rng)
         # Rays of the source
@@ -257,7 +257,7 @@ class Run:
 
     def exact(self, start: StartRays) -> tuple[np.ndarray, np.ndarray]:
         """Return origins (mm) and directions of start rays in the world, free of float32 rounding, (n, 3) float64."""
-        return self.source.exact(self.table.download_points(start.o), np.array(start.d, dtype=np.float64).T)
+        return self.source.exact(self.table.download_points(start.o), download(start.d))
 
     @property
     def scene(self) -> KernelScene:

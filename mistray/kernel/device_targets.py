@@ -13,6 +13,7 @@ where 2π w is the solid angle in which that sphere is seen. M takes dω to det 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import drjit as dr
@@ -28,6 +29,7 @@ SHARES = 19  # place of the sum of shares among the floats
 # Codes of the shapes; that of an ellipse is its hole, 0 … 1
 PARALLELOGRAM, TRIANGLE, ELLIPSOID = -1.0, -2.0, -3.0
 CONES = {"direction": -4.0, "point": -5.0, "specular": -6.0}
+MOST_SETS = 1024  # sets whose rows are kept from a trace to the next
 
 
 class DeviceTargets:
@@ -44,7 +46,7 @@ class DeviceTargets:
 
     def __init__(self, sets: Sequence[AimSet], centre: np.ndarray) -> None:
         targets = [target for aim in sets for target in aim.targets]
-        rows = [row for aim in sets for row in _rows(aim, centre)]
+        rows = [row for aim in sets for row in _rows(aim, tuple(centre.tolist()))]
         self._values = upload(mi.Float, np.array(rows if rows else [np.zeros(4 * VECTORS)]))
         # Kinds of target that do not occur take no code in the kernel
         self._ellipsoids = any(isinstance(target, Ellipsoid) for target in targets)
@@ -194,7 +196,8 @@ def _within(axis: mi.Vector3f, width: mi.Float, u: mi.Float, sine: mi.Float, cos
     return (1 - less) * axis + aside * (cosine * across + sine * beside)
 
 
-def _rows(aim: AimSet, centre: np.ndarray) -> list[np.ndarray]:
+@lru_cache(maxsize=MOST_SETS)
+def _rows(aim: AimSet, centre: tuple[float, ...]) -> list[np.ndarray]:
     """
     Return the rows of targets, (24,) float64 each, as the kernel reads them; positions in mm, areas in mm².
 
@@ -205,7 +208,7 @@ def _rows(aim: AimSet, centre: np.ndarray) -> list[np.ndarray]:
     rows, so_far = [], 0.0
     for target in aim.targets:
         so_far += target.share
-        shape, one, two, three, first, second = _vectors(target, centre)
+        shape, one, two, three, first, second = _vectors(target, np.array(centre))
         sign = -1.0 if target.reverse else 1.0
         rows.append(
             np.concatenate([shape, one, [*two, target.share], [*three, sign], [*first, so_far], [*second, 0.0]])

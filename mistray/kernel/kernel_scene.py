@@ -144,7 +144,7 @@ def next_hit(
     skip = mi.Float(0)
     if normal is not None:  # offset from a Mitsuba surface by a few roundings, along the ray so that it stays the same
         slant = dr.maximum(dr.abs(dr.dot(normal, d)), GRAZING)
-        skip = dr.select(last >= len(table.pieces), table.mitsuba_epsilon / slant, 0)
+        skip = dr.select(last >= len(table.pieces), dr.opaque(mi.Float, table.mitsuba_epsilon) / slant, 0)
     ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o) + table.mitsuba_offset), d)
     ray.maxt = dr.select(dr.isfinite(t), t - skip, dr.largest(mi.Float))
     hit = table.mitsuba_scene.ray_intersect_preliminary(ray, coherent=False, active=active)

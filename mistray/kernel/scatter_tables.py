@@ -8,7 +8,7 @@ table holds the loss of the specular beam, and the scattered flux as the terms o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
@@ -46,6 +46,8 @@ RATIO_HEAD = 5
 NO_TOTALS = 2  # rows of zeros before the totals, for cases without scatter
 TURNED_ANGLES = 64  # intervals of the totals of anisotropic lobes, which are interpolated to `ANGLES`
 RANDOM_RAYS_SHIFT = 16
+MOST_CHECKED = 1024
+_checked: set[Hashable] = set()  # scatter, coating and media of surfaces that gain no light, by an earlier trace
 
 
 @dataclass(frozen=True)
@@ -357,7 +359,7 @@ class ScatterTables:
             media = [light_indices(optics, s, from_front) for from_front in (True, False)]
             kind = (*bsdf.scatter, bsdf.coating, *media, *optics.complex_indices[s], optics.host_words[s] & OPAQUE)
             if kind not in alike:
-                alike[kind] = self._sides_of(table.ids, optics, s)
+                alike[kind] = self._sides_of(table.ids, optics, s, (*kind, optics.wavelength_nm))
             found = alike[kind]
             for side, from_front in enumerate((True, False)):
                 sides[2 * s + side, 2] = bsdf.scatter_rays << RANDOM_RAYS_SHIFT
@@ -419,18 +421,21 @@ class ScatterTables:
         return SurfaceFrames(table, turned)
 
     @staticmethod
-    def _sides_of(ids: Sequence[str], optics: Optics, s: int) -> list[Side]:
+    def _sides_of(ids: Sequence[str], optics: Optics, s: int, kind: Hashable) -> list[Side]:
         """Return the scatter from front and back of a surface; raise `MistrayError` if a side gains light."""
-        found = []
+        found, checked = [], kind in _checked
         for from_front in (True, False):
             n_in, n_out = light_indices(optics, s, from_front)
             side = side_of(tuple(optics.bsdfs[s].scatter), optics.wavelength_nm, n_in, n_out, from_front)
             if optics.host_words[s] & OPAQUE:
                 side = side.without_transmission()
-            if side.lobes:
+            if side.lobes and not checked:
                 title = f"surface '{ids[s]}', light from the {'front' if from_front else 'back'}"
                 check_side(title, side, n_in, n_out, partial(optics.shares, s, from_front))
             found.append(side)
+        if len(_checked) == MOST_CHECKED:
+            _checked.clear()
+        _checked.add(kind)
         return found
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:

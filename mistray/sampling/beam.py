@@ -83,9 +83,11 @@ class Beam(SceneSource):
         x, y = self.emitter.positions(sample)
         if self.aperture is not None:
             axes = np.stack([self.u, self.v, self.direction], axis=1)
-            a, b, _ = np.linalg.solve(axes, self.aperture.centre - self.pivot)
+            a, b, _ = opaque(mi.Vector3f, np.linalg.solve(axes, self.aperture.centre - self.pivot))
             # In a cross-section that is not normal to the beam the projection of the sphere is longer
-            disk = mi.warp.square_to_uniform_disk_concentric(sample) * (self.aperture.radius / np.linalg.det(axes))
-            lit = self.emitter.within(disk.x + float(a), disk.y + float(b))
-            x, y = dr.select(lit, disk.x + float(a), x), dr.select(lit, disk.y + float(b), y)
+            radius = dr.opaque(mi.Float, self.aperture.radius / float(np.linalg.det(axes)))
+            disk = radius * mi.warp.square_to_uniform_disk_concentric(sample) + mi.Point2f(a, b)
+            lit = self.emitter.within(disk.x, disk.y)
+            x, y = dr.select(lit, disk.x, x), dr.select(lit, disk.y, y)
+        dr.eval(x, y)
         return self.through(np.array(x, dtype=np.float64), np.array(y, dtype=np.float64))

@@ -49,6 +49,7 @@ _OF_SOURCES = ("matrix", "size", "plane", "distance", "field_deg", "azimuth_deg"
 MOST_KNOWN = 64  # scenes whose targets or design sequences are kept: a scene is traced at many fields
 Found = TypeVar("Found")
 _known: dict[str, dict[Place, list[Target]]] = {}
+_known_sets: dict[str, dict[Place, AimSet]] = {}  # of the same targets, by numbers of aimed rays
 
 
 def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Place, AimSet]:
@@ -81,10 +82,15 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
     if settings.aim == "targets" or not settings.aimed_rays:
         return found
     # Automatic targets of the other surfaces, from the cache if the scene has been traced before
-    automatic = remembered(_known, signature(table, scene, rest), lambda: _of_detectors(table, scene, rest))
-    for place, targets in automatic.items():
+    key, rays = signature(table, scene, rest), settings.aimed_rays
+    automatic = remembered(_known, key, lambda: _of_detectors(table, scene, rest))
+
+    def automatic_sets() -> dict[Place, AimSet]:
+        return {place: AimSet.of(targets, rays) for place, targets in automatic.items()}
+
+    for place, aim in remembered(_known_sets, f"{key} {rays}", automatic_sets).items():
         if (place.surface if isinstance(place, Inside) else place[0]) not in given:
-            found[place] = AimSet.of(targets, settings.aimed_rays)
+            found[place] = aim
     return found
 
 

@@ -27,7 +27,7 @@ from mistray.errors import MistrayError
 from mistray.kernel.polarization import carried, from_plane
 from mistray.sampling.emission_laws import EDGE, direction, polar
 from mistray.sampling.strata import Strata, stratified_points
-from mistray.surfaces.upload import opaque, upload
+from mistray.surfaces.upload import download, opaque, upload
 
 NEAR = 20.0  # radii of the scene: rays from farther away are moved to the scene, where float32 is fine enough
 # Half of the rays go to the first aperture, and a tenth of these to all of it where only a part of it is lit. The other
@@ -208,7 +208,8 @@ class SceneSource(ABC):
             return None
         u, axis = (opaque(mi.Vector3d, one) for one in (self.u, self.direction))
         stokes, along = opaque(mi.Vector3d, self.stokes), mi.Vector3d(d)
-        return mi.Vector3f(from_plane(stokes, along, carried(u, axis, along)))
+        # Of full width: a part of the rays is taken from all of its components, or from none
+        return dr.zeros(mi.Vector3f, dr.width(d)) + mi.Vector3f(from_plane(stokes, along, carried(u, axis, along)))
 
     @property
     def towards(self) -> str:
@@ -457,7 +458,7 @@ class EmittedRays(PluginRays):
 
 def on_host(o: mi.Vector3d, d: mi.Vector3d) -> tuple[np.ndarray, np.ndarray]:
     """Return ray origins, mm, and directions on the host, (n, 3) float64 each, with directions normalised again."""
-    origins, directions = (np.array(vector, dtype=np.float64).T for vector in (o, d))
+    origins, directions = (download(vector) for vector in (o, d))
     return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 

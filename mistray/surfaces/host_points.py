@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.surfaces.host_rays import normals
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import download, upload
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
@@ -46,7 +46,7 @@ def box_corners(boxes: Iterable[Any]) -> np.ndarray:
 def stock_points(shape: Any, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return points of a shape of Mitsuba, (n, 3), mm, for u and v in 0 … 1, and the unit normals there."""
     found = shape.sample_position(0.0, mi.Point2f(upload(mi.Float, u), upload(mi.Float, v)))
-    p, n = (np.broadcast_to(np.array(one, dtype=np.float64).T, (len(u), 3)).copy() for one in (found.p, found.n))
+    p, n = (np.broadcast_to(download(one), (len(u), 3)).copy() for one in (found.p, found.n))
     return p, n
 
 

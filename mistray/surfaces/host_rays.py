@@ -10,16 +10,19 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.surfaces.surface import (
     NO_SURFACE,
     Bounds,
     TracedSurface,
+    asphere_crossings,
+    asphere_gradient,
     quadric_crossings,
     quadric_gradient,
     within_bounds,
 )
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import download, upload
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
@@ -145,11 +148,12 @@ def _nearest_first(
     for first in range(0, len(members), AT_ONCE):
         columns = order[rays, first : first + AT_ONCE]
         distance = entry[rays[:, None], columns]
-        row, column = np.nonzero(np.isfinite(distance) & (distance <= best[rays, None]))
+        near = np.isfinite(distance) & (distance <= best[rays, None])
+        row, column = np.nonzero(near)
         if not len(row):
             break
         yield rays[row], members[columns[row, column]]
-        rays = rays[np.unique(row)]
+        rays = rays[near.any(axis=1)]
 
 
 @dataclass(frozen=True)
@@ -228,7 +232,13 @@ class HostSurfaces:
         self._self_hit = np.array([piece.self_hit for piece in table.pieces])
         self._quadric = np.array([piece.quadric for piece in table.pieces]).reshape(-1, 4)
         self._bounds = np.array([piece.bounds or Bounds() for piece in table.pieces]).reshape(-1, len(Bounds._fields))
-        self._pooled = np.array([piece.bounds is not None and not piece.searched for piece in table.pieces], dtype=bool)
+        self._asphere = np.array([piece.searched and piece.bounds is not None for piece in table.pieces], dtype=bool)
+        self._pooled = np.array([piece.bounds is not None for piece in table.pieces], dtype=bool)
+        # Curvature, conic constant and coefficients of the aspheres, a row for each surface
+        shapes = [(p.curvature, p.conic, *p.coefficients) if isinstance(p, SagSurface) else () for p in table.pieces]
+        self._shapes = np.zeros((len(shapes), max(map(len, shapes), default=0)))
+        for row, shape in zip(self._shapes, shapes, strict=True):
+            row[: len(shape)] = shape
         self._sign = np.array([piece.sign for piece in table.pieces])
 
     def _inward(self, v: np.ndarray, members: np.ndarray) -> np.ndarray:
@@ -257,7 +267,7 @@ class HostSurfaces:
         """
         start, way = self._inward(o - self._vertices[members], members), self._inward(d, members)
         nearest = np.where(last == members, self._self_hit[members], 0.0)
-        pooled = self._pooled[members]
+        pooled, asphere = self._pooled[members], self._asphere[members]
         found = [(np.empty(0, dtype=np.int64), np.empty(0))]
 
         def meet(chosen: np.ndarray, t: np.ndarray, inside: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
@@ -268,11 +278,17 @@ class HostSurfaces:
             found.append((rays[hit], t[hit]))
 
         with np.errstate(all="ignore"):
-            if len(chosen := np.flatnonzero(pooled)):
-                bounds = self._bounds[members[chosen]].T
-                t = quadric_crossings(self._quadric[members[chosen]].T, bounds[0], start[chosen], way[chosen])
-                meet(chosen, t, lambda q, some: within_bounds(bounds[:, some], q))
-            for number in np.unique(members[~pooled]).tolist():
+            for chosen in (np.flatnonzero(pooled & ~asphere), np.flatnonzero(asphere)):
+                if not len(chosen):
+                    continue
+                own, o, d = members[chosen], start[chosen], way[chosen]
+                bounds = self._bounds[own].T
+                if asphere[chosen[0]]:
+                    t = asphere_crossings(self._shapes[own].T, o, d)
+                else:
+                    t = quadric_crossings(self._quadric[own].T, bounds[0], o, d)
+                meet(chosen, t, lambda q, some, bounds=bounds: within_bounds(bounds[:, some], q))  # type: ignore[misc]
+            for number in sorted(set(members[~pooled].tolist())):
                 chosen, piece = np.flatnonzero(members == number), self._pieces[number]
                 meet(chosen, piece.crossings(start[chosen], way[chosen]), lambda q, _, piece=piece: piece.inside(q))  # type: ignore[misc]
         return np.concatenate([rays for rays, _ in found]), np.concatenate([t for _, t in found])
@@ -282,7 +298,9 @@ class HostSurfaces:
         q = self._inward(p - self._vertices[members], members)
         a, b, e, _ = self._quadric[members].T
         normal = quadric_gradient(a, b, e, q)
-        for number in np.unique(members[~self._pooled[members]]).tolist():
+        if len(curved := np.flatnonzero(self._asphere[members])):
+            normal[curved] = asphere_gradient(self._shapes[members[curved]].T, q[curved])
+        for number in sorted(set(members[~self._pooled[members]].tolist())):
             here = members == number
             normal[here] = self._pieces[number].gradient(q[here])
         normal *= self._sign[members, None]
@@ -303,7 +321,7 @@ def _stock_hit(
     found = np.array(si.is_valid())
     number = dr.gather(mi.UInt32, table.mitsuba_lookup, dr.reinterpret_array(mi.UInt32, si.shape), si.is_valid())
     t = np.where(found, np.array(si.t, dtype=np.float64) + table.mitsuba_epsilon, np.inf)
-    normal = np.broadcast_to(np.array(si.n, dtype=np.float64).T, o.shape).copy()
+    normal = np.broadcast_to(download(si.n), o.shape).copy()
     return t, np.where(found, np.array(number, dtype=np.int64), NO_SURFACE), normal
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from mistray.physics.geometry.sag import sag, sag_derivative
 from mistray.surfaces.crossings import Numbers
 from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER
 
@@ -26,6 +27,8 @@ NO_SURFACE = 0xFFFFFFFF
 SELF_HIT = 1e-5
 # Coordinate in which rims lie: the distance from the axis, x and y, or one of the family (z for a cone)
 ROUND, RECTANGLE, ENDS = range(3)
+NEWTON_STEPS = 8  # onto an asphere
+SETTLED = 1e-10  # relative size of the last Newton step, below which a hit is found
 AREA_STEPS = 64  # steps along a surface with uniformly drawn points, for its area
 
 
@@ -318,7 +321,7 @@ class TracedSurface(ABC):
         """
 
 
-# The numbers of surfaces in these three are floats, or arrays (n,) with those of the surface that each ray may meet
+# The numbers of surfaces in these functions are floats, or arrays (n,) with those of the surface that each ray may meet
 
 
 def quadric_crossings(quadric: Sequence[Any], sheet: Any, o: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -348,3 +351,47 @@ def quadric_gradient(a: Any, b: Any, e: Any, q: np.ndarray) -> np.ndarray:
     """Return half the gradient of F, (n, 3), at points (n, 3), mm; see `TracedSurface.quadric`."""
     x, y, z = q.T
     return np.stack([a * x, a * y, b * z + 0.5 * e], axis=1)
+
+
+def asphere_crossings(shape: Sequence[Any], o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """
+    Return the distances, (n, 2), mm, at which lines cross an even asphere, found from those to its conic.
+
+    Newton's method takes at most `NEWTON_STEPS`; distances are NaN where it fails or there is no crossing.
+
+    Parameters
+    ----------
+    shape : sequence
+        Curvature, 1/mm, conic constant, and coefficients a4, a6, …, see `mistray.physics.geometry.sag.sag`.
+    o, d : (n, 3) float64
+        Points on the lines, mm, and their directions.
+    """
+    curvature, conic, *_ = shape
+    t = quadric_crossings((curvature, curvature * (1 + conic), -2.0, 0.0), 0.0, o, d)
+    t[:, 0] = np.where(np.isfinite(t[:, 0]), t[:, 0], -o[:, 2] / d[:, 2])  # of the vertex plane, where it is nearest
+    found = np.full(t.shape, np.nan)
+    going = np.flatnonzero(np.isfinite(t))  # few need more than some steps: the others are left out of the rest
+    ray, t = going // t.shape[1], t.ravel()[going]
+    for _ in range(NEWTON_STEPS):
+        (x, y, z), (dx, dy, dz) = o[ray].T, d[ray].T
+        x, y = x + t * dx, y + t * dy
+        r2 = x * x + y * y
+        c, k, *coefficients = (number[ray] if np.ndim(number) else number for number in shape)
+        slope = 2 * sag_derivative(r2, c, k, coefficients) * (x * dx + y * dy) - dz
+        step = (sag(r2, c, k, coefficients) - z - t * dz) / slope
+        t = t - step
+        settled = np.abs(step) < SETTLED * (1 + np.abs(t))
+        found.flat[going[settled]] = t[settled]
+        on = ~settled & np.isfinite(step)
+        going, ray, t = going[on], ray[on], t[on]
+        if not len(going):
+            break
+    return found
+
+
+def asphere_gradient(shape: Sequence[Any], q: np.ndarray) -> np.ndarray:
+    """Return half the gradient of F = 2 (sag - z), (n, 3), at points (n, 3), mm; see `asphere_crossings`."""
+    c, k, *coefficients = shape
+    x, y, _ = q.T
+    slope = 2 * sag_derivative(x**2 + y**2, c, k, coefficients)
+    return np.stack([slope * x, slope * y, -np.ones(len(q))], axis=1)

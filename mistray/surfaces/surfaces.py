@@ -35,7 +35,7 @@ from mistray.surfaces.optics import ASPHERIC, DETECTOR, MIRROR, STOCK, WALL, Opt
 from mistray.surfaces.seams import WallRims, let_overlap
 from mistray.surfaces.shell_tree import ShellTree, many
 from mistray.surfaces.surface import TracedSurface
-from mistray.surfaces.upload import opaque, upload
+from mistray.surfaces.upload import download, opaque, upload
 
 SAME_FRAME = 1e-9  # difference up to which directions of axes count as equal
 # Row of the polynomial table: curvature, conic, a4 … a20 in units of the aperture and the unit of these, see
@@ -221,7 +221,7 @@ class SurfaceTable:
 
     def download_points(self, points: mi.Vector3f) -> np.ndarray:
         """Return world points, (n, 3) float64, mm, from points on the device."""
-        return np.array(points, dtype=np.float64).T + self.centre
+        return download(points) + self.centre
 
     def frame(self, s: mi.UInt32, active: mi.Bool | bool = True) -> LocalFrame:
         """Return the axes of the surfaces s, which rotate directions into the surfaces' frames and back."""
@@ -342,7 +342,7 @@ class SurfaceTable:
         # From memory: as literals in the code they would make each ray a kernel to compile
         origin, along = (dr.unravel(mi.Vector3f, upload(mi.Float, rays)) for rays in (starts, directions))
         found = self.mitsuba_scene.ray_intersect(mi.Ray3f(mi.Point3f(origin), along))
-        return np.array(found.n, dtype=np.float64).T
+        return download(found.n)
 
     def _flags(self) -> np.ndarray:
         """Return the bits of the surfaces' words that follow from the geometry, (s,) uint32."""

@@ -1,4 +1,4 @@
-"""Upload of host arrays to the device for the kernel."""
+"""Upload of host arrays to the device for the kernel, and download of vectors."""
 
 from __future__ import annotations
 
@@ -42,3 +42,15 @@ def upload(kind: Any, values: np.ndarray) -> Any:
     aligned = room[first : first + flat.nbytes].view(flat.dtype)
     aligned[:] = flat
     return kind(aligned)
+
+
+def download(vector: Any) -> np.ndarray:
+    """
+    Return a Dr.Jit vector as an array on the host, (n, components) float64.
+
+    NumPy would ask Dr.Jit to reorder the components, by a kernel that has their number of entries as a literal. Each
+    other number would compile a kernel.
+    """
+    dr.eval(vector)
+    components = np.broadcast_arrays(*(np.array(component, dtype=np.float64) for component in vector))
+    return np.array(components).T

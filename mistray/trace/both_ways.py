@@ -93,6 +93,11 @@ class Branches:
         """Return the branches that an array of numbers or a mask chooses."""
         return Branches(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
+    @property
+    def bright(self) -> npt.NDArray[np.bool_]:
+        """Whether each branch is followed, (n,); also one that is dark in one of the modes."""
+        return np.asarray(np.maximum(self.mean, self.light[:, 0]) > self.floor)
+
     @staticmethod
     def together(parts: list[Branches]) -> Branches:
         """Return the branches of all parts, concatenated; there is at least one part."""
@@ -272,6 +277,7 @@ class _Tree:
         self._cases = {(case.surface, case.from_front, case.event): case for case in tables.all_cases}
         self._extinction = np.array(run.table.optics.extinction, dtype=np.float64)
         self._coatings = _Coatings(run.table.optics)
+        self._detects = np.isin(np.arange(run.table.count), run.table.detectors)
         self.ends: list[tuple[Branches, Floats, Floats]] = []
         self.dim: list[_Lit] = []
         self.hits = 0
@@ -345,7 +351,7 @@ class _Tree:
         mean_r, mean_t = (b.mean * 0.5 * (X[:, 0] + X[:, 1]) for X in shares)
 
         # Record hits of detectors
-        here = np.flatnonzero(np.isin(surface, table.detectors))
+        here = np.flatnonzero(self._detects[surface])
         if len(here):
             end = b.take(here)
             code = (surface[here] << EVENT_BITS) | ABSORBED
@@ -368,15 +374,13 @@ class _Tree:
         code = (surface << EVENT_BITS) | TRANSMITTED
         onward = b.after(code, through, s, mean_t * kept_t, transmitted * kept_t[:, None])
         onward = replace(onward, medium=far)
-        children = [echo.take(may), onward.take((~opaque & ~total) & ("T" in allowed))]
+        children = [echo.take(may & echo.bright), onward.take(~opaque & ~total & onward.bright & ("T" in allowed))]
 
         # Scatter waits until all specular branches are traced, so that its rays can be sampled by flux
         if self._cases and self._settings.max_scatters:
             sent = {"reflection": (shares[0][:, :2], reflected), "transmission": (shares[1][:, :2], transmitted)}
             self._light(b, surface, from_front, normal, sent)
-        found = Branches.together(children)
-        # A branch that is dark in one mode only is followed, too
-        return found.take(np.maximum(found.mean, found.light[:, 0]) > found.floor)
+        return Branches.together(children)
 
     def _kept(self, surface: Whole, from_front: np.ndarray, event: str, cosine: Floats) -> Floats:
         """Return the share of the coating's R or T that scatter leaves in the specular beam, (n,)."""
@@ -495,12 +499,18 @@ def _across(d: Floats) -> Floats:
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Return the cross products of vectors, (n, 3): for few of them `np.cross` takes three times as long."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+
+
 def _turned(b: Branches, normal: Floats) -> Branches:
     """Return the branches with Stokes vectors that refer to axes across the planes of incidence."""
-    s = np.cross(b.d, normal)
-    size = np.linalg.norm(s, axis=1, keepdims=True)
+    s = _cross(b.d, normal)
+    size = np.sqrt(np.einsum("ij,ij->i", s, s))[:, None]
     s = np.where(size**2 > NORMAL_INCIDENCE, s / np.maximum(size, 1e-30), b.axis)
-    c, n = np.einsum("ij,ij->i", b.axis, s), np.einsum("ij,ij->i", np.cross(b.d, b.axis), s)
+    c, n = np.einsum("ij,ij->i", b.axis, s), np.einsum("ij,ij->i", _cross(b.d, b.axis), s)
     cos2, sin2 = c * c - n * n, 2 * c * n
     flux, q, u, v = b.light.T
     return replace(b, light=np.stack([flux, cos2 * q + sin2 * u, cos2 * u - sin2 * q, v], axis=1), axis=s)

@@ -475,8 +475,9 @@ class PathTable(Sequence[PathRow]):
 
     def _merged(self, aliases: Mapping[str, str] | str | None) -> pd.DataFrame:
         """Return the table of `by_way`."""
-        table = self.to_pandas()
-        table["events"], table["path"] = way_text(table.events), way_letters(table.path)
+        table = {name: column.copy() for name, column in self._columns.items()}
+        for name, text in (("events", way_text), ("path", way_letters)):
+            table[name][:] = text(table[name])
         # Facts that aliases must not merge: they enter the key of a way
         apart = np.zeros((len(self), 0), dtype=np.uint32)
         if aliases is not None:
@@ -494,26 +495,25 @@ class PathTable(Sequence[PathRow]):
                 of = dict(zip(own.run.table.event_ids, names, strict=True))
                 columns |= {name: np.array([of.get(v, v) for v in self._columns[name][ids]], object) for name in NAMES}
                 for name, values in columns.items():
-                    table.loc[ids, name] = values
+                    table[name][ids] = values
             # Group paths of equal events, and name each group
             keys = host_keys(np.hstack([apart[ids], events.codes]), events.lengths + apart.shape[1])
             _, first, group = np.unique(keys, return_index=True, return_inverse=True)
             head[ids] = ids[first][group]
-            table.loc[ids[first], "label"] = events[first].labels(self._columns["kind"][ids[first]])
+            table["label"][ids[first]] = events[first].labels(self._columns["kind"][ids[first]])
         # Numbers of the groups
         order = np.argsort(head, kind="stable")
         kept, starts = np.unique(head[order], return_index=True)
         ways = [tuple(ids.tolist()) for ids in np.split(order, starts[1:])] if len(kept) else []
-        table = table.loc[kept].assign(**self.columns_of(ways), path_ids=ways)
-        table["key"] = event_keys(table.events)
-        return table.sort_values("power_W", ascending=False, kind="stable", ignore_index=True)
+        table = {name: column[kept] for name, column in table.items()} | self.columns_of(ways)
+        table["key"][:] = event_keys(table["events"])
+        strongest = np.argsort(-table["power_W"], kind="stable")
+        found = _frame({name: column[strongest] for name, column in table.items()})
+        return found.assign(path_ids=[ways[k] for k in strongest])
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the table as a DataFrame: a row for each path, a column for each attribute of `PathRow`."""
-        import pandas as pd
-
-        text = {name: column.tolist() for name, column in self._columns.items() if column.dtype == object}
-        return pd.DataFrame(self._columns | text)
+        return _frame(self._columns)
 
     def to_csv(self, path: str | Path) -> None:
         """Write the path table as CSV, numbers with nine digits."""
@@ -536,6 +536,14 @@ class PathTable(Sequence[PathRow]):
         if len(more):
             lines.append(f"… and {len(more)} more, together {more.sum():.4g} % of all")
         return "\n".join(lines)
+
+
+def _frame(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
+    """Return columns of a path table as a DataFrame; text has the type that pandas infers from strings."""
+    import pandas as pd
+
+    text = {name: column.tolist() for name, column in columns.items() if column.dtype == object}
+    return pd.DataFrame({**columns, **text})
 
 
 def path_table(runs: Sequence[Run]) -> PathTable:

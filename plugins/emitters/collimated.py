@@ -124,14 +124,16 @@ class Collimated(LightSource):
 
     def positions(self, sample: mi.Point2f) -> tuple[mi.Float, mi.Float]:
         """Return coordinates along u and v, mm, by an equal-area map of the unit square to the cross-section."""
-        a, b = self.size
+        # Opaque, so that a beam of another size compiles no other kernel
+        a, b = (dr.opaque(mi.Float, size) for size in self.size)
         if self.rectangular:
             return a * (2 * sample.x - 1), b * (2 * sample.y - 1)
         disk = mi.warp.square_to_uniform_disk_concentric(sample)
-        if b == 0:
+        if self.size[1] == 0:
             return a * disk.x, a * disk.y
         r2 = dr.squared_norm(disk)
-        scale = dr.sqrt((b * b + r2 * (a * a - b * b)) / dr.maximum(r2, 1e-12))
+        ring = dr.opaque(mi.Float, self.size[0] ** 2 - self.size[1] ** 2)
+        scale = dr.sqrt((b * b + r2 * ring) / dr.maximum(r2, 1e-12))
         return scale * disk.x, scale * disk.y
 
     def start_distance(self, bbox: mi.ScalarBoundingBox3f, direction: np.ndarray, pivot: np.ndarray) -> float:
@@ -179,11 +181,11 @@ class Collimated(LightSource):
 
     def within(self, x: mi.Float, y: mi.Float) -> mi.Mask:
         """Return whether coordinates along u and v, mm, lie in the cross-section."""
-        a, b = self.size
+        a, b = (dr.opaque(mi.Float, size if self.rectangular else size**2) for size in self.size)
         if self.rectangular:
             return (dr.abs(x) <= a) & (dr.abs(y) <= b)
         r2 = x * x + y * y
-        return (r2 <= a * a) & (r2 >= b * b)
+        return (r2 <= a) & (r2 >= b)
 
     @property
     def _stock_distance(self) -> float:

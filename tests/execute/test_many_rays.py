@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import itertools
 import json
 import subprocess
 import sys
@@ -16,8 +18,9 @@ import pytest
 from oracles import closed_forms
 
 import mistray
-from mistray.execute import launching
+from mistray.execute import launching, tracer
 from mistray.execute.tracer import PASS_LANES, Run, prepare
+from mistray.kernel.launches import Launches
 from mistray.recorders.film import Images
 from mistray.recorders.ledger import Ledger
 from mistray.recorders.tallies import SURFACE_SUMS, Tallies
@@ -71,6 +74,30 @@ def test_a_hundred_million_rays() -> None:
     assert many["rms_se"] < 1e-3
     assert abs(many["x"]) < 4 * many["x_se"]
     assert many["mib"] < 1.15 * some["mib"] + 10
+
+
+def test_a_pass_takes_no_more_memory_than_the_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Largest memory of Dr.Jit's arrays: nothing keeps those of a pass, with no help of the garbage collector."""
+    lanes, backend = 1 << 13, dr.backend_v(mi.Float)
+    monkeypatch.setattr(tracer, "PASS_LANES", lanes)
+    scene = mistray.load("cooke_triplet")
+
+    def largest(passes: int) -> int:
+        dr.detail.malloc_clear_statistics()
+        assert mistray.trace(scene, rays=passes * lanes).energy.closure < 1e-6
+        return dr.detail.malloc_watermark(backend)
+
+    largest(4)  # the first launches are of a few rays
+    gc.disable()
+    try:
+        few, many = largest(4), largest(8)
+        assert many == few
+        # Launches of a part of a pass: Dr.Jit keeps memory in sizes of powers of two, of which two together are enough
+        sizes = itertools.cycle((lanes // 2, lanes // 3, lanes // 5, lanes // 7))
+        monkeypatch.setattr(Launches, "lanes", property(lambda _: next(sizes)))
+        assert largest(4) < 2 * few
+    finally:
+        gc.enable()
 
 
 @pytest.fixture

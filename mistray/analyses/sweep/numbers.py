@@ -59,6 +59,7 @@ def numbers_of(t: Trace) -> Numbers:
         each first surface, see `FirstLight`.
     """
     rows = t.paths.by_way()
+    kinds, path_ids = rows.kind.to_numpy(object), rows.path_ids.to_numpy(object)
     direct = direct_image(t.paths)
     table = ranked(rows, t.paths, direct)
     worst = table[table.kind != DIRECT].sort_values("rank_rms_irradiance").head(1)
@@ -68,10 +69,10 @@ def numbers_of(t: Trace) -> Numbers:
         "paths": len(rows),
         "launched_W": float(t.energy.launched_W),
         "detected_W": Estimate(t.energy.detected_W, t.energy.detected_se_W),
-        "direct_W": power_of(t, rows.path_ids[rows.kind == DIRECT]),
-        "stray_W": power_of(t, rows.path_ids[rows.kind != DIRECT]),
+        "direct_W": power_of(t, path_ids[kinds == DIRECT]),
+        "stray_W": power_of(t, path_ids[kinds != DIRECT]),
         "ghost_to_signal": stray_to_direct(t.paths, direct),
-        **{f"{name}_W": power_of(t, rows.path_ids[rows.kind == kind]) for kind, name in KIND_COLUMNS.items()},
+        **{f"{name}_W": power_of(t, path_ids[kinds == kind]) for kind, name in KIND_COLUMNS.items()},
         "direct_rms_radius_mm": direct.rms_radius_mm,
         "direct_rms_irradiance_W_mm2": direct.rms_irradiance_W_mm2,
         "worst_path": None if last is None else str(last.label),

@@ -24,6 +24,7 @@ from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import download
 from mistray.toolkit.rows import column, derived
 
 TOTAL = "(total reflection)"
@@ -136,7 +137,7 @@ def returns(
     light = path.steps[-1].before if path is not None else np.array([0.0, 0.0, 1.0])
     lanes = max(2 * BATCHES, rays // BATCHES * BATCHES)
     start = DetectorStart(table, light, None, False).pass_rays(seed, lanes, 1.0)
-    zone, edges = _zones(np.array(start.o).T)
+    zone, edges = _zones(download(start.o))
     cell = zone * BATCHES + np.array(start.batch)
     # Of the detector itself, of all that is cold, and in the last row of the scene
     sums = [dr.zeros(mi.Float64, rows * ZONES * BATCHES) for rows in (table.count + 1, table.count + 2)]

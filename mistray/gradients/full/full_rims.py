@@ -29,6 +29,7 @@ from mistray.physics.geometry.pose import moved
 from mistray.sampling.source import SceneSource
 from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER, POSE
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import download
 
 RAYS = 64  # number of rays along the edge of a beam
 CLOSE = 0.1  # distance of the edge of a beam, in units of the zone, within which it just fills a rim
@@ -192,7 +193,7 @@ class FullRims:
             return rays
         by_o, by_d = self.source.motion(name, mi.Vector3d(*rays.o.T), mi.Vector3d(*rays.d.T))
         zero = np.zeros_like(rays.o)
-        o, d = (now + step * (zero + np.array(by, dtype=np.float64).T) for now, by in ((rays.o, by_o), (rays.d, by_d)))
+        o, d = (now + step * (zero + download(by)) for now, by in ((rays.o, by_o), (rays.d, by_d)))
         return rays._replace(o=o, d=d / np.linalg.norm(d, axis=1, keepdims=True))
 
     def _with(self, owner: Any, name: str, step: float) -> SurfaceTable:

@@ -11,7 +11,15 @@ import numpy as np
 from mistray.physics.geometry.sag import conic_end, sag, sag_derivative, trimmed
 from mistray.surfaces.crossings import conic_crossing, plane_crossing
 from mistray.surfaces.gradient_columns import COEFFICIENTS, HALF_HEIGHT, HALF_WIDTH, INNER, OUTER
-from mistray.surfaces.surface import RECTANGLE, ROUND, Bounds, Opening, TracedSurface, quadric_crossings
+from mistray.surfaces.surface import (
+    RECTANGLE,
+    ROUND,
+    Bounds,
+    Opening,
+    TracedSurface,
+    asphere_crossings,
+    asphere_gradient,
+)
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -20,9 +28,7 @@ if TYPE_CHECKING:
 
 # An asphere is hit through its conic if it departs from it by less than this, in units of its aperture and as a slope
 MILD_DEPARTURE, MILD_SLOPE, MILD_MARGIN = 0.004, 0.03, 1.02
-NEWTON_STEPS = 8
 STEEP = 2.0  # |dz/dr| above which points are proposed more densely towards the rim
-SETTLED = 1e-10  # relative size of the last Newton step, below which a hit is found
 # Gauss-Legendre quadrature over 0 … 1, for each direction of a part of a curved surface
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
@@ -175,29 +181,7 @@ class SagSurface(TracedSurface):
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         if not self.coefficients:
             return super().crossings(o, d)
-        t = quadric_crossings(self.quadric, 0.0, o, d)
-        flat = -o[:, 2] / d[:, 2]
-        t[:, 0] = np.where(np.isfinite(t[:, 0]), t[:, 0], flat)
-        return self._onto_polynomial(o, d, t)
-
-    def _onto_polynomial(self, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return the distances, mm, to the asphere by Newton's method from those to the conic; NaN if it fails."""
-        found = np.full(t.shape, np.nan)
-        going = np.flatnonzero(np.isfinite(t))  # few need more than some steps: the others are left out of the rest
-        ray, t = going // t.shape[1], t.ravel()[going]
-        for _ in range(NEWTON_STEPS):
-            (x, y, z), (dx, dy, dz) = o[ray].T, d[ray].T
-            x, y = x + t * dx, y + t * dy
-            r2 = x * x + y * y
-            step = (self.sag(r2) - z - t * dz) / (2 * self.sag_derivative(r2) * (x * dx + y * dy) - dz)
-            t = t - step
-            settled = np.abs(step) < SETTLED * (1 + np.abs(t))
-            found.flat[going[settled]] = t[settled]
-            on = ~settled & np.isfinite(step)
-            going, ray, t = going[on], ray[on], t[on]
-            if not len(going):
-                break
-        return found
+        return asphere_crossings((self.curvature, self.conic, *self.coefficients), o, d)
 
     def residual(self, q: np.ndarray) -> np.ndarray:
         if self.coefficients:
@@ -206,8 +190,7 @@ class SagSurface(TracedSurface):
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         if self.coefficients:
-            slope = 2 * self.sag_derivative(q[:, 0] ** 2 + q[:, 1] ** 2)
-            return np.stack([slope * q[:, 0], slope * q[:, 1], -np.ones(len(q))], axis=1)
+            return asphere_gradient((self.curvature, self.conic, *self.coefficients), q)
         return super().gradient(q)
 
     # ---- points and areas

@@ -20,7 +20,7 @@ from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import download, upload
 
 FAINTEST = 1e-12  # weight below which a ray ends
 
@@ -208,7 +208,7 @@ class ChainTracer:
             astray = np.array(hit & strayed)
             self.lost += float(np.array(w, dtype=np.float64)[astray].sum())
             if missed.any():
-                yield Escape(lane[missed], _rows(d)[missed], np.array(w, dtype=np.float64)[missed])
+                yield Escape(lane[missed], download(d)[missed], np.array(w, dtype=np.float64)[missed])
             if met.any():
                 yield Hits(
                     number=number,
@@ -216,8 +216,8 @@ class ChainTracer:
                     surface=np.array(s, dtype=np.int64)[met],
                     from_front=np.array(it.from_front)[met],
                     point=table.download_points(it.p)[met],
-                    direction=_rows(d)[met],
-                    normal=_rows(it.axis)[met],
+                    direction=download(d)[met],
+                    normal=download(it.axis)[met],
                     weight=np.array(w, dtype=np.float64)[met],
                     index=np.array(index, dtype=np.float64)[met],
                     transmits=np.array(goes & through)[met],
@@ -249,8 +249,3 @@ class ChainTracer:
             return through & ~(back & reflects), back & (reflects | ~through), factor
         through &= ~mirror
         return through, back, dr.select(through, T, R)
-
-
-def _rows(vectors: mi.Vector3f) -> np.ndarray:
-    """Return a Dr.Jit vector as an array, (n, 3) float64."""
-    return np.array(vectors, dtype=np.float64).T
