@@ -1,4 +1,4 @@
-# make demo | quick | test | test-part | test-all | record | coverage | lint | docs | notebooks | bench | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
+# make demo | quick | test | test-part | test-all | record | coverage | lint | docs | notebooks | bench | release-check | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -10,8 +10,11 @@ CHECK  := from mistray._llvm import find_llvm; from mistray._mitsuba_compat impo
 # A worker that dies ends the run: xdist waits for ever for the tests of one that it replaces
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 
+# Where mistray meets what it needs
+LOWEST := tests/physics tests/scene tests/trace tests/cache tests/cluster tests/mechanics tests/analyses
+
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-part test-all test-lowest record coverage lint docs notebooks bench venv clean
+.PHONY: help demo quick test test-part test-all test-lowest record coverage lint docs notebooks bench release-check venv clean
 .DELETE_ON_ERROR:
 
 help:
@@ -27,8 +30,9 @@ help:
 	@echo "make docs      build the documentation site into out/docs; open out/docs/index.html"
 	@echo "make notebooks open the notebooks in JupyterLab; its options: make notebooks JUPYTER='--no-browser --allow-root'"
 	@echo "make bench     measure the speed beside other programs; parts: make bench BENCH='--only batoid embree'"
+	@echo "make release-check build and check a release, and list what only the owner can fill in"
 	@echo "make venv      only set up $(VENV)"
-	@echo "make clean     remove $(VENV), caches and results"
+	@echo "make clean     remove $(VENV), other environments, caches and results"
 
 demo: venv
 	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --rays 2e4 --out out/demo --force
@@ -57,12 +61,13 @@ coverage: venv
 	$(BIN)/python -m coverage run $(filter-out $(BIN)/python,$(PYTEST)) -m "not (gpu or slow or long)"
 	$(BIN)/python -m coverage combine -q && $(BIN)/python -m coverage report
 
-# In an environment of its own; old Matplotlib calls what new pyparsing has deprecated
+# In an environment of its own, with all extras of users but JupyterLab; old Matplotlib calls what new pyparsing has deprecated
 test-lowest: venv
 	$(PYTHON) -m venv .venv-lowest
 	$(BIN)/python tests/lowest.py > .venv-lowest/lowest.txt
-	.venv-lowest/bin/python -m pip install -qq -c .venv-lowest/lowest.txt -e . pytest pytest-timeout pytest-xdist tmm
-	.venv-lowest/bin/python -m pytest -W ignore::DeprecationWarning -m "quick and not (gpu or slow or long)" tests/physics tests/scene tests/trace tests/cache
+	.venv-lowest/bin/python -m pip install -qq -c .venv-lowest/lowest.txt \
+	  -e '.[batoid,cad,distributed,images,nlopt,pdf,tables,view,widget,xarray]' pytest pytest-timeout pytest-xdist tmm
+	.venv-lowest/bin/python -m pytest -W ignore::DeprecationWarning -m "quick and not (gpu or slow or long)" $(LOWEST)
 
 lint: venv
 	$(BIN)/ruff check .
@@ -82,10 +87,17 @@ notebooks: venv $(STAMPS)/notebooks
 bench: venv $(STAMPS)/peers
 	$(BIN)/python benchmarks/bench.py $(BENCH)
 
+# Its tools need other versions than the tests, so they have an environment of their own
+release-check:
+	$(PYTHON) -m venv .venv-release
+	.venv-release/bin/python -m pip install -qq 'pip>=25.1'
+	.venv-release/bin/python -m pip install -qq --group release
+	.venv-release/bin/python tests/release_check.py
+
 venv: $(STAMPS)/installed $(STAMPS)/libraries
 
 clean:
-	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-lowest .venv-release .nox out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find mistray plugins scenes tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 $(STAMPS)/created:
@@ -106,13 +118,14 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input -
 # The programs that tests compare with come without what their windows need
 $(STAMPS)/installed: pyproject.toml tests/peers.txt | $(STAMPS)/created
 	@echo "installing mistray and its dependencies into $(VENV) (minutes the first time)"
-	@$(PIP) -e '.[dev]'
+	@$(PIP) 'pip>=25.1' # the first that knows groups
+	@$(PIP) -e . --group dev
 	@$(PIP) --no-deps -r tests/peers.txt
 	@touch $@
 
 # Programs that only the benchmarks compare with
 $(STAMPS)/peers: $(STAMPS)/installed
-	@$(PIP) -e '.[bench]'
+	@$(PIP) --group bench
 	@touch $@
 
 $(STAMPS)/notebooks: $(STAMPS)/installed

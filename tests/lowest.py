@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 import tomllib
+from collections import defaultdict
 from pathlib import Path
 
 from packaging.requirements import Requirement
 
-PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
+PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
 def lowest() -> dict[str, str]:
-    """Name of each package that mistray needs → lowest version that is allowed."""
-    project = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]
+    """Name of each package that mistray and its extras need → lowest version that is allowed."""
     found = {}
-    for text in project["dependencies"]:
-        needed = Requirement(text)
+    for _, needed in _requirements():
         (found[needed.name],) = [one.version for one in needed.specifier if one.operator in (">=", "==")]
     return found
+
+
+def extras() -> dict[str, list[str]]:
+    """Name of each such package → extras that need it; none for what mistray needs."""
+    found = defaultdict(list)
+    for extra, needed in _requirements():
+        found[needed.name] += [extra] if extra else []
+    return found
+
+
+def _requirements() -> list[tuple[str, Requirement]]:
+    groups = {"": PROJECT["dependencies"], **PROJECT["optional-dependencies"]}
+    found = [(extra, Requirement(text)) for extra, texts in groups.items() for text in texts]
+    return [(extra, needed) for extra, needed in found if needed.name != PROJECT["name"]]
 
 
 if __name__ == "__main__":

@@ -71,4 +71,5 @@ def _blocks(page: str) -> Iterator[str]:
 
 def pages(root: Path) -> list[Path]:
     """The pages that people read: those of the root and of docs/."""
-    return [root / "README.md", root / "CONTRIBUTING.md", *sorted((root / "docs").rglob("*.md"))]
+    at_the_root = [root / name for name in ("README.md", "CONTRIBUTING.md", "CODE_OF_CONDUCT.md")]
+    return [*at_the_root, *sorted((root / "docs").rglob("*.md"))]

@@ -22,8 +22,10 @@ from mistray.errors import MistrayError
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
+COMMANDS = ROOT / "docs" / "commands.md"
 PAGES = [README, *sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "questions").glob("*.md")])]
 ALL_PAGES = sorted((ROOT / "docs").rglob("*.md"))
+AROUND = [ROOT / name for name in ("CONTRIBUTING.md", "CODE_OF_CONDUCT.md", "SECURITY.md")]
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SHELL = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^ {4}(mistray .*)", re.MULTILINE)
@@ -96,7 +98,7 @@ def test_commands_exist() -> None:
             parse(wrong)
 
 
-@pytest.mark.parametrize("page", [*ALL_PAGES, ROOT / "CONTRIBUTING.md", README], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [*ALL_PAGES, *AROUND, README], ids=lambda page: page.stem)
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:|#)([^)]+)", page.read_text(encoding="utf-8")):
         name, _, part = target.partition("#")
@@ -107,8 +109,13 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("line", [line for line in command_lines(README) if line.startswith("mistray")])
-def test_a_command_of_the_readme(line: str, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "line",
+    [line for line in dict.fromkeys(command_lines(README) + command_lines(COMMANDS)) if line.startswith("mistray")],
+)
+def test_a_command_of_the_readme_and_of_the_list(
+    line: str, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(ROOT)
     Path("out").mkdir(exist_ok=True)
     force = ["--force"] if " out/" in line else []  # which may hold the results of an earlier run of this test
@@ -129,13 +136,26 @@ def test_make_demo_writes_the_report() -> None:
     assert not re.search(r"(src|href)=[\"']https?:", (demo / "report.html").read_text(encoding="utf-8"))
 
 
-def test_the_readme_names_its_commands_scenes_and_notebooks() -> None:
+def test_the_readme_is_short_and_has_two_commands_to_set_up() -> None:
     text = README.read_text(encoding="utf-8")
     assert [line for line in command_lines(README) if not line.startswith("mistray ")] == ["make demo", "make test"]
+    assert len(text.splitlines()) <= 130
+    assert len(text.split()) <= 1300
+    assert all(f"]({name})" in text for name in ("docs/tasks.md", "docs/support.md", "CONTRIBUTING.md"))
+
+
+def test_a_page_lists_all_scenes_and_notebooks() -> None:
+    text = (ROOT / "docs" / "scenes_and_notebooks.md").read_text(encoding="utf-8")
     assert all(f"`{path.parent.name}`" in text for path in (ROOT / "scenes").glob("*/scene.xml"))
     notebooks = [path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")]
     assert notebooks
-    assert all(f"]({name})" in text for name in [*notebooks, "docs/tasks.md"])
+    assert all(f"](../{name})" in text for name in notebooks)
+
+
+def test_the_list_of_commands_has_all() -> None:
+    """But for completion, which a shell reads, the cache, and budget, whose file docs/sensitivity.md shows."""
+    listed = {shlex.split(line)[1] for line in command_lines(COMMANDS)}
+    assert {module.COMMAND.name for module in program.COMMANDS} - listed <= {"budget", "cache", "completion"}
 
 
 @pytest.mark.core

@@ -97,7 +97,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    pytest.importorskip("material", reason="the site needs mistray[docs]")
+    pytest.importorskip("material", reason="the site needs the dependency group docs")
     pytest.importorskip("mkdocstrings")
     folder = tmp_path_factory.mktemp("site") / "docs"
     done = subprocess.run(

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -63,6 +64,11 @@ def test_wheel(clone, tmp_path, sdist):
     (made,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(made).namelist()
     assert {name for name in names if not re.match(r"mistray-[^/]*\.dist-info/", name)} == expected_files()
+    if sdist:
+        (made,) = tmp_path.glob("*.tar.gz")
+        with tarfile.open(made) as archive:
+            held = {name.partition("/")[2] for name in archive.getnames()}
+        assert {file.as_posix() for file in repository_files()} <= held
 
 
 def test_editable_install(clone, tmp_path):

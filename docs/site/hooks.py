@@ -19,7 +19,8 @@ from repository import ROOT, Repository
 BOOST = {
     "questions": 4.0, "index.md": 2.0, "coming_from.md": 2.0, "extending.md": 2.0, "glossary.md": 2.0, "guide.md": 1.5,
     "lens_files.md": 0.5, "validation": 0.5, "plugins": 0.6, "gallery": 0.6, "notebooks": 0.6, "reference": 0.4,
-    "imported_files.md": 0.2, "repository": 0.2,
+    "imported_files.md": 0.2, "repository": 0.2, "capabilities.md": 0.5, "commands.md": 0.5, "governance.md": 0.5,
+    "releases.md": 0.5, "scenes_and_notebooks.md": 0.5, "support.md": 0.5, "support_matrix.md": 0.5,
 }  # fmt: skip
 REPOSITORY = Repository()
 

@@ -24,8 +24,8 @@ MADE = {
     "notebooks": "gallery/index.md#notebooks",
     "scenes": "gallery/index.md",
 }
-READ_BESIDE = ("CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "benchmarks/README.md")
-TITLES = ("Contributing", "Changes", "Security", "Measured speed")
+READ_BESIDE = ("CONTRIBUTING.md", "CODE_OF_CONDUCT.md", "CHANGELOG.md", "SECURITY.md", "benchmarks/README.md")
+TITLES = ("Contributing", "Code of conduct", "Changes", "Security", "Measured speed")
 
 
 @dataclass(frozen=True)

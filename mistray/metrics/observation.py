@@ -312,7 +312,7 @@ def texts_of(selection: Selection) -> list[str]:
     """Return the texts of a selection, none for a function; raise `MistrayError` if it is empty or not a text."""
     if callable(selection):
         return []
-    texts = [selection] if isinstance(selection, str) else list(selection)
+    texts: list[Any] = [selection] if isinstance(selection, str) else list(selection)
     if not texts or not all(isinstance(text, str) and text.strip() for text in texts):
         raise MistrayError(f"the selection of paths is {selection!r}; give one or more of {', '.join(KINDS)}")
     return texts

@@ -201,4 +201,4 @@ def _by_temperature(function: Any, temperature_K: npt.ArrayLike) -> Any:
     """Return the values of a function of one temperature, K, in the shape of an array of temperatures."""
     temperatures = np.asarray(temperature_K, dtype=np.float64)
     values = np.array([function(float(t)) for t in temperatures.ravel()]).reshape(temperatures.shape)
-    return values if values.shape else float(values)
+    return values if values.ndim else float(values)

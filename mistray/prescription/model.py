@@ -455,7 +455,8 @@ class Prescription:
     more_detectors: tuple[Detector, ...] = ()
 
     def __post_init__(self) -> None:
-        wrong = [one for one in (self.detector, *self.more_detectors) if not isinstance(one, Detector | None)]
+        given: tuple[object, ...] = (self.detector, *self.more_detectors)
+        wrong = [one for one in given if not isinstance(one, Detector | None)]
         if wrong:
             raise MistrayError(
                 f"prescription '{self.name}': detector is a {type(wrong[0]).__name__}; give a "
@@ -467,7 +468,7 @@ class Prescription:
                     f"prescription '{self.name}': {count} shapes are called '{name}'; give each its own name"
                 )
         self.shared_scatter()
-        optical = [s for s in (*self.surfaces, *self.detectors) if s is not None and s.coaxial and s.outline is None]
+        optical = [s for s in (*self.surfaces, *self.detectors) if s.coaxial and s.outline is None]
         for i, j in near([(s.z_at, s.outer_radius) for s in optical]):
             _check_crossing(optical[i], optical[j])
 

@@ -167,7 +167,7 @@ class Interface(mi.BSDF):
             self._read_coating(props)
         self.sample_axis = common_axis(self.scatterers, self.title)
         side = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
-        self.m_components = [kind | side for kind in COMPONENTS[: 4 if self.scatterers else 2]]
+        self.m_components = [kind | side for kind in COMPONENTS[: 4 if bool(self.scatterers) else 2]]
         self.m_components[1:] = [kind | mi.BSDFFlags.NonSymmetric for kind in self.m_components[1:]]
         self.m_flags = reduce(or_, self.m_components)
 

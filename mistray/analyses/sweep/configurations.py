@@ -95,9 +95,10 @@ def as_configurations(given: Given) -> list[Configuration]:
     if given is None:
         return [Configuration(AS_IT_IS, {})]
     if isinstance(given, Mapping):
-        found = [Configuration(str(name), values) for name, values in given.items()]
+        found: list[Any] = [Configuration(str(name), values) for name, values in given.items()]
     else:
-        found = list(given) if isinstance(given, Iterable) else [given]
+        one_or_more: Any = given
+        found = list(one_or_more) if isinstance(one_or_more, Iterable) else [one_or_more]
     if not found:
         raise MistrayError("configurations is empty; give at least one, or leave it out")
     for one in found:
