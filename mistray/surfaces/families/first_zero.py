@@ -83,7 +83,7 @@ def first_zero(
         return t, ft, gt, lo, hi, flo, fhi, found | now, going & ~now & (t < length)
 
     # A monotonic f comes to zero, or grows away from it
-    monotonic |= dr.abs(g0) > bend * length
+    monotonic = monotonic | (dr.abs(g0) > bend * length)  # not |=, which would change the caller's
     ahead = sign(f0) != sign(g0)
     zero = mi.Float(0)
     _, _, _, lo, hi, flo, fhi, found, _ = dr.while_loop(
