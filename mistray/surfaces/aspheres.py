@@ -132,8 +132,9 @@ class AsphereSearch:
         there is no such crossing.
 
         Along the ray, f(t) = z - sag(r) is monotonic where the ray is steeper than the surface anywhere,
-        |dz| > slope · sqrt(dx² + dy²): then the stretch holds one crossing at most. Otherwise it is walked in
-        intervals until f changes sign, or until f turns back in an interval and its extremum lies beyond zero.
+        |dz| > slope · sqrt(dx² + dy²), or where its slope at the start cannot change sign on the way, as |f''| is at
+        most bend · (dx² + dy²): then the stretch holds one crossing at most. Otherwise it is walked in intervals until
+        f changes sign, or until f turns back in an interval and its extremum lies beyond zero.
         """
         table = self.table
         vertex = dr.gather(mi.Vector4f, table.vertex, number, active)
@@ -165,7 +166,7 @@ class AsphereSearch:
             return height, d.z - 2 * sag_derivative(r2, *shape) * dr.fma(x, d.x, y * d.y)
 
         monotonic = dr.square(d.z) > dr.square(slope) * ray.dd
-        s, found = first_zero(f, d.z, monotonic, length, size, own, active, INTERVALS)
+        s, found = first_zero(f, monotonic, dr.abs(vertex.w) * ray.dd, length, size, own, active, INTERVALS)
         x, y = dr.fma(s, d.x, o.x), dr.fma(s, d.y, o.y)
         r2 = dr.fma(x, x, y * y)
         inside = r2 <= outer2

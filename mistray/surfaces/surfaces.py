@@ -41,6 +41,9 @@ SAME_FRAME = 1e-9  # difference up to which directions of axes count as equal
 # Row of the polynomial table: curvature, conic, a4 … a20 in units of the aperture and the unit of these, see
 # `mistray.physics.geometry.sag.in_proportion`; z range, outer (-1: a rectangle), slope
 POLYNOMIAL_VECTORS = 4
+# The fourth number of a vertex is the sign of the surface's normal; of an asphere its size is `SagSurface.bend`, 1/mm,
+# within these limits
+TINY_BEND, LARGE_BEND = 1e-30, 1e30
 
 
 class LocalFrame:
@@ -308,6 +311,7 @@ class SurfaceTable:
         for a in aspheres:
             coefficients, per_area = in_proportion(a.coefficients, a.size)
             polynomial[a.index, : 2 + len(coefficients)] = [a.curvature, a.conic, *coefficients]
+            vertex[a.index, 3] *= min(max(a.bend, TINY_BEND), LARGE_BEND)
             polynomial[a.index, 11:] = [per_area, *a.z_range, a.outer + a.overlap if a.outer else -1.0, a.slope]
         self.clip = upload(mi.Float, clip)  # half size of a rectangle; square of the inner radius of all else
         self.quadric = upload(mi.Float, quadric)

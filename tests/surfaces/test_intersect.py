@@ -23,6 +23,7 @@ from mistray.kernel.interaction import interact
 from mistray.optimize import path_power
 from mistray.recorders.path_key import FIRST_KEY, MULTIPLIER
 from mistray.surfaces import shell_tree
+from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
@@ -240,6 +241,20 @@ def test_a_shallow_double_crossing() -> None:
     point, surface = scene.kernel(rays)
     assert scene.ids[surface[0]] == "L4_front"
     assert np.linalg.norm(point - origin) == pytest.approx(1.64122551, abs=1e-4)
+
+
+@pytest.mark.parametrize("numbers", [(0.7, 0.0, (-0.05, 0.3)), (-0.2, 3.0, (0.1, 0.0, -0.4)), (0.9, -2.0, (0.0,))])
+def test_the_bend_is_an_upper_bound(numbers: tuple[float, float, tuple[float, ...]]) -> None:
+    """Along chords of the aperture in any direction the sag has no larger second derivative, and one close to it."""
+    surface = SagSurface.of(*numbers, outer=1.0)
+    rng = np.random.default_rng(0)
+    point, angle, step = rng.uniform(-1, 1, (2, 200_000)), rng.uniform(0, 2 * np.pi, 200_000), 1e-3
+    along = step * np.array([np.cos(angle), np.sin(angle)])
+    point = point[:, np.hypot(*point) < 1 - step]
+    along = along[:, : point.shape[1]]
+    before, here, after = (surface.sag(np.sum((point + k * along) ** 2, axis=0)) for k in (-1, 0, 1))
+    largest = np.max(np.abs(before - 2 * here + after)) / step**2
+    assert 0.9 * surface.bend < largest < surface.bend
 
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))

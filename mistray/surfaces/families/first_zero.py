@@ -10,13 +10,14 @@ import mitsuba as mi
 ITERATIONS = 24
 # Newton steps end when one is this small, in units of the size; a last one then squares the error
 CONVERGED = 1e-3
+UNBOUNDED = 1e30  # bound of a second derivative that is not known, 1/mm
 
 
 # More than 8 parameters: the ray, the surface and the search
 def first_zero(
     f: Callable[[mi.Float], tuple[mi.Float, mi.Float]],
-    dz: mi.Float,
     monotonic: mi.Bool,
+    bend: mi.Float,
     length: mi.Float,
     size: mi.Float,
     own: mi.Bool,
@@ -30,12 +31,13 @@ def first_zero(
     ----------
     f : callable
         Height over the surface at a distance along the ray, mm, and its derivative.
-    dz : mi.Float
-        Component of the ray's direction along the axis.
     monotonic : mi.Bool
-        Whether the ray is steeper than the surface anywhere. Then there is one zero at most, and f rises or falls as z
-        does. Otherwise the stretch is searched in intervals, until f changes its sign or an extremum within one lies
-        beyond zero.
+        Whether the ray is steeper than the surface anywhere. Then f rises all the way, or falls, and there is one zero
+        at most. So it is if its derivative at the start is larger than it can change on the stretch. Otherwise the
+        stretch is searched in intervals, until f changes its sign or an extremum within one lies beyond zero. An
+        interval in which `bend` leaves room for no zero is longer.
+    bend : mi.Float
+        Upper bound of the second derivative of f, 1/mm.
     length : mi.Float
         Length of the ray's stretch, mm.
     size : mi.Float
@@ -63,7 +65,11 @@ def first_zero(
 
     # More than 8 parameters: the state of the loop
     def step(s, fs, gs, lo, hi, flo, fhi, found, going):  # type: ignore[no-untyped-def]
-        t = dr.minimum(s + stride, length)
+        # f is not zero before a parabola with its value and slope that bends towards zero as much as f may
+        away = dr.mulsign(gs, fs)
+        root = dr.sqrt(dr.fma(away, away, 2 * bend * dr.abs(fs)))
+        clear = dr.select(away > 0, (away + root) / bend, 2 * dr.abs(fs) / (root - away))
+        t = dr.minimum(s + dr.select(clear > stride, clear, stride), length)
         ft, gt = f(t)
         crossed = sign(ft) != sign(fs)
         # f turns round inside of the interval: does its extremum reach beyond zero?
@@ -76,8 +82,9 @@ def first_zero(
         hi, fhi = dr.select(now, dr.select(crossed, t, turn), hi), dr.select(now, dr.select(crossed, ft, fm), fhi)
         return t, ft, gt, lo, hi, flo, fhi, found | now, going & ~now & (t < length)
 
-    # A monotonic f rises or falls as z does: it comes to zero, or grows away from it
-    ahead = sign(f0) != sign(dz)
+    # A monotonic f comes to zero, or grows away from it
+    monotonic = monotonic | (dr.abs(g0) > bend * length)  # not |=, which would change the caller's
+    ahead = sign(f0) != sign(g0)
     zero = mi.Float(0)
     _, _, _, lo, hi, flo, fhi, found, _ = dr.while_loop(
         (zero, f0, g0, zero, length, zero, zero, active & monotonic & ahead, active & ~monotonic),

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.surfaces.crossings import AxisRay, stretch
-from mistray.surfaces.families.first_zero import first_zero
+from mistray.surfaces.families.first_zero import UNBOUNDED, first_zero
 
 if TYPE_CHECKING:
     from mistray.surfaces.families.freeform import Freeform
@@ -63,7 +63,9 @@ def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own
             def beyond(s: mi.Float) -> tuple[mi.Float, mi.Float]:
                 return f(passed + s)
 
-            s, found = first_zero(beyond, ray.dz, monotonic, end - start - passed, size, own, going, INTERVALS)
+            s, found = first_zero(
+                beyond, monotonic, mi.Float(UNBOUNDED), end - start - passed, size, own, going, INTERVALS
+            )
             found &= going & (start + passed + s > dr.select(own & (passed == 0), n["self_hit"], 0))
             x, y, _ = point(passed + s)
             inside = outline.contains(x, y, n)

@@ -51,6 +51,8 @@ class SagSurface(TracedSurface):
         Half width and half height of a rectangle, mm.
     slope : float
         Upper bound of the slope |dz/dr|.
+    bend : float
+        Upper bound of the second derivative of the sag along any direction across the axis, 1/mm.
     departure : float
         Largest axial distance of an asphere from its conic, mm, if the conic's hit is close enough to start Newton's
         method from; else 0.
@@ -63,6 +65,7 @@ class SagSurface(TracedSurface):
     inner: float = 0.0
     half_size: tuple[float, float] = (0.0, 0.0)
     slope: float = 0.0
+    bend: float = 0.0
     departure: float = 0.0
 
     fours: ClassVar[tuple[int, ...]] = (0, 2)
@@ -80,7 +83,7 @@ class SagSurface(TracedSurface):
         """Return the optical surface with given curvature, 1/mm, conic constant, coefficients and aperture, mm."""
         coefficients = trimmed(coefficients)
         size = outer or float(np.hypot(*half_size))
-        z_range, steepest = _reach(curvature, conic, coefficients, size)
+        z_range, steepest, bend = _reach(curvature, conic, coefficients, size)
         return cls(
             sign=-1.0,
             z_range=z_range,
@@ -92,6 +95,7 @@ class SagSurface(TracedSurface):
             inner=inner,
             half_size=half_size,
             slope=1.02 * steepest,
+            bend=1.02 * bend,
             departure=_mild_departure(curvature, conic, coefficients, size) if coefficients else 0.0,
         )
 
@@ -311,8 +315,12 @@ def _mild_departure(c: float, k: float, coefficients: tuple[float, ...], outer: 
 @lru_cache(maxsize=1024)
 def _reach(
     curvature: float, conic: float, coefficients: tuple[float, ...], size: float
-) -> tuple[tuple[float, float], float]:
-    """Return the range of the sag up to the radius `size`, mm, and the largest slope |dz/dr|, from 2001 points."""
+) -> tuple[tuple[float, float], float, float]:
+    """
+    Return the range of the sag up to the radius `size`, mm, and its largest derivatives, from 2001 points.
+
+    The first derivative is the slope |dz/dr|. The second one along any direction, 1/mm, is between d²z/dr² and dz/dr/r.
+    """
     r = np.linspace(0.0, min(size, conic_end(curvature, conic)), 2001)
     z = np.asarray(sag(r * r, curvature, conic, coefficients))
     if np.isnan(z[-1]):  # the rounding of the point where the conic stands upright
@@ -321,4 +329,5 @@ def _reach(
     slope = np.zeros_like(r) if flat else np.gradient(z, r, edge_order=2)
     span = max(float(np.ptp(z)), 1e-6 * size)
     z_range = float(z.min()) - 1e-3 * span, float(z.max()) + 1e-3 * span
-    return z_range, float(np.max(np.abs(slope)))
+    bend = np.abs(np.gradient(slope, r)), np.abs(slope[1:] / r[1:])
+    return z_range, float(np.max(np.abs(slope))), float(max(np.max(part) for part in bend))
