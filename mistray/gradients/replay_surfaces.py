@@ -20,7 +20,7 @@ A surface computes in float32 or in float64; derivatives are summed in float64.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
@@ -121,7 +121,7 @@ class Hit:
     length: mi.Float64
     shift: mi.Vector3d
     turn: mi.Vector3d
-    from_front: mi.Bool
+    from_front: mi.Bool = field(kw_only=True)
 
 
 def _backward(value: Any, adjoint: Any, keep: bool = False) -> None:
@@ -261,7 +261,9 @@ class ReplaySurfaces:
             t = t - dr.select(active & dr.isfinite(step), step, 0)
         q = p + t * along
         axis, from_front = self.axis(self.implicit(q, numbers)[1], along, s, active)
-        hit = Hit(q + dr.cross(turn, q) + shift, local, axis + dr.cross(turn, axis), t, shift, turn, from_front)
+        hit = Hit(
+            q + dr.cross(turn, q) + shift, local, axis + dr.cross(turn, axis), t, shift, turn, from_front=from_front
+        )
         return self.event(hit, code, batch, active)
 
     def axis(self, gradient: mi.Vector3f, d: mi.Vector3f, s: mi.UInt32, active: mi.Bool) -> tuple[Any, mi.Bool]:

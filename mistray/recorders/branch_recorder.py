@@ -111,7 +111,7 @@ class BranchRecorder(Recorder):
         self.count = dr.zeros(mi.UInt32, 1)
         self.lane = dr.zeros(mi.UInt32, self.capacity)
         self.length = dr.zeros(mi.UInt32, self.capacity)
-        self.nodes = dr.empty(mi.Float, size * NODE_FLOATS)
+        self.nodes = dr.zeros(mi.Float, size * NODE_FLOATS)
         self.weight = dr.zeros(mi.Float64, self.capacity)
         self.heading = dr.zeros(mi.Float, 3 * self.capacity)
         self.place = dr.zeros(mi.Float, 2 * self.capacity)
