@@ -29,7 +29,7 @@ from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-CAPACITY = 1 << 18  # rays that are recorded at once
+CAPACITY = 1 << 17  # rays that are recorded at once
 FIRST_RECORDS = 8.0  # guess of the records of a start ray
 TOO_MANY = (
     "a single start ray has {count} ends, more than {capacity}; raise flux_threshold or lower max_reflections or "
