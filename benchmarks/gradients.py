@@ -25,7 +25,7 @@ from mistray.surfaces.gradient_columns import RIM_COLUMNS
 
 SHAPES = ("curvature", "conic", "asphere", "position", "tilt", "index")
 KINDS = {"coatings": ("coating", "share"), "geometry": SHAPES, "rims": ("rim",)}
-BARS = {"coatings": 2.5, "geometry": 4.0, "rims": 2.5}
+BARS = {"coatings": 1.0, "geometry": 3.5, "rims": 2.0}
 
 
 def layer_cost(name: str, rays: int, most: float, repeats: int) -> Row:
@@ -134,7 +134,7 @@ def rows(quick: bool) -> Iterator[Row]:
     """Rows of the part `gradients`."""
     repeats = 1 if quick else REPEATS
     for name, rays in (("cooke_triplet", 1 << 16), ("phone_camera", 1 << 12)):
-        yield layer_cost(name, rays >> 6 if quick else rays, 2.5, repeats)
+        yield layer_cost(name, rays >> 6 if quick else rays, 1.5, repeats)
     for name, rays in (("double_gauss", 200_000), ("phone_camera", 10_000)):
         yield from gradient_costs(name, rays // 100 if quick else rays, repeats)
     yield from memory("double_gauss", 1_000 if quick else 100_000)

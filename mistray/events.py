@@ -52,6 +52,13 @@ def kind_of(event: Any) -> Any:
     return event & EVENT_MASK
 
 
+def stays(event: Any) -> Any:
+    """Whether light stays on the side of incidence after events: reflected, totally or not, or scattered back."""
+    what = kind_of(event)
+    specular = (what < FIRST_SCATTERED) & (what != TRANSMITTED)
+    return specular | ((what >= FIRST_SCATTERED) & ((what & 1) != 0))
+
+
 def event_of(place: Any, kind: Any) -> Any:
     """Return event codes from numbers of places and numbers of kinds."""
     return (place << EVENT_BITS) | kind

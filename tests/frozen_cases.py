@@ -22,7 +22,6 @@ from oracles.geometry import Array, Frustum
 import mistray
 from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 from mistray.optimize import Metric
-from mistray.recorders.branch_recorder import NODE_FLOATS
 from mistray.trace import Trace
 
 
@@ -38,7 +37,7 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
     assert int(recorder.count[0]) == count, "the rays that were recorded are not those of the ledger"
     lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)[:count]
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count]
-    nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)[:count].astype(np.float64)
+    nodes = recorder.nodes_of(np.arange(count), recorder.max_events)
     nodes[:, :, :3] += of.table.centre
     origins, directions = of.start_rays(lanes)
     weights = np.array(of.start_pass(0).w, dtype=np.float64)[lanes]

@@ -106,7 +106,7 @@ class EdgeContacts:
     """
 
     def __init__(self, table: SurfaceTable) -> None:
-        self._surfaces = ReplaySurfaces(table, GradientRequest())
+        self._surfaces = ReplaySurfaces(table, GradientRequest(rows=False))
         shape = table.count, len(RIM_COLUMNS)
         sizes, circles, least = np.zeros(shape), np.zeros((*shape, CIRCLE_FLOATS)), np.zeros(table.count)
         for piece in table.pieces:

@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -47,7 +48,7 @@ from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
 from mistray.recorders.adjoint import GAIN, Adjoint
-from mistray.recorders.branch_recorder import POINT_FLOATS, BranchRecorder, as_many
+from mistray.recorders.branch_recorder import NODE_FLOATS, BranchRecorder, as_many
 from mistray.recorders.path_key import mixed_events
 from mistray.recorders.recorder import Memory, Recorder, Return, Visit
 from mistray.recorders.start_rays import StartRays
@@ -107,7 +108,7 @@ class RimRecorder(Recorder):
     zones : dict
         Result of `rim_zones`.
     paths : BranchRecorder
-        Paths up to and including the hit; `weight` is the throughput on arrival, `heading` the direction of arrival.
+        Paths up to and including the hit; `weight` is the throughput on arrival.
     columns : dict
         Numbers of each hit, (capacity,) each: ``rim``, a place in `RIM_COLUMNS` or a jump of
         `mistray.gradients.grazing`; ``delta``, the distance from the rim, mm, or from the jump; ``scale``, see
@@ -120,7 +121,7 @@ class RimRecorder(Recorder):
         Fields of `StartRays` → (capacity,) state of the ray before the hit.
     """
 
-    node_floats = POINT_FLOATS
+    node_floats = NODE_FLOATS - 1
 
     def __init__(
         self,
@@ -143,7 +144,7 @@ class RimRecorder(Recorder):
                 bounds[i, column], bounds[i, 2 + column] = (high, low)[column], self.zones[i, rim]
         self._families = table.families
         self._bounds, self._kinds = upload(mi.Float, bounds), upload(mi.UInt32, kinds)
-        self.paths = BranchRecorder(capacity, max_events, points_only=True)
+        self.paths = BranchRecorder(capacity, max_events)
         self.grazing = Grazing(table, width)
         kinds_of = {"rim": mi.UInt32, "delta": mi.Float, "scale": mi.Float, "copies": mi.Float, "gain": mi.Float64}
         self.columns = {name: dr.zeros(kind, capacity) for name, kind in kinds_of.items()}
@@ -172,7 +173,7 @@ class RimRecorder(Recorder):
 
         def write(near: mi.Bool) -> mi.UInt32:
             weight = mi.Float64(state["w"])
-            slot, kept = self.paths.write(visit, near, weight, heading=state["d"])
+            slot, kept = self.paths.write(visit, near, weight)
             for name, value in {"rim": rim, "delta": delta, "copies": copies, "scale": scale}.items():
                 dr.scatter(self.columns[name], value, slot, kept)
             for j, component in enumerate(it.axis):
@@ -325,7 +326,7 @@ class Edges:
 
         for part, hits in self._portions.of(start, record, lambda: self._launches.lanes):
             found = self._compare(hits, adjoint) if hits else None
-            if found is not None and dr.width(found.row):
+            if found is not None:
                 yield part, found
 
     def _gains(self, start: StartRays, adjoint: Adjoint, rims: RimRecorder | None = None) -> mi.Float64:
@@ -335,14 +336,21 @@ class Edges:
         dr.sync_thread()
         return adjoint.gain
 
-    def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents:
-        """Trace rays past the rims, and return the hits with their coefficients in the metric's derivative."""
+    def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents | None:
+        """Trace rays past the rims; return the hits that contribute to the metric's derivative, with coefficients."""
         near, row = self._near, dr.arange(mi.UInt32, hits)
         rim, delta, scale, copies, found_gain = (dr.gather(type(v), v, row) for v in near.columns.values())
         # Contribution of the hit less that past the rim
-        start, place, factor, joined = self._past(row, (rim, delta, scale))
+        start, place, factor, joined = self._past(row, (rim, delta, scale), adjoint.light is not None)
         gain = found_gain - self._gains(start, adjoint)
         gain *= factor * mi.Float64(copies)
+        # Hits that contribute; all that is gathered is in memory, or each array would be computed again
+        dr.eval(gain)
+        counts = dr.compress(gain != 0)
+        if not dr.width(counts):
+            return None
+        arrays = (row, rim, delta, scale, gain, place, joined)
+        row, rim, delta, scale, gain, place, joined = (dr.gather(type(v), v, counts) for v in arrays)
         # Width of the zone; of jumps in the square of a cosine, see `mistray.gradients.grazing`
         zone = dr.gather(mi.Float, self._sizes, 2 * place + 1)
         jumps, grazes = rim >= SILHOUETTE, rim == SILHOUETTE
@@ -352,30 +360,28 @@ class Edges:
             distance, width = mi.Float64(delta), mi.Float64(width)
             return dr.select(jumps, grazing_kernel(distance, width), kernel(distance, width))
 
-        # c = k · gain for each width, of the hits that contribute
-        counts = dr.compress(gain != 0)
-        c = [dr.gather(mi.Float64, gain * density(relative * zone), counts) for relative in self._relative_widths]
-        row, rim, joined, scale = (dr.gather(type(v), v, counts) for v in (row, rim, joined, scale))
+        # c = k · gain for each width
+        c = [gain * density(relative * zone) for relative in self._relative_widths]
         dr.eval(row, rim, joined, scale, c)
         return EdgeEvents(near.paths, row, rim, joined, scale, c)
 
     def _past(
-        self, row: mi.UInt32, jump: tuple[mi.UInt32, mi.Float, mi.Float]
+        self, row: mi.UInt32, jump: tuple[mi.UInt32, mi.Float, mi.Float], classed: bool
     ) -> tuple[StartRays, mi.UInt32, mi.Float64, mi.UInt32]:
         """
         Return the start of rays that go past the rims; `jump` holds rim or kind of jump, distance and scale.
 
-        With it come the rim's place in tables of (surfaces, rims), the factor of the coefficient, see
-        `mistray.gradients.edge_contacts.Corner`, and `EdgeEvents.joined`.
+        `classed` says whether the metric asks for the path classes of rays. With the start come the rim's place in
+        tables of (surfaces, rims), the factor of the coefficient, see `mistray.gradients.edge_contacts.Corner`, and
+        `EdgeEvents.joined`.
         """
         near, jumps = self._near, jump[0] >= SILHOUETTE
         rim = dr.select(jumps, 0, jump[0])
         # Last event of the recorded path: surface, point, direction of arrival, throughput
         length = dr.gather(mi.UInt32, near.paths.length, row)
-        last = row * near.paths.max_events + length - 1
-        s = place_of(dr.gather(mi.UInt32, near.paths.codes, last))
-        p = mi.Vector3f(*(dr.gather(mi.Float, near.paths.nodes, last * near.paths.node_floats + j) for j in range(3)))
-        d = mi.Vector3f(*(dr.gather(mi.Float, near.paths.heading, 3 * row + j) for j in range(3)))
+        whole = dr.full(mi.Bool, True, dr.width(row))
+        hit = near.paths.node(row, length - 1, whole)
+        p, d, s = hit.p, hit.d, place_of(hit.code)
         w = mi.Float(dr.gather(mi.Float64, near.paths.weight, row))
         before = {name: dr.gather(type(v), v, row) for name, v in near.before.items()}
         # Start beside the edge, in the direction of the ray that hit
@@ -391,17 +397,15 @@ class Edges:
         # Assemble the start rays; jumps have a start of their own
         left = dr.select(corner.left == NO_SURFACE, s, corner.left)
         o, d, left, at = self._jump(row, jump, p, s, (o, d, left, corner.at))
-
-        def code(k: mi.UInt32, going: mi.Bool) -> mi.UInt32:
-            return dr.gather(mi.UInt32, near.paths.codes, row * near.paths.max_events + k, going)
-
         # Part of the events before the hit in the number of the path class
-        none = dr.zeros(mi.UInt32, dr.width(row))
-        path_class = mixed_events(code, none, length - 1, none, dr.full(mi.Bool, True, dr.width(row)))
+        path_class, none = None, dr.zeros(mi.UInt32, dr.width(row))
+        if classed:
+            path_class = mixed_events(partial(near.paths.code, row), none, length - 1, none, whole)
         start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, path_class=path_class, **before)
-        dr.eval(rng, vars(start))
+        place = s * len(RIM_COLUMNS) + rim
         factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)
-        return start, s * len(RIM_COLUMNS) + rim, factor, joined
+        dr.eval(rng, vars(start), place, factor, joined)
+        return start, place, factor, joined
 
     def _jump(
         self,

@@ -8,7 +8,7 @@ for the reverse mode.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -21,12 +21,14 @@ from mistray.execute.tracer import Run
 from mistray.gradients.parameter_gradient import number_tangent
 from mistray.gradients.path_replay import PathReplay
 from mistray.gradients.recorded_rays import RecordedRays
-from mistray.gradients.replay import Followed, follow, march
-from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces, SurfaceNumbers, numbers_of
+from mistray.gradients.replay import SegmentMedia
+from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces
+from mistray.gradients.surface_numbers import SurfaceNumbers, numbers_of
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.recorders.film import Film
 from mistray.surfaces.gradient_columns import GEOMETRY
 
+FAR_OFF = 1e-3  # distance from a recorded point, over 1 + its norm, beyond which the ray counts as another one
 STEP = 1e-6  # largest move of a number, in units of its scale
 
 
@@ -59,8 +61,113 @@ def step_of(direction: SurfaceNumbers, sizes: np.ndarray) -> float:
     return float(STEP / max(largest))
 
 
+class Followed:
+    """Points of the events of rays, mm, in float64."""
+
+    def __init__(self, rays: int, longest: int) -> None:
+        self.rays = dr.opaque(mi.UInt32, rays)
+        # Separate arrays: equal ones would share memory, and be copied before each write
+        self.points = [dr.empty(mi.Float64, rays * longest) for _ in range(3)]
+        self.strayed = dr.zeros(mi.Bool, rays)
+        dr.eval(self.points, self.strayed)
+
+    def _index(self, k: mi.UInt32) -> mi.UInt32:
+        return k * self.rays + dr.arange(mi.UInt32, self.rays[0])
+
+    def write(self, k: mi.UInt32, p: mi.Vector3d, active: mi.Bool) -> None:
+        """Store the points of the rays' events k, mm."""
+        for values, value in zip(self.points, p, strict=True):
+            dr.scatter(values, value, self._index(k), active)
+
+    def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """Return the points of the rays' events k, mm."""
+        return mi.Vector3d(*(dr.gather(mi.Float64, values, self._index(k), active) for values in self.points))
+
+
+def march(
+    surfaces: ReplaySurfaces,
+    rays: RecordedRays,
+    near: Callable[[mi.UInt32, mi.Bool], mi.Vector3d],
+    visit: Callable[..., tuple[mi.Vector3d, tuple[Any, ...]]],
+    state: tuple[Any, ...],
+) -> tuple[Any, ...]:
+    """
+    Follow recorded rays from event to event in float64, and call `visit` at each.
+
+    Parameters
+    ----------
+    surfaces : ReplaySurfaces
+        Surfaces that the rays meet.
+    rays : RecordedRays
+        Recorded rays to follow.
+    near : callable
+        (number, active) → points near the events, mm.
+    visit : callable
+        (number, event, last, *state) → origins of directions after scatter events, and the next state; `last` marks the
+        last events.
+    state : tuple
+        Variables of the loop.
+
+    Returns
+    -------
+    tuple
+        State after the last events.
+    """
+
+    def step(k: mi.UInt32, p: mi.Vector3d, d: mi.Vector3d, *state: Any) -> tuple[Any, ...]:
+        active, last = k < rays.length, k + 1 == rays.length
+        t = dr.dot(near(k, active) - p, d)
+        event = surfaces.followed(p, d, t, rays.node(k, active).code, rays.batch, active)
+        origin, state = visit(k, event, last, *state)
+        # Next direction: Snell's law, or towards the next point after a scatter event
+        heading = dr.select(event.scattered & ~last, near(k + 1, active & ~last) - origin, event.heading)
+        return k + 1, event.p, dr.normalize(heading), *state
+
+    start = dr.zeros(mi.UInt32, dr.width(rays.row)), mi.Vector3d(rays.o), mi.Vector3d(rays.d)
+    _, _, _, *state = dr.while_loop(
+        (*start, *state), lambda k, *_: k < rays.length, step, mode="symbolic", label="follow rays"
+    )
+    return tuple(state)
+
+
+def follow(surfaces: ReplaySurfaces, rays: RecordedRays) -> Followed:
+    """
+    Return the points of recorded rays' events, mm, followed again in float64.
+
+    Parameters
+    ----------
+    surfaces : ReplaySurfaces
+        Surfaces that the rays meet.
+    rays : RecordedRays
+        Recorded rays to follow.
+
+    Returns
+    -------
+    Followed
+        Points; `strayed` marks rays of which a hit is not where it was recorded.
+    """
+    found = Followed(dr.width(rays.row), rays.longest)
+
+    def recorded_point(k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        return mi.Vector3d(rays.node(k, active).p)
+
+    def visit(
+        k: mi.UInt32, event: ReplayedEvent, last: mi.Bool, strayed: mi.Bool
+    ) -> tuple[mi.Vector3d, tuple[Any, ...]]:
+        # Compare with the record
+        recorded = recorded_point(k, event.active)
+        off = dr.norm(event.p - recorded) > FAR_OFF * (1 + dr.norm(recorded))
+        strayed |= event.active & (off | ~dr.isfinite(dr.squared_norm(event.p)))
+        found.write(k, event.p, event.active)
+        return event.p, (strayed,)
+
+    (found.strayed,) = march(surfaces, rays, recorded_point, visit, (dr.full(mi.Bool, False, dr.width(rays.row)),))
+    dr.eval(found.points, found.strayed)
+    return found
+
+
 def arrivals(
-    surfaces: ReplaySurfaces, rays: RecordedRays, base: Followed
+    surfaces: ReplaySurfaces, rays: RecordedRays, base: Followed, media: SegmentMedia | None
 ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
     """
     Return the places where recorded rays meet the detector, mm, and the logarithms of their flux factors.
@@ -73,6 +180,8 @@ def arrivals(
         Recorded rays that end at the detector.
     base : Followed
         Result of `follow` with the present numbers.
+    media : SegmentMedia or None
+        Media of the segments; None: none absorbs.
 
     Returns
     -------
@@ -94,8 +203,8 @@ def arrivals(
         share = dr.select(last, 1 - event.R - event.T, dr.select(event.reflect, event.R, event.T))
         factor = dr.log(dr.select(event.active & (share > 0), share, 1))
         absorbed = dr.select(event.active & last, factor, absorbed)
-        if surfaces.table.optics.absorbs:
-            factor -= surfaces.extinction(base.medium(k, event.active), event.active) * event.length
+        if media is not None:
+            factor -= surfaces.extinction(media.of(k, event.active), event.active) * event.length
         # After a scatter event the direction is held
         return base.point(k, event.active), (mi.Vector3d(event.q), total + factor, absorbed)
 
@@ -109,6 +218,7 @@ def add_tangent(
     film: Film,
     rays: RecordedRays,
     base: Followed,
+    media: SegmentMedia | None,
     sides: tuple[ReplaySurfaces, ReplaySurfaces],
     step: float,
     flux: mi.Float64,
@@ -122,7 +232,7 @@ def add_tangent(
         Derivative of the flux in each pixel, in units of the start ray's flux.
     film : Film
         Pixel grid of the detector.
-    rays, base
+    rays, base, media
         See `arrivals`.
     sides : (ReplaySurfaces, ReplaySurfaces)
         Surfaces with their numbers moved back and forth.
@@ -131,7 +241,7 @@ def add_tangent(
     flux : mi.Float64
         Flux with which each ray meets the detector, in units of the start ray's flux.
     """
-    (x0, y0, f0, last0), (x1, y1, f1, last1) = (arrivals(surfaces, rays, base) for surfaces in sides)
+    (x0, y0, f0, last0), (x1, y1, f1, last1) = (arrivals(surfaces, rays, base, media) for surfaces in sides)
     per = dr.opaque(mi.Float64, 0.5 / step)
     alive = ~base.strayed
     flux = flux * dr.exp(0.5 * (last0 + last1))
@@ -190,6 +300,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
         for number in range(run.passes):
             for rays in path_replay.recorded(run.start_pass(number), run.trace_trees):
                 base = follow(still, rays)
-                add_tangent(image, film, rays, base, (back, forth), step, rays.weight)
+                media = SegmentMedia(still, rays) if table.optics.absorbs else None
+                add_tangent(image, film, rays, base, media, (back, forth), step, rays.weight)
                 dr.eval(image)
     return np.array(image).reshape(film.height, film.width)

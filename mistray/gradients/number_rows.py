@@ -31,52 +31,72 @@ class NumberRows:
         Numbers of all surfaces, in the units of the columns.
     columns : sequence of str
         Names of the columns; those that are 0 at all surfaces are left out unless they are tracked.
-    tracked : set of str
+    moving : set of str
         Columns whose derivatives are accumulated.
+    real : type, optional
+        Type of the numbers, ``mi.Float`` or, by default, ``mi.Float64``; derivatives are summed in float64.
 
     Attributes
     ----------
+    moving : list of str
+        Columns whose derivatives are accumulated.
     names : set of str
         Columns that have not been left out.
     """
 
-    def __init__(self, geometry: np.ndarray, columns: Sequence[str], tracked: Collection[str] = ()) -> None:
+    def __init__(
+        self, geometry: np.ndarray, columns: Sequence[str], moving: Collection[str] = (), real: Any = None
+    ) -> None:
+        self._real = mi.Float64 if real is None else real
         self._count, self._columns = len(geometry), tuple(columns)
-        self._tracked = [name for name in columns if name in tracked]
-        self._plain = [name for name in columns if name not in tracked and geometry[:, GEOMETRY.index(name)].any()]
-        self.names = {*self._tracked, *self._plain}
+        self.moving = [name for name in columns if name in moving]
+        others = [name for name in columns if name not in moving and geometry[:, GEOMETRY.index(name)].any()]
+        self._names = [*self.moving, *others]
+        self.names = set(self._names)
         self._surfaces = dr.opaque(mi.UInt32, self._count)
-        # Tracked rows have a copy for each batch, so that derivatives by batch give standard errors
-        self._plain_values = upload(mi.Float64, _rows(geometry, self._plain))
-        self._tracked_values = tracked_array(np.tile(_rows(geometry, self._tracked).ravel(), BATCHES))
-        dr.eval(self._plain_values, self._tracked_values)
+        self._values = upload(self._real, _rows(geometry, self._names))
+        # One row for each batch, so that derivatives by batch give standard errors
+        self._length = vectors_of(self.moving) * WIDTH
+        self._derivatives = tracked(BATCHES * self._count * self._length) if self.moving else None
 
     def read(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
         """Return the numbers of the surfaces s by column name, in the columns' units; 0 for columns left out."""
         # Zeros are literals: Dr.Jit drops the terms of columns that are left out
-        found: dict[str, Any] = dict.fromkeys(self._columns, mi.Float64(0))
-        for names, values, row in (
-            (self._plain, self._plain_values, s),
-            (self._tracked, self._tracked_values, batch * self._surfaces + s),
-        ):
-            vectors = -(-len(names) // WIDTH)
-            for k in range(vectors):
-                four = dr.gather(mi.Vector4d, values, row * vectors + k, active)
-                found |= dict(zip(names[WIDTH * k : WIDTH * (k + 1)], four, strict=False))
+        found: dict[str, Any] = dict.fromkeys(self._columns, self._real(0))
+        four = mi.Vector4f if self._real is mi.Float else mi.Vector4d
+        vectors, moving = vectors_of(self._names), vectors_of(self.moving)
+        for k in range(vectors):
+            values = dr.gather(four, self._values, s * vectors + k, active)
+            if k < moving and self._derivatives is not None:
+                row = (batch * self._surfaces + s) * moving + k
+                values = dr.replace_grad(values, four(dr.gather(mi.Vector4d, self._derivatives, row, active)))
+            found |= dict(zip(self._names[WIDTH * k : WIDTH * (k + 1)], values, strict=False))
         return found
 
     def gradient(self) -> dict[str, np.ndarray]:
         """Return the accumulated derivatives with respect to tracked columns, by name, each (BATCHES, surfaces)."""
-        found = np.array(dr.grad(self._tracked_values)).reshape(BATCHES, self._count, -1)
-        return {name: found[:, :, k] for k, name in enumerate(self._tracked)}
+        if self._derivatives is None:
+            return {}
+        found = np.array(dr.grad(self._derivatives)).reshape(BATCHES, self._count, -1)
+        return {name: found[:, :, k] for k, name in enumerate(self.moving)}
 
 
-def tracked_array(values: np.ndarray) -> mi.Float64:
-    """Return numbers as a Dr.Jit array, float64, that accumulates derivatives with respect to them."""
+def vectors_of(names: Sequence[str]) -> int:
+    """Return how many vectors of `WIDTH` numbers hold a number for each name."""
+    return -(-len(names) // WIDTH)
+
+
+def tracked(count: int) -> mi.Float64:
+    """Return zeros that accumulate the derivatives by numbers of the device, float64; they take no memory."""
     with dr.resume_grad():
-        array = upload(mi.Float64, values)
-        dr.enable_grad(array)
-    return array
+        zeros = dr.zeros(mi.Float64, count)
+        dr.enable_grad(zeros)
+    return zeros
+
+
+def derived(value: Any, zeros: mi.Float64, index: mi.UInt32, active: mi.Bool) -> Any:
+    """Return a number whose derivatives are added to an entry of `tracked` zeros, which is not read."""
+    return dr.replace_grad(value, type(value)(dr.gather(mi.Float64, zeros, index, active)))
 
 
 def _rows(geometry: np.ndarray, names: Sequence[str]) -> np.ndarray:

@@ -22,8 +22,8 @@ from mistray.gradients.coating_gradient import (
     table_rows,
 )
 from mistray.gradients.geometry_gradient import column_derivatives, shape_parameters
-from mistray.gradients.replay_surfaces import SurfaceNumbers
 from mistray.gradients.scatter_gradient import scatter_gradient
+from mistray.gradients.surface_numbers import SurfaceNumbers
 from mistray.gradients.table_gradient import TableGradient
 from mistray.kernel.interaction import REFLECTION_AND_TRANSMISSION
 from mistray.surfaces.gradient_columns import GEOMETRY

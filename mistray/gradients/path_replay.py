@@ -15,7 +15,7 @@ from mistray.gradients.full.full_rims import FullRims
 from mistray.gradients.grazing import SILHOUETTE, jump_distance
 from mistray.gradients.parameter_gradient import NO_STOKES
 from mistray.gradients.recorded_rays import Portions, RecordedRays, Trace
-from mistray.gradients.replay import End, Exit, follow, replay_rays
+from mistray.gradients.replay import End, Exit, replay_rays
 from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces
 from mistray.gradients.scatter_replay import ScatterReplay
 from mistray.gradients.table_gradient import Derivatives, GradientRequest, TableGradient
@@ -29,8 +29,8 @@ from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-CAPACITY = 1 << 18  # rays that are recorded at once
-FIRST_RECORDS = 8  # guess of the records of a start ray
+CAPACITY = 1 << 17  # rays that are recorded at once
+FIRST_RECORDS = 8.0  # guess of the records of a start ray
 TOO_MANY = (
     "a single start ray has {count} ends, more than {capacity}; raise flux_threshold or lower max_reflections or "
     "max_scatters"
@@ -41,15 +41,19 @@ class Ends:
     """Base class of contributions of the recorded rays of a trace to a metric."""
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
-        """Return a mask of the rays that contribute to the metric, (n,) bool, by path keys, (n,) uint64 ascending."""
+        """Return a mask of the paths that contribute to the metric, (n,) bool, by path keys, (n,) uint64 ascending."""
         return np.ones(len(keys), dtype=bool)
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
         """Return, for each ray, the index below BATCHES of the sum it adds to, as a rule its batch."""
         return rays.batch
 
-    def end(self, rays: RecordedRays, keys: np.ndarray) -> End | Exit:
-        """Return the contribution of each ray to the metric: a function of its last hit, or a value at its exit."""
+    def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End | Exit:
+        """
+        Return the contribution of each ray to the metric: a function of its last hit, or a value at its exit.
+
+        `keys`, (n,) uint64, are those of the paths, and `path` is the place of each ray's path among them.
+        """
         raise NotImplementedError
 
 
@@ -69,6 +73,8 @@ class PathReplay:
         Number of events of the longest path.
     start : SceneSource or int, optional
         Source of the rays, or the surface from which backward rays start; None: the start does not move.
+    records : float
+        Expected number of recorded rays for each start ray.
 
     Raises
     ------
@@ -83,23 +89,27 @@ class PathReplay:
         request: GradientRequest,
         longest: int,
         start: SceneSource | int | None = None,
+        records: float = FIRST_RECORDS,
     ) -> None:
         table, widths = scene.table, request.edge_widths if request.moves else ()
         _check(table, settings)
         self._scene, self.request = scene, request
-        self.recorder = BranchRecorder(as_many(CAPACITY, longest), longest, points_only=True)
-        self._portions = Portions(self.recorder, self.recorder.capacity // FIRST_RECORDS, TOO_MANY)
+        self.recorder = BranchRecorder(as_many(CAPACITY, longest), longest)
+        self._portions = Portions.filling(self.recorder, records, TOO_MANY)
         self.scatter = ScatterReplay(scene.scattering) if scene.scattering.any else None
         # Of hits close to rims only the position moves: their coefficients already hold the change of flux
         places = replace(request, rows=False, scatter=False)
-        self._surfaces = [ReplaySurfaces(table, one, start=start) for one in (request, *(places for _ in widths))]
+        # About its axis a freeform differs little from its rotated self: in float32 a small Zernike term on an off-axis
+        # mirror gives an error of 2e-3 in its derivative, of all others at most 1e-5
+        real = mi.Float64 if table.families and "tilt_z" in request.geometry else mi.Float
+        requests = (request, *(places for _ in widths))
+        self._surfaces = [ReplaySurfaces(table, one, start=start, real=real) for one in requests]
         # Rims; a beam that just fills one narrows its zone
         self._full, self.edges = [], None
         if widths:
             full = FullRims(start, table, widths[0]) if isinstance(start, SceneSource) else None
             self._full = [full] if full is not None and full.full else []
             self.edges = Edges(scene, settings, widths, None if full is None else full.limits)
-        self._strayed = self._rays = 0
 
     def replay_pass(self, start: StartRays, trace: Trace, ends: Ends, adjoint: Adjoint | None) -> None:
         """
@@ -134,17 +144,16 @@ class PathReplay:
         keys = np.array(self.recorder.path)[: int(self.recorder.count[0])]
         # Sorted by path, so that the lanes of a warp run through the same events
         order = np.argsort(keys, kind="stable")
-        order = order[ends.counts(keys[order])]
+        keys = keys[order]
+        first = np.diff(keys, prepend=~keys[:1]) != 0
+        paths, path = keys[first], np.cumsum(first) - 1
+        counts = ends.counts(paths)[path]
+        order, path = order[counts], path[counts]
         if not len(order):
             return
         rays = RecordedRays.of(self.recorder, start, order)
         rays.batch = ends.group(rays)
-        # Forward in float64, then backward with derivatives
-        surfaces = self._surfaces[0]
-        found = follow(surfaces, rays)
-        replay_rays(surfaces, rays, found, ends.end(rays, keys[order]), self.scatter)
-        self._strayed += int(dr.count(found.strayed)[0])
-        self._rays += len(order)
+        replay_rays(self._surfaces[0], rays, ends.end(rays, paths, upload(mi.UInt32, path)), self.scatter)
 
     def _replay_edges(self, start: StartRays, events: EdgeEvents) -> None:
         """Replay the hits close to rims of a portion, and accumulate boundary terms for each zone width."""
@@ -157,7 +166,7 @@ class PathReplay:
             picked = upload(mi.UInt32, chosen)
             end = rim_end(*(dr.gather(type(v), v, picked) for v in (events.rim, events.joined, events.scale, c)))
             rays = RecordedRays.of(events.paths, start, rows[chosen])
-            replay_rays(surfaces, rays, follow(surfaces, rays), end)
+            replay_rays(surfaces, rays, end)
 
     def result(self) -> TableGradient:
         """Return the derivatives of the metric accumulated so far, by batch of start rays."""
@@ -166,8 +175,6 @@ class PathReplay:
             inner.scatter = self.scatter.derivatives()
         raw = TableGradient(self._scene.table, self._scene.scattering, inner, Derivatives.stacked(rims), self._full)
         raw.backward = self._scene.backward
-        if self._strayed:
-            raw.left_out.append(f"{self._strayed} of {self._rays} rays, which could not be followed again in float64")
         return raw
 
 
@@ -186,12 +193,12 @@ def rim_end(rim: mi.UInt32, joined: mi.UInt32, scale: mi.Float, c: mi.Float64) -
     c : mi.Float64
         Coefficients of `EdgeEvents` for one width.
     """
-    radius = dr.select(rim >= SILHOUETTE, mi.Float64(scale), 1)  # rims leave it unset
+    radius = dr.select(rim >= SILHOUETTE, scale, 1)  # rims leave it unset
 
-    def moved(surfaces: ReplaySurfaces, at: ReplayedEvent, recorded: mi.Vector3d) -> mi.Float64:
+    def moved(surfaces: ReplaySurfaces, at: ReplayedEvent) -> mi.Float64:
         # Rim, or jump without one: the distance Δ itself
         free, jumps = joined == NO_SURFACE, rim >= SILHOUETTE
-        distance, alone = mi.Float64(0), at.active & free & ~jumps
+        distance, alone = surfaces.real(0), at.active & free & ~jumps
         for number, found in enumerate(surfaces.rim_distances(at.q, at.s, at.batch, alone)):
             distance = dr.select(alone & (rim == number), found, distance)
         distance = dr.select(jumps, jump_distance(at, rim, radius), distance)

@@ -65,10 +65,10 @@ class PstEnds(Ends):
         cell = dr.gather(mi.UInt32, rays.start.cell, rays.lane) if self.sky is None else self.sky.cell(rays.heading)[0]
         return dr.gather(mi.UInt32, self.groups, cell)
 
-    def end(self, rays: RecordedRays, keys: np.ndarray) -> End | Exit:
+    def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End | Exit:
         """Return the contribution of each ray to the metric: its recorded weight, wherever it hits or exits."""
         gain = rays.weight  # the same anywhere on the detector
-        return Exit(gain, mi.Vector3d(rays.heading)) if self.sky is not None else lambda *hit: gain
+        return Exit(gain, rays.heading) if self.sky is not None else lambda *hit: gain
 
 
 @dataclass(frozen=True, eq=False)

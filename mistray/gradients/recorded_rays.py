@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.recorders.branch_recorder import BranchRecorder
+from mistray.recorders.branch_recorder import BranchRecorder, Node
 from mistray.recorders.start_rays import StartRays
 from mistray.surfaces.upload import upload
 
@@ -36,6 +36,11 @@ class Portions:
 
     def __init__(self, recorder: BranchRecorder, lanes: int, too_many: str) -> None:
         self._recorder, self._lanes, self._too_many = recorder, max(1, lanes), too_many
+
+    @classmethod
+    def filling(cls, recorder: BranchRecorder, records: float, too_many: str) -> Portions:
+        """Return portions of which the first fills its share of the recorder if a start ray has so many records."""
+        return cls(recorder, int(ROOM * recorder.capacity / max(records, 1.0)), too_many)
 
     def of(
         self, start: StartRays, trace: Trace, most: Callable[[], int] | None = None
@@ -89,8 +94,6 @@ class RecordedRays:
         Origins, mm, and unit directions.
     batch, length : mi.UInt32
         Batch of the start ray, number of events.
-    stride : mi.UInt32
-        Capacity of a row in events, opaque.
     longest : int
         Number of events of the longest ray.
     """
@@ -103,7 +106,6 @@ class RecordedRays:
     d: mi.Vector3d
     batch: mi.UInt32
     length: mi.UInt32
-    stride: mi.UInt32
     longest: int
 
     @classmethod
@@ -116,8 +118,7 @@ class RecordedRays:
         d = dr.normalize(d)
         batch = dr.gather(mi.UInt32, start.batch, lane)
         dr.eval(row, length, o, d, batch)
-        stride, longest = dr.opaque(mi.UInt32, recorder.max_events), max(1, int(np.array(length).max()))
-        return cls(recorder, row, start, lane, o, d, batch, length, stride, longest)
+        return cls(recorder, row, start, lane, o, d, batch, length, max(1, int(dr.max(length)[0])))
 
     @property
     def weight(self) -> mi.Float64:
@@ -125,16 +126,15 @@ class RecordedRays:
         return dr.gather(mi.Float64, self.recorder.weight, self.row)
 
     @property
+    def place(self) -> list[mi.Float64]:
+        """Recorded places x, y of the hits on the detector, mm, in its own frame."""
+        return [mi.Float64(dr.gather(mi.Float, self.recorder.place, 2 * self.row + k)) for k in range(2)]
+
+    @property
     def heading(self) -> mi.Vector3f:
         """Unit directions in which the rays leave the scene."""
         return mi.Vector3f(*(dr.gather(mi.Float, self.recorder.heading, 3 * self.row + k) for k in range(3)))
 
-    def code(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Return the codes of the rays' events k, surface and kind of event each; see `mistray.events`."""
-        return dr.gather(mi.UInt32, self.recorder.codes, self.row * self.stride + k, active)
-
-    def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Return the recorded points of the rays' events k, mm."""
-        nodes, size = self.recorder.nodes, self.recorder.node_floats
-        base = (self.row * self.stride + k) * size
-        return mi.Vector3d(*(mi.Float64(dr.gather(mi.Float, nodes, base + j, active)) for j in range(3)))
+    def node(self, k: mi.UInt32, active: mi.Bool) -> Node:
+        """Return the recorded events k of the rays."""
+        return self.recorder.node(self.row, k, active)

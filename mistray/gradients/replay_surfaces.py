@@ -1,37 +1,52 @@
 """
-Surfaces in float64 for recorded events: the hit, Snell's law, R and T, differentiable by every number of a surface.
+Surfaces for recorded events: the hit, Snell's law, R and T, and derivatives by every number of a surface.
 
-The kernel looks for the next surface in float32 and keeps no derivatives. Here the surface is given, and so is the
-place of the hit up to rounding. One Newton step on the implicit equation F(o + t d) = 0,
+The kernel looks for the next surface and keeps no derivatives. Here the surface is known, and so is the place x of the
+hit. In the frame of the surface let F(x) = 0 be its implicit equation, g = ½∇F, H = ½∇∇F, n = ±g/|g| the normal on the
+side of transmission, d the direction of the ray and t its length. Let λ_x, λ_d, λ_n and λ_t be the derivatives of a
+function of the event by x, d, n and t, found by Dr.Jit. With the part λ of λ_n across n, the adjoints are
 
-    t ← t - F/(∇F · d)   with the denominator detached,
+    ν = (n · g) λ/|g|²                                of g
+    β = -((λ_x + Hν) · d + λ_t)/(2 g · d)             of F, as ∇F · dx + dF = 0 along the ray
+    p = Hν + 2βg,   λ_x + p,   λ_d + t (λ_x + p)      of motions of the surface (less), of the origin and of d
 
-is exact to second order and carries the first derivatives of the hit by the ray and by the surface. All is computed in
-the frame of the surface; a displacement and a rotation of that frame, both zero, are among the numbers. In the code F
-is `value`, ½∇F is `gradient`, and ∇F · d is `slope`.
+A number of the shape gets β ∂F + ν · ∂g, a displacement of the surface -p, and a rotation n × λ - x × p. Sources:
+A. Griewank and A. Walther, Evaluating Derivatives, 2nd ed., 2008, chapter 3; and the implicit function theorem. In the
+code F is `value`, g `gradient`, ν `by_gradient` and β `by_value`.
+
+A surface computes in float32 or in float64; derivatives are summed in float64.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.events import RANDOM_TRANSMITTED, TOTAL, TRANSMITTED, kind_of, place_of
-from mistray.gradients.number_rows import NumberRows, tracked_array
+from mistray.events import RANDOM_TRANSMITTED, TOTAL, TRANSMITTED, kind_of, place_of, stays
+from mistray.gradients.number_rows import NumberRows, derived, tracked
 from mistray.gradients.recorded_rays import RecordedRays
 from mistray.gradients.scatter_replay import ScatterEvent
+from mistray.gradients.surface_numbers import (
+    TABLE_CHANNELS,
+    AsphericTerms,
+    SurfaceNumbers,
+    numbers_of,
+    of_four,
+    proportions,
+    row_slopes,
+)
 from mistray.gradients.table_gradient import Derivatives, GradientRequest
 from mistray.physics.fresnel import reflectance
-from mistray.physics.geometry.sag import polynomial, polynomial_derivative, polynomial_second_derivative
 from mistray.recorders.adjoint import CHANNELS
+from mistray.recorders.branch_recorder import Node
 from mistray.sampling.source import SceneSource
 from mistray.settings import BATCHES
-from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, OWN, RIM_COLUMNS, SHAPE_COLUMNS
+from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, OWN, POSE, RIM_COLUMNS, SHAPE_COLUMNS
 from mistray.surfaces.optics import (
     BACK_MEDIUM_SHIFT,
     FRESNEL,
@@ -48,13 +63,11 @@ from mistray.surfaces.optics import (
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-TABLE_CHANNELS = 3  # R from the front, R from the back, T
-
 
 @dataclass(kw_only=True)
 class ReplayedEvent(ScatterEvent):
     """
-    Events of recorded paths in float64, differentiable; hits and directions in the frames of the surfaces.
+    Events of recorded paths, differentiable, in float32 or float64; hits and directions in the frames of the surfaces.
 
     Attributes
     ----------
@@ -70,8 +83,6 @@ class ReplayedEvent(ScatterEvent):
         Whether the surface scatters the light.
     heading : mi.Vector3d
         Direction in the world after reflection or refraction.
-    medium_in, medium_out : mi.UInt32
-        Media on the side of incidence and on the other one.
     """
 
     q: mi.Vector3d
@@ -81,61 +92,51 @@ class ReplayedEvent(ScatterEvent):
     p: mi.Vector3d
     scattered: mi.Bool
     heading: mi.Vector3d
-    medium_in: mi.UInt32
-    medium_out: mi.UInt32
 
 
-class AsphericTerms(dr.CustomOp):
+@dataclass
+class Hit:
     """
-    Polynomial terms of an aspheric sag with a hand-written adjoint, which is shorter than the automatic one.
+    Hits of rays on surfaces, in the frames that the surfaces have when they do not move.
 
-    The terms are P = Σ a_i r^(2i), i = 2, 3, …, mm, or P' = dP/d(r²), 1/mm.
-
-    With the adjoint p of P, or q of P', the adjoint of a_i is p r^(2i), or q i r^(2i-2); that of r² is p P', or q P''.
+    Attributes
+    ----------
+    x : mi.Vector3d
+        Point, mm.
+    d : mi.Vector3d
+        Unit direction of arrival.
+    axis : mi.Vector3d
+        Unit normal on the side of transmission.
+    length : mi.Float64
+        Length of the segment that led to the hit, mm.
+    shift, turn : mi.Vector3d
+        Displacement, mm, and rotation vector, rad, of the surface.
+    from_front : mi.Bool
+        Whether the ray arrives from the front.
     """
 
-    def eval(self, r2: Any, coefficients: Sequence[Any], still: Sequence[Any], derivative: bool) -> Any:
-        """
-        Return the polynomial terms P of the sag, mm, or their derivative P' with respect to r², 1/mm.
+    x: mi.Vector3d
+    d: mi.Vector3d
+    axis: mi.Vector3d
+    length: mi.Float64
+    shift: mi.Vector3d
+    turn: mi.Vector3d
+    from_front: mi.Bool = field(kw_only=True)
 
-        Parameters
-        ----------
-        r2 : mi.Float64
-            Squared radius, mm².
-        coefficients : sequence of mi.Float64
-            Coefficients a_i, which receive the derivatives.
-        still : sequence of mi.Float64
-            Coefficients without derivatives; trailing zeros may be missing.
-        derivative : bool
-            Whether to return P' instead of P.
-        """
-        self.r2, self.still, self.orders = dr.detach(r2), [dr.detach(a) for a in still], len(coefficients)
-        self.derivative = derivative
-        # The zero term makes the result as wide as r²: a literal 0 would receive the sum of the adjoints of all lanes
-        return (polynomial_derivative if derivative else polynomial)(self.r2, self.still) + mi.Float64(0) * self.r2
 
-    def backward(self) -> None:
-        """Propagate the adjoint of the result to r² and to the coefficients a_i."""
-        adjoint = self.grad_out()
-        further = polynomial_second_derivative if self.derivative else polynomial_derivative
-        self.set_grad_in("r2", adjoint * further(self.r2, self.still))
-        # Adjoints of a_i, by ascending powers of r²
-        power, found = adjoint * (self.r2 if self.derivative else self.r2 * self.r2), []
-        for order in range(2, 2 + self.orders):
-            found.append(order * power if self.derivative else power)
-            power = power * self.r2
-        self.set_grad_in("coefficients", found)
-
-    def name(self) -> str:
-        """Return the name of this operation in Dr.Jit's messages."""
-        return "aspheric terms"
+def _backward(value: Any, adjoint: Any, keep: bool = False) -> None:
+    """Propagate the adjoint of a value to the leaves that it depends on; `keep` the graph for another value."""
+    if dr.grad_enabled(value):
+        dr.set_grad(value, adjoint)
+        dr.enqueue(dr.ADMode.Backward, value)
+        dr.traverse(dr.ADMode.Backward, dr.ADFlag.ClearInterior if keep else dr.ADFlag.Default)
 
 
 class ReplaySurfaces:
     """
-    Differentiable copy of all surfaces in float64: geometry, refractive indices, R and T of coatings.
+    Differentiable copy of all surfaces: geometry, refractive indices, R and T of coatings.
 
-    Numbers whose derivatives are requested have one copy for each batch of start rays.
+    Derivatives are kept for each batch of start rays.
 
     Parameters
     ----------
@@ -147,6 +148,8 @@ class ReplaySurfaces:
         Numbers of the surfaces, if not the present ones.
     start : SceneSource or int, optional
         Source of the rays, or the surface from which backward rays start; None: the start does not move.
+    real : type, optional
+        Type of the numbers, ``mi.Float`` or, by default, ``mi.Float64``; derivatives are summed in float64.
     """
 
     def __init__(
@@ -155,8 +158,11 @@ class ReplaySurfaces:
         request: GradientRequest,
         moved: SurfaceNumbers | None = None,
         start: SceneSource | int | None = None,
+        real: Any = None,
     ) -> None:
         self.table, self.request = table, request
+        self.real = mi.Float64 if real is None else real
+        self.vector = mi.Vector3f if self.real is mi.Float else mi.Vector3d
         self._start: Any = start
         moving = sorted(request.sources & {*start.moving}) if isinstance(start, SceneSource) else ()
         self._by_source = {name: dr.zeros(mi.Float64, BATCHES) for name in moving}
@@ -164,46 +170,48 @@ class ReplaySurfaces:
         self._surfaces = dr.opaque(mi.UInt32, self.count)
         # Shapes and rims; `_still` has no derivatives, and reads fewer columns
         numbers = numbers_of(table) if moved is None else moved
-        self._still = NumberRows(numbers.geometry, SHAPE_COLUMNS)
-        self._shape = NumberRows(numbers.geometry, SHAPE_COLUMNS, request.geometry)
-        self._rims = NumberRows(numbers.geometry, RIM_COLUMNS, request.geometry)
-        # Indices, rows of the tables of R and T, ideal coatings
+        self._scales, per_area = proportions(table)
+        geometry = numbers.geometry * self._scales
+        self._per_area = upload(self.real, per_area)
+        self._still = NumberRows(geometry, SHAPE_COLUMNS, real=self.real)
+        self._shape, self._rims = (
+            NumberRows(geometry, columns, request.geometry, self.real) for columns in (SHAPE_COLUMNS, RIM_COLUMNS)
+        )
+        # Indices, rows of the tables of R and T, ideal coatings; zeros that carry the derivatives by batch
         optics = table.optics
         indices, rows, ideal = numbers.indices, numbers.rows, numbers.ideal
-        self._indices = tracked_array(np.tile(indices.ravel(), BATCHES)) if request.indices else None
-        self._plain_indices = upload(mi.Float64, indices)
-        if request.rows:
-            self._rows, self._ideal = (tracked_array(np.tile(v.ravel(), BATCHES)) for v in (rows, ideal))
-        else:
-            self._rows, self._ideal = upload(mi.Float64, rows), upload(mi.Float64, ideal)
-        self._row_stride = dr.opaque(mi.UInt32, rows.size if request.rows else 0)
-        self._ideal_stride = dr.opaque(mi.UInt32, ideal.size if request.rows else 0)
+        self._indices, self._ideal = upload(self.real, indices), upload(self.real, ideal)
+        self._rows = upload(self.real, np.hstack([of_four(rows), of_four(row_slopes(optics, rows))]))
+        self._by_index = tracked(BATCHES * indices.size) if request.indices else None
+        self._by_row = tracked(BATCHES * rows.size) if request.rows else None
+        self._by_ideal = tracked(BATCHES * ideal.size) if request.rows else None
+        self._row_stride = dr.opaque(mi.UInt32, rows.size)
         # Frames
-        self._rotations = upload(mi.Float64, table.rotations)
+        self._rotations = upload(self.real, table.rotations)
         # Vertices, and the sign of ∇F · n
         places = np.column_stack([table.vertices - table.centre, np.full(self.count, -1.0)])
         for piece in table.pieces:
             places[piece.index, 3] = piece.sign
-        self._places = upload(mi.Float64, places)
-        self._extinction = upload(mi.Float64, np.array(optics.extinction))
-        dr.eval(self._indices, self._plain_indices, self._rows, self._ideal, self._places)
-        dr.eval(self._rotations, self._extinction)
+        self._places = upload(self.real, places)
+        self._extinction = upload(self.real, np.array(optics.extinction))
 
     # ---- numbers
 
-    def _sides(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Vector2d:
+    def _sides(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[Any]:
         """Return the refractive indices in front of the surfaces s and behind them."""
-        if self._indices is None:
-            return dr.gather(mi.Vector2d, self._plain_indices, s, active)
-        return dr.gather(mi.Vector2d, self._indices, batch * self._surfaces + s, active)
+        sides = [dr.gather(self.real, self._indices, 2 * s + side, active) for side in range(2)]
+        if self._by_index is None:
+            return sides
+        row = batch * self._surfaces + s
+        return [derived(value, self._by_index, 2 * row + side, active) for side, value in enumerate(sides)]
 
     def to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool, inverse: bool = False) -> mi.Vector3d:
         """Return vectors rotated from the frames of the surfaces s, held fixed, to the world; `inverse`: back."""
         if not self.table.rotated:
             return v
-        m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
+        m = [dr.gather(self.real, self._rotations, 9 * s + k, active) for k in range(9)]
         rows = [m[k::3] for k in range(3)] if inverse else [m[3 * k : 3 * k + 3] for k in range(3)]
-        return mi.Vector3d(*(row[0] * v.x + row[1] * v.y + row[2] * v.z for row in rows))
+        return self.vector(*(row[0] * v.x + row[1] * v.y + row[2] * v.z for row in rows))
 
     def to_local(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """Return vectors rotated from the world to the frames of the surfaces s, the inverse of `to_world`."""
@@ -211,30 +219,23 @@ class ReplaySurfaces:
 
     def vertex(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """Return the vertices of the surfaces s, mm, relative to the centre of the scene."""
-        return mi.Vector3d(*list(self._place(s, active))[:3])
+        return self.vector(*list(self._place(s, active))[:3])
 
     def _place(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector4d:
-        return dr.gather(mi.Vector4d, self._places, s, active)
+        four = mi.Vector4f if self.real is mi.Float else mi.Vector4d
+        return dr.gather(four, self._places, s, active)
 
     def extinction(self, medium: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Return the extinction coefficients of media, absorption and scatter, 1/mm."""
-        return dr.gather(mi.Float64, self._extinction, medium, active)
+        return dr.gather(self.real, self._extinction, medium, active)
 
     # ---- geometry
 
-    def event(
-        self,
-        o: mi.Vector3d,
-        d: mi.Vector3d,
-        t: mi.Float64,
-        code: mi.UInt32,
-        batch: mi.UInt32,
-        active: mi.Bool,
-        steps: int = 1,
-        still: bool = False,
+    def followed(
+        self, o: mi.Vector3d, d: mi.Vector3d, t: mi.Float64, code: mi.UInt32, batch: mi.UInt32, active: mi.Bool
     ) -> ReplayedEvent:
         """
-        Return the differentiable events of rays at surfaces given by their codes, at hits near the distances t.
+        Return the events of rays at surfaces given by their codes, at hits near the distances t.
 
         Parameters
         ----------
@@ -246,63 +247,148 @@ class ReplaySurfaces:
             Events, see `mistray.events`, and batches of the start rays.
         active : mi.Bool
             Lanes that have an event.
-        steps : int
-            Newton steps; one is enough for derivatives at the hit itself.
-        still : bool
-            Whether to leave out derivatives by shapes, and the work for terms that are 0.
         """
+        s = place_of(code)
+        # Ray in the frame of the surface; to first order in the rotation
+        numbers = self.numbers(s, batch, active)
+        shift, turn = self.pose(numbers)
+        local = self.to_local(d, s, active)
+        p, along = self._at_rest(self.local_point(o, s, active), shift, turn), local - dr.cross(turn, local)
+        # Two Newton steps from the float32 point, with its error of 1e-6
+        for _ in range(2):
+            value, gradient = self.implicit(p + t * along, numbers)
+            step = 0.5 * value / dr.dot(gradient, along)
+            t = t - dr.select(active & dr.isfinite(step), step, 0)
+        q = p + t * along
+        axis, from_front = self.axis(self.implicit(q, numbers)[1], along, s, active)
+        hit = Hit(
+            q + dr.cross(turn, q) + shift, local, axis + dr.cross(turn, axis), t, shift, turn, from_front=from_front
+        )
+        return self.event(hit, code, batch, active)
+
+    def axis(self, gradient: mi.Vector3f, d: mi.Vector3f, s: mi.UInt32, active: mi.Bool) -> tuple[Any, mi.Bool]:
+        """Return the unit normals on the side of transmission of rays along d, and whether they come from the front."""
+        normal = dr.normalize(gradient) * self._place(s, active).w
+        from_front = dr.dot(d, normal) > 0
+        return dr.select(from_front, normal, -normal), from_front
+
+    def event(self, hit: Hit, code: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> ReplayedEvent:
+        """Return the events at hits, differentiable by all that `hit` holds, by indices, R and T."""
         s, what = place_of(code), kind_of(code)
         transmitted, scattered = what == TRANSMITTED, what >= RANDOM_TRANSMITTED
-        # Ray in the frame of the surface; to first order in the rotation, which is 0
-        numbers = self.numbers(s, batch, active, still)
-        shift, turn = self._pose(numbers)
-        p, d = self._at_rest(self.local_point(o, s, active), shift, turn), self.to_local(d, s, active)
-        d = d - dr.cross(turn, d)
-        # Newton steps; the last one carries the derivatives
-        for _ in range(steps):
-            value, gradient = self.implicit(p + t * d, numbers)
-            step = value / dr.detach(2 * dr.dot(gradient, d))
-            t = t - dr.select(active & dr.isfinite(step), step, 0)
-        q = p + t * d
-        _, gradient = self.implicit(q, numbers)
-        normal = dr.normalize(gradient) * self._place(s, active).w
-        # Side of incidence, media, R and T
-        cosine = dr.dot(d, normal)
-        from_front = dr.detach(cosine) > 0
-        axis, cos_i = dr.select(from_front, normal, -normal), dr.abs(cosine)
+        d, axis, shift, turn = hit.d, hit.axis, hit.shift, hit.turn
+        cos_i = dr.dot(d, axis)
         word = dr.gather(mi.UInt32, self.table.optics.words, s, active)
-        R, T, cos_t, eta = self._coated(s, word, from_front, cos_i, what == TOTAL, batch, active)
-        front, back = ((word >> place) & MEDIUM_MASK for place in (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT))
+        R, T, cos_t, eta = self._coated(s, word, hit.from_front, cos_i, what == TOTAL, batch, active)
         # Reflection and Snell's law
-        after = dr.select(transmitted, eta * d + (cos_t - eta * cos_i) * axis, d - 2 * cosine * normal)
+        after = dr.select(transmitted, eta * d + (cos_t - eta * cos_i) * axis, d - 2 * cos_i * axis)
         return ReplayedEvent(
             s,
             batch,
-            dr.select(scattered, (what & 1) != 0, ~transmitted),
-            from_front,
-            d,
-            axis,
+            stays(code),
+            hit.from_front,
+            d - dr.cross(turn, d),
+            axis - dr.cross(turn, axis),
             cos_i,
             cos_t,
             eta,
             R,
             T,
             lambda side, cos_i: self._coated(s, word, side, cos_i, mi.Bool(False), batch, active)[:2],
-            q=q,
+            q=self._at_rest(hit.x, shift, turn),
             active=active,
-            length=t,
+            length=hit.length,
             turn=turn,
-            p=self.to_world(q + dr.cross(turn, q) + shift, s, active) + self.vertex(s, active),
+            p=self.to_world(hit.x, s, active) + self.vertex(s, active),
             scattered=scattered,
-            heading=self.to_world(after + dr.cross(turn, after), s, active),
-            medium_in=dr.select(from_front, front, back),
-            medium_out=dr.select(from_front, back, front),
+            heading=self.to_world(after, s, active),
         )
+
+    def differentiate(
+        self, origin: mi.Vector3f, node: Node, batch: mi.UInt32, active: mi.Bool, gain: Callable[[ReplayedEvent], Any]
+    ) -> tuple[mi.Vector3f, mi.Vector3f, Any]:
+        """
+        Accumulate derivatives of functions of recorded events by the numbers of the surfaces.
+
+        Parameters
+        ----------
+        origin : mi.Vector3f
+            Origins of the segments that lead to the events, mm.
+        node : Node
+            Recorded events.
+        batch : mi.UInt32
+            Batches of the start rays.
+        active : mi.Bool
+            Lanes that have an event.
+        gain : callable
+            (event) → a differentiable function of it.
+
+        Returns
+        -------
+        by_o, by_d : mi.Vector3f
+            Derivatives by origins and unit directions of the segments.
+        value : mi.Float or mi.Float64
+            Values of the function.
+        """
+        s = place_of(node.code)
+        with dr.resume_grad():
+            rows = self._shape.read(s, batch, active)
+            # Surface: F and ½∇F, with derivatives by the hit x and by the numbers of the shape
+            leaves = {name: dr.detach(number) for name, number in rows.items()}
+            x = self.local_point(self.vector(node.p), s, active)
+            dr.enable_grad(x, *(leaves[name] for name in self._shape.moving))
+            value, gradient = self.implicit(x, self._named(leaves, self._shape, s, active))
+            # Event, with derivatives by hit, direction, normal, length and pose
+            point, g = dr.detach(x), dr.detach(gradient)
+            d, length = self.to_local(self.vector(node.d), s, active), dr.norm(self.vector(node.p) - origin)
+            axis, from_front = self.axis(g, d, s, active)
+            still = dr.zeros(self.vector, dr.width(s)), dr.zeros(self.vector, dr.width(s))
+            parts = [self.vector(point), self.vector(d), self.vector(axis), self.real(length), *still]
+            dr.enable_grad(parts)
+            event = self.event(Hit(*parts, from_front=from_front), node.code, batch, active)
+            gained = gain(event)
+            _backward(gained, dr.select(active, type(gained)(1), 0))
+            by_x, by_d, by_axis, by_length, by_shift, by_turn = map(dr.grad, parts)
+            # Normal n = ±∇F/|∇F|: its adjoint across n is that of ½∇F, which leads to x by the Hessian
+            across = by_axis - dr.dot(by_axis, axis) * axis
+            by_gradient = dr.dot(axis, g) / dr.squared_norm(g) * across
+            _backward(gradient, by_gradient, keep=True)
+            bent = self.vector(dr.grad(x))
+            # Distance t along the ray: ∇F · dx + dF = 0 on the moved surface
+            by_value = -0.5 * (dr.dot(by_x + bent, d) + by_length) / dr.dot(g, d)
+            by_value = dr.select(active & dr.isfinite(by_value), by_value, 0)
+            _backward(value, by_value)
+            pushed = bent + 2 * by_value * g
+            by_o = by_x + pushed
+            # The surface moves against the hit, and the normal turns with it. About its axis a surface of revolution
+            # turns into itself: the terms cancel, but for rounding
+            turned = dr.cross(axis, across) - dr.cross(point, pushed)
+            turned.z = dr.select(self.table.families.holds(s, active), turned.z, 0)
+            moves = [*(by_shift - pushed), *(by_turn + turned)]
+            for name in self._shape.moving:
+                by_number = moves[POSE.index(name)] if name in POSE else dr.grad(leaves[name])
+                dr.accum_grad(rows[name], by_number)
+            dr.enqueue(dr.ADMode.Backward, [rows[name] for name in self._shape.moving])
+            dr.traverse(dr.ADMode.Backward)
+        return self.to_world(by_o, s, active), self.to_world(by_d + length * by_o, s, active), dr.detach(gained)
+
+    def media(self, p: mi.Vector3d, d: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.UInt32]:
+        """Return the media beside the surfaces s that rays along d meet at p: on the side of incidence, and beyond."""
+        numbers = self.numbers(s, mi.UInt32(0), active, still=True)
+        _, gradient = self.implicit(self.local_point(self.vector(p), s, active), numbers)
+        cosine = dr.dot(self.to_local(self.vector(d), s, active), gradient) * self._place(s, active).w
+        word = dr.gather(mi.UInt32, self.table.optics.words, s, active)
+        front, back = ((word >> place) & MEDIUM_MASK for place in (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT))
+        return dr.select(cosine > 0, front, back), dr.select(cosine > 0, back, front)
 
     def numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
         """Return the numbers of the shapes of the surfaces s, such as curvature and conic constant, by name."""
         rows = self._still if still else self._shape
-        numbers = rows.read(s, batch, active)
+        return self._named(rows.read(s, batch, active), rows, s, active)
+
+    def _named(self, columns: dict[str, Any], rows: NumberRows, s: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
+        """Return numbers of the surfaces s, read from `rows`, with those that `implicit` needs beside them."""
+        numbers = dict(columns)
         numbers["cone"] = self._place(s, active).w > 0
         numbers["families"] = [
             (here, family, dict(zip(family.numbers, (numbers[name] for name in OWN), strict=False)))
@@ -312,6 +398,8 @@ class ReplaySurfaces:
         for key, some in (("coefficients", rows), ("still", self._still)):
             known = [order for order, name in enumerate(COEFFICIENTS, 1) if name in some.names]
             numbers[key] = [numbers[name] for name in COEFFICIENTS[: max(known, default=0)]]
+        if numbers["coefficients"]:
+            numbers["per_area"] = dr.gather(self.real, self._per_area, s, active)
         return numbers
 
     def implicit(self, q: mi.Vector3d, n: dict[str, Any]) -> tuple[mi.Float64, mi.Vector3d]:
@@ -323,23 +411,24 @@ class ReplaySurfaces:
         """
         c, k1, coefficients = n["curvature"], 1 + n["conic"], n["coefficients"]
         r2 = q.x * q.x + q.y * q.y
-        z, bend = q.z, mi.Float64(0)
+        z, bend = q.z, self.real(0)
         if coefficients:
-            z = z - dr.custom(AsphericTerms, r2, coefficients, n["still"], False)
-            bend = 2 * dr.custom(AsphericTerms, r2, coefficients, n["still"], True)
+            terms = r2, coefficients, n["still"], n["per_area"]
+            z = z - dr.custom(AsphericTerms, *terms, False)
+            bend = 2 * dr.custom(AsphericTerms, *terms, True)
         radius = n["r0"] + n["slope"] * q.z
         cone = n["cone"]
         along = c * k1 * z - 1
         across = c - along * bend
         value = dr.select(cone, r2 - radius * radius, c * (r2 + k1 * z * z) - 2 * z)
-        gradient = mi.Vector3d(
+        gradient = self.vector(
             dr.select(cone, q.x, across * q.x),
             dr.select(cone, q.y, across * q.y),
             dr.select(cone, -n["slope"] * radius, along),
         )
         for here, family, own in n["families"]:
             value = dr.select(here, family.residual(*q, own), value)
-            gradient = dr.select(here, 0.5 * mi.Vector3d(*family.gradient(*q, own)), gradient)
+            gradient = dr.select(here, 0.5 * self.vector(*family.gradient(*q, own)), gradient)
         return value, gradient
 
     def local_point(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
@@ -376,14 +465,13 @@ class ReplaySurfaces:
     def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Return the signed distances F/|∇F| of world points from the surfaces s next to them, mm."""
         numbers = self.numbers(s, batch, active)
-        q = self._at_rest(self.local_point(p, s, active), *self._pose(numbers))
+        q = self._at_rest(self.local_point(p, s, active), *self.pose(numbers))
         value, gradient = self.implicit(q, numbers)
         return value / dr.detach(2 * dr.norm(gradient))
 
-    @staticmethod
-    def _pose(numbers: dict[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d]:
+    def pose(self, numbers: dict[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d]:
         """Return displacement, mm, and rotation vector, rad, of the frames of surfaces."""
-        shift, turn = (mi.Vector3d(*(numbers[prefix + axis] for axis in "xyz")) for prefix in ("", "tilt_"))
+        shift, turn = (self.vector(*(numbers[prefix + axis] for axis in "xyz")) for prefix in ("", "tilt_"))
         return shift, turn
 
     @staticmethod
@@ -408,13 +496,13 @@ class ReplaySurfaces:
         # Backward rays move with the surface that they start from
         s = dr.full(mi.UInt32, self._start, dr.width(rays.batch))
         with dr.resume_grad():
-            shift, turn = self._pose(self.numbers(s, rays.batch, active))
-            q, along = self.local_point(rays.o, s, active), self.to_local(rays.d, s, active)
+            shift, turn = self.pose(self.numbers(s, rays.batch, active))
+            q, along = self.local_point(self.vector(rays.o), s, active), self.to_local(self.vector(rays.d), s, active)
             moved = self.to_world(shift + dr.cross(turn, q), s, active)
             turned = self.to_world(dr.cross(turn, along), s, active)
             value = dr.dot(by_o, moved) + dr.dot(by_d, turned)
             if dr.grad_enabled(value):
-                dr.set_grad(value, dr.select(active, mi.Float64(1), 0))
+                dr.set_grad(value, dr.select(active, self.real(1), 0))
                 dr.enqueue(dr.ADMode.Backward, value)
                 dr.traverse(dr.ADMode.Backward)
 
@@ -438,17 +526,19 @@ class ReplaySurfaces:
         sin2_t = eta * eta * (1 - cos_i * cos_i)
         opaque = (word & OPAQUE) != 0
         total = known_total | ((dr.detach(sin2_t) >= 1) & ~opaque)
-        cos_t = dr.select(total, 0, dr.sqrt(dr.maximum(dr.select(total, mi.Float64(1), 1 - sin2_t), 1e-24)))
+        cos_t = dr.select(total, 0, dr.sqrt(dr.maximum(dr.select(total, self.real(1), 1 - sin2_t), 1e-24)))
         # Coating: bare interface, ideal, or from the table of the run
         kind, kinds = word & 3, self.table.optics.kinds
-        R, T = mi.Float64(0), mi.Float64(0)
+        R, T = self.real(0), self.real(0)
         if FRESNEL in kinds:
             bare = reflectance(cos_i, cos_t, n_i, n_t)
             R, T = bare, 1 - bare
         if IDEAL in kinds:
             ideal = active & (kind == IDEAL)
-            base = batch * self._ideal_stride + 2 * s
-            own = [dr.gather(mi.Float64, self._ideal, base + k, ideal) for k in range(2)]
+            own = [dr.gather(self.real, self._ideal, 2 * s + k, ideal) for k in range(2)]
+            if self._by_ideal is not None:
+                row = batch * self._surfaces + s
+                own = [derived(value, self._by_ideal, 2 * row + k, ideal) for k, value in enumerate(own)]
             R = dr.select(ideal, dr.select(total, own[0] + own[1], own[0]), R)
             T = dr.select(ideal, own[1], T)
         if TABLED in kinds:
@@ -457,31 +547,33 @@ class ReplaySurfaces:
             w = total_variable(dr.select(total, sin2_t, 2), eta, cos_i)
             x = dr.select(total, w, dr.select(eta <= 1, cos_i, cos_t))
             start, last = dr.select(total, places.z, places.x), dr.select(total, places.w, places.y)
-            x = x * mi.Float64(last)
+            x = x * self.real(last)
             node = dr.minimum(mi.UInt32(dr.detach(x)), last - 1)
-            fraction = x - mi.Float64(node)
-
+            fraction = x - self.real(node)
             still = dr.detach(fraction)
+            # Between the nodes the value is linear as in the kernel. Its slope has an error of first order in the
+            # spacing; central differences, interpolated between the nodes, have one of second order
+            ends = [self._row(start + node + k, tabled) for k in range(2)]
 
-            def value(k: mi.UInt32, channel: mi.UInt32) -> mi.Float64:
-                index = batch * self._row_stride + TABLE_CHANNELS * (start + k) + channel
-                return dr.gather(mi.Float64, self._rows, index, tabled)
-
-            def read(channel: mi.UInt32) -> mi.Float64:
-                # Between the nodes the value is linear as in the kernel. Its slope has an error of first order in the
-                # spacing; central differences, interpolated between the nodes, have one of second order
-                low, high = value(node, channel), value(node + 1, channel)
-                before, after = dr.maximum(node, 1) - 1, dr.minimum(node + 2, last)
-                slopes = (
-                    (dr.detach(high) - dr.detach(value(before, channel))) / mi.Float64(node + 1 - before),
-                    (dr.detach(value(after, channel)) - dr.detach(low)) / mi.Float64(after - node),
-                )
-                return dr.lerp(low, high, still) + dr.lerp(*slopes, still) * (fraction - still)
+            def read(channel: mi.UInt32, values: Callable[[Any], Any]) -> Any:
+                low, high = (values(end) for end, _ in ends)
+                if self._by_row is not None:
+                    index = batch * self._row_stride + TABLE_CHANNELS * (start + node) + channel
+                    low = derived(low, self._by_row, index, tabled)
+                    high = derived(high, self._by_row, index + TABLE_CHANNELS, tabled)
+                slope = dr.lerp(*(values(slopes) for _, slopes in ends), still)
+                return dr.lerp(low, high, still) + slope * (fraction - still)
 
             side = dr.select(from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
-            R = dr.select(tabled, read(side), R)
-            T = dr.select(tabled, read(mi.UInt32(TRANSMISSION)), T)
+            R = dr.select(tabled, read(side, lambda row: dr.select(from_front, row.x, row.y)), R)
+            T = dr.select(tabled, read(mi.UInt32(TRANSMISSION), lambda row: row.z), T)
         return R, dr.select(total | opaque, 0, T), cos_t, eta
+
+    def _row(self, row: mi.UInt32, active: mi.Bool) -> tuple[Any, Any]:
+        """Return R from the front and from the back, and T, at rows of the tables, and the slopes of them per row."""
+        four = mi.Vector4f if self.real is mi.Float else mi.Vector4d
+        values, slopes = (dr.gather(four, self._rows, 2 * row + k, active) for k in range(2))
+        return values, slopes
 
     # ---- results
 
@@ -495,52 +587,14 @@ class ReplaySurfaces:
             for rows in (self._shape, self._rims):
                 for name, values in rows.gradient().items():
                     found.geometry[:, :, GEOMETRY.index(name)] = values
-        if self.request.indices:
-            found.indices = np.array(dr.grad(self._indices)).reshape(BATCHES, self.count, 2)
-        if self.request.rows:
+            found.geometry *= self._scales
+        if self._by_index is not None:
+            found.indices = np.array(dr.grad(self._by_index)).reshape(BATCHES, self.count, 2)
+        if self._by_row is not None:
             found.rows = np.zeros((BATCHES, self.table.optics.rows, CHANNELS))
-            found.rows[:, :, :TABLE_CHANNELS] = np.array(dr.grad(self._rows)).reshape(BATCHES, -1, TABLE_CHANNELS)
-            ideal = np.array(dr.grad(self._ideal)).reshape(BATCHES, self.count, 2)
+            found.rows[:, :, :TABLE_CHANNELS] = np.array(dr.grad(self._by_row)).reshape(BATCHES, -1, TABLE_CHANNELS)
+            ideal = np.array(dr.grad(self._by_ideal)).reshape(BATCHES, self.count, 2)
             for s, place in enumerate(self.table.optics.host_places):
                 if int(self.table.optics.host_words[s]) & 3 == IDEAL:
                     found.rows[:, place[0], [REFLECTION_FRONT, TRANSMISSION]] += ideal[:, s]
         return found
-
-
-@dataclass
-class SurfaceNumbers:
-    """
-    Differentiable numbers of all surfaces: geometry, refractive indices, R and T of coatings.
-
-    Attributes
-    ----------
-    geometry : (surfaces, len(GEOMETRY)) float64
-        Columns of `mistray.surfaces.gradient_columns.GEOMETRY`, in their units.
-    indices : (surfaces, 2) float64
-        Refractive indices in front and behind.
-    rows : (rows, TABLE_CHANNELS) float64
-        Rows of the tables of R and T.
-    ideal : (surfaces, 2) float64
-        R and T of ideal coatings.
-    """
-
-    geometry: np.ndarray
-    indices: np.ndarray
-    rows: np.ndarray
-    ideal: np.ndarray
-
-
-def numbers_of(table: SurfaceTable) -> SurfaceNumbers:
-    """Return the present differentiable numbers of the surfaces of a table, in float64."""
-    geometry = np.zeros((table.count, len(GEOMETRY)))
-    for piece in table.pieces:
-        for name, value in piece.columns.items():
-            geometry[piece.index, GEOMETRY.index(name)] = value
-    optics = table.optics
-    rows = np.array(optics.table, dtype=np.float64).reshape(-1, 4)[:, :TABLE_CHANNELS]
-    # The kernel's rows are float32; slopes are differences of neighbours, and need the host's float64
-    for known, (first, _, total, _) in zip(optics.tables, optics.host_places, strict=True):
-        if known is not None:
-            for place, part in ((first, known.refraction), (total, known.total)):
-                rows[place : place + len(part)] = part[:, :, 0]
-    return SurfaceNumbers(geometry, optics.host_indices[:, :2].copy(), rows, optics.host_indices[:, 2:].copy())

@@ -13,14 +13,14 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.execute.tracer import Run
-from mistray.gradients.path_replay import Ends, PathReplay
+from mistray.gradients.path_replay import FIRST_RECORDS, Ends, PathReplay
 from mistray.gradients.recorded_rays import RecordedRays
 from mistray.gradients.replay import End
 from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces
 from mistray.gradients.scatter_replay import ScatterReplay
 from mistray.gradients.table_gradient import Derivatives, GradientRequest, TableGradient
 from mistray.recorders.film import Film
-from mistray.recorders.path_derivative import PathDerivative
+from mistray.recorders.path_derivative import MOMENTS, PathDerivative
 from mistray.sampling.source import SceneSource
 from mistray.surfaces.upload import upload
 
@@ -62,22 +62,25 @@ class DetectorEnds(Ends):
         coefficients, maps = self.paths.of(keys)
         return np.asarray(coefficients.any(axis=1) | ((maps >= 0) & (self.pixel is not None)))
 
-    def end(self, rays: RecordedRays, keys: np.ndarray) -> End:
+    def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End:
         """Return the contribution of each ray to the metric as a function of its hit at the detector."""
         terms: list[mi.Float64] = []
         mapped, first = mi.Bool(True), mi.UInt32(0)
         if self.paths is not None:
             coefficients, maps = self.paths.of(keys)
-            terms = [upload(mi.Float64, column) for column in coefficients.T]
-            mapped = upload(mi.Bool, maps >= 0)
-            first = upload(mi.UInt32, (np.maximum(maps, 0) * (self.film.width * self.film.height)).astype(np.uint32))
-        flux = rays.weight
+            table = upload(mi.Float64, coefficients)
+            terms = [dr.gather(mi.Float64, table, MOMENTS * path + k) for k in range(MOMENTS)]
+            places = np.maximum(maps, 0) * (self.film.width * self.film.height)
+            mapped, first = (
+                dr.gather(kind, upload(kind, values), path)
+                for kind, values in ((mi.Bool, maps >= 0), (mi.UInt32, places))
+            )
+        flux, place = rays.weight, rays.place
 
-        def gained(surfaces: ReplaySurfaces, at: ReplayedEvent, recorded: mi.Vector3d) -> mi.Float64:
-            # The coefficients hold centroids of recorded hits. A float64 hit differs from its recorded one by a shift
-            # that rays of a path share, and the slope of a variance would see it.
-            there = surfaces.local_point(recorded, at.s, at.active)
-            x, y = (now - dr.detach(now) + then for now, then in ((at.q.x, there.x), (at.q.y, there.y)))
+        def gained(surfaces: ReplaySurfaces, at: ReplayedEvent) -> mi.Float64:
+            # The coefficients hold centroids of recorded places. A hit of the replay differs from its recorded one by a
+            # shift that rays of a path share, and the slope of a variance would see it
+            x, y = (mi.Float64(now - dr.detach(now)) + then for now, then in zip((at.q.x, at.q.y), place, strict=True))
             gain = mi.Float64(0)
             if terms:
                 # Moments: a quadratic polynomial in the place of the hit
@@ -131,14 +134,15 @@ def run_gradient(
     if not request.replays:
         return TableGradient(run.table, run.scattering, Derivatives(rows=run.derivatives(pixel, paths)))
     traced = run.executed  # None where the film alone is differentiated
-    longest = run.settings.max_events
+    longest, records = run.settings.max_events, FIRST_RECORDS
     if traced is not None and traced.paths is not None:
         longest = int(traced.paths.lengths.max(initial=1))
+        records = float(traced.paths.sums[:, :, 0].sum() / max(run.started.sum(), 1))
     assert isinstance(run.source, SceneSource)
     film = run.make_film()
     image = None if pixel is None else upload(mi.Float64, np.asarray(pixel, dtype=np.float64))
     with dr.suspend_grad():  # single events are differentiated, nothing around them
-        path_replay = PathReplay(run.scene, run.settings, request, longest, run.source)
+        path_replay = PathReplay(run.scene, run.settings, request, longest, run.source, records)
         ends = DetectorEnds(film, paths, image, path_replay.scatter)
         adjoint = run.adjoint(pixel, paths, rows=0) if path_replay.edges else None
         # The run itself, or as many further runs that start other rays

@@ -214,9 +214,9 @@ def gradient(
     """
     Return the derivatives of a metric with respect to coatings, scatter, indices, shapes, positions and rims.
 
-    Coatings alone cost one reverse run for each field and wavelength. For other parameters the rays are recorded and
-    traced again in float64. For shapes, rays that hit a surface near a rim are also sent past it. The difference is
-    what the rim takes from the metric, or adds to it.
+    Coatings alone cost one reverse run for each field and wavelength. For other parameters the rays are recorded, and
+    differentiated event by event. For shapes, rays that hit a surface near a rim are also sent past it. The difference
+    is what the rim takes from the metric, or adds to it.
 
     Parameters
     ----------

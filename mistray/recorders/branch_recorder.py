@@ -15,8 +15,9 @@ from mistray.recorders.ledger import Ledger
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.surfaces.upload import upload
 
-NODE_FLOATS = 7  # floats of a node: point, direction of arrival, throughput
-POINT_FLOATS = 3  # the first of them, the point
+NODE_FLOATS = 8  # floats of a node: point, direction of arrival, throughput, and the bits of the event code
+WIDTH = 4  # floats that are written and read together: one store instead of four
+VECTORS = NODE_FLOATS // WIDTH
 
 
 @dataclass
@@ -42,6 +43,26 @@ class PathChoice:
 
 
 @dataclass
+class Node:
+    """
+    Recorded events of rays.
+
+    Attributes
+    ----------
+    p : mi.Vector3f
+        Points, mm.
+    d : mi.Vector3f
+        Unit directions of arrival.
+    code : mi.UInt32
+        Surface and kind of event, see `mistray.events`.
+    """
+
+    p: mi.Vector3f
+    d: mi.Vector3f
+    code: mi.UInt32
+
+
+@dataclass
 class BranchRecorder(Recorder):
     """
     Append buffer for whole branches: all nodes on the path to a leaf of the ray tree.
@@ -52,8 +73,6 @@ class BranchRecorder(Recorder):
         Largest number of branches that are kept.
     max_events : int
         Largest number of events of a branch that is kept whole.
-    points_only : bool
-        Whether only the points of the nodes are kept.
     choice : PathChoice or None
         Only branches of these paths are recorded; None: of every path that reaches the detector. A backward trace
         records every ray that leaves the scene and contributes.
@@ -64,10 +83,8 @@ class BranchRecorder(Recorder):
         Number of branches, also beyond the capacity.
     lane, length : (capacity,) mi.UInt32
         Start ray and number of events of each.
-    codes : (capacity, max_events) mi.UInt32
-        Events, surface << EVENT_BITS | kind of event.
-    nodes : (capacity, max_events, node_floats) mi.Float
-        Points (mm), and unless `points_only` directions of arrival and throughputs.
+    nodes : (capacity, max_events, NODE_FLOATS) mi.Float
+        Points (mm), directions of arrival, throughputs, and the bits of the event codes, see `codes`.
     weight : (capacity,) mi.Float64
         Flux that meets the detector in units of the start ray's; with `light` the metric's gain.
     heading : (capacity, 3) mi.Float
@@ -82,27 +99,26 @@ class BranchRecorder(Recorder):
 
     capacity: int
     max_events: int
-    points_only: bool = False
     choice: PathChoice | None = None
     light: SkyRecorder | None = field(default=None, init=False)
 
     kernel_by: ClassVar[tuple[str, ...]] = ("choice", "light")
+    node_floats = NODE_FLOATS - 1  # the tree keeps the codes apart
 
     def __post_init__(self) -> None:
         size = self.capacity * self.max_events
-        self.node_floats = POINT_FLOATS if self.points_only else NODE_FLOATS
+        self._stride = dr.opaque(mi.UInt32, self.max_events)
         self.count = dr.zeros(mi.UInt32, 1)
         self.lane = dr.zeros(mi.UInt32, self.capacity)
         self.length = dr.zeros(mi.UInt32, self.capacity)
-        # Events and nodes that are not written are never read: most of this memory stays untouched
-        self.codes = dr.empty(mi.UInt32, size)
-        self.nodes = dr.empty(mi.Float, size * self.node_floats)
+        # Not cleared: the system would do so page by page, 0.5 s for 2^18 branches
+        self.nodes = dr.empty(mi.Float, size * NODE_FLOATS)
         self.weight = dr.zeros(mi.Float64, self.capacity)
         self.heading = dr.zeros(mi.Float, 3 * self.capacity)
         self.place = dr.zeros(mi.Float, 2 * self.capacity)
         self.path = dr.zeros(mi.UInt64, self.capacity)
         self.peak = dr.zeros(mi.UInt32, 1)
-        dr.eval(self.count, self.lane, self.length, self.codes, self.nodes, self.weight, self.heading, self.place)
+        dr.eval(self.count, self.lane, self.length, self.nodes, self.weight, self.heading, self.place)
         dr.eval(self.path, self.peak)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
@@ -170,11 +186,11 @@ class BranchRecorder(Recorder):
         def step(k):  # type: ignore[no-untyped-def]
             going = active & (k <= depth)
             here = k == depth
-            row = slot * self.max_events + k
-            dr.scatter(self.codes, end.event(k, going), row, going)
-            for j in range(self.node_floats):
-                value = dr.select(here, last[j], end.nodes[j].read(k, going & ~here))
-                dr.scatter(self.nodes, value, row * self.node_floats + j, going)
+            row = (slot * self.max_events + k) * VECTORS
+            node = [dr.select(here, last[j], end.nodes[j].read(k, going & ~here)) for j in range(self.node_floats)]
+            node.append(dr.reinterpret_array(mi.Float, end.event(k, going)))
+            for j in range(0, NODE_FLOATS, WIDTH):
+                dr.scatter(self.nodes, mi.Vector4f(*node[j : j + WIDTH]), row + j // WIDTH, going)
             return (k + 1,)
 
         dr.while_loop((dr.zeros(mi.UInt32, dr.width(depth)),), lambda k: active & (k <= depth), step, mode="symbolic")
@@ -207,16 +223,37 @@ class BranchRecorder(Recorder):
             Number of events of each.
         """
         lengths = self.length.numpy()[slots].astype(np.int64)
-        codes = self.codes.numpy().reshape(self.capacity, -1)[slots, : int(lengths.max(initial=1))]
+        codes = self.codes[slots, : int(lengths.max(initial=1))]
         return np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0), lengths
 
+    def node(self, slot: mi.UInt32, k: mi.UInt32, active: mi.Bool) -> Node:
+        """Return the events k of recorded branches."""
+        row = (slot * self._stride + k) * VECTORS
+        first, second = (dr.gather(mi.Vector4f, self.nodes, row + j, active) for j in range(VECTORS))
+        code = dr.reinterpret_array(mi.UInt32, second.w)
+        return Node(mi.Vector3f(first.x, first.y, first.z), mi.Vector3f(first.w, second.x, second.y), code)
+
+    def code(self, slot: mi.UInt32, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """Return the codes of the events k of recorded branches, see `mistray.events`."""
+        last = (slot * self._stride + k) * NODE_FLOATS + NODE_FLOATS - 1
+        return dr.reinterpret_array(mi.UInt32, dr.gather(mi.Float, self.nodes, last, active))
+
+    @property
+    def codes(self) -> np.ndarray:
+        """Events, surface << EVENT_BITS | kind of event, (capacity, max_events) uint32."""
+        return np.asarray(self.nodes.numpy().view(np.uint32).reshape(self.capacity, -1, NODE_FLOATS)[..., -1])
+
     def nodes_of(self, slots: np.ndarray, longest: int) -> np.ndarray:
-        """Return the first `longest` nodes of some branches, (n, longest, node_floats) float64; 0 beyond the last."""
-        nodes = self.nodes.numpy().reshape(self.capacity, -1, self.node_floats)
-        found = np.zeros((len(slots), longest, self.node_floats))
-        branch, node = np.nonzero(np.arange(longest) < self.length.numpy()[slots][:, None])
-        found[branch, node] = nodes[slots[branch], node]
-        return found
+        """
+        Return the first `longest` nodes of some branches, without codes, and 0 behind their ends.
+
+        Returns
+        -------
+        (n, longest, NODE_FLOATS - 1) float64
+        """
+        nodes = self.nodes.numpy().reshape(self.capacity, -1, NODE_FLOATS)[slots, :longest, :-1]
+        inside = np.arange(longest) < self.length.numpy()[slots, None]
+        return np.where(inside[:, :, None], nodes, 0).astype(np.float64)
 
 
 @dataclass

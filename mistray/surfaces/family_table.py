@@ -51,6 +51,10 @@ class FamilyTable:
         for k, family in enumerate(self.families, start=1):
             yield active & (number == k), family
 
+    def holds(self, s: mi.UInt32, active: mi.Bool) -> mi.Bool:
+        """Whether the surfaces s belong to one of the families."""
+        return active & (dr.gather(mi.UInt32, self._numbers, s, active) > 0) if self.families else mi.Bool(False)
+
     def numbers(self, family: Any, s: mi.UInt32, here: mi.Bool) -> dict[str, mi.Float]:
         """Return the values of a family's numbers, by name, for the surfaces s that belong to it."""
         vectors = [

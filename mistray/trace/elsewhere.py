@@ -158,7 +158,7 @@ def _flux_of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> 
     """Return the flux that filters select by cell, with its noise, (cells,) each, W."""
     maps.attach(run.scene)
     sums = np.zeros((len(filters), maps.groups, maps.cells))
-    recorder = CellRecorder(MAP_CAPACITY, run.settings.max_events, points_only=True, maps=maps)
+    recorder = CellRecorder(MAP_CAPACITY, run.settings.max_events, maps=maps)
     behind = maps.shape[0] * maps.shape[1]
     branches = 0.0  # largest number of branches per start ray so far
 

@@ -15,7 +15,6 @@ from tiers import slow_unless
 
 import mistray
 from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
-from mistray.recorders.branch_recorder import NODE_FLOATS
 from mistray.scatter.kinds import KINDS
 from mistray.trace.host.retrace import retrace
 
@@ -71,7 +70,7 @@ def branches(t: Any) -> dict[tuple[tuple[str, str], ...], Branches]:
     assert int(recorder.count[0]) == count
     lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)[:count]
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count]
-    nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS).astype(np.float64)[:count]
+    nodes = recorder.nodes_of(np.arange(count), recorder.max_events)
     slots: dict[bytes, list[int]] = {}
     for slot in np.argsort(lanes, kind="stable"):
         slots.setdefault(codes[slot, : lengths[slot]].tobytes(), []).append(slot)

@@ -20,7 +20,6 @@ from mistray.errors import MistrayError
 from mistray.execute.tracer import Run, prepare
 from mistray.kernel.ray_tree import trace_tree
 from mistray.recorders.adjoint import Adjoint
-from mistray.recorders.branch_recorder import NODE_FLOATS
 from mistray.recorders.film import Pixels, spreads
 from mistray.recorders.ledger import DecodedPaths, Ledger
 from mistray.settings import BATCHES, Settings
@@ -301,9 +300,9 @@ def recorded(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[bytes]]
     """x, y (mm), weight and events of every hit of a plane detector that is not tilted, from the recorder."""
     recorder = run.record(None, 100_000)
     n = int(recorder.count[0])
-    nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)
+    nodes = recorder.nodes_of(np.arange(n), recorder.max_events)
     length = np.array(recorder.length)[:n]
-    last = nodes[np.arange(n), length - 1].astype(np.float64)
+    last = nodes[np.arange(n), length - 1]
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:n]
     texts = [codes[i, : length[i]].tobytes() for i in range(n)]
     x, y = (last[:, :2] - run.table.vertices[run.table.detector][:2]).T

@@ -83,14 +83,15 @@ def polynomial_derivative(r2: Any, coefficients: Sequence[Any], per_area: Any = 
     return value
 
 
-def polynomial_second_derivative(r2: Any, coefficients: Sequence[Any]) -> Any:
+def polynomial_second_derivative(r2: Any, coefficients: Sequence[Any], per_area: Any = 1) -> Any:
     """Return the second derivative of the polynomial terms with respect to r², mm⁻³; parameters as in `sag`."""
     value: Any = 0
+    u2 = r2 * per_area
     power = len(coefficients) + 1
     for a in reversed(coefficients):
-        value = value * r2 + power * (power - 1) * a
+        value = value * u2 + power * (power - 1) * a
         power -= 1
-    return value
+    return value * per_area
 
 
 def in_proportion(coefficients: Sequence[float], radius: float) -> tuple[tuple[float, ...], float]:
