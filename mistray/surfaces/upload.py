@@ -42,3 +42,13 @@ def upload(kind: Any, values: np.ndarray) -> Any:
     aligned = room[first : first + flat.nbytes].view(flat.dtype)
     aligned[:] = flat
     return kind(aligned)
+
+
+def upload_rows(kind: Any, values: np.ndarray) -> Any:
+    """
+    Return numbers as a Dr.Jit array of at least two entries, from which kernels gather; see `upload`.
+
+    An array of one entry would be uniform over all lanes, which makes another kernel than two entries do. A single
+    number is therefore there twice.
+    """
+    return upload(kind, np.repeat(values, 2) if np.size(values) == 1 else values)

@@ -31,7 +31,7 @@ from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.sharing.cell_waves import CellWaves
 from mistray.sampling.sharing.path_classes import PathClassVariances
 from mistray.sampling.sharing.start_map import DeviceMap, StartMap
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import upload_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,12 +111,13 @@ class Balance:
         self._vertices: LightVertices | None = None
         self.sharing = sharing
         # Connections per étendue of a cell
-        self._starts_per_connection = upload(mi.Float, sharing.starts_per_connection / self.waves.etendue)
+        self._starts_per_connection = upload_rows(mi.Float, sharing.starts_per_connection / self.waves.etendue)
         # n p of forward rays over that of backward rays, which start over the étendue π A of the detector: first for
         # scattered light, then for unscattered light
         both = sharing.rays, sharing.rays * (1.0 if sharing.unscattered is None else sharing.unscattered)
         per_etendue = np.concatenate(both) * np.pi * self.start.area / np.tile(self.waves.etendue, 2)
-        self._per_etendue = upload(mi.Float, per_etendue)
+        self._per_etendue = upload_rows(mi.Float, per_etendue)
+        self._cells = dr.opaque(mi.UInt32, len(self.waves.areas))  # opaque, so that it makes no new kernel
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
         """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
@@ -166,7 +167,7 @@ class Balance:
     ) -> mi.Float:
         """Return the start density (rays per étendue) of forward rays over that of backward rays."""
         # Unscattered light has forward rays of its own, in the second half of the table
-        row = cell + dr.select((scatters & COUNT_MASK) == 0, mi.UInt32(len(self.waves.areas)), 0)
+        row = cell + dr.select((scatters & COUNT_MASK) == 0, self._cells, 0)
         return dr.gather(mi.Float, self._per_etendue, row, active) * density * start_weight
 
     def _connections(

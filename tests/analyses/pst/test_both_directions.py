@@ -566,3 +566,29 @@ def test_ghosts_before_and_after_scatter(
         (value, se), (alone, alone_se) = found
         assert 0 < se < 0.015 * value
         assert abs(value - alone) < 4 * np.hypot(se, alone_se)
+
+
+def test_a_second_pst_compiles_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rays, seed, limits, and the numbers of angles and of light vertices are arguments of the kernels."""
+    entries: list[dict[str, Any]] = []
+    history = dr.kernel_history
+
+    def noted(*kinds: Any) -> list[dict[str, Any]]:
+        # Launches read the history of their first kernels, and clear it
+        found = history(*kinds)
+        entries.extend(entry for entry in found if entry["type"] == dr.KernelType.JIT)
+        return found
+
+    monkeypatch.setattr(dr, "kernel_history", noted)
+    monkeypatch.setattr(dr, "kernel_history_clear", noted)
+    scene = vane_tube()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        mistray.pst(scene, [10.0, 20.0, 40.0], rays=1000, max_scatters=2)
+        noted()
+        entries.clear()
+        again = mistray.pst(scene, [5.0, 20.0, 30.0, 40.0, 60.0], rays=6000, max_scatters=3, seed=1)
+        noted()
+    assert again.facts["rays"] == 6000
+    assert len(entries) > 50
+    fresh = [entry["operation_count"] for entry in entries if not entry["cache_hit"]]
+    assert not fresh, f"{len(fresh)} of {len(entries)} kernels were compiled anew, with {fresh} operations"
