@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.surfaces.families.sag_surface import asphere_crossings, asphere_gradient
 from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.surfaces.surface import (
     NO_SURFACE,
@@ -202,7 +204,7 @@ class _Boxes:
 
 class HostSurfaces:
     """
-    Analytic surfaces of a scene as arrays, by which rays meet many quadrics in one evaluation, in float64.
+    Analytic surfaces of a scene as arrays, by which rays meet many of them in one evaluation, in float64.
 
     Parameters
     ----------
@@ -230,6 +232,10 @@ class HostSurfaces:
         self._bounds = np.array([piece.bounds or Bounds() for piece in table.pieces]).reshape(-1, len(Bounds._fields))
         self._pooled = np.array([piece.bounds is not None and not piece.searched for piece in table.pieces], dtype=bool)
         self._sign = np.array([piece.sign for piece in table.pieces])
+        # Numbers of aspheres, one column each; those of other surfaces and coefficients that are missing are 0
+        aspheres = [piece.sag_numbers for piece in table.pieces]
+        self._aspheric = np.array([bool(numbers) for numbers in aspheres], dtype=bool)
+        self._sag_numbers = np.array([*zip_longest(*aspheres, fillvalue=0.0)])
 
     def _inward(self, v: np.ndarray, members: np.ndarray) -> np.ndarray:
         """Return vectors of the world, (n, 3), in the frames of surfaces."""
@@ -272,7 +278,11 @@ class HostSurfaces:
                 bounds = self._bounds[members[chosen]].T
                 t = quadric_crossings(self._quadric[members[chosen]].T, bounds[0], start[chosen], way[chosen])
                 meet(chosen, t, lambda q, some: within_bounds(bounds[:, some], q))
-            for number in np.unique(members[~pooled]).tolist():
+            if len(chosen := np.flatnonzero(self._aspheric[members])):
+                own = members[chosen]
+                t = asphere_crossings(self._sag_numbers[:, own], start[chosen], way[chosen])
+                meet(chosen, t, lambda q, some: within_bounds(self._bounds[own[some]].T, q))
+            for number in np.unique(members[~pooled & ~self._aspheric[members]]).tolist():
                 chosen, piece = np.flatnonzero(members == number), self._pieces[number]
                 meet(chosen, piece.crossings(start[chosen], way[chosen]), lambda q, _, piece=piece: piece.inside(q))  # type: ignore[misc]
         return np.concatenate([rays for rays, _ in found]), np.concatenate([t for _, t in found])
@@ -282,7 +292,9 @@ class HostSurfaces:
         q = self._inward(p - self._vertices[members], members)
         a, b, e, _ = self._quadric[members].T
         normal = quadric_gradient(a, b, e, q)
-        for number in np.unique(members[~self._pooled[members]]).tolist():
+        if len(here := np.flatnonzero(self._aspheric[members])):
+            normal[here] = asphere_gradient(self._sag_numbers[:, members[here]], q[here])
+        for number in np.unique(members[~(self._pooled | self._aspheric)[members]]).tolist():
             here = members == number
             normal[here] = self._pieces[number].gradient(q[here])
         normal *= self._sign[members, None]

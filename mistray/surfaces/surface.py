@@ -166,6 +166,11 @@ class TracedSurface(ABC):
         return 0.0, 0.0, 0.0, 0.0
 
     @property
+    def sag_numbers(self) -> tuple[float, ...]:
+        """Curvature, 1/mm, conic constant and coefficients of an asphere, of which many are met at once; else empty."""
+        return ()
+
+    @property
     def clip(self) -> tuple[float, float]:
         """Half width and half height, mm, of a rectangle; or inner radius squared, mm², and 0. With the overlap."""
         return 0.0, 0.0

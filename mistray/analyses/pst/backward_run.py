@@ -58,12 +58,18 @@ class BackwardRun:
         File of the state.
     resume : bool
         Whether to continue the run of `state`.
+
+    Attributes
+    ----------
+    pilot : Pilot or None
+        Pilot that made the plan; None before `plan`, or if the plan is that of a saved run.
     """
 
     def __init__(self, trace: BackwardTrace, points: np.ndarray, method: str, state: Path | None, resume: bool) -> None:
         self._trace, self._state, self._points, self._method = trace, state, points, method
         self._light: AllCells | None = None
         self._plan: Plan | None = None
+        self.pilot: Pilot | None = None
         self._pilot_seconds, self._seconds_left = 0.0, math.nan
         self._first_pass = FIRST_PASS  # rays of the first pass; fewer if a time budget is shorter than that
         self._needed: tuple[float | None, float | None] = (None, None)
@@ -101,7 +107,7 @@ class BackwardRun:
         self._light = AllCells(self._trace)
         return self._light
 
-    def plan(self, needed: float | None, up_to_deg: float | None) -> Plan | None:
+    def plan(self, needed: float | None, up_to_deg: float | None, earlier: Pilot | None = None) -> Plan | None:
         """
         Return the plan of the forward rays, by a pilot or from the continued run; None for backward rays alone.
 
@@ -111,6 +117,9 @@ class BackwardRun:
             Requested relative standard error of the PST; None: the number of rays is given.
         up_to_deg : float or None
             Largest field angle at which it is required, degrees; None: all.
+        earlier : Pilot, optional
+            Pilot from which that of this run goes on. An error needs variances of its own, and cells that were dark
+            need rounds of their own, so that this run then has a whole pilot.
         """
         self._needed = needed, up_to_deg
         if self._plan is not None or self._method != "joined":
@@ -120,7 +129,8 @@ class BackwardRun:
         # A run that may be continued can become long. For an error the pilot grows, because its first variances are
         # unreliable
         run_rays = self._trace.settings.rays if needed is None and self._state is None else math.inf
-        pilot = Pilot(self._trace, self._points, counts, needed is not None, run_rays)
+        earlier = earlier if needed is None and earlier is not None and earlier.lit else None
+        self.pilot = pilot = Pilot(self._trace, self._points, counts, needed is not None, run_rays, earlier)
         with share(1 / (1 + PILOT_SHARE)):
             plan = pilot.search(0)
             while needed is not None and not time_is_up():

@@ -32,10 +32,9 @@ from mistray.sampling.sharing.start_map import MapSamples, StartMap
 from mistray.time_budget import time_is_up
 
 FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # most rays of the first round; each further round has twice as many
-SMALLEST_ROUND, SHARE_OF_RUN = (
-    1 << 9,
-    0.5,
-)  # least rays of the first round, and rays of all rounds over those of the run
+# Least rays of the first round, and rays of all rounds over those of the run
+SMALLEST_ROUND, SHARE_OF_RUN = 1 << 9, 0.5
+ROUNDS_AFTER = 2  # of a pilot that goes on from another one, whose last round counts among `REMEMBERED`
 ROUNDS_TO_AN_ERROR = 6  # least number: light that the pilot misses makes the run too short
 REMEMBERED = 3  # rounds whose samples the start map is made of
 SAMPLES_OF_CELL = 16000  # samples of a cell that are kept of a round
@@ -71,6 +70,8 @@ class Pilot:
         Whether the run aims at the same error in all cells; else its number of rays is given.
     run_rays : float
         Backward rays of the run: the pilot of a short one is short.
+    earlier : Pilot, optional
+        Pilot of the same scene and cells with other limits of paths, from which this one goes on: it has fewer rounds.
     """
 
     def __init__(
@@ -80,10 +81,12 @@ class Pilot:
         counts: np.ndarray,
         to_an_error: bool = False,
         run_rays: float = math.inf,
+        earlier: Pilot | None = None,
     ) -> None:
         self._trace, self._points, self._counts, self._to_an_error = trace, points, counts, to_an_error
+        self._least_rounds = ROUNDS_TO_AN_ERROR if to_an_error else LEAST_ROUNDS if earlier is None else ROUNDS_AFTER
         # A power of two, so that rounds divide into batches
-        asked = SHARE_OF_RUN * run_rays / ((1 << LEAST_ROUNDS) - 1)
+        asked = SHARE_OF_RUN * run_rays / ((1 << self._least_rounds) - 1)
         self._first_round = 1 << round(math.log2(min(max(asked, SMALLEST_ROUND), FIRST_ROUND)))
         count = int(np.prod(trace.grid.shape))
         starts_per_connection = np.full(count, 1 / count) if trace.may_connect else np.zeros(count)
@@ -91,8 +94,6 @@ class Pilot:
         self._sharing = Sharing(
             points, StartMap.uniform(count), np.full(count, 1 / count), starts_per_connection, unscattered=unscattered
         )
-        trace.share_paths(self._sharing)
-        self._cells = AllCells(trace)
         self._rounds = 0
         self._kept: list[tuple[MapSamples, float]] = []  # and the rays of their round
         self._seen: list[tuple[np.ndarray, ...]] = []  # cells, classes, path classes, weights, density ratios
@@ -103,11 +104,27 @@ class Pilot:
         self._variances: list[tuple[float, np.ndarray, np.ndarray]] = []  # see `variances_together`
         self._importance: list[tuple[np.ndarray, np.ndarray]] = []  # see `_windows`
         self._pace = np.zeros(2)  # s for a forward ray, and for a backward ray
+        if earlier is not None:
+            self._sharing = replace(earlier._sharing, starts_per_connection=starts_per_connection)
+            self._kept, self._seen, self._light, self._parts = (
+                earlier._kept,
+                earlier._seen,
+                earlier._light,
+                earlier._parts,
+            )
+            self._variances, self._importance = earlier._variances, earlier._importance
+        trace.share_paths(self._sharing)
+        self._cells = AllCells(trace)
 
     @property
     def rays(self) -> float:
         """Number of backward rays traced so far."""
         return float(self._rays[1])
+
+    @property
+    def lit(self) -> bool:
+        """Whether the last round has found light in all cells whose error is taken into account."""
+        return bool(np.all(self._light[self._counts] > 0))
 
     def seconds_for(self, plan: Plan, rays: float) -> float:
         """Return the estimated time, s, for `rays` backward rays and the forward rays that belong to them."""
@@ -120,8 +137,7 @@ class Pilot:
         There are at least `LEAST_ROUNDS` rounds, or `ROUNDS_TO_AN_ERROR` if an error is requested. A time budget ends
         the search after any round.
         """
-        least = ROUNDS_TO_AN_ERROR if self._to_an_error else LEAST_ROUNDS
-        while self._plan is None or (not time_is_up() and (self._rounds < least or self.rays < rays)):
+        while self._plan is None or (not time_is_up() and (self._rounds < self._least_rounds or self.rays < rays)):
             self._plan = self._round(self._first_round << self._rounds)
         # Path classes, from the samples of the latest rounds
         sharing = self._plan.sharing
@@ -177,7 +193,13 @@ class Pilot:
         )
         least = np.where(self._counts, min(LEAST_OF_CELL, LEAST_OF_ALL / count), 0)
         plan = Plan(
-            sharing=replace(sharing, starts=starts, rays=np.maximum(sharing.rays * best, least), windows=windows),
+            sharing=replace(
+                sharing,
+                starts=starts,
+                rays=np.maximum(sharing.rays * best, least),
+                starts_per_connection=self._starts_per_connection(light, relative, gain),
+                windows=windows,
+            ),
             light=light,
             variance=variance * light**2 * rays,
             pilot_rays=self._rays.copy(),
@@ -190,7 +212,6 @@ class Pilot:
         self._sharing = replace(
             plan.sharing,
             rays=rays_of_cell,
-            starts_per_connection=self._starts_per_connection(light, relative, gain),
             unscattered=self._unscattered(both, light, costs_forward),
         )
         trace.share_paths(self._sharing)
@@ -272,7 +293,7 @@ class Pilot:
         starts_per_connection, counts = self._sharing.starts_per_connection, self._counts & (light > 0)
         if self._rounds == 1:  # one light vertex for each connection
             return starts_per_connection / max(self._trace.vertices_per_ray, 1e-3)
-        if self._rounds != JUDGED_AFTER or not starts_per_connection.any():
+        if self._rounds != min(JUDGED_AFTER, self._least_rounds) or not starts_per_connection.any():
             return starts_per_connection
         # Variance without connections over that with them, against the cost in time
         now = relative[np.searchsorted(FACTORS, 1.0)][counts]

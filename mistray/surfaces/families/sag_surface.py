@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -127,6 +128,10 @@ class SagSurface(TracedSurface):
         return {**shape, "half_width": self.half_size[0], "half_height": self.half_size[1]}
 
     @property
+    def sag_numbers(self) -> tuple[float, ...]:
+        return (self.curvature, self.conic, *self.coefficients) if self.coefficients else ()
+
+    @property
     def quadric(self) -> tuple[float, float, float, float]:
         return self.curvature, self.curvature * (1 + self.conic), -2.0, 0.0
 
@@ -175,29 +180,7 @@ class SagSurface(TracedSurface):
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         if not self.coefficients:
             return super().crossings(o, d)
-        t = quadric_crossings(self.quadric, 0.0, o, d)
-        flat = -o[:, 2] / d[:, 2]
-        t[:, 0] = np.where(np.isfinite(t[:, 0]), t[:, 0], flat)
-        return self._onto_polynomial(o, d, t)
-
-    def _onto_polynomial(self, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return the distances, mm, to the asphere by Newton's method from those to the conic; NaN if it fails."""
-        found = np.full(t.shape, np.nan)
-        going = np.flatnonzero(np.isfinite(t))  # few need more than some steps: the others are left out of the rest
-        ray, t = going // t.shape[1], t.ravel()[going]
-        for _ in range(NEWTON_STEPS):
-            (x, y, z), (dx, dy, dz) = o[ray].T, d[ray].T
-            x, y = x + t * dx, y + t * dy
-            r2 = x * x + y * y
-            step = (self.sag(r2) - z - t * dz) / (2 * self.sag_derivative(r2) * (x * dx + y * dy) - dz)
-            t = t - step
-            settled = np.abs(step) < SETTLED * (1 + np.abs(t))
-            found.flat[going[settled]] = t[settled]
-            on = ~settled & np.isfinite(step)
-            going, ray, t = going[on], ray[on], t[on]
-            if not len(going):
-                break
-        return found
+        return asphere_crossings(np.array(self.sag_numbers)[:, None], o, d)
 
     def residual(self, q: np.ndarray) -> np.ndarray:
         if self.coefficients:
@@ -206,8 +189,7 @@ class SagSurface(TracedSurface):
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         if self.coefficients:
-            slope = 2 * self.sag_derivative(q[:, 0] ** 2 + q[:, 1] ** 2)
-            return np.stack([slope * q[:, 0], slope * q[:, 1], -np.ones(len(q))], axis=1)
+            return asphere_gradient(self.sag_numbers, q)
         return super().gradient(q)
 
     # ---- points and areas
@@ -302,6 +284,52 @@ class SagSurface(TracedSurface):
 
     def crossing(self, ray: AxisRay, numbers: Numbers, own: mi.Bool) -> mi.Float:
         return (conic_crossing if self.curvature else plane_crossing)(ray, self, numbers, own)
+
+
+def asphere_crossings(numbers: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """
+    Return the distances, (n, 2), mm, at which lines cross aspheres, by Newton's method from those to the conics.
+
+    Parameters
+    ----------
+    numbers : (k, n) or (k, 1) float64
+        `TracedSurface.sag_numbers` of the asphere of each line, or of all; coefficients that are missing are 0.
+    o, d : (n, 3) float64
+        Origins, mm, and unit directions in the frames of the aspheres.
+
+    Returns
+    -------
+    (n, 2) float64
+        NaN where the search fails.
+    """
+    curvature, conic = numbers[:2]
+    t = quadric_crossings((curvature, curvature * (1 + conic), -2.0, 0.0), 0.0, o, d)
+    t[:, 0] = np.where(np.isfinite(t[:, 0]), t[:, 0], -o[:, 2] / d[:, 2])
+    found = np.full(t.shape, np.nan)
+    going = np.flatnonzero(np.isfinite(t))  # few need more than some steps: the others are left out of the rest
+    ray, t = going // t.shape[1], t.ravel()[going]
+    for _ in range(NEWTON_STEPS):
+        curvature, conic, *coefficients = numbers[:, ray] if numbers.shape[1] > 1 else numbers
+        (x, y, z), (dx, dy, dz) = o[ray].T, d[ray].T
+        x, y = x + t * dx, y + t * dy
+        r2 = x * x + y * y
+        slope = 2 * sag_derivative(r2, curvature, conic, coefficients)
+        step = (sag(r2, curvature, conic, coefficients) - z - t * dz) / (slope * (x * dx + y * dy) - dz)
+        t = t - step
+        settled = np.abs(step) < SETTLED * (1 + np.abs(t))
+        found.flat[going[settled]] = t[settled]
+        on = ~settled & np.isfinite(step)
+        going, ray, t = going[on], ray[on], t[on]
+        if not len(going):
+            break
+    return found
+
+
+def asphere_gradient(numbers: Sequence[Any], q: np.ndarray) -> np.ndarray:
+    """Return half the gradient of F, (n, 3), at points (n, 3), mm, of aspheres with the given `sag_numbers`."""
+    curvature, conic, *coefficients = numbers
+    slope = 2 * sag_derivative(q[:, 0] ** 2 + q[:, 1] ** 2, curvature, conic, coefficients)
+    return np.stack([slope * q[:, 0], slope * q[:, 1], -np.ones(len(q))], axis=1)
 
 
 def azimuth(q: np.ndarray) -> np.ndarray:
