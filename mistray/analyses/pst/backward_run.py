@@ -31,6 +31,7 @@ from mistray.recorders.path_sums import PathsByCell
 from mistray.time_budget import is_limited, left, share, time_is_up
 
 PILOT_SHARE = 6  # rays of a run to an error over those of its pilot, about;
+MOST_LONGER = 2.0  # most by which a run gets longer at once if its error is too large
 SHORT_OF_IT = 1.5  # up to this factor the pilot may fall short: each further round is as long as all before
 DARK_AFTER = 4_000_000  # rays without light in a cell after which it counts as dark
 SAVING = 0.1  # fraction of the time that saving the state may take
@@ -134,7 +135,7 @@ class BackwardRun:
         with share(1 / (1 + PILOT_SHARE)):
             plan = pilot.search(0)
             while needed is not None and not time_is_up():
-                asked = self._budget(plan, needed) / PILOT_SHARE
+                asked = min(plan.rays_for(needed, counts), self._trace.settings.rays) / PILOT_SHARE
                 if asked <= SHORT_OF_IT * pilot.rays:
                     break
                 plan = pilot.search(min(asked, 2 * pilot.rays))
@@ -200,6 +201,9 @@ class BackwardRun:
                     self._save()
                     saved, all_saved = time.perf_counter(), True
                     saving = saved - now
+                # The pilot's variances may have been too small; they only say that more rays are needed
+                if needed is not None and trace.rays.sum() >= most:
+                    most = self._longer(most, self._worst(up_to_deg) / needed)
                 if progress:
                     done, worst = round(float(trace.rays.sum())), self._worst(up_to_deg)
                     progress(PstProgress.after(done, max(most, done), worst, needed, now - started, round(before)))
@@ -207,6 +211,12 @@ class BackwardRun:
                 self._save()
             if requested():
                 raise KeyboardInterrupt
+
+    def _longer(self, rays: int, over: float) -> int:
+        """Return the number of backward rays of a run whose error after `rays` is `over` times the requested one."""
+        if not 1 < over < math.inf:
+            return rays
+        return min(math.ceil(rays * min(over**2, MOST_LONGER)), self._trace.settings.rays)
 
     def _own_size(self, most: int) -> int | None:
         """
