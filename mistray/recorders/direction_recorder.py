@@ -69,6 +69,9 @@ class MisWeights(NamedTuple):
         Pdf of forward start rays at the start of the path, relative to its mean; None: weights do not follow from it.
     place : list of mi.Float or None
         Point of that start in the unit cube of its cell, of a path that a backward ray has found.
+    end : list of mi.Float or None
+        Start of a backward ray on the path: its point in the unit cube of the detector, see
+        `mistray.sampling.detector_start.DetectorStart.place`, and its weight.
     """
 
     # w_i = n_i p_i/Σ n_k p_k, see `mistray.sampling.sharing.balance`
@@ -78,6 +81,7 @@ class MisWeights(NamedTuple):
     connected: mi.Float
     density: mi.Float | None = None
     place: list[mi.Float] | None = None
+    end: list[mi.Float] | None = None
 
 
 class MisWeighting(Protocol):

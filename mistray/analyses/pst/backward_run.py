@@ -15,6 +15,7 @@ from mistray.analyses.pst.cells import cells_up_to
 from mistray.analyses.pst.found_paths import FoundPaths
 from mistray.analyses.pst.pilot import Pilot
 from mistray.analyses.pst.plan import Plan
+from mistray.analyses.pst.request import MOST_RAYS
 from mistray.analyses.pst.result import BACKWARD, FORWARD, Pst, notes
 from mistray.analyses.pst.state import Progress, PstProgress
 from mistray.errors import MistrayWarning, UnfinishedError
@@ -98,6 +99,11 @@ class BackwardRun:
                 rounds, seconds = saved[DONE]
                 light.total = light.total.continued(saved, int(rounds), float(seconds))
 
+    @property
+    def _open_ended(self) -> bool:
+        """Whether only the time limits the run."""
+        return self._trace.settings.rays >= MOST_RAYS and is_limited()
+
     def _take(self, plan: Plan) -> AllCells:
         """Set the plan that shares the light between forward and backward rays.
 
@@ -139,6 +145,9 @@ class BackwardRun:
                 if asked <= SHORT_OF_IT * pilot.rays:
                     break
                 plan = pilot.search(min(asked, 2 * pilot.rays))
+            # A run that takes all of a time has the longest pilot that fits; a round takes twice the time of the last
+            while needed is None and self._open_ended and 2 * pilot.took < left():
+                plan = pilot.search(pilot.rays + 1)
         if needed is not None:
             plan = plan.beside(max(plan.rays_for(needed, counts), int(plan.pilot_rays[1])), self._budget(plan, needed))
         self._pilot_seconds = time.perf_counter() - started
@@ -313,7 +322,7 @@ class BackwardRun:
         # Notes and facts
         lines = [*notes(bare, largest, rays), *trace.notes]
         needed, up_to_deg = self._needed
-        if needed is None and rays < trace.settings.rays:
+        if needed is None and rays < trace.settings.rays and not self._open_ended:
             lines.append(fewer_rays(rays, trace.settings.rays))
         if needed is not None and (worst := self._worst(up_to_deg)) > needed and np.isfinite(worst):
             texts = {"worst": percent_text(worst), "requested": percent_text(needed)}

@@ -16,7 +16,7 @@ from mistray.analyses.pst.forward import forward_pst
 from mistray.analyses.pst.next_order import with_next_orders
 from mistray.analyses.pst.pilot import Pilot
 from mistray.analyses.pst.plan import Plan, shared
-from mistray.analyses.pst.request import PstRequest
+from mistray.analyses.pst.request import MOST_RAYS, PstRequest
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.state import Progress
 from mistray.errors import MistrayError, UnfinishedError
@@ -68,7 +68,8 @@ def run(
         Called with a `PstProgress` after every pass.
     seconds : float, optional
         Time, s, after which the run ends with the rays traced so far; forward the cells share it. A note reports their
-        number. The current pass is completed first.
+        number. The current pass is completed first. A run from the detector without a number of rays, or a relative
+        error, takes all of the time.
 
     Returns
     -------
@@ -84,6 +85,9 @@ def run(
     """
     if seconds is not None and request.method == "forward":
         refuse_workers_in_time()
+    # A time without a number of rays is all for rays
+    if seconds is not None and request.method != "forward" and request.rays is None:
+        request = replace(request, rays=MOST_RAYS)
     # Measure, and measure again with one more event of either kind; a saved state belongs to the first
     began, pilots = time.perf_counter(), list[Pilot]()
     with within(seconds):

@@ -56,6 +56,8 @@ class Sharing:
     unscattered : (c,) float64, optional
         Number of further forward rays, which are not scattered, per ray of `rays`. They alone carry the unscattered
         light; they cost little, and find narrow entrances. None: there are none, and `rays` carry all light.
+    ends : StartMap, optional
+        Map of one cell, of the starts of backward rays on the lit side of the detector. None: there is no map.
     path_classes : PathClassVariances, optional
         Variances of path classes, for derivatives by parameters that move paths; None: there are none.
     """
@@ -66,6 +68,7 @@ class Sharing:
     starts_per_connection: np.ndarray
     windows: np.ndarray | None = None
     unscattered: np.ndarray | None = None
+    ends: StartMap | None = None
     path_classes: PathClassVariances | None = None
 
     @property
@@ -131,7 +134,11 @@ class Balance:
         )
         connected = self._connections(cell, density, departure.connection_ratio, active)
         own = dr.rcp(1 + forward + connected)
-        weights = MisWeights(forward * own, own, connected * own, density, place)
+        start = departure.start
+        assert start.normal is not None
+        outward = start.normal * dr.select(dr.dot(start.normal, start.d) < 0, mi.Float(-1), 1)
+        end = [*self.start.place(start.o, start.d, outward), start.w]
+        weights = MisWeights(forward * own, own, connected * own, density, place, end)
         # A connected ray contributes only if it leaves on the path of its light vertex
         if self._vertices is not None and departure.light_vertex is not None:
             light_vertex = departure.light_vertex
@@ -160,6 +167,7 @@ class Balance:
             dr.select(there, backward * per_sum, 0),
             dr.select(there, connected * per_sum, 0),
             density,
+            end=[*self.start.place(it.p, -visit.state["d"], -it.axis), weight],
         )
 
     def _forward_ratio(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -325,7 +325,7 @@ def asphere_crossings(numbers: np.ndarray, o: np.ndarray, d: np.ndarray) -> np.n
     return found
 
 
-def asphere_gradient(numbers: Sequence[Any], q: np.ndarray) -> np.ndarray:
+def asphere_gradient(numbers: Iterable[Any], q: np.ndarray) -> np.ndarray:
     """Return half the gradient of F, (n, 3), at points (n, 3), mm, of aspheres with the given `sag_numbers`."""
     curvature, conic, *coefficients = numbers
     slope = 2 * sag_derivative(q[:, 0] ** 2 + q[:, 1] ** 2, curvature, conic, coefficients)
