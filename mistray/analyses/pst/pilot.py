@@ -35,8 +35,7 @@ FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # most rays of the first round; each fur
 # Least rays of the first round, and rays of all rounds over those of the run
 SMALLEST_ROUND, SHARE_OF_RUN = 1 << 9, 0.5
 ROUNDS_AFTER = 2  # of a pilot that goes on from another one, whose last round counts among `REMEMBERED`
-# Least number of rounds to an error, and rays of the first: light that the pilot misses makes the run too short
-ROUNDS_TO_AN_ERROR, FIRST_TO_AN_ERROR = 6, 1 << 10
+ROUNDS_TO_AN_ERROR = 6  # least number: light that the pilot misses makes the run too short
 REMEMBERED = 3  # rounds whose samples the start map is made of
 SAMPLES_OF_CELL = 16000  # samples of a cell that are kept of a round
 ENDS_KEPT = 64000  # samples of starts of backward rays that are kept of a round
@@ -89,8 +88,7 @@ class Pilot:
         self._least_rounds = ROUNDS_TO_AN_ERROR if to_an_error else LEAST_ROUNDS if earlier is None else ROUNDS_AFTER
         # A power of two, so that rounds divide into batches
         asked = SHARE_OF_RUN * run_rays / ((1 << self._least_rounds) - 1)
-        most = FIRST_TO_AN_ERROR if to_an_error else FIRST_ROUND
-        self._first_round = 1 << round(math.log2(min(max(asked, SMALLEST_ROUND), most)))
+        self._first_round = 1 << round(math.log2(min(max(asked, SMALLEST_ROUND), FIRST_ROUND)))
         count = int(np.prod(trace.grid.shape))
         starts_per_connection = np.full(count, 1 / count) if trace.may_connect else np.zeros(count)
         unscattered = np.full(count, LEAST_UNSCATTERED) if trace.scatters else None

@@ -26,7 +26,7 @@ from oracles.vane_tube import VaneTube
 import mistray
 from mistray.analyses.pst import plan as plans
 from mistray.analyses.pst import request as requests
-from mistray.analyses.pst.pilot import FIRST_TO_AN_ERROR, LEAST_UNSCATTERED, Pilot
+from mistray.analyses.pst.pilot import FIRST_ROUND, LEAST_UNSCATTERED, Pilot
 from mistray.analyses.pst.plan import Plan, shared
 from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.result import Pst
@@ -618,7 +618,7 @@ def test_a_pilot_goes_on_from_an_earlier_one() -> None:
     whole = mistray.pst(scene, [5.0, 10.0], rays=30_000, max_scatters=2)
     apart = (more.value - whole.value) / np.hypot(more.standard_error, whole.standard_error)
     assert np.all(np.abs(apart) < 4)
-    assert found(relative_error=0.3).facts["pilot_rays"] >= 63 * FIRST_TO_AN_ERROR
+    assert found(relative_error=0.3).facts["pilot_rays"] >= 63 * FIRST_ROUND
 
 
 @pytest.mark.long
