@@ -161,6 +161,8 @@ class BackwardTrace(GridTrace):
         windows = np.zeros((2, self.table.count, WAYS)) if sharing.windows is None else sharing.windows
         inverse_upper, inverse_lower = windows[0], np.where(windows[1] > 0, windows[1], np.inf)
         self._windows = WeightWindows(upload(mi.Float, inverse_upper.ravel()), upload(mi.Float, inverse_lower.ravel()))
+        for start in self.starts:
+            start.guide(sharing.ends)
         if self.forward:
             self._balances = [balance.at(sharing) for balance in self._balances]
             return

@@ -34,7 +34,7 @@ class LightVertexRecorder(Recorder):
     """
 
     def __init__(self, room: int) -> None:
-        self.room = room
+        self.room, self._most = room, dr.opaque(mi.UInt32, room)  # opaque, so that it makes no new kernel
         self._count = dr.zeros(mi.UInt32, 1)
         self._words = [dr.zeros(mi.UInt32, room) for _ in range(4)]
         self._floats = [dr.zeros(mi.Float, room) for _ in range(6)]
@@ -55,7 +55,7 @@ class LightVertexRecorder(Recorder):
         active = visit.active & (visit.shares.scattered > 0) & (visit.weight > 0)
         # Append; what finds no room is counted only
         place = dr.scatter_inc(self._count, mi.UInt32(0), active)
-        active &= place < self.room
+        active &= place < self._most
         words = (start.batch, start.lane, start.cell, visit.surface)
         floats = (*visit.interaction.p, *visit.state["d"])
         dr.scatter(self._keys, visit.state["key"], place, active)

@@ -22,7 +22,7 @@ from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import upload, upload_rows
 
 # By its own choice Dr.Jit gives each thread a copy of a small array, whose size is a literal of the kernel; another
 # number of cells would compile anew
@@ -32,6 +32,7 @@ CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatt
 CLASS_COUNT = len(CLASSES)
 DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE, DIFFRACTED = range(CLASS_COUNT)
 FAR_SIDE = 2.0  # more than any squared sine, so that the last cell includes 90°
+ROWS = 64  # fewest rows of the table of angles, in powers of two: the steps of its search are in the kernel
 
 
 def class_of_light(end: Visit | Departure, design: DesignKeys) -> mi.UInt32:
@@ -68,6 +69,9 @@ class MisWeights(NamedTuple):
         Pdf of forward start rays at the start of the path, relative to its mean; None: weights do not follow from it.
     place : list of mi.Float or None
         Point of that start in the unit cube of its cell, of a path that a backward ray has found.
+    end : list of mi.Float or None
+        Start of a backward ray on the path: its point in the unit cube of the detector, see
+        `mistray.sampling.detector_start.DetectorStart.place`, and its weight.
     """
 
     # w_i = n_i p_i/Σ n_k p_k, see `mistray.sampling.sharing.balance`
@@ -77,6 +81,7 @@ class MisWeights(NamedTuple):
     connected: mi.Float
     density: mi.Float | None = None
     place: list[mi.Float] | None = None
+    end: list[mi.Float] | None = None
 
 
 class MisWeighting(Protocol):
@@ -215,23 +220,26 @@ class DirectionRecorder(SkyRecorder):
     def __init__(self, grid: DirectionGrid, design: DesignKeys, *arguments: Any, **options: Any) -> None:
         super().__init__(grid.shape, design, *arguments, **options)
         self.grid = grid
-        self._angles, self._azimuths = grid.shape
+        angles, azimuths = grid.shape
         low, high = np.sin(np.radians(grid.edges_deg)).T ** 2
-        # Upper borders are exclusive, but 90° belongs to the cell that ends there
+        # Upper borders are exclusive, but 90° belongs to the cell that ends there. Further rows hold no direction
+        self._rows = max(ROWS, 1 << (angles - 1).bit_length())
+        low, high = (np.pad(part, (0, self._rows - angles), constant_values=np.inf) for part in (low, high))
         self._low = upload(mi.Float, low)
-        self._high = upload(mi.Float, np.where(high >= 1, FAR_SIDE, high))
-        self._azimuth = upload(mi.Float, grid.azimuths_deg)
+        self._high = upload(mi.Float, np.where((high >= 1) & (high < np.inf), FAR_SIDE, high))
+        # Numbers of cells are opaque, so that they make no new kernel
+        self._azimuths, self._azimuth = dr.opaque(mi.UInt32, azimuths), upload_rows(mi.Float, grid.azimuths_deg)
         self._half = dr.opaque(mi.Float, grid.azimuth_cell_deg / 2)
-        self._rows = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in column)) for column in grid.rotation.T]
+        self._axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in column)) for column in grid.rotation.T]
         self.elsewhere = dr.zeros(mi.Float64, BATCHES)
         dr.eval(self.elsewhere)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
         """Return the cell of light that travels along -d, against rays that leave along d, and whether there is one."""
         # Field angle: light travels along -d. sin² orders the angles of the front half space
-        x, y, z = (-dr.dot(d, row) for row in self._rows)
+        x, y, z = (-dr.dot(d, axis) for axis in self._axes)
         sine2 = dr.fma(x, x, y * y)
-        index = mi.UInt32(dr.binary_search(0, self._angles - 1, lambda k: dr.gather(mi.Float, self._high, k) <= sine2))
+        index = mi.UInt32(dr.binary_search(0, self._rows - 1, lambda k: dr.gather(mi.Float, self._high, k) <= sine2))
         inside = (z >= 0) & (sine2 >= dr.gather(mi.Float, self._low, index))
         inside &= sine2 < dr.gather(mi.Float, self._high, index)
         if self.grid.azimuth_cell_deg == 360:
@@ -239,16 +247,15 @@ class DirectionRecorder(SkyRecorder):
         # Azimuth: the cells need not be evenly spaced, so the nearest is searched for
         azimuth = dr.atan2(-x, y) * (180 / dr.pi)
 
-        # The number of azimuths is opaque, so that it makes no new kernel
         def nearer(k: mi.UInt32, best: mi.UInt32, least: mi.Float) -> tuple[mi.UInt32, mi.UInt32, mi.Float]:
             apart = azimuth - dr.gather(mi.Float, self._azimuth, k)
             apart = dr.abs(apart - 360 * dr.round(apart * (1 / 360)))
             return k + 1, dr.select(apart < least, k, best), dr.minimum(apart, least)
 
-        width, count = dr.width(d), dr.opaque(mi.UInt32, self._azimuths)
+        width = dr.width(d)
         _, best, least = dr.while_loop(
             (dr.zeros(mi.UInt32, width), dr.zeros(mi.UInt32, width), dr.full(mi.Float, 360, width)),
-            lambda k, best, least: k < count,
+            lambda k, best, least: k < self._azimuths,
             nearer,
             mode="symbolic",
             label="azimuth",

@@ -56,6 +56,11 @@ class Samples:
         MIS weights of its path, see `mistray.recorders.direction_recorder.MisWeights`.
     density : (s,) float64
         Density of forward start rays at the point.
+    ends : (s, 4) float64
+        Start points of backward rays in the unit cube of the detector, see
+        `mistray.sampling.detector_start.DetectorStart.place`.
+    start_weight : (s,) float64
+        Weight with which a backward ray would start there, the inverse of its density.
     segments : (c,) float64
         Number of ray segments by the cell of their start rays; in a backward trace one number for all cells.
     importance : (4, n, WAYS) float64, optional
@@ -72,6 +77,8 @@ class Samples:
     forward: np.ndarray
     connected: np.ndarray
     density: np.ndarray
+    ends: np.ndarray
+    start_weight: np.ndarray
     segments: np.ndarray
     importance: np.ndarray | None = None
 
@@ -102,7 +109,7 @@ class _StartSamples(Recorder):
         self._design, self._mis, self._capacity = design, mis, capacity
         self._count = dr.zeros(mi.UInt32, 1)
         self._words = [dr.empty(mi.UInt32, capacity) for _ in range(4)]
-        self._floats = [dr.empty(mi.Float, capacity) for _ in range(8)]
+        self._floats = [dr.empty(mi.Float, capacity) for _ in range(13)]
         self._segments = dr.zeros(mi.Float64, cells)
         dr.eval(self._count, self._words, self._floats, self._segments)
 
@@ -131,10 +138,14 @@ class _StartSamples(Recorder):
         pairs = (y, u), (brought, x), words[:2]  # the last one matters most
         order = np.lexsort([high.astype(np.uint64) << 32 | low for high, low in pairs])
         lane, cell, kind, path_class = (values[order].astype(np.int64) for values in words)
-        *points, weight, forward, connected, density = (values[order].astype(np.float64) for values in floats)
-        places, segments = np.stack(points, axis=1), np.array(self._segments)
+        numbers = [values[order].astype(np.float64) for values in floats]
+        places, ends = np.stack(numbers[:4], axis=1), np.stack(numbers[8:12], axis=1)
+        weight, forward, connected, density = numbers[4:8]
         weight *= total / max(count, 1)
-        return Samples(lane, cell, kind, path_class, places, weight, forward, connected, density, segments)
+        segments = np.array(self._segments)
+        return Samples(
+            *(lane, cell, kind, path_class, places, weight, forward, connected, density, ends, numbers[12], segments)
+        )
 
 
 class DepartureSamples(_StartSamples):
@@ -223,7 +234,8 @@ class DepartureSamples(_StartSamples):
         weight = departure.weight
         mis = self._mis.backward(departure, cell, inside)
         assert mis.place is not None
-        floats = (*mis.place, weight * mis.backward, mis.forward, mis.connected, mis.density)
+        assert mis.end is not None
+        floats = (*mis.place, weight * mis.backward, mis.forward, mis.connected, mis.density, *mis.end)
         self._keep(words, floats, inside & (mis.backward > 0))
         value = dr.gather(mi.Float64, self._values, cell, inside)
         self._add_importance(departure, mi.Float64(weight * mis.backward) * value, inside)
@@ -264,5 +276,6 @@ class ArrivalSamples(_StartSamples):
         path_class = path_class_of(visit.event, visit.depth, start, met)
         words = start.lane, start.cell, class_of_light(visit, self._design), path_class
         mis = self._mis.forward(visit)
-        floats = (*start.place, visit.weight * mis.forward, mis.forward, mis.connected, mis.density)
+        assert mis.end is not None
+        floats = (*start.place, visit.weight * mis.forward, mis.forward, mis.connected, mis.density, *mis.end)
         self._keep(words, floats, met)

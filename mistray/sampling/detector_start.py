@@ -4,10 +4,12 @@ Start rays of a backward trace, which leave the detector like light from a Lambe
 A share c of the rays on the lit side is aimed at targets. All of them are weighted by the balance heuristic (E. Veach,
 Robust Monte Carlo methods for light transport simulation, 1997, section 9.2):
 
-    w = n² pdf_L/((1 - c) pdf_L + c pdf_T),
+    w = n² pdf_L/((1 - c - g + g m) pdf_L + c pdf_T),
 
 where pdf_L = cos θ/π is the Lambertian density (`lambertian`), pdf_T that of the targets (`density`), c is `AIMED`, and
-n the index of the medium before the detector.
+n the index of the medium before the detector. A share g, `GUIDED`, starts where a pilot has found light, with the
+density m in units of the Lambertian one. Its map has the coordinates of `DetectorStart.place`, in which a ring of the
+detector that sees a ring of the scene is a box.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from mistray.notes import Note
 from mistray.physics.geometry.sag import in_proportion, sag, sag_derivative
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.outlines import detector_area
+from mistray.sampling.sharing.start_map import DeviceMap, StartMap
 from mistray.sampling.strata import curve_points
 from mistray.settings import BATCHES
 from mistray.surfaces.families.sag_surface import SagSurface
@@ -38,6 +41,8 @@ PROBES = 256  # rays that find the medium around the detector
 BOUNCES = 8  # their reflections at walls that declare no material
 LEAST_SAID = 1 / 16  # share of them below which a declaration is ignored, as of a lens that is open at its side
 AIMED = 0.4  # share of the rays on the lit side that are aimed at the opening
+GUIDED = 0.4  # share of them that start by a map of a pilot
+AXIS = 1e-12  # mm², squared distance from the middle within which azimuth 0 is that of +x
 
 
 class DetectorStart:
@@ -96,6 +101,13 @@ class DetectorStart:
         media = [self._medium(side, side == towards) for side in (towards, -towards)]
         self._media = [dr.opaque(mi.UInt32, number) for number, _ in media]
         self._index2 = [dr.opaque(mi.Float, n * n) for _, n in media]
+        self._guide: DeviceMap | None = None
+        self._guide_given: StartMap | None = None
+
+    def guide(self, given: StartMap | None) -> None:
+        """Let a part of the rays on the lit side start by a map of one cell from now on; None: no part."""
+        if given is not self._guide_given:
+            self._guide_given, self._guide = given, None if given is None else DeviceMap(given)
 
     def _analytic(self) -> None:
         """Upload the frame, aperture (mm) and sag coefficients of an analytic detector to the device."""
@@ -236,30 +248,42 @@ class DetectorStart:
         # Stratum: away from the light, towards targets, or Lambertian; each is sorted along a curve of its own
         back = place < self._back
         aimed_share = AIMED if self._targets is not None else 0.0
-        first_random = self._back + (1 - self._back) * aimed_share
-        aim = ~back & (place < first_random)
-        low = dr.select(back, 0, dr.select(aim, self._back, first_random))
-        high = dr.select(back, self._back, dr.select(aim, first_random, 1))
-        u = curve_points((place - low) / (high - low), 4, rng)
+        first_guided = self._back + (1 - self._back) * aimed_share
+        first_random = first_guided + (1 - self._back) * (GUIDED if self._guide is not None else 0.0)
+        aim, guided = ~back & (place < first_guided), (place >= first_guided) & (place < first_random)
+        low = dr.select(back, 0, dr.select(aim, self._back, dr.select(guided, first_guided, first_random)))
+        high = dr.select(back, self._back, dr.select(aim, first_guided, dr.select(guided, first_random, 1)))
+        within = (place - low) / (high - low)
+        u = curve_points(within, 4, rng)
         # The two dimensions that change fastest are those of the direction, which most decides where a ray goes
-        p, normal, stretch, x, y = self._position(u[2], u[3])
+        x, y = self._planar(u[2], u[3])
+        if self._guide is not None:
+            v, _ = self._guide.sample(dr.zeros(mi.UInt32, dr.width(lane)), dr.clip(within, 0, 1 - 1e-12), rng)
+            u = [dr.select(guided, new, old) for new, old in zip(v, u, strict=True)]
+            guided_x, guided_y = self._planar_guided(v[2], v[3])
+            x, y = dr.select(guided, guided_x, x), dr.select(guided, guided_y, y)
+        p, normal, stretch = self._surface(x, y)
         outward = normal * dr.select(back, -self._towards, self._towards)
         # Cosine-weighted hemisphere
         disk = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(u[0], u[1]))
         cosine = dr.sqrt(dr.maximum(1 - dr.squared_norm(disk), 0))
         across, along = mi.coordinate_system(outward)
+        if self._guide is not None:
+            across, along = (
+                dr.select(guided, own, other)
+                for own, other in zip(self._polar_frame(x, y, outward), (across, along), strict=True)
+            )
         d = dr.normalize(disk.x * across + disk.y * along + cosine * outward)
         w = stretch * weight / dr.select(back, self._back, 1 - self._back)
+        own = mi.UInt32(0)
         if self._targets is not None:
             targets, count = self._targets
             plan = dr.zeros(mi.Vector2u, dr.width(lane)) + mi.Vector2u(0, count)
-            # MIS weight: pdf_L/Σ c_i pdf_i over the Lambertian and the targets
             spare = rng.next_float32()
             to_target, own = targets.sample(plan, [u[0], u[1], spare, spare], p, outward, aim)
             d = dr.select(aim, to_target, d)
-            lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
-            density = targets.density(plan, p, d, outward, aim, own, ~back)
-            w = dr.select(back, w, w * lambertian / dr.lerp(lambertian, density, aimed_share))
+        if self._targets is not None or self._guide is not None:
+            w = dr.select(back, w, w * self._over_all(p, d, outward, aim, own, ~back))
             w = dr.select(dr.isfinite(w), w, 0)
         # Radiance over n² is invariant, so that n² of the detector's medium enters the weight
         w = w * dr.select(back, self._index2[1], self._index2[0])
@@ -287,25 +311,77 @@ class DetectorStart:
         w = dr.rcp(dr.select(back, self._back, 1 - self._back))
         if self._curved:
             w = w / (dr.abs(upright) * self._stretch)
+        if self._targets is not None or self._guide is not None:
+            over_all = self._over_all(p, d, outward, mi.Bool(False), mi.UInt32(0), active & ~back)
+            w = dr.select(back, w, w * over_all)
+        return w * dr.select(back, self._index2[1], self._index2[0])
+
+    def place(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f) -> list[mi.Float]:
+        """
+        Return the points of the unit cube of the map of starts for rays that leave the detector at p, mm, along d.
+
+        Two numbers are for the direction in a frame that turns with the azimuth of p, two for that azimuth and the
+        squared radius, or for x and y of a rectangle. In them the Lambertian density is uniform. The first is -1 on the
+        side away from the light, which has no map.
+        """
+        q = p - self._origin
+        x, y = dr.dot(q, self._axes[0]), dr.dot(q, self._axes[1])
+        across, along = self._polar_frame(x, y, outward)
+        square = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(dr.dot(d, across), dr.dot(d, along)))
+        if self._round:
+            inner2, outer2 = self._radii2
+            at = [(dr.fma(x, x, y * y) - inner2) / (outer2 - inner2), 0.5 + 0.5 * dr.atan2(y, x) / dr.pi]
+        else:
+            at = [0.5 + 0.5 * x / self._half[0], 0.5 + 0.5 * y / self._half[1]]
+        found = [dr.clip(value, 0, 1 - 2.0**-24) for value in (square.x, square.y, *at)]
+        found[0] = dr.select(dr.dot(outward, self._axes[2]) * self._towards < 0, -1, found[0])
+        return found
+
+    def _polar_frame(self, x: mi.Float, y: mi.Float, outward: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
+        """Return unit vectors across `outward`, away from the middle of the detector and around it."""
+        r2 = dr.fma(x, x, y * y)
+        scale, off_axis = dr.rsqrt(dr.maximum(r2, AXIS)), r2 > AXIS
+        radial = dr.select(off_axis, x * scale, 1) * self._axes[0] + dr.select(off_axis, y * scale, 0) * self._axes[1]
+        along = dr.normalize(dr.cross(outward, radial))
+        return dr.cross(along, outward), along
+
+    def _over_all(
+        self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, aim: mi.Bool, own: mi.UInt32, active: mi.Bool
+    ) -> mi.Float:
+        """Return the Lambertian density over that of all rays of the lit side; `aim` and `own` are a ray's target."""
+        lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
+        density = lambertian
         if self._targets is not None:
             targets, count = self._targets
             plan = dr.zeros(mi.Vector2u, dr.width(d)) + mi.Vector2u(0, count)
-            lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
-            density = targets.density(plan, p, d, outward, mi.Bool(False), mi.UInt32(0), active & ~back)
-            w = dr.select(back, w, w * lambertian / dr.lerp(lambertian, density, AIMED))
-        return w * dr.select(back, self._index2[1], self._index2[0])
+            density = dr.lerp(lambertian, targets.density(plan, p, d, outward, aim, own, active), AIMED)
+        if self._guide is not None:
+            cell = dr.zeros(mi.UInt32, dr.width(d))
+            map_density = self._guide.density(cell, self.place(p, d, outward), active)
+            density = dr.fma(GUIDED * lambertian, map_density - 1, density)
+        return lambertian / density
 
-    def _position(self, u: mi.Float, v: mi.Float) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float, mi.Float, mi.Float]:
-        """Return point, normal, area element there over the mean one, and the detector's own coordinates, mm."""
-        # Position in the projection, uniform over the rectangle or the ring
-        x, y, z = (2 * u - 1) * self._half[0], (2 * v - 1) * self._half[1], mi.Float(0)
-        if self._round:
-            disk = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(u, v))
-            r2 = dr.squared_norm(disk)
-            inner2, outer2 = self._radii2
-            scale = dr.sqrt((inner2 + r2 * (outer2 - inner2)) / dr.maximum(r2, 1e-12))
-            x, y = disk.x * scale, disk.y * scale
-        normal, stretch = mi.Vector3f(0, 0, 1), mi.Float(1)
+    def _planar(self, u: mi.Float, v: mi.Float) -> tuple[mi.Float, mi.Float]:
+        """Return positions in the projection of the detector, mm, uniform over the rectangle or the ring."""
+        if not self._round:
+            return (2 * u - 1) * self._half[0], (2 * v - 1) * self._half[1]
+        disk = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(u, v))
+        r2 = dr.squared_norm(disk)
+        inner2, outer2 = self._radii2
+        scale = dr.sqrt((inner2 + r2 * (outer2 - inner2)) / dr.maximum(r2, 1e-12))
+        return disk.x * scale, disk.y * scale
+
+    def _planar_guided(self, u: mi.Float, v: mi.Float) -> tuple[mi.Float, mi.Float]:
+        """Return the positions in the projection, mm, whose coordinates in `place` are u and v."""
+        if not self._round:
+            return self._planar(u, v)
+        inner2, outer2 = self._radii2
+        r, (sine, cosine) = dr.sqrt(dr.lerp(inner2, outer2, u)), dr.sincos(dr.pi * (2 * v - 1))
+        return r * cosine, r * sine
+
+    def _surface(self, x: mi.Float, y: mi.Float) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
+        """Return point, normal, and area element over the mean one at the detector's own coordinates, mm."""
+        normal, stretch, z = mi.Vector3f(0, 0, 1), mi.Float(1), mi.Float(0)
         # Sag and normal there
         if self._curved:
             r2 = dr.fma(x, x, y * y)
@@ -315,7 +391,7 @@ class DetectorStart:
         first, second, third = self._axes
         p = self._origin + x * first + y * second + z * third
         n = normal.x * first + normal.y * second + normal.z * third
-        return p, n + dr.zeros(mi.Vector3f, dr.width(x)), stretch, x, y
+        return p, n + dr.zeros(mi.Vector3f, dr.width(x)), stretch
 
 
 def stratified_places(index: mi.UInt32, lanes: int, rng: mi.PCG32) -> tuple[mi.UInt32, mi.Float64]:

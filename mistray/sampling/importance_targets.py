@@ -241,9 +241,12 @@ def _seen_targets(
         # Adding 1 ranks the detector itself first
         found.setdefault(side, []).append((part + direct, number, target))
     # Views through other surfaces; they replace a direct view with far fewer rays
+    passing = _passing(table, [sight.surface for sight in sights], surfaces, sampled, rng)
     for row, shares in enumerate(seen.reshape(-1, len(sights))):
         if time_is_up():
             break
+        if passing[row] < SEEN:
+            continue
         side = surfaces[row // 2], bool(row % 2)
         through = _seen_through(table, side, sights, shares, sampled[side[0]], rng)
         best = {one.number: one.share for one in reversed(through)}
@@ -255,6 +258,31 @@ def _seen_targets(
         side: [target for _, _, target in sorted(entries, key=lambda entry: -entry[0])[:MOST_TARGETS]]
         for side, entries in found.items()
     }
+
+
+def _passing(
+    table: SurfaceTable,
+    own: Sequence[int],
+    surfaces: Sequence[int],
+    sampled: dict[int, tuple[np.ndarray, np.ndarray]],
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """
+    Return the shares of rays from both sides of surfaces, front first, (2 s,), that go on at a surface not in `own`.
+
+    All sides are tested at once, which takes a fifth of the time of one after the other.
+    """
+    o, normals = (
+        np.repeat(np.stack([sampled[surface][k][:THROUGH_PROBES] for surface in surfaces]), 2, axis=0) for k in (0, 1)
+    )
+    normals[::2] *= -1
+    d = lambertian_directions(normals.reshape(-1, 3), rng)
+    last = np.repeat(surfaces, 2 * o.shape[1])
+    hit, _, normal = first_hit(table, o.reshape(-1, 3), d, last)
+    goes = (hit >= 0) & ~np.isin(hit, own)
+    after, _ = onward(table, hit[goes], d[goes], normal[goes])
+    goes[goes] = np.isfinite(after[:, 0])
+    return goes.reshape(o.shape[:2]).mean(axis=1)
 
 
 def _seen_through(
@@ -284,16 +312,9 @@ def _seen_through(
     rng : np.random.Generator
         Random number generator.
     """
-    # Quick test: whether enough rays pass a surface that is no sight
-    (surface, to_back), (points, normals) = side, sampled
-    own = [sight.surface for sight in sights]
-    d = lambertian_directions((normals if to_back else -normals)[:THROUGH_PROBES], rng)
-    hit, _, normal = first_hit(table, points[:THROUGH_PROBES], d, np.full(len(d), surface))
-    other = (hit >= 0) & ~np.isin(hit, own)
-    after, _ = onward(table, hit[other], d[other], normal[other])
-    if np.isfinite(after[:, 0]).sum() < SEEN * len(d):
-        return []
     # Rays from the sights to the surface, by the surfaces on their way
+    (surface, to_back), (points, _) = side, sampled
+    own = [sight.surface for sight in sights]
     ends, least = {Inside(surface, to_back)}, np.maximum(SECOND_WAY * shares, SEEN)
     ways = arrivals(table, points, ends, sights, THROUGH_PROBES, rng)
     enough = [way for way, (o, _) in ways.items() if len(o) > THROUGH_PROBES * least[way[0]]]

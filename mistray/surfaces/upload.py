@@ -54,3 +54,13 @@ def download(vector: Any) -> np.ndarray:
     dr.eval(vector)
     components = np.broadcast_arrays(*(np.array(component, dtype=np.float64) for component in vector))
     return np.array(components).T
+
+
+def upload_rows(kind: Any, values: np.ndarray) -> Any:
+    """
+    Return numbers as a Dr.Jit array of at least two entries, from which kernels gather; see `upload`.
+
+    An array of one entry would be uniform over all lanes, which makes another kernel than two entries do. A single
+    number is therefore there twice.
+    """
+    return upload(kind, np.repeat(values, 2) if np.size(values) == 1 else values)

@@ -104,13 +104,30 @@ def averages(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values.mean(axis=1), values.std(axis=1) / np.sqrt(values.shape[1])
 
 
+def side_of(cosine: np.ndarray) -> np.ndarray:
+    """1 on the lit side: the normals go along the light, the rays against it."""
+    return -np.sign(cosine)
+
+
+def slab() -> np.ndarray:
+    points = np.random.default_rng(1).random((200_000, 4))
+    return points[in_slab(points)]
+
+
+def in_slab(points: np.ndarray) -> np.ndarray:
+    """Whether points of the unit cube lie in a slanted slab of 2 % of it."""
+    return np.abs(points[:, 0] - 0.3 - 0.4 * points[:, 2]) < 0.01
+
+
 @pytest.mark.parametrize("both_sides", [False, True])
-@pytest.mark.parametrize("how", ["plain", "aimed"])
+@pytest.mark.parametrize("how", ["plain", "aimed", "guided", "aimed, guided"])
 @pytest.mark.parametrize("name", DETECTORS)
 def test_detector_is_lambertian(detector_table, name: str, how: str, both_sides: bool) -> None:
-    """Weights, cosines and places of each side; 4 standard errors, 6e-5 each, 1e-2 in all 200."""
+    """Weights, cosines and places of each side; 4 standard errors, 6e-5 each, 2e-2 in all 400."""
     (_, numbers, area, means), table = DETECTORS[name], detector_table(name)
-    start = DetectorStart(table, AXIS, AIM if how == "aimed" else None, both_sides)
+    start = DetectorStart(table, AXIS, AIM if "aimed" in how else None, both_sides)
+    if "guided" in how:
+        start.guide(StartMap.of(1, even(slab())))
     assert start.area == pytest.approx(area, rel=1e-6)
     found = rays_of(start)
     p, (d, w, normal) = table.download_points(found.o), (host(v) for v in (found.d, found.w, found.normal))
@@ -122,7 +139,12 @@ def test_detector_is_lambertian(detector_table, name: str, how: str, both_sides:
     assert np.all(np.isfinite(w))
     assert w.min() >= 0
     cosine = np.einsum("ij,ij->i", d, normal)
-    side = -np.sign(cosine)  # the normals go along the light, the rays against it
+    outward = found.normal * dr.select(dr.dot(found.normal, found.d) < 0, mi.Float(-1), 1)
+    np.testing.assert_allclose(host(start.weight_at(found.o, found.d, outward, mi.Bool(True))), w, rtol=3e-3)
+    if "guided" in how:  # half of the rays that the map draws start in the slab, 2 % of all others
+        inside = in_slab(np.array([np.array(v) for v in start.place(found.o, found.d, outward)]).T)
+        assert np.mean(inside[side_of(cosine) > 0]) > (0.15 if how == "guided" else 0.12)
+    side = side_of(cosine)
     if how == "plain" and not both_sides and name == "rectangle":  # whatever the azimuth
         mean, error = averages(np.stack([d[:, 0] ** 2, d[:, 1] ** 2, d[:, 0] * d[:, 1], d[:, 0], d[:, 1]]))
         assert_z("moments", mean, [0.25, 0.25, 0, 0, 0], error, k=4.0, floor=1e-5)
@@ -169,10 +191,7 @@ COUNT = 1 << 18
 @pytest.fixture(scope="module")
 def learned() -> StartMap:
     """Two cells: light from a slanted slab in the first, none known in the second."""
-    rng = np.random.default_rng(1)
-    points = rng.random((200_000, 4))
-    points = points[np.abs(points[:, 0] - 0.3 - 0.4 * points[:, 2]) < 0.01]
-    return StartMap.of(2, even(points))
+    return StartMap.of(2, even(slab()))
 
 
 def even(points: np.ndarray, cell: int = 0, brings: np.ndarray | float = 1.0) -> MapSamples:
@@ -201,8 +220,7 @@ def test_densities_are_those_of_the_samples(learned: StartMap, cell: int) -> Non
     if cell == 1:  # without light
         np.testing.assert_allclose(density, 1.0, rtol=1e-6)
     else:  # a slab of 2 % of the cube gets most of the rays; the floor keeps 40 % of them anywhere
-        inside = np.abs(points[:, 0] - 0.3 - 0.4 * points[:, 2]) < 0.01
-        assert 0.25 < inside.mean() < 1 - UNIFORM * 0.97
+        assert 0.25 < in_slab(points).mean() < 1 - UNIFORM * 0.97
         assert density.min() >= UNIFORM
 
 

@@ -15,6 +15,7 @@ from mistray.analyses.pst.cells import cells_up_to
 from mistray.analyses.pst.found_paths import FoundPaths
 from mistray.analyses.pst.pilot import Pilot
 from mistray.analyses.pst.plan import Plan
+from mistray.analyses.pst.request import MOST_RAYS
 from mistray.analyses.pst.result import BACKWARD, FORWARD, Pst, notes
 from mistray.analyses.pst.state import Progress, PstProgress
 from mistray.errors import MistrayWarning, UnfinishedError
@@ -31,6 +32,7 @@ from mistray.recorders.path_sums import PathsByCell
 from mistray.time_budget import is_limited, left, share, time_is_up
 
 PILOT_SHARE = 6  # rays of a run to an error over those of its pilot, about;
+MOST_LONGER = 2.0  # most by which a run gets longer at once if its error is too large
 SHORT_OF_IT = 1.5  # up to this factor the pilot may fall short: each further round is as long as all before
 DARK_AFTER = 4_000_000  # rays without light in a cell after which it counts as dark
 SAVING = 0.1  # fraction of the time that saving the state may take
@@ -58,12 +60,18 @@ class BackwardRun:
         File of the state.
     resume : bool
         Whether to continue the run of `state`.
+
+    Attributes
+    ----------
+    pilot : Pilot or None
+        Pilot that made the plan; None before `plan`, or if the plan is that of a saved run.
     """
 
     def __init__(self, trace: BackwardTrace, points: np.ndarray, method: str, state: Path | None, resume: bool) -> None:
         self._trace, self._state, self._points, self._method = trace, state, points, method
         self._light: AllCells | None = None
         self._plan: Plan | None = None
+        self.pilot: Pilot | None = None
         self._pilot_seconds, self._seconds_left = 0.0, math.nan
         self._first_pass = FIRST_PASS  # rays of the first pass; fewer if a time budget is shorter than that
         self._needed: tuple[float | None, float | None] = (None, None)
@@ -91,6 +99,11 @@ class BackwardRun:
                 rounds, seconds = saved[DONE]
                 light.total = light.total.continued(saved, int(rounds), float(seconds))
 
+    @property
+    def _open_ended(self) -> bool:
+        """Whether only the time limits the run."""
+        return self._trace.settings.rays >= MOST_RAYS and is_limited()
+
     def _take(self, plan: Plan) -> AllCells:
         """Set the plan that shares the light between forward and backward rays.
 
@@ -101,7 +114,7 @@ class BackwardRun:
         self._light = AllCells(self._trace)
         return self._light
 
-    def plan(self, needed: float | None, up_to_deg: float | None) -> Plan | None:
+    def plan(self, needed: float | None, up_to_deg: float | None, earlier: Pilot | None = None) -> Plan | None:
         """
         Return the plan of the forward rays, by a pilot or from the continued run; None for backward rays alone.
 
@@ -111,6 +124,9 @@ class BackwardRun:
             Requested relative standard error of the PST; None: the number of rays is given.
         up_to_deg : float or None
             Largest field angle at which it is required, degrees; None: all.
+        earlier : Pilot, optional
+            Pilot from which that of this run goes on. An error needs variances of its own, and cells that were dark
+            need rounds of their own, so that this run then has a whole pilot.
         """
         self._needed = needed, up_to_deg
         if self._plan is not None or self._method != "joined":
@@ -120,14 +136,18 @@ class BackwardRun:
         # A run that may be continued can become long. For an error the pilot grows, because its first variances are
         # unreliable
         run_rays = self._trace.settings.rays if needed is None and self._state is None else math.inf
-        pilot = Pilot(self._trace, self._points, counts, needed is not None, run_rays)
+        earlier = earlier if needed is None and earlier is not None and earlier.lit else None
+        self.pilot = pilot = Pilot(self._trace, self._points, counts, needed is not None, run_rays, earlier)
         with share(1 / (1 + PILOT_SHARE)):
             plan = pilot.search(0)
             while needed is not None and not time_is_up():
-                asked = self._budget(plan, needed) / PILOT_SHARE
+                asked = min(plan.rays_for(needed, counts), self._trace.settings.rays) / PILOT_SHARE
                 if asked <= SHORT_OF_IT * pilot.rays:
                     break
                 plan = pilot.search(min(asked, 2 * pilot.rays))
+            # A run that takes all of a time has the longest pilot that fits; a round takes twice the time of the last
+            while needed is None and self._open_ended and 2 * pilot.took < left():
+                plan = pilot.search(pilot.rays + 1)
         if needed is not None:
             plan = plan.beside(max(plan.rays_for(needed, counts), int(plan.pilot_rays[1])), self._budget(plan, needed))
         self._pilot_seconds = time.perf_counter() - started
@@ -190,6 +210,9 @@ class BackwardRun:
                     self._save()
                     saved, all_saved = time.perf_counter(), True
                     saving = saved - now
+                # The pilot's variances may have been too small; they only say that more rays are needed
+                if needed is not None and trace.rays.sum() >= most:
+                    most = self._longer(most, self._worst(up_to_deg) / needed)
                 if progress:
                     done, worst = round(float(trace.rays.sum())), self._worst(up_to_deg)
                     progress(PstProgress.after(done, max(most, done), worst, needed, now - started, round(before)))
@@ -197,6 +220,12 @@ class BackwardRun:
                 self._save()
             if requested():
                 raise KeyboardInterrupt
+
+    def _longer(self, rays: int, over: float) -> int:
+        """Return the number of backward rays of a run whose error after `rays` is `over` times the requested one."""
+        if not 1 < over < math.inf:
+            return rays
+        return min(math.ceil(rays * min(over**2, MOST_LONGER)), self._trace.settings.rays)
 
     def _own_size(self, most: int) -> int | None:
         """
@@ -293,7 +322,7 @@ class BackwardRun:
         # Notes and facts
         lines = [*notes(bare, largest, rays), *trace.notes]
         needed, up_to_deg = self._needed
-        if needed is None and rays < trace.settings.rays:
+        if needed is None and rays < trace.settings.rays and not self._open_ended:
             lines.append(fewer_rays(rays, trace.settings.rays))
         if needed is not None and (worst := self._worst(up_to_deg)) > needed and np.isfinite(worst):
             texts = {"worst": percent_text(worst), "requested": percent_text(needed)}

@@ -95,13 +95,12 @@ def run(options: Options) -> int:
         with options.workers(), _progress(options, passes) as progress:
             seconds = options.seconds_left(PAGE_S)
             found = run_pst(scene, request, **saved.how, progress=progress, seconds=seconds)
-        from mistray.analyses.pst.page import irradiance_maps, pst_report  # imports what draws
+        files, count = [], shown.paths_shown
+        if options.out is not None:
+            from mistray.analyses.pst.page import irradiance_maps, pst_report  # imports what draws
 
-        maps = irradiance_maps(found, maps_at, options.command_line) if options.formats else {}
-        files = options.write(
-            lambda title, command: pst_report(found, title, command, shown.paths_shown, maps_at), maps=maps
-        )
-        count = shown.paths_shown
+            maps = irradiance_maps(found, maps_at, options.command_line) if options.formats else {}
+            files = options.write(lambda title, command: pst_report(found, title, command, count, maps_at), maps=maps)
         options.show(lambda: pst_record(found, count), lambda: pst_text(found, count), files)
     return saved.code
 

@@ -32,13 +32,13 @@ from mistray.sampling.sharing.start_map import MapSamples, StartMap
 from mistray.time_budget import time_is_up
 
 FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # most rays of the first round; each further round has twice as many
-SMALLEST_ROUND, SHARE_OF_RUN = (
-    1 << 9,
-    0.5,
-)  # least rays of the first round, and rays of all rounds over those of the run
+# Least rays of the first round, and rays of all rounds over those of the run
+SMALLEST_ROUND, SHARE_OF_RUN = 1 << 9, 0.5
+ROUNDS_AFTER = 2  # of a pilot that goes on from another one, whose last round counts among `REMEMBERED`
 ROUNDS_TO_AN_ERROR = 6  # least number: light that the pilot misses makes the run too short
 REMEMBERED = 3  # rounds whose samples the start map is made of
 SAMPLES_OF_CELL = 16000  # samples of a cell that are kept of a round
+ENDS_KEPT = 64000  # samples of starts of backward rays that are kept of a round
 FACTORS = 2.0 ** np.arange(-4, 5.5, 0.5)  # factors of the forward rays of a cell that are compared
 LEAST_RAYS = 1 / 4  # least cost of the forward rays of a cell in a pilot, over its even part of the backward cost
 # Least forward rays of a cell in a run, and of all cells, per backward ray: without them light that the pilot has
@@ -71,6 +71,8 @@ class Pilot:
         Whether the run aims at the same error in all cells; else its number of rays is given.
     run_rays : float
         Backward rays of the run: the pilot of a short one is short.
+    earlier : Pilot, optional
+        Pilot of the same scene and cells with other limits of paths, from which this one goes on: it has fewer rounds.
     """
 
     def __init__(
@@ -80,21 +82,27 @@ class Pilot:
         counts: np.ndarray,
         to_an_error: bool = False,
         run_rays: float = math.inf,
+        earlier: Pilot | None = None,
     ) -> None:
         self._trace, self._points, self._counts, self._to_an_error = trace, points, counts, to_an_error
+        self._least_rounds = ROUNDS_TO_AN_ERROR if to_an_error else LEAST_ROUNDS if earlier is None else ROUNDS_AFTER
         # A power of two, so that rounds divide into batches
-        asked = SHARE_OF_RUN * run_rays / ((1 << LEAST_ROUNDS) - 1)
+        asked = SHARE_OF_RUN * run_rays / ((1 << self._least_rounds) - 1)
         self._first_round = 1 << round(math.log2(min(max(asked, SMALLEST_ROUND), FIRST_ROUND)))
         count = int(np.prod(trace.grid.shape))
         starts_per_connection = np.full(count, 1 / count) if trace.may_connect else np.zeros(count)
         unscattered = np.full(count, LEAST_UNSCATTERED) if trace.scatters else None
         self._sharing = Sharing(
-            points, StartMap.uniform(count), np.full(count, 1 / count), starts_per_connection, unscattered=unscattered
+            points,
+            StartMap.uniform(count),
+            np.full(count, 1 / count),
+            starts_per_connection,
+            unscattered=unscattered,
+            ends=StartMap.uniform(1),
         )
-        trace.share_paths(self._sharing)
-        self._cells = AllCells(trace)
         self._rounds = 0
         self._kept: list[tuple[MapSamples, float]] = []  # and the rays of their round
+        self._ends: list[tuple[MapSamples, float]] = []  # the same of the starts of backward rays
         self._seen: list[tuple[np.ndarray, ...]] = []  # cells, classes, path classes, weights, density ratios
         self._rays = np.zeros(2)
         self._plan: Plan | None = None
@@ -103,11 +111,28 @@ class Pilot:
         self._variances: list[tuple[float, np.ndarray, np.ndarray]] = []  # see `variances_together`
         self._importance: list[tuple[np.ndarray, np.ndarray]] = []  # see `_windows`
         self._pace = np.zeros(2)  # s for a forward ray, and for a backward ray
+        self.took = 0.0  # s of the last round
+        if earlier is not None:
+            self._sharing = replace(earlier._sharing, starts_per_connection=starts_per_connection)
+            self._kept, self._seen, self._light, self._parts = (
+                earlier._kept,
+                earlier._seen,
+                earlier._light,
+                earlier._parts,
+            )
+            self._variances, self._importance, self._ends = earlier._variances, earlier._importance, earlier._ends
+        trace.share_paths(self._sharing)
+        self._cells = AllCells(trace)
 
     @property
     def rays(self) -> float:
         """Number of backward rays traced so far."""
         return float(self._rays[1])
+
+    @property
+    def lit(self) -> bool:
+        """Whether the last round has found light in all cells whose error is taken into account."""
+        return bool(np.all(self._light[self._counts] > 0))
 
     def seconds_for(self, plan: Plan, rays: float) -> float:
         """Return the estimated time, s, for `rays` backward rays and the forward rays that belong to them."""
@@ -120,8 +145,7 @@ class Pilot:
         There are at least `LEAST_ROUNDS` rounds, or `ROUNDS_TO_AN_ERROR` if an error is requested. A time budget ends
         the search after any round.
         """
-        least = ROUNDS_TO_AN_ERROR if self._to_an_error else LEAST_ROUNDS
-        while self._plan is None or (not time_is_up() and (self._rounds < least or self.rays < rays)):
+        while self._plan is None or (not time_is_up() and (self._rounds < self._least_rounds or self.rays < rays)):
             self._plan = self._round(self._first_round << self._rounds)
         # Path classes, from the samples of the latest rounds
         sharing = self._plan.sharing
@@ -143,7 +167,11 @@ class Pilot:
         then = time.perf_counter()
         forward = cells.samples(forward_rays, self._rounds)
         # Pace of the last round, which is the longest and compiles nothing
-        self._pace = np.array([(time.perf_counter() - then) / max(forward_rays.sum(), 1), (then - began) / rays])
+        now = time.perf_counter()
+        self._pace, self.took = (
+            np.array([(now - then) / max(forward_rays.sum(), 1), (then - began) / rays]),
+            now - began,
+        )
         self._rounds += 1
         self._rays += forward_rays.sum(), rays
         count = cells.cells
@@ -167,6 +195,7 @@ class Pilot:
         samples = MapSamples.of([kept.of_rays(rays / total) for kept, rays in self._kept])
         # Start map: the next round, and the run, start where this one has found light
         starts = StartMap.of(count, samples.with_those_beside(trace.grid.shape))
+        ends = StartMap.of(1, MapSamples.of([kept.of_rays(rays / total) for kept, rays in self._ends]))
 
         costs = cost_backward, cost_forward
         # Numbers of forward rays of the run
@@ -177,7 +206,14 @@ class Pilot:
         )
         least = np.where(self._counts, min(LEAST_OF_CELL, LEAST_OF_ALL / count), 0)
         plan = Plan(
-            sharing=replace(sharing, starts=starts, rays=np.maximum(sharing.rays * best, least), windows=windows),
+            sharing=replace(
+                sharing,
+                starts=starts,
+                ends=ends,
+                rays=np.maximum(sharing.rays * best, least),
+                starts_per_connection=self._starts_per_connection(light, relative, gain),
+                windows=windows,
+            ),
             light=light,
             variance=variance * light**2 * rays,
             pilot_rays=self._rays.copy(),
@@ -190,7 +226,6 @@ class Pilot:
         self._sharing = replace(
             plan.sharing,
             rays=rays_of_cell,
-            starts_per_connection=self._starts_per_connection(light, relative, gain),
             unscattered=self._unscattered(both, light, costs_forward),
         )
         trace.share_paths(self._sharing)
@@ -272,7 +307,7 @@ class Pilot:
         starts_per_connection, counts = self._sharing.starts_per_connection, self._counts & (light > 0)
         if self._rounds == 1:  # one light vertex for each connection
             return starts_per_connection / max(self._trace.vertices_per_ray, 1e-3)
-        if self._rounds != JUDGED_AFTER or not starts_per_connection.any():
+        if self._rounds != min(JUDGED_AFTER, self._least_rounds) or not starts_per_connection.any():
             return starts_per_connection
         # Variance without connections over that with them, against the cost in time
         now = relative[np.searchsorted(FACTORS, 1.0)][counts]
@@ -298,6 +333,13 @@ class Pilot:
         resolved = np.square(weights) * (samples.forward * samples.density) * rays
         found = MapSamples(cell, samples.points, weights, resolved).times(factor)
         self._kept = [*self._kept, (found.after_roulette(SAMPLES_OF_CELL, rng), float(rays))][-REMEMBERED:]
+        # The starts of backward rays serve all cells, whose light counts alike
+        lit = (samples.ends[:, 0] >= 0) & self._counts[cell] & (samples.start_weight > 0)
+        value = np.divide(factor, light[cell], out=np.zeros(len(cell)), where=light[cell] > 0)
+        density = np.divide(1.0, samples.start_weight, out=np.zeros(len(cell)), where=lit)
+        resolved = np.square(weights) * (1 - samples.forward) * density * rays
+        found = MapSamples(np.zeros_like(cell), samples.ends, weights, resolved).times(value).some(lit)
+        self._ends = [*self._ends, (found.after_roulette(ENDS_KEPT, rng), float(rays))][-REMEMBERED:]
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:

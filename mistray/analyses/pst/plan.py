@@ -80,6 +80,8 @@ class Plan:
         found = {f"samples_{name}": values for name, values in self.samples._asdict().items()}
         starts = {f"starts_{f.name}": getattr(self.sharing.starts, f.name) for f in fields(StartMap)}
         sharing = self.sharing
+        if sharing.ends is not None:
+            starts |= {f"ends_{f.name}": getattr(sharing.ends, f.name) for f in fields(StartMap)}
         shared = {"points_lit": sharing.points, "rays": sharing.rays, "linked": sharing.starts_per_connection}
         optional = {name: getattr(sharing, name) for name in ("windows", "unscattered")}
         return own | found | starts | shared | {name: values for name, values in optional.items() if values is not None}
@@ -91,7 +93,10 @@ class Plan:
         own: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
         samples = MapSamples(*(arrays[f"samples_{name}"] for name in MapSamples._fields))
         windows, unscattered = arrays.get("windows"), arrays.get("unscattered")
-        sharing = Sharing(arrays["points_lit"], starts, arrays["rays"], arrays["linked"], windows, unscattered)
+        ends = (
+            StartMap(**{f.name: arrays[f"ends_{f.name}"] for f in fields(StartMap)}) if "ends_axis" in arrays else None
+        )
+        sharing = Sharing(arrays["points_lit"], starts, arrays["rays"], arrays["linked"], windows, unscattered, ends)
         return cls(sharing=sharing, samples=samples, **own)
 
 
@@ -113,6 +118,7 @@ def shared(plans: Sequence[Plan]) -> list[Plan]:
         "rays": rays,
         "windows": windows[0] if alike else None,
         "unscattered": np.max(ratios, axis=0) if len(ratios) == len(plans) else None,
+        "ends": plans[0].sharing.ends,
     }
     return [replace(plan, sharing=replace(plan.sharing, **same)) for plan in plans]
 

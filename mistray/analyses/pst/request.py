@@ -28,7 +28,7 @@ from mistray.settings import Settings
 from mistray.toolkit.fields import FieldSubset, Request, field
 
 USUAL_RAYS = {"joined": 4_000_000, "adjoint": 4_000_000, "forward": 200_000}  # forward: at each angle
-MOST_RAYS = 2_000_000_000  # limit of a call that requests an error and sets no limit of rays
+MOST_RAYS = 2_000_000_000  # limit of a call that requests an error, or has a time, and sets no limit of rays
 CONVENTIONS = ("normal", "projected")
 
 

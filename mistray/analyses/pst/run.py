@@ -14,8 +14,9 @@ from mistray.analyses.pst.backward_run import BackwardRun
 from mistray.analyses.pst.cells import grid_of
 from mistray.analyses.pst.forward import forward_pst
 from mistray.analyses.pst.next_order import with_next_orders
+from mistray.analyses.pst.pilot import Pilot
 from mistray.analyses.pst.plan import Plan, shared
-from mistray.analyses.pst.request import PstRequest
+from mistray.analyses.pst.request import MOST_RAYS, PstRequest
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.state import Progress
 from mistray.errors import MistrayError, UnfinishedError
@@ -67,7 +68,8 @@ def run(
         Called with a `PstProgress` after every pass.
     seconds : float, optional
         Time, s, after which the run ends with the rays traced so far; forward the cells share it. A note reports their
-        number. The current pass is completed first.
+        number. The current pass is completed first. A run from the detector without a number of rays, or a relative
+        error, takes all of the time.
 
     Returns
     -------
@@ -83,16 +85,19 @@ def run(
     """
     if seconds is not None and request.method == "forward":
         refuse_workers_in_time()
+    # A time without a number of rays is all for rays
+    if seconds is not None and request.method != "forward" and request.rays is None:
+        request = replace(request, rays=MOST_RAYS)
     # Measure, and measure again with one more event of either kind; a saved state belongs to the first
-    began = time.perf_counter()
+    began, pilots = time.perf_counter(), list[Pilot]()
     with within(seconds):
         with share(FIRST_SHARE if request.next_order else 1.0):
-            result = next(pst_of_each([scene], request, state=state, resume=resume, progress=progress))
+            result = next(pst_of_each([scene], request, state=state, resume=resume, progress=progress, pilots=pilots))
         if request.next_order:
 
             def again(rays: int, **limit: int) -> Pst:
                 more = replace(request, rays=rays, settings={**request.settings, **limit})
-                return next(pst_of_each([scene], more, progress=progress))
+                return next(pst_of_each([scene], more, progress=progress, pilots=pilots))
 
             result = with_next_orders(scene, result, time.perf_counter() - began, again)
     # Notes on polarisation that is neglected
@@ -112,6 +117,7 @@ def pst_of_each(
     resume: bool = False,
     progress: Progress | None = None,
     plan: Plan | None = None,
+    pilots: list[Pilot] | None = None,
 ) -> Iterator[Pst]:
     """
     Yield the PSTs of scenes to be compared, computed with common random numbers.
@@ -129,6 +135,8 @@ def pst_of_each(
     plan : Plan, optional
         `Pst.plan` of an earlier PST, of a scene much like these: it replaces the pilot, and rays start as they did. A
         plan that does not fit is not used.
+    pilots : list of Pilot, optional
+        Pilot of an earlier PST of the one scene, from which this one goes on; if the list is empty, its pilot is added.
 
     Yields
     ------
@@ -175,7 +183,10 @@ def pst_of_each(
     if plan is not None and all(plan.fits(trace.unit.size, trace.table.count) for trace in traces):
         plans = [replace(plan, pilot_rays=np.zeros(2)) for _ in runs]
     else:
-        plans = [run.plan(request.relative_error, request.error_up_to_deg) for run in runs]
+        earlier = next(iter(pilots or ()), None)
+        plans = [run.plan(request.relative_error, request.error_up_to_deg, earlier) for run in runs]
+        if pilots is not None and earlier is None:
+            pilots += [run.pilot for run in runs if run.pilot is not None]
         if known := [plan for plan in plans if plan is not None]:
             plans = [*shared(known)]
     for run, of_run in zip(runs, plans, strict=True):

@@ -31,7 +31,7 @@ from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.sharing.cell_waves import CellWaves
 from mistray.sampling.sharing.path_classes import PathClassVariances
 from mistray.sampling.sharing.start_map import DeviceMap, StartMap
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import upload_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,8 @@ class Sharing:
     unscattered : (c,) float64, optional
         Number of further forward rays, which are not scattered, per ray of `rays`. They alone carry the unscattered
         light; they cost little, and find narrow entrances. None: there are none, and `rays` carry all light.
+    ends : StartMap, optional
+        Map of one cell, of the starts of backward rays on the lit side of the detector. None: there is no map.
     path_classes : PathClassVariances, optional
         Variances of path classes, for derivatives by parameters that move paths; None: there are none.
     """
@@ -66,6 +68,7 @@ class Sharing:
     starts_per_connection: np.ndarray
     windows: np.ndarray | None = None
     unscattered: np.ndarray | None = None
+    ends: StartMap | None = None
     path_classes: PathClassVariances | None = None
 
     @property
@@ -111,12 +114,13 @@ class Balance:
         self._vertices: LightVertices | None = None
         self.sharing = sharing
         # Connections per étendue of a cell
-        self._starts_per_connection = upload(mi.Float, sharing.starts_per_connection / self.waves.etendue)
+        self._starts_per_connection = upload_rows(mi.Float, sharing.starts_per_connection / self.waves.etendue)
         # n p of forward rays over that of backward rays, which start over the étendue π A of the detector: first for
         # scattered light, then for unscattered light
         both = sharing.rays, sharing.rays * (1.0 if sharing.unscattered is None else sharing.unscattered)
         per_etendue = np.concatenate(both) * np.pi * self.start.area / np.tile(self.waves.etendue, 2)
-        self._per_etendue = upload(mi.Float, per_etendue)
+        self._per_etendue = upload_rows(mi.Float, per_etendue)
+        self._cells = dr.opaque(mi.UInt32, len(self.waves.areas))  # opaque, so that it makes no new kernel
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
         """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
@@ -130,7 +134,11 @@ class Balance:
         )
         connected = self._connections(cell, density, departure.connection_ratio, active)
         own = dr.rcp(1 + forward + connected)
-        weights = MisWeights(forward * own, own, connected * own, density, place)
+        start = departure.start
+        assert start.normal is not None
+        outward = start.normal * dr.select(dr.dot(start.normal, start.d) < 0, mi.Float(-1), 1)
+        end = [*self.start.place(start.o, start.d, outward), start.w]
+        weights = MisWeights(forward * own, own, connected * own, density, place, end)
         # A connected ray contributes only if it leaves on the path of its light vertex
         if self._vertices is not None and departure.light_vertex is not None:
             light_vertex = departure.light_vertex
@@ -159,6 +167,7 @@ class Balance:
             dr.select(there, backward * per_sum, 0),
             dr.select(there, connected * per_sum, 0),
             density,
+            end=[*self.start.place(it.p, -visit.state["d"], -it.axis), weight],
         )
 
     def _forward_ratio(
@@ -166,7 +175,7 @@ class Balance:
     ) -> mi.Float:
         """Return the start density (rays per étendue) of forward rays over that of backward rays."""
         # Unscattered light has forward rays of its own, in the second half of the table
-        row = cell + dr.select((scatters & COUNT_MASK) == 0, mi.UInt32(len(self.waves.areas)), 0)
+        row = cell + dr.select((scatters & COUNT_MASK) == 0, self._cells, 0)
         return dr.gather(mi.Float, self._per_etendue, row, active) * density * start_weight
 
     def _connections(

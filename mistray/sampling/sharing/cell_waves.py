@@ -12,7 +12,7 @@ from mistray.sampling.plane_wave import Entrance, PlaneWaves, wave_rays
 from mistray.sampling.sharing.start_map import DeviceMap
 from mistray.sampling.strata import curve_points
 from mistray.settings import BATCHES
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import upload, upload_rows
 
 
 class CellWaves:
@@ -48,7 +48,7 @@ class CellWaves:
         self.areas = np.array([wave.area for wave in cells])
         self.etendue = self.areas * np.repeat(grid.solid_angle, grid.shape[1])
         self.extent = float(np.ptp(points, axis=0).max())
-        self._numbers = [upload(mi.Float, column) for column in np.array([wave.numbers for wave in cells]).T]
+        self._numbers = [upload_rows(mi.Float, column) for column in np.array([wave.numbers for wave in cells]).T]
         self._rotation, self._centre = cells[0].rotation, cells[0].centre - centre
 
     def rays(self, cell: mi.UInt32, place: list[mi.Float]) -> tuple[mi.Vector3f, mi.Vector3f]:
@@ -107,7 +107,7 @@ def cell_starts(
     # Cell of each ray, and its index there
     cell = upload(mi.UInt32, np.repeat(np.arange(len(lanes)), lanes))
     index = upload(mi.UInt32, np.arange(lanes.sum()) - np.repeat(np.cumsum(lanes) - lanes, lanes))
-    strata = dr.gather(mi.UInt32, upload(mi.UInt32, lanes // BATCHES), cell)
+    strata = dr.gather(mi.UInt32, upload_rows(mi.UInt32, lanes // BATCHES), cell)
     lane = dr.arange(mi.UInt32, int(lanes.sum()))
     stream = int(np.random.SeedSequence(seed).generate_state(1)[0])
     rng, _ = generators(stream, lane) if starts is not None else generators(stream, index, cell)
@@ -123,7 +123,7 @@ def cell_starts(
     o, d = waves.rays(cell, place)
     # A ray carries the inverse of the density with which it was drawn
     scale = dr.rcp(density)
-    w = scale * dr.gather(mi.Float, upload(mi.Float, weight), cell)
+    w = scale * dr.gather(mi.Float, upload_rows(mi.Float, weight), cell)
     dr.eval(lane, batch, rng, o, d, w, cell, scale, place)
     return StartRays(lane, batch, rng, o, d, w, cell=cell, scale=scale, place=place)
 

@@ -27,7 +27,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.sampling.strata import curve_points
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import upload_rows
 
 SAMPLES_OF_MAP, SAMPLES_LENT = 8000, 2000  # samples of a cell for itself, and for each of its neighbours
 SHARE_LENT = 0.3  # weight of the samples of each neighbour, relative to that of a cell's own
@@ -261,9 +261,9 @@ class DeviceMap:
 
     def __init__(self, given: StartMap) -> None:
         # One word a node: axis + 1 in three bits, 0 for a leaf, and the number of the low child
-        self._word = upload(mi.UInt32, (given.axis + 1).astype(np.uint32) | (given.child.astype(np.uint32) << 3))
-        self._low = upload(mi.Float64, given.low)
-        self._root = upload(mi.UInt32, given.root.astype(np.uint32))
+        self._word = upload_rows(mi.UInt32, (given.axis + 1).astype(np.uint32) | (given.child.astype(np.uint32) << 3))
+        self._low = upload_rows(mi.Float64, given.low)
+        self._root = upload_rows(mi.UInt32, given.root.astype(np.uint32))
 
     def sample(self, cell: mi.UInt32, place: mi.Float64, rng: mi.PCG32) -> tuple[list[mi.Float], mi.Float]:
         """Return start points in the unit cubes of cells for numbers `place` in 0 … 1, and their density, of mean 1."""
