@@ -164,7 +164,7 @@ PREPARED = {
 }
 
 SURFACES = "--coating 'plate_*=mgf2_quarter_wave' --paint 'board*=flat_black' --scatter 'plate=harvey_shack rms_nm=4'"
-MACHINE = "--variant llvm_ad_rgb --threads 1"
+MACHINE = "--variant llvm_ad_rgb --threads 1 --plugin mistray.plugins.bsdfs.abg"
 LIMITS = (
     "--max-reflections 3 --max-generations 4 --max-events 32 --max-consecutive 8 --max-segments 2000 "
     "--flux-threshold 1e-9 --cut-below R=1e-7 --below-threshold roulette --seed 3"

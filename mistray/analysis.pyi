@@ -616,7 +616,8 @@ def pst(
         Called with a `PstProgress` after every pass.
     seconds : float, optional
         Time, s, after which the run ends with the rays traced so far; forward the cells share it. A note reports their
-        number. The current pass is completed first.
+        number. The current pass is completed first. A run from the detector without a number of rays, or a relative
+        error, takes all of the time.
     wavelength_nm : float | Iterable[float], optional
         Wavelengths, nm. 10 … 1e7 nm.
     weights : float | Iterable[float], optional

@@ -89,8 +89,8 @@ def test_the_command_line_itself_imports_nothing_heavy(file: Path) -> None:
             names |= {f"{node.module}.{alias.name}" for alias in node.names} if whole else {node.module}
     heavy = {name for name in names if name.partition(".")[0] not in sys.stdlib_module_names}
     light = (
-        "_libatomic _llvm _mitsuba_compat _variant errors interrupts known_arguments light named_values notes param "
-        "percent ranges read_file replace_file settings supervisor time_budget"
+        "_libatomic _llvm _mitsuba_compat _variant entry_points errors interrupts known_arguments light named_values "
+        "notes param percent ranges read_file replace_file settings supervisor time_budget"
     )
     allowed = {f"mistray.{name}" for name in light.split()} | {f"mistray.toolkit.{name}" for name in OF_PARSERS}
     declared = re.compile(r"mistray\.(cli\b.*|analyses\.\w+\.(command|request))")

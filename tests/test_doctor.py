@@ -56,7 +56,7 @@ def test_missing_and_wrong_packages(monkeypatch):
 def test_extras_are_those_of_users():
     """Every extra is a developers' or says what it adds; the page about installing has the same sentences."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    developers = {"bench", "dev", "docs", "notebooks", "scatmech"}
+    developers = {"notebooks", "scatmech"}
     assert set(project["optional-dependencies"]) == developers | doctor.EXTRAS.keys()
     assert not developers & doctor.EXTRAS.keys()
     page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8").partition("## Extras")[2]

@@ -19,7 +19,7 @@ from mistray.scatter.particulate import Particulate
 from mistray.scatter.phong import Phong
 from mistray.scatter.polynomial import Polynomial
 
-_OWN: Mapping[str, type[Placement]] = {
+OWN_KINDS: Mapping[str, type[Placement]] = {
     "abg": ABg,
     "edge_diffraction": EdgeDiffraction,
     "gaussian_lobe": Gaussian,
@@ -32,7 +32,7 @@ _OWN: Mapping[str, type[Placement]] = {
     "psd_table": PsdTable,
     "tabulated": Tabulated,
 }
-_known = dict(_OWN)
+_known = dict(OWN_KINDS)
 KINDS: Mapping[str, type[Placement]] = MappingProxyType(_known)
 """Model classes by the names of their plugins, whose properties are the model's fields; those of others too.
 
@@ -48,6 +48,6 @@ def add_kind(kind: str, model: type[Placement]) -> None:
     MistrayError
         If the name is that of another model of mistray.
     """
-    if _OWN.get(kind, model) is not model:
+    if OWN_KINDS.get(kind, model) is not model:
         raise MistrayError(f"scatter model '{kind}' of {model.__module__} has the name of one of mistray; rename it")
     _known[kind] = model

@@ -13,7 +13,7 @@ from refusals import refused
 from scatter_surfaces import IMPORTANCE, MODELS, context, direction, interaction, surface, vectors, write_table
 
 from mistray import MistrayError
-from mistray.scatter.kinds import KINDS
+from mistray.scatter.kinds import OWN_KINDS
 
 T = mi.ScalarTransform4f
 SHAPE = {"type": "asphere", "semi_diameter": 5.0}
@@ -22,12 +22,12 @@ SHAPE = {"type": "asphere", "semi_diameter": 5.0}
 class TestScene:
     def test_every_model_has_its_plugin(self, tmp_path: Path) -> None:
         given = [*MODELS.values(), write_table(tmp_path)]
-        assert {values["type"] for values in given} == set(KINDS)
+        assert {values["type"] for values in given} == set(OWN_KINDS)
         for values in given:
             plugin = mi.load_dict(values)
             (model,) = plugin.scatter
             assert plugin.model is model
-            assert type(model) is KINDS[values["type"]]
+            assert type(model) is OWN_KINDS[values["type"]]
             held = vars(model) | dict(getattr(model, "coefficients", ()))
             for key, value in values.items():
                 if key not in ("type", "file"):

@@ -15,7 +15,7 @@ import mistray
 from mistray.errors import MistrayError
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Structure, Surface, wall
 from mistray.scatter.abg import ABg
-from mistray.scatter.kinds import KINDS
+from mistray.scatter.kinds import OWN_KINDS
 
 
 def assert_same(first: Any, second: Any) -> None:
@@ -159,10 +159,10 @@ def test_bad_models() -> None:
 
 def test_scatter_by_name() -> None:
     """Every plugin can be written; patterns add up, in their order, to what a shape has."""
-    assert EXAMPLES.keys() == KINDS.keys()
+    assert EXAMPLES.keys() == OWN_KINDS.keys()
     for kind, properties in EXAMPLES.items():
         model = Scatter(kind, properties).model()
-        assert model is None if "file" in properties else isinstance(model, KINDS[kind])
+        assert model is None if "file" in properties else isinstance(model, OWN_KINDS[kind])
     result = LENS.with_scatter({"L_*": (POLISH,), "L_rear": (DUST,), "tube_?": (BLACK,)})
     found = {shape.name: shape.scatter for shape in result.with_scatter({"stop_*": (BLACK, DUST)}).shapes()}
     stop = dict.fromkeys(("stop_front", "stop_wall", "stop_rear"), (BLACK, DUST))
@@ -179,7 +179,7 @@ def test_the_scene_has_the_models(tmp_path) -> None:
     scattering.to_xml(tmp_path / "scene.xml")
     for scene in (scattering.to_scene(), mistray.load(tmp_path / "scene.xml")):
         scatter = {shape.id(): shape.bsdf().scatter for shape in scene.shapes()}
-        assert [type(model) for model in scatter["L_rear"]] == [KINDS[model.kind] for model in (POLISH, DUST, abg)]
+        assert [type(model) for model in scatter["L_rear"]] == [OWN_KINDS[model.kind] for model in (POLISH, DUST, abg)]
         assert replace(scatter["L_rear"][2], name="") == ABg(0.0009765625, 0.0078125, 2.0, side="back")
         assert scatter["L_front"][0] == scatter["L_rear"][0]
         assert [model.reflectance for model in scatter["tube_2"]] == pytest.approx([0.045])
