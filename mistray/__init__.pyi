@@ -59,6 +59,7 @@ from mistray.sweeps import sweep as sweep
 from mistray.trace import Trace as Trace
 from mistray.trace import trace as trace
 
+__version__: str
 scenes: ModuleType
 
 __all__ = [
@@ -86,6 +87,7 @@ __all__ = [
     "Transfer",
     "UnfinishedError",
     "View",
+    "__version__",
     "analysis",
     "coat",
     "coatings",
