@@ -22,6 +22,8 @@ from mistray.metrics.views import seen_unpolarized
 from mistray.notes import warns
 from mistray.ranges import EDGE_WIDTH as ZONE
 from mistray.recorders.sampled import batch_error
+from mistray.result import KeyNumber, Result
+from mistray.scene.titles import scene_name
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import OPAQUE, TABLED
 
@@ -29,8 +31,10 @@ COATING_KINDS = ("coating", "share")
 OTHER_KINDS = ("scatter", "index", "source")
 
 
-@dataclass(frozen=True)
-class Gradient:
+@dataclass(frozen=True, repr=False)
+class Gradient(
+    Result, table="..toolkit.tables.gradients:gradient_table", figure="..toolkit.figures.gradients:gradient_figure"
+):
     """
     Value of a metric and its derivatives with respect to parameters.
 
@@ -73,6 +77,11 @@ class Gradient:
     one_sided: dict[str, OneSided]
     left_out: list[str]
     seconds: tuple[float, float]
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the value of the metric, and the number of derivatives that are not exactly 0."""
+        touched = sum(len(parts) for key, parts in self.gradient.items() if key not in self.untouched)
+        return {"value": Estimate(self.value, self.value_se), "derivatives": touched, "exactly 0": len(self.untouched)}
 
     @cached_property
     def gradient(self) -> dict[str, np.ndarray]:
@@ -246,9 +255,10 @@ def gradient(
     request = gradient_request(chosen.values(), edges, edge_width)
     found = gradient_where_smooth(metric, metric.observe(), chosen, request)
     found.left_out.extend(seen_unpolarized(metric.scene, metric.views))
-    if not found.full:
-        return found
-    return replace(found, one_sided=one_sided(metric, {key: at.step for key, at in found.full.items()}, chosen))
+    if found.full:
+        sides = one_sided(metric, {key: at.step for key, at in found.full.items()}, chosen)
+        found = replace(found, one_sided=sides)
+    return found.of_scene(scene_name(metric))
 
 
 def gradient_seen(

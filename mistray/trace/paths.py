@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.events import INTERCEPTS, LETTERS
 from mistray.execute.tracer import Run
 from mistray.ids import event_words
 from mistray.recorders.path_events import DIRECT, Events, describe_events, event_keys, way, way_letters, way_text
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, sum_of_runs
+from mistray.result import KeyNumber, Result
 from mistray.settings import BATCHES
 from mistray.trace.filter_rows import Rows
 from mistray.trace.named_paths import warn_unless_one
@@ -216,7 +218,12 @@ class LocatedPaths(NamedTuple):
         return self.ids[order][np.searchsorted(self.keys[order], keys)]
 
 
-class PathTable(Sequence[PathRow]):
+class PathTable(
+    Sequence[PathRow],
+    Result,
+    table="..toolkit.tables.traces:paths_table",
+    figure="..toolkit.figures.traces:paths_figure",
+):
     """
     Table of the paths from the sources to the detectors, the strongest first.
 
@@ -245,6 +252,11 @@ class PathTable(Sequence[PathRow]):
         self._numbers = numbers
         self._columns = {f.name: np.asarray(columns[f.name]) for f in fields(PathRow)}
         self.runs, self._run, self._place = list(runs), run, place
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of paths, the power of the stray ones, W, and the strongest path."""
+        found: dict[str, KeyNumber] = {"paths": len(self), "stray [W]": self.stray_W}
+        return found | ({"strongest": self[0].label} if len(self) else {})
 
     @overload
     def __getitem__(self, index: int) -> PathRow: ...
@@ -365,6 +377,11 @@ class PathTable(Sequence[PathRow]):
     def light(self, path_ids: Sequence[int] | np.ndarray) -> Sampled:
         """Return the total power of some paths, W, with its noise by batch, which correlates it to other numbers."""
         return self._numbers.light[np.asarray(path_ids, dtype=np.int64)].total()
+
+    @property
+    def stray_W(self) -> Estimate:
+        """Power of all paths but the direct ones, W."""
+        return Estimate(*self.light(self.ids(direct=False)).whole)
 
     def numbers(self, groups: Sequence[Sequence[int]]) -> PathNumbers:
         """
@@ -533,8 +550,7 @@ class PathTable(Sequence[PathRow]):
                 f"{row.rms_radius_mm:>10.4g} {row.kind:<20} {row.label}"
             )
         more = self._columns["percent"][ROWS_PRINTED:]
-        if len(more):
-            lines.append(f"… and {len(more)} more, together {more.sum():.4g} % of all")
+        lines += [f"… and {len(more)} more, together {more.sum():.4g} % of all"] if len(more) else []
         return "\n".join(lines)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.tracer import Run, irradiance_of_runs
 from mistray.gradients.run_gradient import run_gradient
@@ -22,6 +23,7 @@ from mistray.recorders.flux_maps.surface_maps import AZIMUTHS, LENGTHS, SurfaceM
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
+from mistray.result import KeyNumber, Result
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.trace.elsewhere import light_maps, rays_elsewhere
@@ -31,7 +33,6 @@ from mistray.trace.path_filter import PathFilter
 from mistray.trace.path_images import path_images
 from mistray.trace.paths import PathTable, path_table
 from mistray.trace.photometry import illuminance, luminous_flux
-from mistray.trace.polarization_choice import words_of
 from mistray.trace.ray_table import check_box, ray_table
 from mistray.trace.reliability import aimed_surfaces, silent_places, trace_notes, undeclared_images
 from mistray.trace.sampled_hits import LightCone, SampledHits, light_cones, sampled_hits
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-class Trace:
+class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolkit.figures.traces:trace_figure"):
     """
     Result of `mistray.trace`: irradiance, paths, energy ledger and flux at surfaces, with standard errors.
 
@@ -188,7 +189,7 @@ class Trace:
             return self
         tables = {id(run.table): run.table.on(number) for run in self.runs}  # sources of one wavelength share a table
         runs = [run.on(number, tables[id(run.table)]) for run in self.runs]
-        return Trace(runs, self.settings | {"detector": detector}, self.task)
+        return Trace(runs, self.settings | {"detector": detector}, self.task).of_scene(self.scene_name)
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
@@ -578,11 +579,14 @@ class Trace:
             raw.seconds = time.perf_counter() - started
             yield raw
 
-    def __repr__(self) -> str:
-        count = f"{len(self.paths)} paths" if self.has_paths else "no ledger"
-        detected = f"detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W"
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the detected and the stray flux, W, and the number of paths; also what is lost if all is dark."""
+        found: dict[str, KeyNumber] = {}
         if self.rays_traced != self.rays_planned:
-            count = f"unfinished: {self.rays_traced} of {self.rays_planned} rays, {count}"
+            found["unfinished"] = f"{self.rays_traced} of {self.rays_planned} rays"
+        found["detected [W]"] = Estimate(self.energy.detected_W, self.energy.detected_se_W)
         if self.rays_traced and self.energy.detected_W == 0:
-            detected += f", {self.energy.greatest_loss}"
-        return f"Trace({count}, {self.segments:.3g} segments, {detected}, {words_of(self.settings)})"
+            found["lost"] = self.energy.greatest_loss
+        if not self.has_paths:
+            return found | {"paths": "not kept"}
+        return found | {"stray [W]": self.paths.stray_W, "paths": len(self.paths)}

@@ -39,6 +39,7 @@ from mistray.metrics.ranking import DirectImage, bounds, direct_image, ranked
 from mistray.notes import Note
 from mistray.recorders.film import Pixels
 from mistray.recorders.path_events import DIRECT
+from mistray.result import KeyNumber, Result
 from mistray.toolkit.irradiance import MapStatistics, brightest, statistics
 from mistray.trace import Trace
 from mistray.trace.sampled_hits import LightCone
@@ -50,7 +51,12 @@ T = TypeVar("T")
 Polyline = npt.NDArray[np.float64]
 
 
-class GhostReport(Mapping[float, Trace]):
+class GhostReport(
+    Mapping[float, Trace],
+    Result,
+    table=".tables.ghosts:field_table",
+    figure=".figures.ghost_images:levels_against_field",
+):
     """
     Result of `ghosts`: a mapping from field angle, degrees, to `Trace`, with tables and maps.
 
@@ -99,6 +105,16 @@ class GhostReport(Mapping[float, Trace]):
         self.nominal_trace = nominal_trace
         self.wavelengths_nm = list(nominal_trace.wavelengths_nm)
         self.nominal = direct_image(nominal_trace.paths)
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of fields, and the most stray light of a field, W and over the direct image on axis."""
+        stray = {field: t.paths.stray_W for field, t in self.items()}
+        found: dict[str, KeyNumber] = {"fields": len(self)}
+        if not stray:
+            return found
+        worst = max(stray, key=lambda field: stray[field].value)
+        over = stray[worst].over(self.nominal.power_W)
+        return found | {f"most stray at {worst:g}° [W]": stray[worst], "over the image on axis [1]": over}
 
     def __getitem__(self, field_deg: float) -> Trace:
         try:

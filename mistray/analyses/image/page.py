@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from mistray.analyses.image.request import ImageTables
-from mistray.analyses.image.result import ImageQuality
+from mistray.analyses.image.result import FieldImage, ImageQuality
 from mistray.files.json_values import plain
 from mistray.toolkit.pages.model import FigurePart, NotePart, Report, Section, Table, Value, columns
 from mistray.toolkit.pages.output import write_report
@@ -39,7 +39,7 @@ def frequencies_of(found: ImageQuality, shown: ImageTables) -> Sequence[float]:
     return found.default_frequencies() if shown.frequencies is None else shown.frequencies
 
 
-def quality_table(found: ImageQuality, shown: ImageTables) -> Table:
+def quality_table(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> Table:
     """Return the table of main results by field: spot, wavefront, Strehl ratio, MTF, illumination, distortion."""
     frequencies = frequencies_of(found, shown)
     heads = columns(
@@ -59,6 +59,16 @@ def quality_table(found: ImageQuality, shown: ImageTables) -> Table:
             f"{100 * image.relative_illumination:.2f}", _number(image.distortion_percent, "{:+.4f}"),
         ])  # fmt: skip
     return Table(heads, rows, "image_quality")
+
+
+def field_image_table(image: FieldImage) -> Table:
+    """Return the table of a field at each wavelength: weight, spot, wavefront and Strehl ratio."""
+    rows: list[list[Value]] = [
+        [f"{line.wavelength_nm:g}", f"{line.weight:.3g}", f"{line.rms_waves():.4f}", f"{line.pv_waves():.4f}",
+         _number(line.strehl, "{:.4f}")]
+        for line in image.lines
+    ]  # fmt: skip
+    return Table(columns("λ [nm]", "weight", "rms OPD [waves]", "PV OPD [waves]", "Strehl"), rows)
 
 
 def _number(value: float, form: str) -> str:
