@@ -21,6 +21,7 @@ from mistray.metrics.parameters import Parameter, match, parameters
 from mistray.metrics.views import seen_unpolarized
 from mistray.notes import warns
 from mistray.ranges import EDGE_WIDTH as ZONE
+from mistray.ranges import several
 from mistray.recorders.sampled import batch_error
 from mistray.result import KeyNumber, Result
 from mistray.scene.titles import scene_name
@@ -122,9 +123,9 @@ class Gradient(
     def _at_rims(self) -> dict[str, WidthErrors]:
         return {key: WidthErrors.of(sums) for key, sums in self.edge_batches.items()}
 
-    def require(self, keys: Iterable[str]) -> None:
+    def require(self, keys: str | Iterable[str]) -> None:
         """Raise `MistrayError` if a parameter has no derivative, because a beam just fills a rim that it moves."""
-        for key in keys:
+        for key in several(keys):
             if key in self.full:
                 raise MistrayError(
                     f"parameter '{key}' has no derivative, because a beam just fills {self.full[key].rim}; widen the "
@@ -136,13 +137,13 @@ class Gradient(
         """Keys of parameters whose derivatives are 0 in every batch: no ray depends on them."""
         return [key for key, parts in self.batches.items() if not np.any(parts)]
 
-    def covariance(self, keys: Iterable[str] | None = None) -> np.ndarray:
+    def covariance(self, keys: str | Iterable[str] | None = None) -> np.ndarray:
         """
         Return the covariance matrix of the derivatives, (n, n), with the entries of `keys` (None: all) in their order.
 
         It is that of the noise, with the biases of the edge width taken as fully correlated.
         """
-        chosen = list(self.gradient if keys is None else keys)
+        chosen = list(self.gradient if keys is None else several(keys))
         parts = np.concatenate([self.batches[key] for key in chosen], axis=1)
         apart = parts - parts.mean(axis=0)
         none = {key: np.zeros(parts.shape[1]) for key, parts in self.batches.items()}
@@ -215,7 +216,7 @@ INDEX_OF_SCATTER = "the change of what surfaces scatter with the index of the ma
 def gradient(
     metric: Metric,
     params: Mapping[str, Any],
-    keys: Iterable[str] | None = None,
+    keys: str | Iterable[str] | None = None,
     *,
     edges: bool = True,
     edge_width: float | None = None,
@@ -233,7 +234,7 @@ def gradient(
         Metric made by `mistray.metrics.metric`.
     params : mi.SceneParameters
         Parameters of ``mi.traverse(metric.scene)``, perhaps reduced by its `keep`.
-    keys : iterable of str, optional
+    keys : str or iterable of str, optional
         Keys of parameters or patterns such as ``"vane_*.r0"``; by default all in `params` that have a derivative.
     edges : bool
         Whether light that rays gain and lose at rims is included. Otherwise visibility counts as constant.
@@ -386,7 +387,9 @@ def _jumps(raw: TableGradient) -> bool:
     return bool(np.any(clear & np.array(tabled)))
 
 
-def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str] | None = None) -> dict[str, Parameter]:
+def chosen_parameters(
+    scene: Any, params: Mapping[str, Any], keys: str | Iterable[str] | None = None
+) -> dict[str, Parameter]:
     """
     Return the parameters that keys or patterns name; without keys all in `params` that have a derivative.
 

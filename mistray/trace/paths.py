@@ -16,6 +16,7 @@ from mistray.estimate import Estimate
 from mistray.events import INTERCEPTS, LETTERS
 from mistray.execute.tracer import Run
 from mistray.ids import event_words
+from mistray.ranges import several
 from mistray.recorders.path_events import DIRECT, Events, describe_events, event_keys, way, way_letters, way_text
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, sum_of_runs
@@ -282,9 +283,9 @@ class PathTable(
         columns = [[math.nan if value != value else value for value in column] for column in columns]
         return (PathRow(*values) for values in zip(*columns, strict=True))
 
-    def located(self, path_ids: Iterable[int] | None = None) -> list[LocatedPaths]:
+    def located(self, path_ids: int | Iterable[int] | None = None) -> list[LocatedPaths]:
         """Return the paths of these ids (None: all) for each run; raise `MistrayError` for an unknown id."""
-        ids = np.arange(len(self)) if path_ids is None else np.array(list(path_ids), dtype=np.int64)
+        ids = np.arange(len(self)) if path_ids is None else np.array(several(path_ids), dtype=np.int64)
         for path_id in ids[(ids < 0) | (ids >= len(self))]:
             raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
         owns = (ids[self._run[ids] == number] for number in range(len(self.runs)))
@@ -356,15 +357,14 @@ class PathTable(
         """Return an attribute of `PathRow` for all paths, (p,)."""
         return self._columns[name]
 
-    def power(self, path_ids: Sequence[int] | np.ndarray) -> tuple[float, float]:
+    def power(self, path_ids: int | Sequence[int] | np.ndarray) -> tuple[float, float]:
         """
         Return the total power of some paths and its standard error, W.
 
         The error of the sum over the paths of a run comes from the spread of its batches of start rays, and so it
         includes the correlation of paths.
         """
-        by_batch = [own.sums[:, :, ABSORBED].sum(axis=0) for own in self.located(path_ids)]
-        _, se = sum_of_runs(by_batch, self.runs)
+        _, se = sum_of_runs([own.sums[:, :, ABSORBED].sum(axis=0) for own in self.located(path_ids)], self.runs)
         return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
@@ -374,9 +374,9 @@ class PathTable(
             chosen &= self._columns["wavelength_nm"] == wavelength_nm
         return np.flatnonzero(chosen)
 
-    def light(self, path_ids: Sequence[int] | np.ndarray) -> Sampled:
+    def light(self, path_ids: int | Sequence[int] | np.ndarray) -> Sampled:
         """Return the total power of some paths, W, with its noise by batch, which correlates it to other numbers."""
-        return self._numbers.light[np.asarray(path_ids, dtype=np.int64)].total()
+        return self._numbers.light[np.atleast_1d(np.asarray(path_ids, dtype=np.int64))].total()
 
     @property
     def stray_W(self) -> Estimate:

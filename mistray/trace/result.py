@@ -18,6 +18,7 @@ from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.messages import fewer_rays
 from mistray.notes import Note
+from mistray.ranges import several
 from mistray.recorders.film import Pixels
 from mistray.recorders.flux_maps.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
@@ -303,13 +304,13 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         """Return the flux at every surface, W, at one of the wavelengths of the trace, nm."""
         return flux_report(self._runs_at(wavelength_nm))
 
-    def irradiance_of(self, path_ids: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    def irradiance_of(self, path_ids: int | Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the irradiance of some paths together, by tracing the same rays again.
 
         Parameters
         ----------
-        path_ids : sequence of int
+        path_ids : int or sequence of int
             Ids of paths in the path table.
 
         Returns
@@ -346,13 +347,13 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         filters = [PathFilter(text) for text in ([selections] if isinstance(selections, str) else selections)]
         return light_maps(self.runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
 
-    def maps(self, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
+    def maps(self, groups: Sequence[int | Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """
         Return an irradiance map for each of several disjoint groups of paths, by tracing the same rays once more.
 
         Parameters
         ----------
-        groups : sequence of sequences of int
+        groups : sequence of int or of sequences of int
             Path ids; a path may be in one group only.
 
         Returns
@@ -362,13 +363,13 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         """
         return [found.with_se for found in self.each_map(groups, [True] * len(groups))]
 
-    def each_map(self, groups: Sequence[Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Pixels]:
+    def each_map(self, groups: Sequence[int | Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Pixels]:
         """
         Yield the irradiance maps of disjoint groups of paths one by one, by tracing the same rays once more.
 
         Parameters
         ----------
-        groups : sequence of sequences of int
+        groups : sequence of int or of sequences of int
             Path ids; a path may be in one group only.
         with_noise : sequence of bool
             Which maps have their noise computed; that of the others is NaN. During the sum a pixel of a map takes
@@ -411,7 +412,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         """
         return path_history(self.paths, path_id, n)
 
-    def sampled_rays(self, path_ids: Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
+    def sampled_rays(self, path_ids: int | Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
         """
         Return rays of many paths, found by tracing a sample of the start rays again that is spread over the beam.
 
@@ -419,7 +420,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
         Parameters
         ----------
-        path_ids : sequence of int
+        path_ids : int or sequence of int
             Ids of paths in the path table.
         n : int
             Largest number of rays of each path.
@@ -429,15 +430,15 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         dict
             Rays by path; none of a path that no ray of the sample follows. When the time is up the sample is smaller.
         """
-        return sample_rays(self.paths, path_ids, n)
+        return sample_rays(self.paths, several(path_ids), n)
 
-    def light_cones(self, path_ids: Sequence[int]) -> dict[int, LightCone]:
+    def light_cones(self, path_ids: int | Sequence[int]) -> dict[int, LightCone]:
         """
         Return the cone in which the light of each path comes to the detector, by tracing a sample of rays again.
 
         Parameters
         ----------
-        path_ids : sequence of int
+        path_ids : int or sequence of int
             Ids of paths in the path table.
 
         Returns
@@ -445,7 +446,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         dict
             Light cones by path; none of a path that is too rare to occur twice in the sample.
         """
-        return light_cones(self.paths, path_ids)
+        return light_cones(self.paths, several(path_ids))
 
     def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[SampledHits]:
         """

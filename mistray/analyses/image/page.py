@@ -13,6 +13,7 @@ import pandas as pd
 from mistray.analyses.image.request import ImageTables
 from mistray.analyses.image.result import FieldImage, ImageQuality
 from mistray.files.json_values import plain
+from mistray.ranges import several
 from mistray.toolkit.pages.model import FigurePart, NotePart, Report, Section, Table, Value, columns
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms
@@ -168,9 +169,12 @@ def page(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES, title: str = 
 
 
 def write(
-    found: ImageQuality, directory: str | Path, frequencies: Sequence[float] | None = None, title: str = "scene",
+    found: ImageQuality,
+    directory: str | Path,
+    frequencies: float | Sequence[float] | None = None,
+    title: str = "scene",
     command: str = "",
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """
     Write tables, pictures, image_quality.json and report.html into a directory, see `write_report`.
 
@@ -180,11 +184,11 @@ def write(
     return write_report(page(found, _tables(frequencies), title, command), directory)
 
 
-def _tables(frequencies: Sequence[float] | None) -> ImageTables:
-    return ImageTables(None if frequencies is None else tuple(frequencies))
+def _tables(frequencies: float | Sequence[float] | None) -> ImageTables:
+    return ImageTables(None if frequencies is None else tuple(several(frequencies)))
 
 
-def quality_text(found: ImageQuality, frequencies: Sequence[float]) -> str:
+def quality_text(found: ImageQuality, frequencies: float | Sequence[float]) -> str:
     """Return `text` with the MTF at given spatial frequencies, 1/mm."""
     return text(found, _tables(frequencies))
 

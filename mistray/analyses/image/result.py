@@ -16,7 +16,7 @@ from mistray.errors import MistrayError
 from mistray.physics.imaging.ideal import airy_diameter
 from mistray.physics.imaging.pupil import PEAK_POINTS, PEAK_ZOOMS, Pupil
 from mistray.physics.imaging.zernike_fit import ZernikeFit, fit_zernikes
-from mistray.ranges import POSITIVE, SHARE, Range
+from mistray.ranges import POSITIVE, SHARE, Range, several
 from mistray.result import KeyNumber, Result
 from mistray.toolkit.tables.frames import row_of
 
@@ -524,17 +524,17 @@ class ImageQuality(OfFields[FieldImage], Result, table=".page:quality_table", fi
         cut = self.fields[0].cut_off_per_mm("sagittal")
         return [float(f"{share * cut:.2g}") for share in (0.125, 0.25, 0.5)]
 
-    def to_pandas(self, frequencies_per_mm: Sequence[float] | None = None) -> pd.DataFrame:
+    def to_pandas(self, frequencies_per_mm: float | Sequence[float] | None = None) -> pd.DataFrame:
         """
         Return a table with a row for each field, all wavelengths together.
 
         Parameters
         ----------
-        frequencies_per_mm : sequence of float, optional
+        frequencies_per_mm : float or sequence of float, optional
             Frequencies of the columns ``mtf_tangential_…_per_mm`` and ``mtf_sagittal_…_per_mm``, 1/mm; by default three
             below the cut-off.
         """
-        frequencies = self.default_frequencies() if frequencies_per_mm is None else list(frequencies_per_mm)
+        frequencies = self.default_frequencies() if frequencies_per_mm is None else several(frequencies_per_mm)
         rows = []
         for image in self:
             row: dict[str, Any] = {
