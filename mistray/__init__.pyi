@@ -51,6 +51,7 @@ from mistray.prescription import Surface as Surface
 from mistray.report import StepExport as StepExport
 from mistray.report import View as View
 from mistray.report import export_step as export_step
+from mistray.report import load_result as load_result
 from mistray.report import view as view
 from mistray.scene import coat as coat
 from mistray.scene import load as load
@@ -99,6 +100,7 @@ __all__ = [
     "gradient",
     "image_quality",
     "load",
+    "load_result",
     "materials",
     "mechanics",
     "objects",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib.util import resolve_name
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from mistray.estimate import Estimate
@@ -80,3 +81,26 @@ class Result:
         from mistray.toolkit.summary import plotted
 
         return plotted(self, title)
+
+    def save(self, path: str | Path) -> Path:
+        """
+        Write the result to one file, an archive of JSON and NumPy arrays, which `mistray.load_result` loads.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write, such as ``"thermal.zip"``. An existing file is replaced; it stays on an error.
+
+        Returns
+        -------
+        Path
+            File written.
+
+        Raises
+        ------
+        MistrayError
+            If the result holds rays or a scene, as a `Trace` does, or the file cannot be written.
+        """
+        from mistray.toolkit.saved_result import save_result
+
+        return save_result(self, path)

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
+import json
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
+import pandas as pd
 
 import mistray
 from mistray import analysis, optimize, report, sweeps
+from mistray.execute.pickles import Missing
+from mistray.execute.tracer import Run
+from mistray.gradients.pst_gradient import PstRays
 from mistray.metrics.metric import Metric
 from mistray.scatter.abg import ABg
 from mistray.scatter.k_correlation import KCorrelation
+from mistray.surfaces.surfaces import SurfaceTable
 
 load = mistray.load
 X = np.arange(3.0)
+PROCESS = mi.Scene | mi.Object | Run | SurfaceTable | PstRays | Missing  # compared by what they trace
 
 
 def coated_metric() -> Metric:
@@ -75,3 +84,27 @@ LONG = {
     "mistray.sweeps.rank_edits",
     "mistray.sweeps.sweep_pst",
 }
+
+
+def data(value: Any, place: str = "", within: tuple[int, ...] = ()) -> Iterator[tuple[str, Any]]:
+    """All numbers and texts in an object with their places, but for what belongs to the process."""
+    if id(value) in within:
+        return
+    within = (*within, id(value))
+    if isinstance(value, pd.DataFrame | pd.Series):
+        yield place, value.to_csv()
+    elif isinstance(value, np.ndarray) and value.dtype != object:
+        yield place, (value.shape, value.tobytes())
+    elif isinstance(value, Mapping | list | tuple | set | frozenset | np.ndarray):
+        items = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for key, item in items:
+            yield from data(item, f"{place}[{key if isinstance(key, str | int | float) else type(key)}]", within)
+    elif value is None or isinstance(value, PROCESS) or dr.is_array_v(value):
+        yield place, None
+    elif hasattr(value, "to_plotly_json"):
+        yield place, json.loads(value.to_json())
+    elif hasattr(value, "__dict__") and not isinstance(value, type) and not inspect.isroutine(value):
+        for name, item in vars(value).items():
+            yield from data(item, f"{place}.{name}", within)
+    else:
+        yield place, repr(value)

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import inspect
-import json
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
 import stubs
 from refusals import refused
-from result_calls import CALLS, LONG
+from result_calls import CALLS, LONG, data
 from workers_here import assert_same
 
 import mistray
@@ -26,10 +23,6 @@ from mistray import recorders
 from mistray.analyses.ghosts.page import record as ghosts
 from mistray.analyses.objects import page as objects
 from mistray.analyses.study import page as study
-from mistray.execute.pickles import Missing
-from mistray.execute.tracer import Run
-from mistray.gradients.pst_gradient import PstRays
-from mistray.surfaces.surfaces import SurfaceTable
 
 load = mistray.load
 long = pytest.mark.long
@@ -40,35 +33,10 @@ RECORDS: dict[str, Callable[[Any], Any]] = {
     "mistray.analysis.objects": objects.record,
     "mistray.analysis.study": study.record,
 }
-PROCESS = mi.Scene | mi.Object | Run | SurfaceTable | PstRays | Missing  # compared by what they trace
 
 
 def again(result: Any) -> Any:
     return pickle.loads(pickle.dumps(result))
-
-
-def data(value: Any, place: str = "", within: tuple[int, ...] = ()) -> Iterator[tuple[str, Any]]:
-    """All numbers and texts in an object with their places, but for what belongs to the process."""
-    if id(value) in within:
-        return
-    within = (*within, id(value))
-    if isinstance(value, pd.DataFrame | pd.Series):
-        yield place, value.to_csv()
-    elif isinstance(value, np.ndarray) and value.dtype != object:
-        yield place, (value.shape, value.tobytes())
-    elif isinstance(value, Mapping | list | tuple | set | frozenset | np.ndarray):
-        items = value.items() if isinstance(value, Mapping) else enumerate(value)
-        for key, item in items:
-            yield from data(item, f"{place}[{key if isinstance(key, str | int | float) else type(key)}]", within)
-    elif value is None or isinstance(value, PROCESS) or dr.is_array_v(value):
-        yield place, None
-    elif hasattr(value, "to_plotly_json"):
-        yield place, json.loads(value.to_json())
-    elif hasattr(value, "__dict__") and not isinstance(value, type) and not inspect.isroutine(value):
-        for name, item in vars(value).items():
-            yield from data(item, f"{place}.{name}", within)
-    else:
-        yield place, repr(value)
 
 
 @pytest.mark.core
