@@ -8,6 +8,7 @@ from typing import Any
 
 import mitsuba as mi
 
+from mistray.errors import MistrayError
 from mistray.scene.load import find
 from mistray.scene.source import file_of
 
@@ -27,7 +28,10 @@ def scene_name(source: Any) -> str:
         Loaded scene, scene file, shipped scene, or an object that has a scene, such as a metric.
     """
     if isinstance(source, str | Path | ModuleType):
-        return title_of_file(find(source).resolve())
+        try:
+            return title_of_file(find(source).resolve())
+        except MistrayError:  # the file has gone since
+            return ""
     scene = source if isinstance(source, mi.Scene) else getattr(source, "scene", None)
     file = file_of(scene) if isinstance(scene, mi.Scene) else None
     return title_of_file(file) if file is not None else ""

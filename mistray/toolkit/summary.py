@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 MOST_LETTERS = 120  # of the line
 MOST_OF_NAME = 32  # of the name of the scene in it
 MOST_ROWS = 10  # of the table
-COLOUR_BAR = "<colorbar>"  # label that Matplotlib gives to its axes
 
 
 def one_line(result: Result) -> str:
@@ -128,11 +127,7 @@ def _function(result: Result, what: str) -> Any:
 
 def plotted(result: Result, title: str = "") -> Axes | tuple[Axes, ...]:
     """Draw the figure of a result as a new one of pyplot, and return the axes of its panels."""
-    import matplotlib.pyplot as plt
-
     if not has_figure(result):
         raise MistrayError(f"{type(result).__name__} has no figure; use its numbers, see help({type(result).__name__})")
-    drawn = main_figure(result, title or result.scene_name)
-    plt.figure(FigureClass=lambda *_, **__: drawn)  # type: ignore[arg-type]  # a function that returns a figure
-    panels = tuple(axes for axes in drawn.axes if axes.get_label() != COLOUR_BAR)
+    panels = main_figure(result, title or result.scene_name).in_pyplot()
     return panels[0] if len(panels) == 1 else panels
