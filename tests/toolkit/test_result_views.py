@@ -29,6 +29,7 @@ OTHERS = {
     "DesignStudy": "is an input",
 }
 NO_FIGURE = {"StepExport", "SurfaceTransfer", "LineImage"}  # nothing of them is drawn
+DRAWN_LONG = LONG | {"mistray.analysis.ghosts", "mistray.analysis.pst", "mistray.analysis.transfer"}
 VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
 
 
@@ -132,7 +133,7 @@ def check(result: Result) -> None:
 
 
 @pytest.mark.usefixtures("folder", "plots")
-@pytest.mark.parametrize("name", [pytest.param(name, marks=long if name in LONG else ()) for name in CALLS])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=long if name in DRAWN_LONG else ()) for name in CALLS])
 def test_a_result_of_every_function(name: str) -> None:
     result = CALLS[name]()
     if isinstance(result, Result):
@@ -142,6 +143,7 @@ def test_a_result_of_every_function(name: str) -> None:
             check(part[0] if isinstance(part, tuple) else part)
 
 
+@long
 @pytest.mark.usefixtures("folder", "plots")
 def test_parts_of_a_trace() -> None:
     t = mistray.trace(mistray.load("coated.xml"), rays=64)

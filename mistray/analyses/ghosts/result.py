@@ -114,8 +114,12 @@ class GhostReport(
         if not stray:
             return found
         worst = max(stray, key=lambda field: stray[field].value)
-        over = stray[worst].over(self.nominal.power_W)
-        return found | {f"most stray at {worst:g}° [W]": stray[worst], "over the image on axis [1]": over}
+        paths = self[worst].paths
+        over = self.nominal.dividing(paths.light(paths.ids(direct=False)), "light")  # of rays that they share
+        return found | {
+            f"most stray at {worst:g}° [W]": stray[worst],
+            "over the image on axis [1]": Estimate(*over.whole),
+        }
 
     def __getitem__(self, field_deg: float) -> Trace:
         try:
