@@ -39,7 +39,7 @@ _HOMES = {
     "mistray.explore": ("Explorer",),
     "mistray.optimize": ("Metric", "gradient", "sensitivity"),
     "mistray.prescription": ("Coating", "Detector", "Prescription", "Scatter", "Source", "Structure", "Surface"),
-    "mistray.report": ("StepExport", "View", "export_step", "view"),
+    "mistray.report": ("StepExport", "View", "export_step", "load_result", "view"),
     "mistray.scene": ("coat", "load"),
     "mistray.sweeps": ("Sweep", "sweep"),
     "mistray.trace": ("Trace", "trace"),
@@ -51,6 +51,7 @@ _MODULES = (
 _homes = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = ["MistrayError", "MistrayWarning", "UnfinishedError", "ensure_variant", "set_threads", *_MODULES, *_homes]
+__all__ += ["__version__"]  # looked up on first use, which takes as long as all of `mistray --help`
 __all__.sort()
 
 
@@ -64,6 +65,8 @@ def _bind() -> None:
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'mistray' has no attribute '{name}'")
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("mistray")
     _bind()
     if name in _MODULES:
         return importlib.import_module(f"mistray.{name}")

@@ -51,6 +51,7 @@ from mistray.prescription import Surface as Surface
 from mistray.report import StepExport as StepExport
 from mistray.report import View as View
 from mistray.report import export_step as export_step
+from mistray.report import load_result as load_result
 from mistray.report import view as view
 from mistray.scene import coat as coat
 from mistray.scene import load as load
@@ -59,6 +60,7 @@ from mistray.sweeps import sweep as sweep
 from mistray.trace import Trace as Trace
 from mistray.trace import trace as trace
 
+__version__: str
 scenes: ModuleType
 
 __all__ = [
@@ -86,6 +88,7 @@ __all__ = [
     "Transfer",
     "UnfinishedError",
     "View",
+    "__version__",
     "analysis",
     "coat",
     "coatings",
@@ -97,6 +100,7 @@ __all__ = [
     "gradient",
     "image_quality",
     "load",
+    "load_result",
     "materials",
     "mechanics",
     "objects",

@@ -12,7 +12,7 @@ import dataclasses
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Number
 from typing import Any
@@ -20,6 +20,12 @@ from typing import Any
 from mistray.errors import MistrayError, nearest
 
 _KEY, _DOC = "range", "doc"
+
+
+def several(given: Any) -> list[Any]:
+    """Return the items of an argument that takes one of them or several; a text is one."""
+    one = isinstance(given, str) or not isinstance(given, Iterable) or getattr(given, "ndim", 1) == 0
+    return [given] if one else list(given)
 
 
 class Demand:

@@ -32,6 +32,7 @@ __all__ = lazy_package(
         "mistray.analyses.ghosts.figures.ghost_images": ("ghost_image", "levels_against_field", "montage"),
         "mistray.toolkit.pages.formats": ("write_formats",),
         "mistray.toolkit.pages.output": ("writable_directory",),
+        "mistray.toolkit.saved_result": ("load_result",),
         "mistray.toolkit.pages.own_sections": ("remove_section",),
         "mistray.toolkit.tables.text": ("with_error",),
     },

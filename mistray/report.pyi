@@ -51,6 +51,7 @@ from mistray.toolkit.drawings.path_rays import rays_of_paths as rays_of_paths
 from mistray.toolkit.pages.formats import write_formats as write_formats
 from mistray.toolkit.pages.output import writable_directory as writable_directory
 from mistray.toolkit.pages.own_sections import remove_section as remove_section
+from mistray.toolkit.saved_result import load_result as load_result
 from mistray.toolkit.tables.text import with_error as with_error
 from mistray.trace import Trace
 
@@ -70,6 +71,7 @@ __all__ = [
     "layout",
     "layout_figure",
     "levels_against_field",
+    "load_result",
     "main_table",
     "montage",
     "objects_layout",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import signal
+import sys
 from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -97,6 +98,14 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         del os.environ["MISTRAY_CACHE"]
     else:
         os.environ["MISTRAY_CACHE"] = before
+
+
+@pytest.fixture(autouse=True)
+def own_scatter_models() -> None:
+    """Scatter models that other tests and pages have made in this process are none of a test's."""
+    if kinds := sys.modules.get("mistray.scatter.kinds"):
+        for name in set(kinds._known).difference(kinds.OWN_KINDS):
+            del kinds._known[name]
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -17,8 +17,8 @@ ROOT = Path(__file__).parents[1]
 
 # From the ground up, side by side where a stroke stands: a module imports from its own layer and those before it
 GROUND_UP = """
-    errors events ids percent estimate notes ranges param known_arguments named_values settings light messages _lazy
-    time_budget supervisor interrupts read_file replace_file replace_folder files cache _libatomic _llvm
+    errors events ids percent estimate result notes ranges param known_arguments named_values settings light messages
+    _lazy time_budget supervisor interrupts read_file replace_file replace_folder files cache _libatomic _llvm
     _mitsuba_compat entry_points _variant
     physics|materials|coatings spectra scatter prescription io mechanics scene surfaces recorders kernel sampling
     execute gradients trace metrics cluster toolkit analyses analysis|optimize|sweeps|report|explore cli
@@ -46,6 +46,7 @@ NO_MITSUBA = {
 LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
 # (importing layer, imported layer): upward imports inside a function, each with its reason.
 LAZY = {
+    ("result", "toolkit"): "a result is shown by the tables and figures of reports",
     ("prescription", "io"): "mistray.prescription.from_zemax and its like name readers of mistray.io",
     ("prescription", "scene"): "Prescription.to_scene() is a shorthand for mistray.scene.load",
 }

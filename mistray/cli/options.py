@@ -65,8 +65,9 @@ class Options(argparse.Namespace):
     @property
     def title(self) -> str:
         """Name of the scene for titles: that of its file, or of its folder if the file is called scene.xml."""
-        path = Path(self.scene).resolve()
-        return as_text(path.parent.name if path.name == "scene.xml" else path.stem)
+        from mistray.scene.titles import title_of_file
+
+        return as_text(title_of_file(Path(self.scene).resolve()))
 
     def seconds_left(self, page_s: float = PAGE_S) -> float | None:
         """

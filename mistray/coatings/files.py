@@ -19,6 +19,7 @@ from mistray.coatings.table import CoatingTable
 from mistray.coatings.zemax_coating_dat import read_coating_file
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
+from mistray.ranges import several
 from mistray.replace_file import replace_file
 
 _ZEMAX = re.compile(r"(.*\.dat):(.+)", re.IGNORECASE)
@@ -90,8 +91,8 @@ def coating_from_text(text: str, design_nm: float = 550.0) -> CoatingModel:
 def write_table(
     coating: CoatingModel,
     path: str | Path,
-    wavelengths_nm: Sequence[float],
-    angles_deg: Sequence[float],
+    wavelengths_nm: float | Sequence[float],
+    angles_deg: float | Sequence[float],
     front: str = "air",
     back: str = "1.5168",
 ) -> None:
@@ -104,9 +105,9 @@ def write_table(
         Coating to evaluate.
     path : str or Path
         File to write. An existing file is replaced; it stays on an error.
-    wavelengths_nm : sequence of float
+    wavelengths_nm : float or sequence of float
         Vacuum wavelengths, nm.
-    angles_deg : sequence of float
+    angles_deg : float or sequence of float
         Angles of incidence in the material of lower index, degrees, for light from either side. If one material is a
         metal, they are angles in the other, and the table is that of an opaque surface.
     front, back : str
@@ -117,6 +118,7 @@ def write_table(
     MistrayError
         If a material is unknown at a wavelength, or the file cannot be written.
     """
+    wavelengths_nm, angles_deg = several(wavelengths_nm), several(angles_deg)
     seen = {
         side: spectrum(coating, wavelengths_nm, angles_deg, front, back, side == "front", rarer=True)
         for side, material in (("front", front), ("back", back))

@@ -17,13 +17,14 @@ from mistray.materials import complex_index, refractive_index
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Prescription
 from mistray.prescription.sequential.table import Row, Sequential
+from mistray.ranges import several
 
 _SAME_INDEX = 2e-6
 _EXPECTED = ("coatings without a name", "structure", "the stop is")  # notes about files, and about no loss
 _APERTURES = {"entrance_pupil_diameter": "EPD", "object_na": "objectNA"}
 
 
-def to_optiland(prescription: Prescription, field_deg: Sequence[float] | None = None) -> Any:
+def to_optiland(prescription: Prescription, field_deg: float | Sequence[float] | None = None) -> Any:
     """
     Convert a prescription to an Optic of optiland, with its coatings and clear apertures.
 
@@ -32,7 +33,7 @@ def to_optiland(prescription: Prescription, field_deg: Sequence[float] | None = 
     prescription : Prescription
         Prescription with a detector, and with surfaces on one axis in the order of light: planes, conics and even
         aspheres.
-    field_deg : sequence of float, optional
+    field_deg : float or sequence of float, optional
         Field angles of the Optic along y, degrees. The default is the axis and the angle of the source. Not allowed for
         a near object.
 
@@ -77,7 +78,7 @@ def to_optiland(prescription: Prescription, field_deg: Sequence[float] | None = 
     optic.fields.set_type("angle" if lens.field_kind == "angle_deg" else "object_height")
     if field_deg is not None and lens.field_kind != "angle_deg":
         raise MistrayError(f"prescription '{lens.name}': field_deg is for distant objects; leave it out")
-    for x, y in lens.fields if field_deg is None else [(0.0, float(angle)) for angle in field_deg]:
+    for x, y in lens.fields if field_deg is None else [(0.0, float(angle)) for angle in several(field_deg)]:
         optic.fields.add(x=x, y=y)
     for place, (nm, weight) in enumerate(zip(lens.wavelengths_nm, lens.weights, strict=True)):
         optic.wavelengths.add(value=nm / 1e3, is_primary=place == lens.primary, weight=weight)

@@ -21,7 +21,10 @@ from mistray.metrics.parameters import Parameter, match, parameters
 from mistray.metrics.views import seen_unpolarized
 from mistray.notes import warns
 from mistray.ranges import EDGE_WIDTH as ZONE
+from mistray.ranges import several
 from mistray.recorders.sampled import batch_error
+from mistray.result import KeyNumber, Result
+from mistray.scene.titles import scene_name
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import OPAQUE, TABLED
 
@@ -29,8 +32,10 @@ COATING_KINDS = ("coating", "share")
 OTHER_KINDS = ("scatter", "index", "source")
 
 
-@dataclass(frozen=True)
-class Gradient:
+@dataclass(frozen=True, repr=False)
+class Gradient(
+    Result, table="..toolkit.tables.gradients:gradient_table", figure="..toolkit.figures.gradients:gradient_figure"
+):
     """
     Value of a metric and its derivatives with respect to parameters.
 
@@ -74,6 +79,11 @@ class Gradient:
     left_out: list[str]
     seconds: tuple[float, float]
 
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the value of the metric, and the number of derivatives that are not exactly 0."""
+        touched = sum(len(parts) for key, parts in self.gradient.items() if key not in self.untouched)
+        return {"value": Estimate(self.value, self.value_se), "derivatives": touched, "exactly 0": len(self.untouched)}
+
     @cached_property
     def gradient(self) -> dict[str, np.ndarray]:
         """Derivatives of the metric, (entries,) float64, in its unit per unit of the parameter, by key."""
@@ -113,9 +123,9 @@ class Gradient:
     def _at_rims(self) -> dict[str, WidthErrors]:
         return {key: WidthErrors.of(sums) for key, sums in self.edge_batches.items()}
 
-    def require(self, keys: Iterable[str]) -> None:
+    def require(self, keys: str | Iterable[str]) -> None:
         """Raise `MistrayError` if a parameter has no derivative, because a beam just fills a rim that it moves."""
-        for key in keys:
+        for key in several(keys):
             if key in self.full:
                 raise MistrayError(
                     f"parameter '{key}' has no derivative, because a beam just fills {self.full[key].rim}; widen the "
@@ -127,13 +137,13 @@ class Gradient:
         """Keys of parameters whose derivatives are 0 in every batch: no ray depends on them."""
         return [key for key, parts in self.batches.items() if not np.any(parts)]
 
-    def covariance(self, keys: Iterable[str] | None = None) -> np.ndarray:
+    def covariance(self, keys: str | Iterable[str] | None = None) -> np.ndarray:
         """
         Return the covariance matrix of the derivatives, (n, n), with the entries of `keys` (None: all) in their order.
 
         It is that of the noise, with the biases of the edge width taken as fully correlated.
         """
-        chosen = list(self.gradient if keys is None else keys)
+        chosen = list(self.gradient if keys is None else several(keys))
         parts = np.concatenate([self.batches[key] for key in chosen], axis=1)
         apart = parts - parts.mean(axis=0)
         none = {key: np.zeros(parts.shape[1]) for key, parts in self.batches.items()}
@@ -206,7 +216,7 @@ INDEX_OF_SCATTER = "the change of what surfaces scatter with the index of the ma
 def gradient(
     metric: Metric,
     params: Mapping[str, Any],
-    keys: Iterable[str] | None = None,
+    keys: str | Iterable[str] | None = None,
     *,
     edges: bool = True,
     edge_width: float | None = None,
@@ -224,7 +234,7 @@ def gradient(
         Metric made by `mistray.metrics.metric`.
     params : mi.SceneParameters
         Parameters of ``mi.traverse(metric.scene)``, perhaps reduced by its `keep`.
-    keys : iterable of str, optional
+    keys : str or iterable of str, optional
         Keys of parameters or patterns such as ``"vane_*.r0"``; by default all in `params` that have a derivative.
     edges : bool
         Whether light that rays gain and lose at rims is included. Otherwise visibility counts as constant.
@@ -246,9 +256,10 @@ def gradient(
     request = gradient_request(chosen.values(), edges, edge_width)
     found = gradient_where_smooth(metric, metric.observe(), chosen, request)
     found.left_out.extend(seen_unpolarized(metric.scene, metric.views))
-    if not found.full:
-        return found
-    return replace(found, one_sided=one_sided(metric, {key: at.step for key, at in found.full.items()}, chosen))
+    if found.full:
+        sides = one_sided(metric, {key: at.step for key, at in found.full.items()}, chosen)
+        found = replace(found, one_sided=sides)
+    return found.of_scene(scene_name(metric))
 
 
 def gradient_seen(
@@ -376,7 +387,9 @@ def _jumps(raw: TableGradient) -> bool:
     return bool(np.any(clear & np.array(tabled)))
 
 
-def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str] | None = None) -> dict[str, Parameter]:
+def chosen_parameters(
+    scene: Any, params: Mapping[str, Any], keys: str | Iterable[str] | None = None
+) -> dict[str, Parameter]:
     """
     Return the parameters that keys or patterns name; without keys all in `params` that have a derivative.
 

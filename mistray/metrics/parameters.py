@@ -24,6 +24,7 @@ from mistray.gradients.coating_gradient import IDEAL_PARAMETERS, SHIFTS
 from mistray.gradients.geometry_gradient import shape_parameters
 from mistray.ids import fits
 from mistray.metrics.default_tolerances import About, about_bsdf, about_scatter, about_shape, about_source
+from mistray.ranges import several
 from mistray.surfaces.surfaces import solid_shapes
 
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index", "source")
@@ -121,7 +122,7 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
     return found
 
 
-def match(known: Mapping[str, Parameter], patterns: Iterable[str]) -> list[str]:
+def match(known: Mapping[str, Parameter], patterns: str | Iterable[str]) -> list[str]:
     """
     Return the keys that patterns match, in the order of the patterns, each once.
 
@@ -129,7 +130,7 @@ def match(known: Mapping[str, Parameter], patterns: Iterable[str]) -> list[str]:
     ----------
     known : mapping of str to Parameter
         Parameters of the scene, from `parameters`.
-    patterns : iterable of str
+    patterns : str or iterable of str
         Keys, or patterns with ``*``, ``?`` and ``[…]``.
 
     Raises
@@ -138,7 +139,7 @@ def match(known: Mapping[str, Parameter], patterns: Iterable[str]) -> list[str]:
         If a pattern matches nothing; the message offers the nearest keys.
     """
     found: dict[str, None] = {}
-    for pattern in patterns:
+    for pattern in several(patterns):
         keys = [pattern] if pattern in known else [key for key in known if fits(key, pattern)]
         if not keys:
             raise MistrayError(f"no parameter '{pattern}' with a derivative; {_nearest(known, pattern)}")

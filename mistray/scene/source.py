@@ -143,6 +143,12 @@ def remember(
         return
 
 
+def file_of(scene: mi.Scene) -> Path | None:
+    """Return the absolute path of the file that a scene was loaded from; None if it was a dict, or is not known."""
+    origin = _origin_of(scene)
+    return None if origin is None else origin.path
+
+
 def source_of(scene: mi.Scene) -> PackedScene | SceneDict:
     """
     Return the source of a scene, for another process: a file with its contents, or a dict.
@@ -152,13 +158,18 @@ def source_of(scene: mi.Scene) -> PackedScene | SceneDict:
     MistrayError
         If the scene was not loaded by `mistray.load`, or its files are gone.
     """
-    for owner in _owners(scene):
-        origin = getattr(owner, ATTRIBUTE, None)
-        if isinstance(origin, _Origin):
-            if origin.path is None:
-                return SceneDict(dict(origin.given), origin.sources, origin.sensors)
-            return replace(_packed(origin.path, origin.text), sources=origin.sources, sensors=origin.sensors)
+    origin = _origin_of(scene)
+    if origin is not None:
+        if origin.path is None:
+            return SceneDict(dict(origin.given), origin.sources, origin.sensors)
+        return replace(_packed(origin.path, origin.text), sources=origin.sources, sensors=origin.sensors)
     raise MistrayError("the scene's source is not known, so that it cannot travel; load it with mistray.load(path)")
+
+
+def _origin_of(scene: mi.Scene) -> _Origin | None:
+    """Return the arguments that a scene was loaded with; None if they are not known."""
+    origins = (getattr(owner, ATTRIBUTE, None) for owner in _owners(scene))
+    return next((one for one in origins if isinstance(one, _Origin)), None)
 
 
 def _owners(scene: mi.Scene) -> Iterator[Any]:

@@ -18,18 +18,20 @@ from mistray.errors import MistrayError
 from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.ranges import FINITE, POSITIVE, Demand, Each, OfType, Range, Words, demand_of, doc_of, type_of
+from mistray.result import Result
 from mistray.scene.check import require_scene
+from mistray.scene.titles import scene_name
 from mistray.toolkit.fields import FieldSubset, Several, flat_fields, from_flat
 
-Result = TypeVar("Result")
+Found = TypeVar("Found")
 # Of arguments that are no fields: type, and what it is called in messages
 _TYPES = {"Progress": (Callable, "a function"), "str | Path": (str | PathLike, "a path"), "str": (str, "text")}
 Declared = tuple[dataclasses.Field[Any], FieldSubset | None]
 
 
 def analysis(
-    name: str, request: type, run: Callable[..., Result], positional: Sequence[str] = ()
-) -> Callable[..., Result]:
+    name: str, request: type, run: Callable[..., Found], positional: Sequence[str] = ()
+) -> Callable[..., Found]:
     """
     Return the function of an analysis for users, with keywords instead of a request.
 
@@ -56,7 +58,7 @@ def analysis(
     signature = inspect.Signature(arguments, return_annotation=inspect.signature(run).return_annotation)
     known = [parameter for parameter in signature.parameters if parameter != subject.name]
 
-    def call(*args: Any, **keywords: Any) -> Result:
+    def call(*args: Any, **keywords: Any) -> Found:
         if loaded and (args or "scene" in keywords):
             require_scene(args[0] if args else keywords["scene"], name)
         try:
@@ -66,7 +68,10 @@ def analysis(
         own = {parameter.name: given[parameter.name] for parameter in further if parameter.name in given}
         for parameter in (subject, *further):
             _check_type(parameter, given.get(parameter.name), vars(sys.modules[run.__module__]))
-        return run(given[subject.name], request(**from_flat(request, given)), **own)
+        found = run(given[subject.name], request(**from_flat(request, given)), **own)
+        if isinstance(found, Result):
+            found.of_scene(scene_name(given[subject.name]))
+        return found
 
     call.__name__ = call.__qualname__ = name
     call.__module__ = run.__module__

@@ -29,6 +29,9 @@ __all__ = [
 
 register()
 
+# `mistray.trace` is the function, not this package: what docstrings call mistray.trace.Settings is found on it, too
+vars(trace).update({name: globals()[name] for name in __all__ if name != "trace"})
+
 
 def __dir__() -> list[str]:
     return sorted(__all__)

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mistray.estimate import Estimate
 from mistray.execute.tracer import Run
 from mistray.recorders.sampled import sum_of_runs
 from mistray.recorders.tallies import ABSORBED_HERE, CUTS, ESCAPED, HITS, INCIDENT
+from mistray.result import KeyNumber, Result
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True)
-class Energy:
+@dataclass(frozen=True, repr=False)
+class Energy(Result, table="..toolkit.tables.traces:energy_table", figure="..toolkit.figures.traces:energy_figure"):
     """
     Energy ledger of a trace: where its flux went; all in W, ``_se`` are standard errors.
 
@@ -66,6 +68,11 @@ class Energy:
         return (
             self.detected_W + absorbed + self.escaped_W + sum(self.cut.values()) - self.launched_W
         ) / self.launched_W
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the launched and the detected flux, W, and the relative closure."""
+        detected = Estimate(self.detected_W, self.detected_se_W)
+        return {"launched [W]": self.launched_W, "detected [W]": detected, "closure": f"{self.closure:.1e}"}
 
     @property
     def greatest_loss(self) -> str:
@@ -132,7 +139,12 @@ class SurfaceFlux:
         return replace(self, **sums)
 
 
-class FluxReport(Sequence[SurfaceFlux]):
+class FluxReport(
+    Sequence[SurfaceFlux],
+    Result,
+    table="..toolkit.tables.traces:flux_table",
+    figure="..toolkit.figures.traces:flux_figure",
+):
     """Incident and absorbed flux, W, at every surface of the scene, in the scene's order."""
 
     def __init__(self, rows: Sequence[SurfaceFlux]) -> None:
@@ -143,6 +155,11 @@ class FluxReport(Sequence[SurfaceFlux]):
 
     def __len__(self) -> int:
         return len(self._rows)
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of surfaces, that of the hits, and the flux that surfaces absorb, W."""
+        absorbed = sum(row.absorbed_W for row in self)
+        return {"surfaces": len(self), "hits": sum(row.hits for row in self), "absorbed [W]": float(absorbed)}
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the report as a DataFrame: a row for each surface, a column for each attribute of `SurfaceFlux`."""

@@ -28,6 +28,7 @@ from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import FIRST_MISS, Tallies
 from mistray.sampling.sources import field_of, source_emitters
 from mistray.scene.check import require_scene
+from mistray.scene.titles import scene_name
 from mistray.settings import Settings
 from mistray.time_budget import is_limited, share, within
 from mistray.trace.polarization_choice import PolarizationChoice, chosen_polarization
@@ -393,7 +394,7 @@ def _result(
             "date": time.strftime("%Y-%m-%d %H:%M:%S"),
         },
         task,
-    )
+    ).of_scene(scene_name(scene))
 
     # At a field of the user's own choice no light on the detector is a result like others
     if not any(value is not None for value in field.values()) and found.rays_traced and found.energy.detected_W == 0:

@@ -13,6 +13,7 @@ from mistray.events import INTERCEPTS, kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
 from mistray.kernel.launches import GOLDEN
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
+from mistray.result import KeyNumber, Result
 from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
 from mistray.trace.host.retrace import retrace
@@ -55,7 +56,7 @@ class Ray(NamedTuple):
     flux_W: np.ndarray
 
 
-class RayHistory:
+class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..toolkit.figures.traces:rays_figure"):
     """Recorded rays of a run, event by event, as polylines and as a table."""
 
     def __init__(self, run: Run, rays: list[Ray]) -> None:
@@ -67,6 +68,11 @@ class RayHistory:
     def __getitem__(self, numbers: Sequence[int]) -> RayHistory:
         """Return a history of the rays with these indices only."""
         return RayHistory(self._run, [self._rays[number] for number in numbers])
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of rays, that of their nodes, and their wavelength, nm."""
+        nodes = sum(len(ray.points) for ray in self._rays)
+        return {"rays": len(self), "nodes": nodes, "wavelength [nm]": self._run.source.wavelength_nm}
 
     @property
     def rays(self) -> list[np.ndarray]:

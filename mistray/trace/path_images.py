@@ -12,12 +12,13 @@ from mistray.execute.by_parts import images_by_parts
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.tracer import irradiance_of_runs
 from mistray.execute.workers import current_workers
+from mistray.ranges import several
 from mistray.recorders.film import Pixels, image_word
 from mistray.trace.paths import PathTable
 
 
 def path_images(
-    table: PathTable, task: SceneTask | None, groups: Sequence[Sequence[int]], with_noise: Sequence[bool]
+    table: PathTable, task: SceneTask | None, groups: Sequence[int | Sequence[int]], with_noise: Sequence[bool]
 ) -> Iterator[Pixels]:
     """Yield the irradiance map of each group of paths, (height, width), W/mm², see `mistray.trace.Trace.each_map`."""
     counts = [len(table.runs[0].film) if noise else 1 for noise in with_noise]  # images of each map
@@ -25,7 +26,7 @@ def path_images(
     images: dict[int, int] = {}  # path → images of its map
     for number, group in enumerate(groups):
         word = image_word(first[number], with_noise[number])
-        for path_id in group:
+        for path_id in several(group):
             if images.setdefault(int(path_id), word) != word:
                 raise MistrayError(f"path_id {path_id} is in two groups; a path belongs to one map")
     of_runs = table.located(images)

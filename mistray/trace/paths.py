@@ -12,12 +12,15 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.events import INTERCEPTS, LETTERS
 from mistray.execute.tracer import Run
 from mistray.ids import event_words
+from mistray.ranges import several
 from mistray.recorders.path_events import DIRECT, Events, describe_events, event_keys, way, way_letters, way_text
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, sum_of_runs
+from mistray.result import KeyNumber, Result
 from mistray.settings import BATCHES
 from mistray.trace.filter_rows import Rows
 from mistray.trace.named_paths import warn_unless_one
@@ -216,7 +219,12 @@ class LocatedPaths(NamedTuple):
         return self.ids[order][np.searchsorted(self.keys[order], keys)]
 
 
-class PathTable(Sequence[PathRow]):
+class PathTable(
+    Sequence[PathRow],
+    Result,
+    table="..toolkit.tables.traces:paths_table",
+    figure="..toolkit.figures.traces:paths_figure",
+):
     """
     Table of the paths from the sources to the detectors, the strongest first.
 
@@ -246,6 +254,11 @@ class PathTable(Sequence[PathRow]):
         self._columns = {f.name: np.asarray(columns[f.name]) for f in fields(PathRow)}
         self.runs, self._run, self._place = list(runs), run, place
 
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of paths, the power of the stray ones, W, and the strongest path."""
+        found: dict[str, KeyNumber] = {"paths": len(self), "stray [W]": self.stray_W}
+        return found | ({"strongest": self[0].label} if len(self) else {})
+
     @overload
     def __getitem__(self, index: int) -> PathRow: ...
     @overload
@@ -270,9 +283,9 @@ class PathTable(Sequence[PathRow]):
         columns = [[math.nan if value != value else value for value in column] for column in columns]
         return (PathRow(*values) for values in zip(*columns, strict=True))
 
-    def located(self, path_ids: Iterable[int] | None = None) -> list[LocatedPaths]:
+    def located(self, path_ids: int | Iterable[int] | None = None) -> list[LocatedPaths]:
         """Return the paths of these ids (None: all) for each run; raise `MistrayError` for an unknown id."""
-        ids = np.arange(len(self)) if path_ids is None else np.array(list(path_ids), dtype=np.int64)
+        ids = np.arange(len(self)) if path_ids is None else np.array(several(path_ids), dtype=np.int64)
         for path_id in ids[(ids < 0) | (ids >= len(self))]:
             raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
         owns = (ids[self._run[ids] == number] for number in range(len(self.runs)))
@@ -344,15 +357,14 @@ class PathTable(Sequence[PathRow]):
         """Return an attribute of `PathRow` for all paths, (p,)."""
         return self._columns[name]
 
-    def power(self, path_ids: Sequence[int] | np.ndarray) -> tuple[float, float]:
+    def power(self, path_ids: int | Sequence[int] | np.ndarray) -> tuple[float, float]:
         """
         Return the total power of some paths and its standard error, W.
 
         The error of the sum over the paths of a run comes from the spread of its batches of start rays, and so it
         includes the correlation of paths.
         """
-        by_batch = [own.sums[:, :, ABSORBED].sum(axis=0) for own in self.located(path_ids)]
-        _, se = sum_of_runs(by_batch, self.runs)
+        _, se = sum_of_runs([own.sums[:, :, ABSORBED].sum(axis=0) for own in self.located(path_ids)], self.runs)
         return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
@@ -362,9 +374,14 @@ class PathTable(Sequence[PathRow]):
             chosen &= self._columns["wavelength_nm"] == wavelength_nm
         return np.flatnonzero(chosen)
 
-    def light(self, path_ids: Sequence[int] | np.ndarray) -> Sampled:
+    def light(self, path_ids: int | Sequence[int] | np.ndarray) -> Sampled:
         """Return the total power of some paths, W, with its noise by batch, which correlates it to other numbers."""
-        return self._numbers.light[np.asarray(path_ids, dtype=np.int64)].total()
+        return self._numbers.light[np.atleast_1d(np.asarray(path_ids, dtype=np.int64))].total()
+
+    @property
+    def stray_W(self) -> Estimate:
+        """Power of all paths but the direct ones, W."""
+        return Estimate(*self.light(self.ids(direct=False)).whole)
 
     def numbers(self, groups: Sequence[Sequence[int]]) -> PathNumbers:
         """
@@ -533,8 +550,7 @@ class PathTable(Sequence[PathRow]):
                 f"{row.rms_radius_mm:>10.4g} {row.kind:<20} {row.label}"
             )
         more = self._columns["percent"][ROWS_PRINTED:]
-        if len(more):
-            lines.append(f"… and {len(more)} more, together {more.sum():.4g} % of all")
+        lines += [f"… and {len(more)} more, together {more.sum():.4g} % of all"] if len(more) else []
         return "\n".join(lines)
 
 

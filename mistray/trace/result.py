@@ -11,17 +11,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.tracer import Run, irradiance_of_runs
 from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.messages import fewer_rays
 from mistray.notes import Note
+from mistray.ranges import several
 from mistray.recorders.film import Pixels
 from mistray.recorders.flux_maps.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
+from mistray.result import KeyNumber, Result
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.trace.elsewhere import light_maps, rays_elsewhere
@@ -31,7 +34,6 @@ from mistray.trace.path_filter import PathFilter
 from mistray.trace.path_images import path_images
 from mistray.trace.paths import PathTable, path_table
 from mistray.trace.photometry import illuminance, luminous_flux
-from mistray.trace.polarization_choice import words_of
 from mistray.trace.ray_table import check_box, ray_table
 from mistray.trace.reliability import aimed_surfaces, silent_places, trace_notes, undeclared_images
 from mistray.trace.sampled_hits import LightCone, SampledHits, light_cones, sampled_hits
@@ -41,7 +43,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-class Trace:
+class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolkit.figures.traces:trace_figure"):
     """
     Result of `mistray.trace`: irradiance, paths, energy ledger and flux at surfaces, with standard errors.
 
@@ -188,7 +190,7 @@ class Trace:
             return self
         tables = {id(run.table): run.table.on(number) for run in self.runs}  # sources of one wavelength share a table
         runs = [run.on(number, tables[id(run.table)]) for run in self.runs]
-        return Trace(runs, self.settings | {"detector": detector}, self.task)
+        return Trace(runs, self.settings | {"detector": detector}, self.task).of_scene(self.scene_name)
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
@@ -302,13 +304,13 @@ class Trace:
         """Return the flux at every surface, W, at one of the wavelengths of the trace, nm."""
         return flux_report(self._runs_at(wavelength_nm))
 
-    def irradiance_of(self, path_ids: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    def irradiance_of(self, path_ids: int | Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the irradiance of some paths together, by tracing the same rays again.
 
         Parameters
         ----------
-        path_ids : sequence of int
+        path_ids : int or sequence of int
             Ids of paths in the path table.
 
         Returns
@@ -345,13 +347,13 @@ class Trace:
         filters = [PathFilter(text) for text in ([selections] if isinstance(selections, str) else selections)]
         return light_maps(self.runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
 
-    def maps(self, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
+    def maps(self, groups: Sequence[int | Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """
         Return an irradiance map for each of several disjoint groups of paths, by tracing the same rays once more.
 
         Parameters
         ----------
-        groups : sequence of sequences of int
+        groups : sequence of int or of sequences of int
             Path ids; a path may be in one group only.
 
         Returns
@@ -361,13 +363,13 @@ class Trace:
         """
         return [found.with_se for found in self.each_map(groups, [True] * len(groups))]
 
-    def each_map(self, groups: Sequence[Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Pixels]:
+    def each_map(self, groups: Sequence[int | Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Pixels]:
         """
         Yield the irradiance maps of disjoint groups of paths one by one, by tracing the same rays once more.
 
         Parameters
         ----------
-        groups : sequence of sequences of int
+        groups : sequence of int or of sequences of int
             Path ids; a path may be in one group only.
         with_noise : sequence of bool
             Which maps have their noise computed; that of the others is NaN. During the sum a pixel of a map takes
@@ -410,7 +412,7 @@ class Trace:
         """
         return path_history(self.paths, path_id, n)
 
-    def sampled_rays(self, path_ids: Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
+    def sampled_rays(self, path_ids: int | Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
         """
         Return rays of many paths, found by tracing a sample of the start rays again that is spread over the beam.
 
@@ -418,7 +420,7 @@ class Trace:
 
         Parameters
         ----------
-        path_ids : sequence of int
+        path_ids : int or sequence of int
             Ids of paths in the path table.
         n : int
             Largest number of rays of each path.
@@ -428,15 +430,15 @@ class Trace:
         dict
             Rays by path; none of a path that no ray of the sample follows. When the time is up the sample is smaller.
         """
-        return sample_rays(self.paths, path_ids, n)
+        return sample_rays(self.paths, several(path_ids), n)
 
-    def light_cones(self, path_ids: Sequence[int]) -> dict[int, LightCone]:
+    def light_cones(self, path_ids: int | Sequence[int]) -> dict[int, LightCone]:
         """
         Return the cone in which the light of each path comes to the detector, by tracing a sample of rays again.
 
         Parameters
         ----------
-        path_ids : sequence of int
+        path_ids : int or sequence of int
             Ids of paths in the path table.
 
         Returns
@@ -444,7 +446,7 @@ class Trace:
         dict
             Light cones by path; none of a path that is too rare to occur twice in the sample.
         """
-        return light_cones(self.paths, path_ids)
+        return light_cones(self.paths, several(path_ids))
 
     def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[SampledHits]:
         """
@@ -578,11 +580,14 @@ class Trace:
             raw.seconds = time.perf_counter() - started
             yield raw
 
-    def __repr__(self) -> str:
-        count = f"{len(self.paths)} paths" if self.has_paths else "no ledger"
-        detected = f"detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W"
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the detected and the stray flux, W, and the number of paths; also what is lost if all is dark."""
+        found: dict[str, KeyNumber] = {}
         if self.rays_traced != self.rays_planned:
-            count = f"unfinished: {self.rays_traced} of {self.rays_planned} rays, {count}"
+            found["unfinished"] = f"{self.rays_traced} of {self.rays_planned} rays"
+        found["detected [W]"] = Estimate(self.energy.detected_W, self.energy.detected_se_W)
         if self.rays_traced and self.energy.detected_W == 0:
-            detected += f", {self.energy.greatest_loss}"
-        return f"Trace({count}, {self.segments:.3g} segments, {detected}, {words_of(self.settings)})"
+            found["lost"] = self.energy.greatest_loss
+        if not self.has_paths:
+            return found | {"paths": "not kept"}
+        return found | {"stray [W]": self.paths.stray_W, "paths": len(self.paths)}

@@ -72,6 +72,19 @@ def test_a_folder_of_another_distribution(tmp_path: Path) -> None:
     assert "argument --least: 2 must" in mistray(tmp_path, *words, "--least", "2", code=2)
 
 
+def test_its_result_in_a_session(tmp_path: Path) -> None:
+    folder_of_the_page(tmp_path)
+    code = "import mistray; from losses.run import losses; r = losses(mistray.load('double_gauss'), rays=1000)\n"
+    code += "print(repr(r)); print(r._repr_html_()); print(type(r.plot()).__name__)"
+    path = os.pathsep.join([str(tmp_path), str(ROOT)])
+    env = {**os.environ, "PYTHONPATH": path, "MPLBACKEND": "agg"}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    line, *html, axes = done.stdout.splitlines()
+    assert re.fullmatch(r"Losses\(double_gauss, \d+ surfaces, .* W\)", line)
+    assert "absorbed power [W]" in "".join(html)
+    assert axes == "Axes"
+
+
 @pytest.mark.quick
 def test_a_package_that_cannot_be_imported_is_named_and_left_out(tmp_path: Path) -> None:
     entry(tmp_path, "no_such_package")

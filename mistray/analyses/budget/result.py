@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mistray.analyses.budget.read_budget import BudgetStudy
 from mistray.estimate import Estimate
+from mistray.result import KeyNumber, Result
 from mistray.scene.unshared import SceneText
 from mistray.toolkit.rows import column, derived
 
@@ -63,8 +64,8 @@ class Met:
         return room / self.after.se if self.after.se > 0 else math.copysign(math.inf, room)
 
 
-@dataclass(frozen=True)
-class Budget:
+@dataclass(frozen=True, repr=False)
+class Budget(Result, table=".page:numbers_table", figure=".figures:budget_figure"):
     """
     Result of `budget`: chosen values of parameters, and the requirements before and after.
 
@@ -93,6 +94,13 @@ class Budget:
     gradients: int
     left_out: tuple[str, ...]
     seconds: float
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return whether all requirements are met, the metrics after, and the total cost before and after."""
+        before, after = self.cost
+        metrics = {f"{item.requirement} [{item.unit}]": item.after for item in self.requirements}
+        verdict = "met" if self.holds else "NOT met"
+        return {"requirements": verdict, **metrics, "cost before": before, "cost after": after}
 
     @property
     def holds(self) -> bool:

@@ -25,6 +25,7 @@ from mistray.notes import warns
 from mistray.percent import percent_text
 from mistray.physics.contamination import CLEANED_SLOPE
 from mistray.scene.load import find, load_text
+from mistray.scene.titles import scene_name
 from mistray.scene.unshared import SceneText
 
 SETTLED = 0.02  # relative change of all numbers below which they count as found
@@ -65,7 +66,9 @@ def budget(
     text = SceneText(source, own=not read.shared).text(source.parent)
     search = _Search(load_text(source, text), read, progress)
     chosen, gradients = search.run()
-    return Budget(read, source, chosen, search.verify(), gradients, tuple(search.left_out), time.perf_counter() - began)
+    left_out, requirements = tuple(search.left_out), search.verify()
+    found = Budget(read, source, chosen, requirements, gradients, left_out, time.perf_counter() - began)
+    return found.of_scene(scene_name(source))
 
 
 class _Search:

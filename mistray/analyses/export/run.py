@@ -15,6 +15,7 @@ from mistray.errors import MistrayError
 from mistray.io.cad.part import unique_names
 from mistray.io.cad.write_step import Colour, StepFile
 from mistray.recorders.path_events import DIRECT
+from mistray.result import KeyNumber, Result
 from mistray.toolkit.analysis import analysis
 from mistray.toolkit.drawings.path_rays import one_of_each, rays_of_paths
 from mistray.trace import trace
@@ -30,8 +31,8 @@ BEAMS, PATHS = "beams", "stray_paths"
 BREP, SHEETS, WIRES = "ADVANCED_BREP", "MANIFOLD_SURFACE", "GEOMETRICALLY_BOUNDED_WIREFRAME"
 
 
-@dataclass(frozen=True)
-class StepExport:
+@dataclass(frozen=True, repr=False)
+class StepExport(Result):
     """
     Result of `export_step`: the written file and its contents.
 
@@ -60,6 +61,11 @@ class StepExport:
     rim_error_mm: float
     left_out: dict[str, str]
     notes: tuple[str, ...]
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the file, the numbers of its products, and the largest error of its surfaces, mm."""
+        counts = {name: len(getattr(self, name)) for name in ("solids", "sheets", "beams", "paths")}
+        return {"file": self.path.name, **counts, "error [mm]": self.error_mm}
 
 
 def run(scene: mi.Scene, request: StepRequest, *, path: str | Path, name: str = "system") -> StepExport:

@@ -13,7 +13,9 @@ from scipy.stats import chi2
 
 from mistray.analyses.pst.metrics.pst_bands import Modelled
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.ranges import POSITIVE
+from mistray.result import KeyNumber, Result
 
 Model = Callable[[np.ndarray], Modelled]
 STEPS = 30
@@ -87,8 +89,8 @@ class Evaluations:
         return len(self.found) - 1
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, repr=False)
+class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figure"):
     """
     Result of `fit`: estimates of parameters with their errors and likelihood.
 
@@ -127,6 +129,14 @@ class Fit:
     noise: np.ndarray
     history: tuple[np.ndarray, ...]
     evaluations: int
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the estimates with their standard errors, in the units of the parameters, and χ²."""
+        values = {
+            name: Estimate(*pair)
+            for name, *pair in zip(self.names, self.value.tolist(), self.standard_error.tolist(), strict=True)
+        }
+        return {**values, "χ²": self.chi_square, "degrees of freedom": self.degrees}
 
     @property
     def estimate(self) -> dict[str, float]:

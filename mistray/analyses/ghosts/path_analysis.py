@@ -11,6 +11,7 @@ import pandas as pd
 
 from mistray.analyses.ghosts.request import SORT_KEYS
 from mistray.errors import MistrayError
+from mistray.ranges import several
 from mistray.toolkit.rows import column, frame
 from mistray.trace import Trace
 
@@ -44,7 +45,7 @@ class AnalysedPath:
 
 
 def path_analysis(
-    trace: Trace, sort: str = "power_W", least_share: float = 0.0, path_ids: Sequence[int] | None = None
+    trace: Trace, sort: str = "power_W", least_share: float = 0.0, path_ids: int | Sequence[int] | None = None
 ) -> pd.DataFrame:
     """
     Return a table of the paths of a trace with power, optical path length and other properties, sorted by a key.
@@ -57,7 +58,7 @@ def path_analysis(
         Sort key: text from A to Z, numbers from the largest; paths with equal keys by power.
     least_share : float
         Paths with less than this share of all detected power, 0 … 1, are combined in a last row, "uncategorised".
-    path_ids : sequence of int, optional
+    path_ids : int or sequence of int, optional
         Paths to include, such as those that pass a filter. Default: all.
 
     Returns
@@ -78,7 +79,7 @@ def path_analysis(
     total = float(table.power_W.sum())
     if path_ids is not None:
         trace.paths.located(path_ids)  # raises if there is no such path
-        table = table[table.path_id.isin(list(path_ids))]
+        table = table[table.path_id.isin(several(path_ids))]
     strong = table.power_W >= least_share * total
     weak, table = table[~strong], table[strong].rename(columns={"rays": "branches"})
     lengths = mean_lengths(trace, table.path_id.tolist())

@@ -37,8 +37,10 @@ from mistray.estimate import Estimate
 from mistray.files.irradiance_files import Map
 from mistray.metrics.ranking import DirectImage, bounds, direct_image, ranked
 from mistray.notes import Note
+from mistray.ranges import several
 from mistray.recorders.film import Pixels
 from mistray.recorders.path_events import DIRECT
+from mistray.result import KeyNumber, Result
 from mistray.toolkit.irradiance import MapStatistics, brightest, statistics
 from mistray.trace import Trace
 from mistray.trace.sampled_hits import LightCone
@@ -50,7 +52,12 @@ T = TypeVar("T")
 Polyline = npt.NDArray[np.float64]
 
 
-class GhostReport(Mapping[float, Trace]):
+class GhostReport(
+    Mapping[float, Trace],
+    Result,
+    table=".tables.ghosts:field_table",
+    figure=".figures.ghost_images:levels_against_field",
+):
     """
     Result of `ghosts`: a mapping from field angle, degrees, to `Trace`, with tables and maps.
 
@@ -99,6 +106,20 @@ class GhostReport(Mapping[float, Trace]):
         self.nominal_trace = nominal_trace
         self.wavelengths_nm = list(nominal_trace.wavelengths_nm)
         self.nominal = direct_image(nominal_trace.paths)
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of fields, and the most stray light of a field, W and over the direct image on axis."""
+        stray = {field: t.paths.stray_W for field, t in self.items()}
+        found: dict[str, KeyNumber] = {"fields": len(self)}
+        if not stray:
+            return found
+        worst = max(stray, key=lambda field: stray[field].value)
+        paths = self[worst].paths
+        over = self.nominal.dividing(paths.light(paths.ids(direct=False)), "light")  # of rays that they share
+        return found | {
+            f"most stray at {worst:g}° [W]": stray[worst],
+            "over the image on axis [1]": Estimate(*over.whole),
+        }
 
     def __getitem__(self, field_deg: float) -> Trace:
         try:
@@ -301,9 +322,9 @@ class GhostReport(Mapping[float, Trace]):
         t = self[field_deg]
         return self._once(("filtered", t, selection), lambda: filtered(t, self._rows(t), selection))
 
-    def map_light(self, selections: Sequence[str]) -> None:
+    def map_light(self, selections: str | Sequence[str]) -> None:
         """Fill `light_maps` with maps of selected parts of the light at each field, by tracing the rays again."""
-        self.light_maps = {field: light_maps(t, selections) for field, t in self.items()}
+        self.light_maps = {field: light_maps(t, several(selections)) for field, t in self.items()}
 
     def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
         """Return the path table of a field with renamed surfaces, see `mistray.trace.PathTable.by_way`."""
@@ -361,7 +382,7 @@ class GhostReport(Mapping[float, Trace]):
         found = brightest(stray).over(brightest(nominal))
         return Estimate(float(found.value), float(found.se))
 
-    def path_maps(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:
+    def path_maps(self, field_deg: float, path_ids: int | Sequence[int]) -> FieldMaps:
         """
         Return power maps of many paths of one field, by tracing the same rays once more.
 
@@ -369,7 +390,7 @@ class GhostReport(Mapping[float, Trace]):
         ----------
         field_deg : float
             Field angle, degrees.
-        path_ids : sequence of int
+        path_ids : int or sequence of int
             Paths of the table of this field, the most important ones first. If the detector has so many pixels that
             not all maps fit into `mistray.analyses.ghosts.peaks.MAP_BYTES`, the last ones are part of `rest`.
 
@@ -378,6 +399,7 @@ class GhostReport(Mapping[float, Trace]):
         FieldMaps
             Maps of the paths; the last ones made are kept for each field.
         """
+        path_ids = several(path_ids)
         if field_deg not in self._path_maps or not set(path_ids) <= self._path_maps[field_deg][0]:
             worst = self.listed(field_deg, MAPPED_PATHS).path_id
             maps, images = field_maps(self[field_deg], self.table(field_deg), path_ids, set(worst))
@@ -386,7 +408,7 @@ class GhostReport(Mapping[float, Trace]):
                 self._made.setdefault(("images", field_deg), images)
         return self._path_maps[field_deg][1]
 
-    def rays_of_paths(self, field_deg: float, path_ids: Sequence[int]) -> dict[int, list[Polyline]]:
+    def rays_of_paths(self, field_deg: float, path_ids: int | Sequence[int]) -> dict[int, list[Polyline]]:
         """
         Return rays of paths for drawings, from a sample of the start rays of the trace that is spread over the beam.
 
@@ -396,6 +418,7 @@ class GhostReport(Mapping[float, Trace]):
             Polylines (k, 3) from the source to the detector, mm, by path id; a path that is too rare to occur in the
             sample has none.
         """
+        path_ids = several(path_ids)
         missing = [path_id for path_id in path_ids if (field_deg, path_id) not in self._rays]
         if missing:
             rows = self._rows(self[field_deg]).set_index("path_id").path_ids

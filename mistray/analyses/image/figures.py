@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.colors import LogNorm
 
@@ -19,11 +21,23 @@ RAYS = 3000  # of a spot diagram
 
 def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
     """Draw the tangential and sagittal MTF of each field against frequency, 1/mm, with the diffraction limit."""
+    return _mtf(found.fields[:SHOWN], max(map(_last_frequency, found)), title)
+
+
+def field_mtf_figure(image: FieldImage, title: str = "") -> Figure:
+    """Draw the tangential and sagittal MTF of one field against frequency, 1/mm, with the diffraction limit."""
+    return _mtf([image], _last_frequency(image), title)
+
+
+def _last_frequency(image: FieldImage) -> float:
+    return max(image.cut_off_per_mm("tangential"), image.cut_off_per_mm("sagittal"))
+
+
+def _mtf(images: Sequence[FieldImage], last: float, title: str) -> Figure:
     made, axes = Figure.of_panels(8.0, 4.8)
-    last = max(image.cut_off_per_mm(azimuth) for image in found for azimuth in ("tangential", "sagittal"))
     f = np.linspace(0, last, 201)
-    axes.plot(f, found[0].diffraction_limit(f, "sagittal"), color="#888888", lw=1, ls=":", label="diffraction limit")
-    for image, colour in zip(found.fields[:SHOWN], COLOURS * 2, strict=False):
+    axes.plot(f, images[0].diffraction_limit(f, "sagittal"), color="#888888", lw=1, ls=":", label="diffraction limit")
+    for image, colour in zip(images, COLOURS * 2, strict=False):
         axes.plot(f, image.mtf(f, "tangential"), color=colour, lw=1.4, label=image.name)
         axes.plot(f, image.mtf(f, "sagittal"), color=colour, lw=1.2, ls="--")
     axes.set(xlim=(0, last), ylim=(0, 1))

@@ -11,8 +11,9 @@ from typing import Any
 import pandas as pd
 
 from mistray.analyses.image.request import ImageTables
-from mistray.analyses.image.result import ImageQuality
+from mistray.analyses.image.result import FieldImage, ImageQuality
 from mistray.files.json_values import plain
+from mistray.ranges import several
 from mistray.toolkit.pages.model import FigurePart, NotePart, Report, Section, Table, Value, columns
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms
@@ -39,7 +40,7 @@ def frequencies_of(found: ImageQuality, shown: ImageTables) -> Sequence[float]:
     return found.default_frequencies() if shown.frequencies is None else shown.frequencies
 
 
-def quality_table(found: ImageQuality, shown: ImageTables) -> Table:
+def quality_table(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> Table:
     """Return the table of main results by field: spot, wavefront, Strehl ratio, MTF, illumination, distortion."""
     frequencies = frequencies_of(found, shown)
     heads = columns(
@@ -59,6 +60,16 @@ def quality_table(found: ImageQuality, shown: ImageTables) -> Table:
             f"{100 * image.relative_illumination:.2f}", _number(image.distortion_percent, "{:+.4f}"),
         ])  # fmt: skip
     return Table(heads, rows, "image_quality")
+
+
+def field_image_table(image: FieldImage) -> Table:
+    """Return the table of a field at each wavelength: weight, spot, wavefront and Strehl ratio."""
+    rows: list[list[Value]] = [
+        [f"{line.wavelength_nm:g}", f"{line.weight:.3g}", f"{line.rms_waves():.4f}", f"{line.pv_waves():.4f}",
+         _number(line.strehl, "{:.4f}")]
+        for line in image.lines
+    ]  # fmt: skip
+    return Table(columns("λ [nm]", "weight", "rms OPD [waves]", "PV OPD [waves]", "Strehl"), rows)
 
 
 def _number(value: float, form: str) -> str:
@@ -158,9 +169,12 @@ def page(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES, title: str = 
 
 
 def write(
-    found: ImageQuality, directory: str | Path, frequencies: Sequence[float] | None = None, title: str = "scene",
+    found: ImageQuality,
+    directory: str | Path,
+    frequencies: float | Sequence[float] | None = None,
+    title: str = "scene",
     command: str = "",
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """
     Write tables, pictures, image_quality.json and report.html into a directory, see `write_report`.
 
@@ -170,11 +184,11 @@ def write(
     return write_report(page(found, _tables(frequencies), title, command), directory)
 
 
-def _tables(frequencies: Sequence[float] | None) -> ImageTables:
-    return ImageTables(None if frequencies is None else tuple(frequencies))
+def _tables(frequencies: float | Sequence[float] | None) -> ImageTables:
+    return ImageTables(None if frequencies is None else tuple(several(frequencies)))
 
 
-def quality_text(found: ImageQuality, frequencies: Sequence[float]) -> str:
+def quality_text(found: ImageQuality, frequencies: float | Sequence[float]) -> str:
     """Return `text` with the MTF at given spatial frequencies, 1/mm."""
     return text(found, _tables(frequencies))
 

@@ -16,7 +16,8 @@ from mistray.errors import MistrayError
 from mistray.physics.imaging.ideal import airy_diameter
 from mistray.physics.imaging.pupil import PEAK_POINTS, PEAK_ZOOMS, Pupil
 from mistray.physics.imaging.zernike_fit import ZernikeFit, fit_zernikes
-from mistray.ranges import POSITIVE, SHARE, Range
+from mistray.ranges import POSITIVE, SHARE, Range, several
+from mistray.result import KeyNumber, Result
 from mistray.toolkit.tables.frames import row_of
 
 Array = npt.NDArray[np.float64]
@@ -65,8 +66,8 @@ def direction_of(azimuth: str | float) -> tuple[float, float]:
     return (0.0 if abs(x) < 1e-15 else x), (0.0 if abs(y) < 1e-15 else y)
 
 
-@dataclass(frozen=True, eq=False)
-class LineImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class LineImage(Result):
     """
     Image of a field point at one wavelength.
 
@@ -93,6 +94,14 @@ class LineImage:
     spot_mm: Array
     stop_xy: Array
     stop_area: Array
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return wavelength, nm, and RMS and peak-to-valley OPD, waves."""
+        return {
+            "wavelength [nm]": self.wavelength_nm,
+            "RMS OPD [waves]": self.rms_waves(),
+            "PV OPD [waves]": self.pv_waves(),
+        }
 
     @property
     def opd_waves(self) -> Array:
@@ -156,8 +165,8 @@ class LineImage:
         return self.peak[0] / self.pupil.ideal_peak()
 
 
-@dataclass(frozen=True, eq=False)
-class FieldImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class FieldImage(Result, table=".page:field_image_table", figure=".figures:field_mtf_figure"):
     """
     Image of one field point.
 
@@ -206,6 +215,15 @@ class FieldImage:
     relative_illumination: float
     tangential_focus_mm: float
     sagittal_focus_mm: float
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the field, its RMS spot, µm, RMS OPD, waves, and Strehl ratio."""
+        numbers = {
+            "RMS spot [µm]": 1e3 * self.rms_spot_mm(),
+            "RMS OPD [waves]": self.rms_waves(),
+            "Strehl": self.strehl,
+        }
+        return {"field": self.name, **numbers}
 
     @property
     def resolved(self) -> bool:
@@ -455,8 +473,8 @@ class OfFields(Sequence[OfField]):
         return self.fields[number]
 
 
-@dataclass(frozen=True, eq=False)
-class ImageQuality(OfFields[FieldImage]):
+@dataclass(frozen=True, eq=False, repr=False)
+class ImageQuality(OfFields[FieldImage], Result, table=".page:quality_table", figure=".figures:mtf_figure"):
     """
     Image quality of the direct light of a scene, as a sequence of the images of its field points.
 
@@ -488,6 +506,14 @@ class ImageQuality(OfFields[FieldImage]):
     facts: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of fields, and the largest RMS spot, µm, and RMS OPD, waves, of a field."""
+        found: dict[str, KeyNumber] = {"fields": len(self)}
+        if len(self):
+            found["largest RMS spot [µm]"] = 1e3 * max(image.rms_spot_mm() for image in self)
+            found["largest RMS OPD [waves]"] = max(image.rms_waves() for image in self)
+        return found
+
     @property
     def near(self) -> bool:
         """Whether the object is at a finite distance."""
@@ -498,17 +524,17 @@ class ImageQuality(OfFields[FieldImage]):
         cut = self.fields[0].cut_off_per_mm("sagittal")
         return [float(f"{share * cut:.2g}") for share in (0.125, 0.25, 0.5)]
 
-    def to_pandas(self, frequencies_per_mm: Sequence[float] | None = None) -> pd.DataFrame:
+    def to_pandas(self, frequencies_per_mm: float | Sequence[float] | None = None) -> pd.DataFrame:
         """
         Return a table with a row for each field, all wavelengths together.
 
         Parameters
         ----------
-        frequencies_per_mm : sequence of float, optional
+        frequencies_per_mm : float or sequence of float, optional
             Frequencies of the columns ``mtf_tangential_…_per_mm`` and ``mtf_sagittal_…_per_mm``, 1/mm; by default three
             below the cut-off.
         """
-        frequencies = self.default_frequencies() if frequencies_per_mm is None else list(frequencies_per_mm)
+        frequencies = self.default_frequencies() if frequencies_per_mm is None else several(frequencies_per_mm)
         rows = []
         for image in self:
             row: dict[str, Any] = {

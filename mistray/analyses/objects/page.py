@@ -71,6 +71,11 @@ def common_table(rows: Sequence[CommonObject], most: int = DEFAULT_TABLES.rows, 
     return table(CommonObject, rows, name, only, most=most, rest=rest, empty="none")
 
 
+def main_table(found: Objects) -> Table:
+    """Return the table of common objects, or of critical ones where none is common."""
+    return common_table(found.common).without("rays") if found.common else object_table(found.critical)
+
+
 def estimate_table(estimates: Sequence[ScatterEstimate], most: int | None = None) -> Table:
     """Return the table of product estimates: all objects, or the `most` strongest at each source angle."""
     shown = [row for row in estimates if row.pst.value > 0]

@@ -18,6 +18,7 @@ from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.messages import Message, fewer_rays
 from mistray.notes import Note
+from mistray.result import KeyNumber, Result
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
@@ -32,7 +33,7 @@ SHOTS_TOLD = 4  # ways past the optics that a warning names
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Objects:
+class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"):
     """
     Result of `objects`: surfaces that the detector sees, surfaces that light from outside reaches, and both.
 
@@ -67,6 +68,11 @@ class Objects:
     field_deg: tuple[float, ...]
     facts: dict[str, Any]
     unpolarized: list[Note]
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the numbers of critical, illuminated and common objects, and the aperture stop."""
+        counts = {name: len(getattr(self, name)) for name in ("critical", "illuminated", "common")}
+        return {**counts, "stop": self.stop or "not found"}
 
     @functools.cached_property
     def critical(self) -> list[SceneObject]:

@@ -9,13 +9,16 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from mistray.analyses.optimize.study.comparison import Comparison, Levels
 from mistray.analyses.optimize.study.optimization import Optimization
 from mistray.analyses.optimize.study.state import Step
 from mistray.analyses.optimize.study.study_scene import PlacedDesign
 from mistray.coatings import spectrum
 from mistray.coatings.stack import outside_first
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.materials import complex_index
+from mistray.toolkit.figures.bars import bars, magnitude_bars
 from mistray.toolkit.figures.figure import Figure, legend_label, plain_axes
 from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
@@ -29,7 +32,7 @@ POINTS = 201  # of a curve over wavelength
 MARGIN = 0.08  # of the band, drawn on either side of it
 
 
-def search_figure(result: Optimization) -> Figure:
+def search_figure(result: Optimization, title: str = "") -> Figure:
     """Draw the merit of all searches, and terms and gradient norm of the best one, against merit evaluations."""
     figure, (left, middle, right) = Figure.of_panels(13.2, 4.0, 1, 3, dpi=110)
     for number, start in enumerate(result.starts):
@@ -57,7 +60,20 @@ def search_figure(result: Optimization) -> Figure:
         _frame(axes, "evaluations", legend=axes is not right)
     fixed = result.study.optimizer.seeds == "fixed"
     rays = "all points trace the same rays" if fixed else "every point has its own rays"
-    return figure.small_print(f"error bars: one standard error; {rays}")
+    how = f"error bars: one standard error; {rays}"
+    return figure.headed(title, small_print=how) if title else figure.small_print(how)
+
+
+def comparison_figure(found: Comparison, title: str = "") -> Figure:
+    """Draw the value of each term before over that after as bars, with standard errors."""
+    ratios = {row.term: Estimate(row.ratio, row.ratio_se) for row in found.rows if row.whole}
+    return bars(ratios, [BLUE] * len(ratios), "before / after [1]").headed(title, f"on {len(found.seeds)} seeds")
+
+
+def levels_figure(found: Levels, title: str = "") -> Figure:
+    """Draw the mean of each term over the seeds as bars, in the unit of each, with standard errors."""
+    names = {f"{name} [{found.units.get(name, '1')}]": value for name, value in found.means.items()}
+    return magnitude_bars(names, "mean over the seeds, in the unit of each term").headed(title, "terms")
 
 
 def variables_figure(result: Optimization) -> Figure:

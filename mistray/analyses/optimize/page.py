@@ -28,6 +28,7 @@ from mistray.analyses.optimize.tables import (
 from mistray.estimate import Estimate
 from mistray.scene.recoat import recoated
 from mistray.scene.rewrite import rewritten
+from mistray.scene.titles import title_of_file
 from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages.model import FigurePart, Items, NotePart, PagePart, Report, Section
 from mistray.toolkit.pages.output import writable_directory, write_report
@@ -99,7 +100,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
     source = result.source.resolve()
     return Report(
         "Optimised",
-        source.parent.name if source.name == "scene.xml" else source.stem,
+        title_of_file(source),
         [*sections, settings_section(facts, command)],
         lead=[
             Items(_findings(result)),

@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from mistray.analyses.optimize.study.comparison import Comparison, ComparisonRow, worse
+from mistray.analyses.optimize.study.comparison import Comparison, ComparisonRow, Levels, worse
 from mistray.analyses.optimize.study.goals import holds, limit_of
 from mistray.analyses.optimize.study.model import Term
 from mistray.analyses.optimize.study.optimization import Optimization
@@ -103,6 +103,17 @@ def comparison_table(comparison: Comparison) -> str:
         places.append([row.term if row.whole else "", f"{row.wavelength_nm:g} nm" if row.wavelength_nm else field])
     shown = table(ComparisonRow, rows, only=("unit", *VALUES))
     return table_text(Table(columns("<term", "<"), places).beside(shown))
+
+
+def rows_table(comparison: Comparison) -> Table:
+    """Return the table of every term before and after, at each field, wavelength and pair of both, without goals."""
+    return table(ComparisonRow, comparison.rows, only=("term", "field_deg", "wavelength_nm", "unit", *VALUES))
+
+
+def levels_table(levels: Levels) -> Table:
+    """Return the table of the means of the terms over the seeds."""
+    rows: list[list[Value]] = [[name, value, levels.units.get(name, "1")] for name, value in levels.means.items()]
+    return Table(columns("<term", "mean", "<unit"), rows, empty="no term")
 
 
 def all_terms_table(result: Optimization) -> Table:

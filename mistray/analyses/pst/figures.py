@@ -5,7 +5,7 @@ The public functions return Matplotlib figures that are not registered with pypl
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,6 +21,9 @@ from mistray.toolkit.figures.figure import Figure, legend_label, plain_axes
 from mistray.toolkit.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 from mistray.toolkit.figures.plots import HOW_TO_READ, Range, draw_map, image_colours
 from mistray.toolkit.irradiance import log_range
+
+if TYPE_CHECKING:
+    from mistray.analyses.pst.first_level import FirstLevel
 
 # class: colour, width of the line, marker
 CURVES = {
@@ -88,6 +91,24 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
     return figure.small_print(
         "bands: ± one standard error; edge of the field: half of the direct light at the smallest angle", right=True
     )
+
+
+def level_curves(found: FirstLevel, title: str = "") -> Figure:
+    """Draw the stray PST of each set of limits against field angle, with bands of one standard error."""
+    made, axes = Figure.of_panels(8.6, 4.2)
+    lit = False
+    for (name, pst), colour in zip(found.curves.items(), CAUSE_COLOURS * 2, strict=False):
+        value, se = pst.curve("stray")
+        seen = value > 0
+        lit |= bool(seen.any())
+        axes.errorbar(
+            pst.field_deg[seen], value[seen], np.minimum(se, 0.95 * value)[seen], label=legend_label(name),
+            color=colour, marker="o", ms=3, lw=1.2, capsize=2,
+        )  # fmt: skip
+    if lit:
+        axes.set_yscale("log")
+    plain_axes(axes, below=True, legend=True, xlabel="field angle θ [deg]", ylabel="stray PST [1]")
+    return made.headed(title, "levels of scatter and reflection", "error bars: one standard error")
 
 
 def pst_causes(pst: Pst, title: str = "") -> Figure:

@@ -16,6 +16,7 @@ import numpy as np
 from mistray.analyses.pst.request import FirstLevelRequest, PstRequest
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.run import run as pst
+from mistray.result import KeyNumber, Result
 from mistray.settings import Settings
 from mistray.toolkit.analysis import analysis
 
@@ -31,8 +32,8 @@ LIMITS: dict[str, dict[str, int]] = {
 Progress = Callable[[str, Any], None]
 
 
-@dataclass(frozen=True, eq=False)
-class FirstLevel:
+@dataclass(frozen=True, eq=False, repr=False)
+class FirstLevel(Result, table=".tables:level_table", figure=".figures:level_curves"):
     """
     Point source transmittances (PSTs) of one scene, one for each set of limits on its paths.
 
@@ -46,6 +47,12 @@ class FirstLevel:
 
     curves: dict[str, Pst]
     limits: dict[str, dict[str, int]]
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of angles, and the stray PST of each set at the last one."""
+        angles = next(iter(self.curves.values())).field_deg
+        last = {f"{name} at {angles[-1]:g}° [1]": one.estimates("stray")[-1] for name, one in self.curves.items()}
+        return {"angles": len(angles), **last}
 
     def to_pandas(self, classes: str = "stray") -> pd.DataFrame:
         """

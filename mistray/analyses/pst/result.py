@@ -23,6 +23,7 @@ from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import CLASSES, SINGLE
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_events import DIRECT
+from mistray.result import KeyNumber, Result
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,8 +40,8 @@ LARGE_SHARE = 0.1  # fraction of the scattered light of a cell by a single ray t
 BACKWARD, FORWARD = "backward", "forward"  # techniques of sampling
 
 
-@dataclass(frozen=True, eq=False)
-class Pst:
+@dataclass(frozen=True, eq=False, repr=False)
+class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
     """
     Point source transmittance (PST) of a system: irradiance on the detector over irradiance of a distant source.
 
@@ -106,6 +107,16 @@ class Pst:
     plan: Plan | None = field(default=None, repr=False, compare=False)
     techniques: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
     next_orders: tuple[NextOrder, ...] = field(default=(), repr=False, compare=False)
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of angles, the PST at the first, and the stray PST at the last."""
+        first, last = self.field_deg[0], self.field_deg[-1]
+        return {
+            "angles": len(self.field_deg),
+            f"PST at {first:g}° [1]": self.estimates()[0],
+            f"stray at {last:g}° [1]": self.estimates("stray")[-1],
+            "convention": self.convention,
+        }
 
     @property
     def notes(self) -> list[Note]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -16,6 +16,9 @@ from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.toolkit.pages.model import Column, Fold, Table, Value, columns
 from mistray.toolkit.tables.text import ABSENT, number, table_text
+
+if TYPE_CHECKING:
+    from mistray.analyses.pst.first_level import FirstLevel
 
 RARE = ("straight_shot", "edge_diffraction")  # classes that are shown where there are any
 DEFINITIONS = {
@@ -121,6 +124,14 @@ def top_paths_text(pst: Pst, count: int) -> str:
             cells += [str(row.label), number(float(row.percent_of_stray), 3)]
         rows.append(cells + [""] * (len(heads) - len(cells)))
     return table_text(Table(heads, rows))
+
+
+def level_table(found: FirstLevel) -> Table:
+    """Return the table of the stray PST of each set of limits, with a row for each field angle."""
+    curves = [one.estimates("stray") for one in found.curves.values()]
+    angles = next(iter(found.curves.values())).field_deg
+    rows: list[list[Value]] = [[f"{angle:g}", *values] for angle, *values in zip(angles, *curves, strict=True)]
+    return Table(columns("angle [deg]", *found.curves), rows)
 
 
 def breaks_table(found: Sequence[Break]) -> Table:

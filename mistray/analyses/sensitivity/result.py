@@ -14,6 +14,7 @@ from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.metrics.changes.first_surfaces import Entering, spoils
 from mistray.metrics.changes.gaps import Gap
+from mistray.result import KeyNumber, Result
 from mistray.toolkit.rows import frame
 
 if TYPE_CHECKING:
@@ -58,8 +59,8 @@ class Together:
         return any(spoils(entering) for entering in self.entering.values())
 
 
-@dataclass(frozen=True)
-class Sensitivity:
+@dataclass(frozen=True, repr=False)
+class Sensitivity(Result, table=".page:ranking_table", figure=".figures:ranking_figure"):
     """
     Result of `sensitivity`: ranked parameters, proposed changes, and spread of the metric.
 
@@ -107,6 +108,12 @@ class Sensitivity:
     without_derivative: tuple[str, ...] = ()
     seconds: tuple[float, float] = (0.0, 0.0)
     facts: dict[str, Any] = field(default_factory=dict)
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the metric, the number of parameters, and the spread of the metric by all tolerances, percent."""
+        unit = f" [{self.unit}]" if self.unit else ""
+        spread = self.spread.deviation.times(100)
+        return {f"{self.name}{unit}": self.value, "parameters": len(self.rows), "spread [%]": spread}
 
     def __getitem__(self, label: str) -> SensitivityRow:
         """Return the row of the parameter with a given label."""

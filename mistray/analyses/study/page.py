@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 from markupsafe import Markup
@@ -24,11 +24,26 @@ from mistray.analyses.transfer.page import transfer_parts
 from mistray.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.time_budget import can_draw
-from mistray.toolkit.pages.model import FigurePart, Folded, Items, NotePart, PagePart, Report, Section, Terms
+from mistray.toolkit.pages.model import (
+    Column,
+    FigurePart,
+    Folded,
+    Items,
+    NotePart,
+    PagePart,
+    Report,
+    Section,
+    Table,
+    Terms,
+    columns,
+)
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms, thousands
 from mistray.toolkit.tables.frames import frame_table, row_of, value_text
 from mistray.toolkit.tables.text import ABSENT
+
+if TYPE_CHECKING:
+    from mistray.toolkit.figures.figure import Figure as Drawing
 
 ROWS_OPEN = 30  # tables with more rows are folded
 ROWS_FILTERED = 15  # tables with more rows have a filter
@@ -118,12 +133,24 @@ def verdict_records(study: Study) -> dict[str, dict[str, Any]]:
     return {"pst": pst_verdict_record(study.pst), "ghosts": verdict_record(study.ghosts)}
 
 
+def findings_table(study: Study) -> Table:
+    """Return the findings of all steps as a table."""
+    rows = [[f"{step.number} {step.title}", text] for step in study.steps for text in step.findings]
+    return Table(columns("<step", Column("finding", style="t long")), rows, empty="nothing to report")
+
+
+def curve_of_study(study: Study, title: str = "") -> Drawing:
+    """Draw the PST of a study against field angle."""
+    from mistray.analyses.pst.figures import pst_curve
+
+    return pst_curve(study.pst, title)
+
+
 def draw_study(study: Study) -> dict[str, bytes]:
     """Draw the pictures of a study as PNG by file name, see `CAPTIONS`; within a time budget as many as possible."""
     from mistray.analyses.ghosts.figures.ghost_images import levels_against_field, montage
     from mistray.analyses.objects.figures import objects_layout
     from mistray.toolkit.drawings.layout import layout
-    from mistray.toolkit.figures.figure import Figure as Drawing
     from mistray.toolkit.figures.plots import as_png
 
     report = study.ghosts

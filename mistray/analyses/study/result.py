@@ -14,10 +14,11 @@ from mistray.analyses.study.first_order import FirstOrder
 from mistray.analyses.study.step import STEPS, StudyStep
 from mistray.analyses.transfer.result import Transfer
 from mistray.errors import UnknownKeyError
+from mistray.result import KeyNumber, Result
 
 
-@dataclass(frozen=True, eq=False)
-class Study(Mapping[str, StudyStep]):
+@dataclass(frozen=True, eq=False, repr=False)
+class Study(Mapping[str, StudyStep], Result, table=".page:findings_table", figure=".page:curve_of_study"):
     """
     Result of `study`: a mapping from the key of a step (see `mistray.analyses.study.step.STEPS`) to its result.
 
@@ -52,6 +53,11 @@ class Study(Mapping[str, StudyStep]):
     ghosts: GhostReport
     pst: Pst
     images: Transfer | None
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of findings and of warnings, and the key numbers of the PST."""
+        counts = {"findings": len(self.findings), "warnings": len(self.warnings)}
+        return counts | {name: value for name, value in self.pst.key_numbers().items() if "[" in name}
 
     def __getitem__(self, key: str) -> StudyStep:
         found = next((step for step in self.steps if step.key == key), None)
@@ -95,7 +101,7 @@ class Study(Mapping[str, StudyStep]):
 
         return write(self, directory, command)
 
-    def __repr__(self) -> str:
+    def __str__(self) -> str:
         lines = [f"Study of '{self.name}'"]
         lines += [f"{step.number} {step.title}: {text}" for step in self.steps for text in step.findings]
         return "\n".join(lines + [f"warning: {text}" for text in self.warnings])

@@ -10,8 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mistray.analyses.pst.figures import SYMBOLS
+from mistray.analyses.sweep.edit_ranking import EditRanking
 from mistray.analyses.sweep.figures import COLOURS, LEGEND, MARKERS
 from mistray.analyses.sweep.pst_sweep import PstSweep
+from mistray.toolkit.figures.bars import BARS, magnitude_bars
 from mistray.toolkit.figures.figure import Figure, legend_label, plain_axes
 from mistray.toolkit.figures.palette import BLACK
 
@@ -71,6 +73,16 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
     how = f"error bars: one standard error; of after/before: that of runs with the same random numbers{unseen}"
     text = f"stray PST{at} as it is and in {len(others)} configuration{'s' * (len(others) != 1)}"
     return figure.headed(title, text, how)
+
+
+def edit_ranking_figure(found: EditRanking, title: str = "") -> Figure:
+    """Draw the change of the PST by one step of the first edits as bars, percent, at the angle of the largest one."""
+    edits = found.edits[:BARS]
+    sizes = [max((abs(edit.change[k].value) for edit in edits), default=0.0) for k in range(len(found.field_deg))]
+    at = int(np.argmax(sizes))
+    steps = {f"{edit.label}  {edit.step:.3g} {edit.unit}".rstrip(): edit.change[at].times(100) for edit in edits}
+    made = magnitude_bars(steps, f"change of the PST at {found.field_deg[at]:g}° by one step [%]")
+    return made.headed(title, "edits", "blue: the PST grows, orange: it falls; bars of one standard error")
 
 
 def _scale_ratios(axes: Axes, ratios: Sequence[float]) -> None:

@@ -32,6 +32,7 @@ from mistray.metrics.gradient import gradient_request, gradient_seen
 from mistray.metrics.parameters import Parameter, match, parameters
 from mistray.metrics.scene_values import changed
 from mistray.metrics.views import seen_unpolarized
+from mistray.result import KeyNumber, Result
 from mistray.scene import find, load
 from mistray.toolkit.analysis import analysis
 from mistray.toolkit.tables.frames import flat, row_of
@@ -94,8 +95,8 @@ class Edit:
     gaps: tuple[Gap, ...] = ()
 
 
-@dataclass(frozen=True)
-class EditRanking:
+@dataclass(frozen=True, repr=False)
+class EditRanking(Result, table=".edit_tables:edit_ranking_table", figure=".edit_figures:edit_ranking_figure"):
     """
     Result of `rank_edits`: edits with their effect on the PST, and the PST by field angle.
 
@@ -125,6 +126,12 @@ class EditRanking:
     left_out: tuple[str, ...] = field(default=())
     edge_width: tuple[float | None, ...] = ()
     traced: Pst | None = None
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of edits, the PST at the first angle, and the first edit."""
+        found: dict[str, KeyNumber] = {"edits": len(self.edits)}
+        found |= {f"PST at {angle:g}° [1]": pst for angle, pst in zip(self.field_deg[:1], self.pst, strict=False)}
+        return found | ({"first": self.edits[0].label} if self.edits else {})
 
     def __getitem__(self, label: str) -> Edit:
         """Return the edit with a given label."""

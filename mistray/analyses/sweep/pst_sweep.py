@@ -19,10 +19,12 @@ from mistray.analyses.sweep.numbers import entering_columns, widest
 from mistray.analyses.sweep.original import Original
 from mistray.analyses.sweep.request import EditsRequest
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.known_arguments import known_arguments
 from mistray.metrics.changes.first_surfaces import Entering, entering_text, spoils
 from mistray.metrics.changes.gaps import Contacts, Gap, gaps_text
 from mistray.metrics.views import TraceView, seen_unpolarized
+from mistray.result import KeyNumber, Result
 from mistray.toolkit.analysis import analysis
 
 if TYPE_CHECKING:
@@ -62,7 +64,7 @@ class Changed:
         return self.ratio < 1 and not spoils(self.entering)
 
 
-class PstSweep:
+class PstSweep(Result, table=".edit_tables:pst_sweep_table", figure=".edit_figures:pst_sweep_figure"):
     """
     Result of `sweep_pst`: PST of each configuration by field angle.
 
@@ -93,6 +95,14 @@ class PstSweep:
         self.gaps = {name: tuple((gaps or {}).get(name, ())) for name in found}
         self.configurations = tuple(found)
         self.field_deg = next(iter(found.values())).field_deg
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of angles, and for each configuration the stray PST after over before at the last one."""
+        found: dict[str, KeyNumber] = {"angles": len(self.field_deg)}
+        for name in self.configurations[1:]:
+            change = self.changed(name, float(self.field_deg[-1]))
+            found[f"{name} after/before at {self.field_deg[-1]:g}° [1]"] = Estimate(change.ratio, change.ratio_se)
+        return found
 
     @known_arguments
     def changed(self, configuration: str, field_deg: float, classes: str | Sequence[str] = "stray") -> Changed:

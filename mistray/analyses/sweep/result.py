@@ -20,6 +20,7 @@ from mistray.estimate import Estimate
 from mistray.metrics.changes.first_surfaces import Entering, FirstLight, entering_text, spoils
 from mistray.metrics.changes.gaps import Gap, gaps_text
 from mistray.metrics.scene_values import assign
+from mistray.result import KeyNumber, Result
 from mistray.scene import load
 from mistray.toolkit.tables import frames
 from mistray.toolkit.tables.frames import error_of
@@ -34,7 +35,7 @@ Source: TypeAlias = "Path | dict[str, Any] | mi.Scene"
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
-class Sweep:
+class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
     """
     Result of `mistray.sweep`: a row for each configuration, field angle and wavelength.
 
@@ -245,11 +246,13 @@ class Sweep:
             _chosen("wavelength_nm", wavelength_nm, self.wavelengths_nm),
         )
 
-    def __repr__(self) -> str:
-        return (
-            f"Sweep({len(self.configurations)} configurations × {len(self.field_deg)} fields × "
-            f"{len(self.wavelengths_nm)} wavelengths, {self.reused} of {len(self)} from the cache)"
-        )
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of rows, and the least and the most stray light of a row, W."""
+        found: dict[str, KeyNumber] = {"rows": len(self), "configurations": len(self.configurations)}
+        stray = [estimate_of(row, "stray_W") for row in self.rows]
+        if stray:
+            found |= {"least stray [W]": min(stray), "most stray [W]": max(stray)}
+        return found | {"from the cache": self.reused}
 
 
 def estimate_of(row: Numbers, name: str) -> Estimate:

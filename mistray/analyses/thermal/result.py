@@ -11,6 +11,7 @@ from mistray.analyses.thermal.narcissus import NarcissusReturn, ZoneReturn
 from mistray.analyses.thermal.netd import Netd, NoiseSource
 from mistray.estimate import Estimate
 from mistray.notes import Note
+from mistray.result import KeyNumber, Result
 from mistray.toolkit.rows import column, frame
 
 if TYPE_CHECKING:
@@ -39,8 +40,8 @@ class Emitter:
     percent: float = column("Share of the total, %", math.nan, head="of total [%]", digits=".3g")
 
 
-@dataclass(frozen=True, kw_only=True)
-class ThermalReport:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_figure"):
     """
     Thermal light incident on the detector; irradiances are in W/mm² within the band.
 
@@ -110,6 +111,20 @@ class ThermalReport:
     netd: Netd | None = None
     facts: dict[str, Any] = field(default_factory=dict)
     notes: list[Note] = field(default_factory=list)
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return self-emission, W/mm², its ratio to the imaged scene, and NITD and NETD, K, where they are known."""
+        netd = (
+            {"NETD by D* [K]": self.netd.by_detectivity_K, "NETD by photons [K]": self.netd.by_photons_K}
+            if self.netd
+            else {}
+        )
+        numbers = {
+            "self-emission [W/mm²]": self.total_W_mm2,
+            "over the image [1]": self.to_image,
+            "narcissus difference [K]": self.nitd_K,
+        }
+        return {name: one for name, one in (numbers | netd).items() if math.isfinite(one.value)}
 
     def by_part(self) -> dict[str, Estimate]:
         """

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
-from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, TransferCurve
+from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, Transfer, TransferCurve
 from mistray.toolkit.figures.figure import Figure, plain_axes
 from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 
@@ -60,6 +60,11 @@ def mtf_figure(found: FieldTransfer, title: str = "") -> Figure:
         plain_axes(axes, below=True, xlabel="spatial frequency on the detector [1/mm]")
     how = "bands: ± one standard error; floor: direct light over all light on the detector"
     return figure.headed(title, f"field {found.name}: MTF with and without stray light", how, right=True)
+
+
+def first_figure(found: Transfer, title: str = "") -> Figure:
+    """Draw the transfer functions of the first field, see `mtf_figure`."""
+    return mtf_figure(found[0], title)
 
 
 def spread_figure(found: FieldTransfer, title: str = "") -> Figure:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mistray.analyses.transfer.figures import image_figure, mtf_figure, spread_figure
+from mistray.analyses.transfer.image_spread import CLASSES
 from mistray.analyses.transfer.result import FieldTransfer, Transfer
+from mistray.estimate import Estimate
 from mistray.time_budget import can_draw
 from mistray.toolkit.figures.figure import Figure as Drawing
 from mistray.toolkit.figures.plots import as_png
-from mistray.toolkit.pages.model import FigurePart, Items, NotePart, PagePart, Terms
+from mistray.toolkit.pages.model import FigurePart, Items, NotePart, PagePart, Table, Terms, Value, columns
 from mistray.toolkit.pages.parts import terms
+from mistray.toolkit.tables.frames import frame_table
 
 CAPTIONS: tuple[tuple[str, Callable[[FieldTransfer, str], Drawing], str], ...] = (
     ("mtf", mtf_figure, "MTF with and without stray light, and the contrast that stray light takes."),
@@ -22,6 +25,26 @@ CAPTIONS: tuple[tuple[str, Callable[[FieldTransfer, str], Drawing], str], ...] =
     ("image", image_figure, "The image of a point, with stray light, over its peak."),
 )
 """Name, figure and caption of the pictures of a field."""
+
+
+def field_table(found: Transfer) -> Table:
+    """Return the table of the fields: shares of the light, veiling floor, glare."""
+    heads = columns("<field", *(f"{name} [% of detected]" for name in CLASSES), "veiling floor", "glare")
+    rows: list[list[Value]] = [
+        [
+            one.name,
+            *(share.times(100) for share in one.shares.values()),
+            one.veiling_floor,
+            Estimate(one.glare.value, one.glare.se),
+        ]
+        for one in found
+    ]
+    return Table(heads, rows, empty="no field")
+
+
+def curve_table(found: FieldTransfer) -> Table:
+    """Return the transfer functions of a field at each frequency as a table."""
+    return frame_table("", found.to_pandas())
 
 
 def transfer_parts(found: Transfer, title: str = "") -> list[PagePart]:

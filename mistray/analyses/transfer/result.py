@@ -19,6 +19,7 @@ from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.stray_metric import StrayMetric
 from mistray.ranges import SHARE
 from mistray.recorders.sampled import Sampled
+from mistray.result import KeyNumber, Result
 from mistray.toolkit.tables.frames import flat
 
 Array = npt.NDArray[np.float64]
@@ -39,8 +40,8 @@ class TransferCurve(NamedTuple):
     se: Array
 
 
-@dataclass(frozen=True, eq=False)
-class FieldTransfer:
+@dataclass(frozen=True, eq=False, repr=False)
+class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figure"):
     """
     Image of one field point with its stray light.
 
@@ -87,6 +88,11 @@ class FieldTransfer:
     def name(self) -> str:
         """Name of the field, such as "10°"."""
         return self.image.name
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the field, the veiling floor of its transfer functions, and its glare."""
+        glare = Estimate(self.glare.value, self.glare.se)
+        return {"field": self.name, "veiling floor [1]": self.veiling_floor, "glare [1]": glare}
 
     # Powers
 
@@ -342,8 +348,8 @@ class FieldTransfer:
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class Transfer(OfFields[FieldTransfer]):
+@dataclass(frozen=True, eq=False, repr=False)
+class Transfer(OfFields[FieldTransfer], Result, table=".page:field_table", figure=".figures:first_figure"):
     """
     Result of `mistray.transfer`: a sequence of the images of field points with their stray light.
 
@@ -360,6 +366,15 @@ class Transfer(OfFields[FieldTransfer]):
     fields: tuple[FieldTransfer, ...]
     facts: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of fields, and the lowest veiling floor and the highest glare of a field."""
+        found: dict[str, KeyNumber] = {"fields": len(self)}
+        if len(self):
+            glare = max((one.glare for one in self), key=lambda glare: glare.value)
+            found["lowest veiling floor [1]"] = min(one.veiling_floor for one in self)
+            found["highest glare [1]"] = Estimate(glare.value, glare.se)
+        return found
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a row for each field, see `FieldTransfer.row`."""

@@ -16,6 +16,7 @@ from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import harvey_shack
 from mistray.physics.imaging import surface_transfer as formulas
 from mistray.ranges import NOT_NEGATIVE, POSITIVE
+from mistray.result import KeyNumber, Result
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.harvey_shack import index_step
 from mistray.scatter.lobe import LobeModel
@@ -30,8 +31,8 @@ AROUND = 32  # azimuths about the specular direction where the light is not the 
 LEAST_COSINE = 0.05  # of scattered light: a BSDF that counts solid angles grows without bound towards the horizon
 
 
-@dataclass(frozen=True)
-class SurfaceTransfer:
+@dataclass(frozen=True, repr=False)
+class SurfaceTransfer(Result):
     """
     Factor by which a rough surface multiplies the optical transfer function.
 
@@ -48,6 +49,10 @@ class SurfaceTransfer:
     wavelength_um: float
     plateau: float
     at_lag: Callable[[Array], Array]
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the wavelength, µm, the plateau, and the scattered share of the light."""
+        return {"wavelength [µm]": self.wavelength_um, "plateau": self.plateau, "TIS": self.tis}
 
     @property
     def tis(self) -> float:

@@ -14,7 +14,7 @@ from mistray.prescription.bodies.placing import face_place, moved_as_one
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Surface
 from mistray.prescription.scatter import Scatter
-from mistray.ranges import SIZE_MM, Each
+from mistray.ranges import SIZE_MM, Each, several
 
 X = np.array([1.0, 0.0, 0.0])
 
@@ -29,7 +29,7 @@ def prism(
     outside: str = "air",
     faces: Sequence[str] | None = None,
     coatings: Mapping[str, Coating | None] | None = None,
-    mirrors: Sequence[str] = (),
+    mirrors: str | Sequence[str] = (),
     ends: Coating | None = BLACK,
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface, ...]:
@@ -51,7 +51,7 @@ def prism(
         Names of the faces; by default their numbers from 1 on.
     coatings : mapping of str to Coating or None
         Face → coating; faces without one are bare, with Fresnel and total reflection.
-    mirrors : sequence of str
+    mirrors : str or sequence of str
         Faces at which the design path reflects, totally or by their coating.
     ends : Coating or None
         Coating of the two ends, ``<name>_left`` (-x) and ``<name>_right`` (+x); black by default.
@@ -76,6 +76,7 @@ def prism(
         raise MistrayError(f"{owner}: {names} are names of its {count} faces; give one to each")
     SIZE_MM.check("width", width, owner)
     given = dict(coatings or {})
+    mirrors = several(mirrors)
     for face in (*given, *mirrors):
         if face not in names:
             raise MistrayError(f"{owner}: it has no face '{face}'; its faces are {', '.join(names)}")

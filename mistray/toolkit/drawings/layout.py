@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 
 from mistray.errors import MistrayError
 from mistray.ids import event_words
+from mistray.ranges import several
 from mistray.recorders.path_events import DIRECT
 from mistray.replace_file import replace_file
 from mistray.surfaces.surfaces import solid_shapes
@@ -118,7 +119,7 @@ def glass_bodies(scene: Any) -> list[Polyline]:
 
 
 def layout(
-    report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN, path_ids: Sequence[int] | None = None
+    report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN, path_ids: int | Sequence[int] | None = None
 ) -> Figure:
     """
     Return a section with rays of the direct image and of the worst stray paths of one field, or of chosen paths.
@@ -131,10 +132,12 @@ def layout(
         Field angle, degrees.
     ghosts : int
         Number of stray paths drawn, the worst first by the rank of the report; the strongest by power is added.
-    path_ids : sequence of int, optional
+    path_ids : int or sequence of int, optional
         Draw these paths of ``report.table(field_deg)`` instead; the first one in blue.
     """
-    chosen = worst_paths(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, path_ids)
+    chosen = (
+        worst_paths(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, several(path_ids))
+    )
     drawn = _drawn(report, [(field_deg, *one) for one in chosen])
     title = f"field {field_deg:g}°: section x = 0; rays projected onto it; dots: reflections and scatter"
     return _figure(report.scene, drawn, title, width=SCREEN_WIDTH, size=8.0)
@@ -176,7 +179,7 @@ def layout_figure(
     scene: Any,
     trace: Trace | Sequence[Trace] | None = None,
     paths: int = PATHS_DRAWN,
-    path_ids: Sequence[int | str] | None = None,
+    path_ids: int | str | Sequence[int | str] | None = None,
     rays: int = RAYS_DRAWN,
     selection: str = "",
 ) -> Figure:
@@ -191,7 +194,7 @@ def layout_figure(
         Traces of this scene, also of several fields; none: the section alone is drawn.
     paths : int
         Number of rows of the path table to draw, the strongest first.
-    path_ids : sequence of int or str, optional
+    path_ids : int, str or sequence of them, optional
         Rows to draw instead, see `mistray.report.view`.
     rays : int
         Rays per path: those nearest to the plane x = 0 and spread over the beam, projected onto the plane.
@@ -208,7 +211,8 @@ def layout_figure(
     MistrayError
         If a row is unknown, rows come without a trace, or there are fewer than 0 paths or 1 ray.
     """
-    choice = RayChoice(paths=paths, path_ids=path_ids, rays=rays, selection=selection)
+    asked = None if path_ids is None else several(path_ids)
+    choice = RayChoice(paths=paths, path_ids=asked, rays=rays, selection=selection)
     if trace is None and path_ids is not None:
         raise MistrayError("path_ids without a trace; give the trace that has these paths")
     drawn: list[Drawn] = []

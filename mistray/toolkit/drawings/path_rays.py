@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, LETTERS
+from mistray.ranges import several
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.sources import field_axes
 from mistray.surfaces.surfaces import SurfaceTable
@@ -107,7 +108,7 @@ def one_of_each(rows: Iterable[PathRow], count: int) -> list[PathRow]:
     return list(found.values())
 
 
-def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 8) -> list[RayLine]:
+def rays_of_paths(trace: Trace, path_ids: int | Iterable[int] | None = None, n: int = 8) -> list[RayLine]:
     """
     Return rays of some paths, from `Trace.history`.
 
@@ -115,7 +116,7 @@ def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 
     ----------
     trace : Trace
         Finished trace.
-    path_ids : iterable of int, optional
+    path_ids : int or iterable of int, optional
         Rows of the path table (default: all).
     n : int
         Largest number of rays per path.
@@ -130,7 +131,7 @@ def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 
     MistrayError
         If a row is unknown, or `n` is below 1.
     """
-    ids = range(len(trace.paths)) if path_ids is None else path_ids
+    ids = range(len(trace.paths)) if path_ids is None else several(path_ids)
     return [line for i in ids for line in ray_lines(trace.history(int(i), n).to_pandas().assign(path_id=int(i)))]
 
 

@@ -13,6 +13,7 @@ from matplotlib.ticker import FixedFormatter, FuncFormatter
 
 from mistray.errors import MistrayWarning
 
+COLOUR_BAR = "<colorbar>"  # label that Matplotlib gives to its axes
 _GLYPH = re.compile(r"Glyph (?P<code>\d+) \(\\N\{(?P<name>[^}]*)\}\) missing")
 
 
@@ -103,6 +104,13 @@ class Figure(figure.Figure):
         """Write a text in small print below the panels, centred or on the right, and return the figure."""
         self.supxlabel(text, fontsize=7.5, color="#555555", **({"x": 0.99, "ha": "right"} if right else {}))
         return self
+
+    def in_pyplot(self) -> tuple[Axes, ...]:
+        """Make the figure the current one of pyplot, which shows it, and return the axes of its panels."""
+        from matplotlib import pyplot  # takes a backend, which files need not
+
+        pyplot.figure(FigureClass=lambda *_, **__: self)  # type: ignore[arg-type]  # a function that returns a figure
+        return tuple(axes for axes in self.axes if axes.get_label() != COLOUR_BAR)
 
     def savefig(self, *args: Any, **options: Any) -> None:
         """Write the figure, and warn in one line of characters that its font lacks."""

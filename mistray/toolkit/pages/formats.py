@@ -12,6 +12,7 @@ from mistray.files.irradiance_files import FORMATS, IrradianceMap, write_irradia
 from mistray.files.packages import format_package
 from mistray.files.parquet import write_parquet
 from mistray.files.ray_sets import save_ray_set
+from mistray.ranges import several
 from mistray.replace_file import replace_file
 from mistray.toolkit.pages.model import Report
 
@@ -25,7 +26,7 @@ def require_formats(formats: Sequence[str]) -> None:
 
     Parameters
     ----------
-    formats : sequence of str
+    formats : str or sequence of str
         "parquet", "pdf", "exr", "fits", "npy" or "dat".
 
     Raises
@@ -43,7 +44,7 @@ def pdf_name(page: str) -> str:
 
 
 def write_formats(
-    formats: Sequence[str],
+    formats: str | Sequence[str],
     directory: str | Path,
     tables: Mapping[str, pd.DataFrame],
     maps: Mapping[str, IrradianceMap],
@@ -75,7 +76,7 @@ def write_formats(
     """
     folder = Path(directory)
     written = []
-    for name in dict.fromkeys(formats):
+    for name in dict.fromkeys(several(formats)):
         if name in FORMATS:
             written += [write_irradiance(one, folder / f"{stem}.{name}") for stem, one in maps.items()]
         elif name == RAYS:

@@ -25,8 +25,13 @@ from mistray.toolkit.pages.markup import cell, number_cell
 def html_page(report: model.Report) -> str:
     """Return a report as a complete HTML document."""
     code = Markup("\n".join(_resource("assets", f"{name}.js") for name in report.scripts))
-    css = Markup(_resource("assets", "report.css"))
+    css = Markup(stylesheet("report"))
     return _environment().get_template("page.html").render(report=report, code=code, css=css) + "\n"
+
+
+def stylesheet(name: str) -> str:
+    """Return a style sheet of this package."""
+    return _resource("assets", f"{name}.css")
 
 
 def template(name: str, **values: Any) -> str:

@@ -130,7 +130,7 @@ def _how_to_read(image: Map, cells: int, common: bool) -> str:
     return f"{IRRADIANCE_LABEL}, {scale}; {HOW_TO_READ}{mean}"
 
 
-def levels_against_field(report: GhostReport) -> Figure:
+def levels_against_field(report: GhostReport, title: str = "") -> Figure:
     """Draw power (W) of the direct image and of each kind of stray light, and the worst paths, against field angle."""
     fields = sorted(report)
     summaries = [report.summary(field) for field in fields]
@@ -161,7 +161,8 @@ def levels_against_field(report: GhostReport) -> Figure:
             axes.legend(fontsize=8, framealpha=0.85, edgecolor="none")
         if len(fields) <= FIELDS_AS_TICKS:
             axes.set_xticks(fields)
-    return figure.small_print("error bars: one standard error", right=True)
+    how = "error bars: one standard error"
+    return figure.headed(title, small_print=how, right=True) if title else figure.small_print(how, right=True)
 
 
 def _error_bars(

@@ -92,6 +92,13 @@ def summary_table(rows: Sequence[Mapping[str, Any]], only: Sequence[str] = tuple
     return chosen(frame, shown, name)
 
 
+def field_table(report: GhostReport) -> Table:
+    """Return the main table with a row for each field, and the columns that it has in text."""
+    return (
+        summary_table(summary_rows(report, [None]), IN_TEXT) if report else Table((), (), empty="no field was traced")
+    )
+
+
 def is_partly_reflected(paths: pd.DataFrame) -> bool:
     """Return whether the detector reflects more than 1e-6 of the light of any path."""
     return bool((paths.incident_W > (1 + ABSORBING) * paths.power_W).any())

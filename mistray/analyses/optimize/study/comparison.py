@@ -19,10 +19,12 @@ from mistray.analyses.optimize.study.model import DesignStudy, Term
 from mistray.analyses.optimize.study.state import Step
 from mistray.analyses.optimize.study.terms import cell_settings, of_layers, of_pst, traced_metric
 from mistray.errors import MistrayError, in_words
+from mistray.estimate import Estimate
 from mistray.metrics.changes.first_surfaces import Entering, FirstLight, spoils
 from mistray.metrics.metric import Metric
 from mistray.metrics.views import added_light, light_since
 from mistray.ranges import SEEDS as SEED_COUNT
+from mistray.result import KeyNumber, Result
 from mistray.toolkit.rows import column
 
 FALSE_ALARM = 0.01  # of `worse`, if nothing has changed
@@ -54,8 +56,8 @@ class ComparisonCell:
         return self.field_deg is None and self.wavelength_nm is None
 
 
-@dataclass(frozen=True)
-class Levels:
+@dataclass(frozen=True, repr=False)
+class Levels(Result, table="..tables:levels_table", figure="..figures:levels_figure"):
     """
     Values of the terms of a study in one scene, by seed.
 
@@ -75,6 +77,23 @@ class Levels:
     values: dict[ComparisonCell, np.ndarray]
     units: dict[str, str] = field(default_factory=dict)
     light: dict[str, FirstLight] = field(default_factory=dict)
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the number of seeds, and the mean of each term with its standard error."""
+        means = {f"{name} [{self.units.get(name, '1')}]": value for name, value in self.means.items()}
+        return {"seeds": len(self.seeds), **means}
+
+    @property
+    def means(self) -> dict[str, Estimate]:
+        """Mean over the seeds of each term as a whole, in its unit, with its standard error."""
+        count = len(self.seeds)
+        return {
+            cell.term: Estimate(
+                float(np.mean(values)), float(np.std(values, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
+            )
+            for cell, values in self.values.items()
+            if cell.whole
+        }
 
     def of(self, term: str) -> np.ndarray:
         """Return the values of a term over all its fields and wavelengths, by seed, (seeds,)."""
@@ -109,8 +128,8 @@ class ComparisonRow:
         return self.field_deg is None and self.wavelength_nm is None
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Result, table="..tables:rows_table", figure="..figures:comparison_figure"):
     """
     Comparison of two designs on the same independent seeds.
 
@@ -127,6 +146,13 @@ class Comparison:
     seeds: tuple[int, ...]
     rows: tuple[ComparisonRow, ...]
     entering: Mapping[str, tuple[Entering, ...]] = field(default_factory=dict)
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the first term before and after, their ratio, and the number of seeds."""
+        row = self.total
+        before, after = Estimate(row.before, row.before_se), Estimate(row.after, row.after_se)
+        numbers = {f"{row.term} before [{row.unit}]": before, f"after [{row.unit}]": after}
+        return {**numbers, "before/after [1]": Estimate(row.ratio, row.ratio_se), "seeds": len(self.seeds)}
 
     @property
     def spoiled(self) -> bool:

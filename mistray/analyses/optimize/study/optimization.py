@@ -40,6 +40,7 @@ from mistray.metrics.parameters import SHAPE_KINDS
 from mistray.metrics.views import seen_unpolarized
 from mistray.ranges import SECONDS
 from mistray.ranges import SEEDS as SEED_COUNT
+from mistray.result import KeyNumber, Result
 from mistray.scene import load
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating
@@ -48,8 +49,8 @@ from mistray.toolkit.analysis import analysis
 SHARE_OF_SEARCH = 0.6  # of the time that is given; the comparison has the rest
 
 
-@dataclass(frozen=True)
-class Optimization:
+@dataclass(frozen=True, repr=False)
+class Optimization(Result, table="..tables:all_terms_table", figure="..figures:search_figure"):
     """
     Result of `optimize`: steps of all searches, best step, and comparison with the given design.
 
@@ -112,6 +113,10 @@ class Optimization:
     search_seconds: float
     traced_seconds: float
     verification_seconds: float
+
+    def key_numbers(self) -> dict[str, KeyNumber]:
+        """Return the first term before and after, their ratio, and the number of variables."""
+        return {**self.comparison.key_numbers(), "variables": len(self.variables)}
 
     @property
     def before(self) -> dict[str, float]:

@@ -1,0 +1,56 @@
+"""Horizontal bars of values with standard errors, one for each name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.ticker import LogLocator
+
+from mistray.estimate import Estimate
+from mistray.toolkit.figures.figure import Figure, plain_axes
+from mistray.toolkit.figures.palette import BLUE, VERMILION
+
+BARS = 12
+DECADES = 12.0  # below the longest bar, where bars end
+LONGEST_NAME = 60  # letters beside a bar
+
+
+def bars(values: Mapping[str, Estimate], colours: Sequence[str], label: str) -> Figure:
+    """
+    Draw values as horizontal bars on a log10 scale, the first at the top; none for a value that is not above 0.
+
+    Parameters
+    ----------
+    values : mapping of str to Estimate
+        Values by name.
+    colours : sequence of str
+        Colour of each bar.
+    label : str
+        What the values are, with their unit.
+    """
+    made, axes = Figure.of_panels(8.6, 1.2 + 0.32 * max(len(values), 3))
+    value = np.array([one.value for one in values.values()])
+    error = np.nan_to_num([one.se for one in values.values()])
+    axes.barh(range(len(values)), value, color=colours, height=0.7)
+    below = np.minimum(error, 0.9 * value)
+    axes.errorbar(value, range(len(values)), xerr=[below, error], fmt="none", ecolor="#333333", lw=0.9)
+    names = [name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…" for name in values]
+    axes.set_yticks(range(len(values)), names, fontsize=8)
+    axes.invert_yaxis()
+    if len(value) and value.max() > 0:
+        axes.set_xscale("log")
+        axes.set_xlim(max(value[value > 0].min() / 3, value.max() * 10.0**-DECADES), 2 * (value + error).max())
+        axes.xaxis.set_major_locator(LogLocator(10, numticks=12))
+    else:
+        axes.text(0.5, 0.5, "nothing above 0", ha="center", va="center", transform=axes.transAxes)
+    plain_axes(axes, "x", below=True, xlabel=label)
+    return made
+
+
+def magnitude_bars(values: Mapping[str, Estimate], label: str) -> Figure:
+    """Draw the magnitudes of the largest values as horizontal bars on a log10 scale, those below 0 in orange."""
+    known = {name: one for name, one in values.items() if np.isfinite(one.value) and one.value}
+    shown = dict(sorted(known.items(), key=lambda item: -abs(item[1].value))[:BARS])
+    sizes = {name: Estimate(abs(one.value), one.se) for name, one in shown.items()}
+    return bars(sizes, [BLUE if one.value > 0 else VERMILION for one in shown.values()], label)

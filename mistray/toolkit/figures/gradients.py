@@ -1,0 +1,14 @@
+"""Picture of a gradient for summaries: the largest derivatives."""
+
+from __future__ import annotations
+
+from mistray.metrics.gradient import Gradient
+from mistray.toolkit.figures.bars import magnitude_bars
+from mistray.toolkit.figures.figure import Figure
+from mistray.toolkit.tables.gradients import derivatives
+
+
+def gradient_figure(found: Gradient, title: str = "") -> Figure:
+    """Draw the largest derivatives as bars, in the unit of the metric per unit of the parameter, with errors."""
+    made = magnitude_bars(derivatives(found), "size of the derivative [metric per unit of the parameter]")
+    return made.headed(title, "derivatives", "blue: above 0, orange: below 0; bars of one standard error")

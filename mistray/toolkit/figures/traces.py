@@ -1,0 +1,66 @@
+"""Pictures of traces for summaries: irradiance, paths, energy ledger, flux at surfaces, recorded rays."""
+
+from __future__ import annotations
+
+from mistray.estimate import Estimate
+from mistray.recorders.path_events import DIRECT
+from mistray.toolkit.figures.bars import BARS, bars
+from mistray.toolkit.figures.figure import Figure, plain_axes
+from mistray.toolkit.figures.palette import BLUE, GREEN, GREY, ORANGE, VERMILION
+from mistray.toolkit.figures.plots import HOW_TO_READ, scaled_map
+from mistray.toolkit.tables.traces import ledger
+from mistray.trace.energy import Energy, FluxReport
+from mistray.trace.history import RayHistory
+from mistray.trace.paths import PathTable
+from mistray.trace.result import Trace
+
+CELLS = 512  # along the longer side of a map
+LEDGER_COLOURS = {"detected": BLUE, "absorbed": GREY, "escaped": GREEN, "cut": ORANGE}
+
+
+def trace_figure(trace: Trace, title: str = "") -> Figure:
+    """Draw the irradiance of the detector on a log10 scale, with all light."""
+    x0, x1, y0, y1 = trace.extent
+    made, axes = Figure.of_panels(5.6, 0.9 + 4.3 * max((y1 - y0) / (x1 - x0), 0.45), dpi=110)
+    scaled_map(axes, trace.light, trace.extent, None, CELLS)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]")
+    detector = ", ".join(trace.detectors[:1])
+    return made.headed(title, f"irradiance of {detector}", f"log₁₀ irradiance [W/mm²]; {HOW_TO_READ}")
+
+
+def paths_figure(paths: PathTable, title: str = "") -> Figure:
+    """Draw the power of the strongest paths as bars, W, with standard errors."""
+    rows = paths[:BARS]
+    powers = {f"{row.path_id}  {row.label}": Estimate(row.power_W, row.power_se_W) for row in rows}
+    colours = [BLUE if row.kind == DIRECT else VERMILION for row in rows]
+    made = bars(powers, colours, "power [W absorbed]")
+    left = len(paths) - len(rows)
+    more = f"; {left} more paths are not drawn" if left else ""
+    return made.headed(title, "strongest paths", f"blue: direct image, orange: stray light{more}")
+
+
+def energy_figure(energy: Energy, title: str = "") -> Figure:
+    """Draw where the launched flux went as bars, in percent of it, with standard errors."""
+    flux = sorted(ledger(energy).items(), key=lambda item: -item[1].value)[:BARS]
+    shares = {name: one.times(100 / energy.launched_W) for name, one in flux if one.value > 0}
+    made = bars(shares, [LEDGER_COLOURS[name.split()[0]] for name in shares], "share of the launched flux [%]")
+    return made.headed(title, "energy ledger")
+
+
+def flux_figure(found: FluxReport, title: str = "") -> Figure:
+    """Draw the flux that surfaces absorb as bars, W, with standard errors."""
+    rows = sorted((row for row in found if row.absorbed_W > 0), key=lambda row: -row.absorbed_W)[:BARS]
+    fluxes = {row.id: Estimate(row.absorbed_W, row.absorbed_se_W) for row in rows}
+    return bars(fluxes, [GREY] * len(rows), "absorbed flux [W]").headed(title, "flux that surfaces absorb")
+
+
+def rays_figure(rays: RayHistory, title: str = "") -> Figure:
+    """Draw recorded rays projected onto the y-z plane, mm; dots are their events."""
+    made, axes = Figure.of_panels(8.6, 4.2)
+    for points in rays.rays:
+        axes.plot(points[:, 2], points[:, 1], color=BLUE, lw=0.8, marker=".", ms=4)
+    if not len(rays):
+        axes.text(0.5, 0.5, "no rays", ha="center", va="center", transform=axes.transAxes)
+    plain_axes(axes, below=True, xlabel="z [mm]", ylabel="y [mm]")
+    axes.set_aspect("equal", adjustable="datalim")
+    return made.headed(title, f"{len(rays)} rays, projected onto x = 0", "dots: events")

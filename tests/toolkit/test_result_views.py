@@ -1,0 +1,153 @@
+"""What a Python session shows of every result: one line, a summary in notebooks, a figure."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from typing import Any
+
+import matplotlib
+import pytest
+import stubs
+from command_line import Patch
+from result_calls import CALLS, LONG
+
+import mistray
+from mistray.result import Result
+from mistray.toolkit.summary import MOST_LETTERS, MOST_ROWS, main_figure
+
+long = pytest.mark.long
+COMPUTED = ("mistray.trace.", "mistray.analyses.", "mistray.metrics.")  # other modules have what is put in
+# Classes of these that exported functions return and that are no results
+OTHERS = {
+    "View": "has a three-dimensional picture of its own",
+    "Metric": "is to be evaluated",
+    "PstMetric": "is to be evaluated",
+    "CombinedMetric": "is to be evaluated",
+    "DesignStudy": "is an input",
+}
+NO_FIGURE = {"StepExport", "SurfaceTransfer", "LineImage"}  # nothing of them is drawn
+DRAWN_LONG = LONG | {"mistray.analysis.ghosts", "mistray.analysis.pst", "mistray.analysis.transfer"}
+VOID = {"area", "base", "br", "col", "embed", "hr", "img", "input", "link", "meta", "source", "track", "wbr"}
+
+
+@pytest.fixture
+def plots(monkeypatch: Patch) -> Iterator[None]:
+    matplotlib.use("agg")
+    yield
+    importlib.import_module("matplotlib.pyplot").close("all")
+
+
+class Nesting(HTMLParser):
+    """Tags that are open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        self.open += [] if tag in VOID else [tag]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def returned() -> dict[str, type]:
+    """Classes of mistray that the exported functions return, by name."""
+    found = {}
+    for package in stubs.packages():
+        module = importlib.import_module(package)
+        for name in module.__all__:
+            function = getattr(module, name)
+            if inspect.isfunction(function):
+                kind = stubs_type(function)
+                if isinstance(kind, type) and kind.__module__.startswith(COMPUTED):
+                    found[kind.__name__] = kind
+    return found
+
+
+def stubs_type(function: Any) -> Any:
+    """The class that the return annotation of a function names, where it is one."""
+    said = inspect.signature(function).return_annotation
+    return vars(importlib.import_module(function.__module__)).get(said) if isinstance(said, str) else said
+
+
+def every_result() -> list[type[Result]]:
+    """All classes of results, once the modules of all exported names are imported."""
+    returned()
+    found, left = [], [Result]
+    while left:
+        kind = left.pop()
+        left += kind.__subclasses__()
+        found += [kind] if kind is not Result and kind.__module__.startswith("mistray.") else []
+    return found
+
+
+@pytest.mark.core
+def test_what_exported_functions_return_is_a_result() -> None:
+    assert len(returned()) >= 20
+    found = {name for name, kind in returned().items() if not issubclass(kind, Result)}
+    assert found == set(OTHERS)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("kind", every_result(), ids=lambda kind: kind.__name__)
+def test_a_result_says_its_numbers_and_names_its_table_and_figure(kind: type[Result]) -> None:
+    assert "key_numbers" in vars(kind)
+    assert kind.__repr__ is Result.__repr__, "give the dataclass repr=False"
+    assert {*kind.shown_by} == (set() if kind.__name__ in NO_FIGURE else {"table", "figure"})
+    for place in kind.shown_by.values():
+        module, _, name = place.partition(":")
+        function = getattr(importlib.import_module(module), name)
+        first, *others = inspect.signature(function).parameters.values()
+        assert first.annotation == kind.__name__, place
+        assert all(one.default is not one.empty for one in others), place
+
+
+def check(result: Result) -> None:
+    """One line without an address, a summary that is whole, and a figure."""
+    line = repr(result)
+    assert len(line) <= MOST_LETTERS
+    assert not any(text in line for text in ("\n", " object at 0x", "nan"))
+    assert line == f"{type(result).__name__}({line.partition('(')[2][:-1]})"
+    html = result._repr_html_()
+    nesting = Nesting()
+    nesting.feed(html)
+    assert nesting.open == []
+    assert html.count("<tr>") <= MOST_ROWS + 1
+    assert not any(text in html for text in ("<script", 'id=""', " object at 0x"))
+    assert f"<strong>{type(result).__name__}</strong>" in html
+    if type(result).__name__ in NO_FIGURE:
+        with pytest.raises(mistray.MistrayError, match=f"^{type(result).__name__} has no figure; .*$"):
+            result.plot()
+        return
+    assert (html.count("<figure>"), html.count("<svg")) == (1, 1)
+    pyplot = importlib.import_module("matplotlib.pyplot")
+    drawn = result.plot("A title")
+    first = drawn[0] if isinstance(drawn, tuple) else drawn
+    assert isinstance(first, matplotlib.axes.Axes)
+    assert pyplot.gcf() is first.figure
+    assert type(first.figure) is type(main_figure(result))
+
+
+@pytest.mark.usefixtures("folder", "plots")
+@pytest.mark.parametrize("name", [pytest.param(name, marks=long if name in DRAWN_LONG else ()) for name in CALLS])
+def test_a_result_of_every_function(name: str) -> None:
+    result = CALLS[name]()
+    if isinstance(result, Result):
+        check(result)
+        parts = [getattr(result, name) for name in ("fields", "comparison") if hasattr(result, name)]
+        for part in parts:
+            check(part[0] if isinstance(part, tuple) else part)
+
+
+@long
+@pytest.mark.usefixtures("folder", "plots")
+def test_parts_of_a_trace() -> None:
+    t = mistray.trace(mistray.load("coated.xml"), rays=64)
+    for part in (t, t.paths, t.energy, t.surfaces, t.history(0), t.history(0)[[]], t.on(t.detectors[0])):
+        check(part)
+    assert repr(t).startswith("Trace(coated, detected ")
+    assert "paths: not kept" in repr(mistray.trace(mistray.load("coated.xml"), rays=64, ledger=False))
