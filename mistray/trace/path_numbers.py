@@ -195,3 +195,15 @@ def _shape(sums: np.ndarray) -> np.ndarray:
         stokes = [sums[..., k] / power for k in (S1, S2, S3)]
         degree = np.linalg.norm(stokes, axis=0)
         return np.stack([x, y, np.sqrt(variance), power / (np.pi * variance), degree, *stokes])
+
+
+def percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the columns ``percent`` and ``percent_se`` of powers of paths or groups; no error where `few` rays."""
+    found = light.over(of[None]).scaled(100.0)
+    return {"percent": found.value, "percent_se": np.where(few, np.nan, found.se)}
+
+
+def alike(columns: Sequence[np.ndarray]) -> np.ndarray:
+    """Return a group number for each path, (p,), equal for paths that agree in all columns, (p,) each."""
+    keys = [np.unique(column, return_inverse=True)[1] for column in columns]
+    return np.asarray(np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)[1]).ravel()

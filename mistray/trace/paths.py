@@ -26,7 +26,7 @@ from mistray.trace.filter_rows import Rows
 from mistray.trace.named_paths import warn_unless_one
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.path_numbers import ABSORBED, CHUNK, RAYS, HitSums, PathNumbers, path_numbers
+from mistray.trace.path_numbers import ABSORBED, CHUNK, RAYS, HitSums, PathNumbers, alike, path_numbers, percents
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -424,8 +424,8 @@ class PathTable(
         """
         numbers = self.numbers(groups)
         heads = np.array([group[0] for group in groups], dtype=np.int64)
-        found = numbers.judged(_kinds({name: self._columns[name][heads] for name in SAME_KIND}))
-        return found | _percents(numbers.light, self._numbers.light.total(), found["few_rays"])
+        found = numbers.judged(alike([self._columns[name][heads] for name in SAME_KIND]))
+        return found | percents(numbers.light, self._numbers.light.total(), found["few_rays"])
 
     def moments(self) -> np.ndarray:
         """
@@ -584,25 +584,12 @@ def path_table(runs: Sequence[Run]) -> PathTable:
     found = PathNumbers.joined(numbers)
     # Errors are judged by kind over all runs, so that a path of few rays has those of its kind beside it
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    columns |= found.judged(_kinds(columns))
+    columns |= found.judged(alike([columns[name] for name in SAME_KIND]))
     number = np.repeat(np.arange(len(places)), [len(place) for place in places])
     # By power; equal ones by source, wavelength and events, whatever the order of the shapes in the file
     keys = list(zip((-columns["power_W"]).tolist(), number.tolist(), columns["events"], strict=True))
     order = np.array(sorted(range(len(keys)), key=keys.__getitem__), dtype=np.int64)
     columns = {name: column[order] for name, column in columns.items()}
     columns["path_id"] = np.arange(len(order))
-    columns |= _percents(found.light[order], found.light.total(), columns["few_rays"])
+    columns |= percents(found.light[order], found.light.total(), columns["few_rays"])
     return PathTable(columns, runs, number[order], np.concatenate(places)[order], found[order])
-
-
-def _percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the columns ``percent`` and ``percent_se`` of powers of paths or groups; no error where `few` rays."""
-    found = light.over(of[None]).scaled(100.0)
-    return {"percent": found.value, "percent_se": np.where(few, np.nan, found.se)}
-
-
-def _kinds(columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return a group number for each path, equal for paths that agree in all columns of `SAME_KIND`, (p,)."""
-    keys = [np.unique(columns[name], return_inverse=True)[1] for name in SAME_KIND]
-    _, kind = np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)
-    return np.asarray(kind).ravel()
