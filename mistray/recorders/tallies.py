@@ -46,6 +46,7 @@ HITS, INCIDENT, ABSORBED_HERE, AIMED, LANDED = range(5)
 SURFACE_SUMS = 5
 MOST_LANE_SUMS = 256  # most surfaces whose sums are kept by lane, 24 bytes for each surface and lane
 HIT_SUMS = 3  # the first columns, to which every hit adds
+ROOM_OF_MEDIA = 8  # media come by so many
 SUMS = "sums"  # name of the per-lane sums in the memory
 
 
@@ -61,8 +62,10 @@ class Tallies(Recorder):
     by_ray = False  # all rays of a lane are of one batch
 
     def __init__(self, table: SurfaceTable) -> None:
-        surfaces, media = table.count, len(table.optics.media)
+        surfaces, self._media = table.count, len(table.optics.media)
         self.count = surfaces
+        # Dr.Jit writes the size of a small array into the kernel: a few media more or less keep theirs
+        media = -(-self._media // ROOM_OF_MEDIA) * ROOM_OF_MEDIA
         self._in_lanes = surfaces <= MOST_LANE_SUMS
         self.surfaces = dr.zeros(mi.Float64, (surfaces + media) * SURFACE_SUMS * BATCHES)
         self.media = dr.zeros(mi.Float64, media * BATCHES)
@@ -168,8 +171,8 @@ class Tallies(Recorder):
             (CHANNEL_COUNT, BATCHES).
         """
         return {
-            "surfaces": np.array(self.surfaces).reshape(-1, SURFACE_SUMS, BATCHES),
-            "media": np.array(self.media).reshape(-1, BATCHES),
+            "surfaces": np.array(self.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: self.count + self._media],
+            "media": np.array(self.media).reshape(-1, BATCHES)[: self._media],
             "channels": np.array(self.channels).reshape(CHANNEL_COUNT, BATCHES),
         }
 
