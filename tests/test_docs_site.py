@@ -42,7 +42,7 @@ QUESTIONS = {
     "import zemax file": ("import",),
     "read step file": ("mechanics",),
     "sun outside field of view": ("questions/baffle_depth", "stray_metrics", "sources"),
-    "install on mac": ("index",),
+    "install on mac": ("windows_macos", "install"),
     "gpu": ("speed",),
     "what does bsdf mean": ("glossary",),
     "own scatter model": ("extending", "notebooks/own_bsdf_plugin"),
@@ -147,7 +147,7 @@ def test_every_public_name_is_there(pages: dict[str, Page]) -> None:
     import mistray
 
     documented = {name for page in pages.values() for name in page.ids}
-    for name in mistray.__all__:
+    for name in set(mistray.__all__) - {"__version__"}:  # a text that every package has
         thing = getattr(mistray, name)
         if isinstance(thing, type) or callable(thing):
             places = {f"{home}.{name}" for home in (thing.__module__, mistray._homes.get(name))}
