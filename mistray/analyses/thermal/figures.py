@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator
 
 from mistray.analyses.thermal.result import ThermalReport
+from mistray.toolkit.figures.bars import named_bars
 from mistray.toolkit.figures.figure import Figure, plain_axes
 from mistray.toolkit.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
@@ -23,11 +24,8 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
     made, axes = Figure.of_panels(8.6, 1.4 + 0.32 * max(len(lit), 3))
     values = np.array([e.irradiance_W_mm2.value for e in lit])
     colours = [COLD_COLOUR if e.temperature_K < report.temperature_K else KIND_COLOURS[e.kind] for e in lit]
-    axes.barh(range(len(lit)), values, color=colours, height=0.7)
     errors = np.array([e.irradiance_W_mm2.se for e in lit])
-    axes.errorbar(values, range(len(lit)), xerr=np.minimum(errors, 0.9 * values), fmt="none", ecolor="#333333", lw=0.9)
-    axes.set_yticks(range(len(lit)), [e.name for e in lit], fontsize=8)
-    axes.invert_yaxis()
+    named_bars(axes, [e.name for e in lit], values, np.minimum(errors, 0.9 * values), colours)
     for value, colour, text in (
         (report.total_W_mm2.value, VERMILION, "all self-emission"),
         (report.image_W_mm2.value, "#555555", f"image of a blackbody at {report.scene_K:g} K"),

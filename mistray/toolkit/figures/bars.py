@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
 from mistray.estimate import Estimate
@@ -32,12 +34,8 @@ def bars(values: Mapping[str, Estimate], colours: Sequence[str], label: str) -> 
     made, axes = Figure.of_panels(8.6, 1.2 + 0.32 * max(len(values), 3))
     value = np.array([one.value for one in values.values()])
     error = np.nan_to_num([one.se for one in values.values()])
-    axes.barh(range(len(values)), value, color=colours, height=0.7)
-    below = np.minimum(error, 0.9 * value)
-    axes.errorbar(value, range(len(values)), xerr=[below, error], fmt="none", ecolor="#333333", lw=0.9)
     names = [name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…" for name in values]
-    axes.set_yticks(range(len(values)), names, fontsize=8)
-    axes.invert_yaxis()
+    named_bars(axes, names, value, [np.minimum(error, 0.9 * value), error], colours)
     if len(value) and value.max() > 0:
         axes.set_xscale("log")
         axes.set_xlim(max(value[value > 0].min() / 3, value.max() * 10.0**-DECADES), 2 * (value + error).max())
@@ -46,6 +44,15 @@ def bars(values: Mapping[str, Estimate], colours: Sequence[str], label: str) -> 
         axes.text(0.5, 0.5, "nothing above 0", ha="center", va="center", transform=axes.transAxes)
     plain_axes(axes, "x", below=True, xlabel=label)
     return made
+
+
+def named_bars(axes: Axes, names: Sequence[str], values: np.ndarray, errors: Any, colours: Sequence[str]) -> None:
+    """Draw horizontal bars with their errors, as `Axes.errorbar` takes them, and names beside, the first at the top."""
+    places = range(len(names))
+    axes.barh(places, values, color=colours, height=0.7)
+    axes.errorbar(values, places, xerr=errors, fmt="none", ecolor="#333333", lw=0.9)
+    axes.set_yticks(places, names, fontsize=8)
+    axes.invert_yaxis()
 
 
 def magnitude_bars(values: Mapping[str, Estimate], label: str) -> Figure:
