@@ -357,9 +357,10 @@ class ScatterTables:
             if not bsdf.scatter:
                 continue
             media = [light_indices(optics, s, from_front) for from_front in (True, False)]
-            kind = (*bsdf.scatter, bsdf.coating, *media, *optics.complex_indices[s], optics.host_words[s] & OPAQUE)
+            indices, opaque = optics.complex_indices[s], optics.host_words[s] & OPAQUE
+            kind = (*bsdf.scatter, bsdf.coating, *media, *indices, opaque, optics.wavelength_nm)
             if kind not in alike:
-                alike[kind] = self._sides_of(table.ids, optics, s, (*kind, optics.wavelength_nm))
+                alike[kind] = self._sides_of(table.ids, optics, s, kind)
             found = alike[kind]
             for side, from_front in enumerate((True, False)):
                 sides[2 * s + side, 2] = bsdf.scatter_rays << RANDOM_RAYS_SHIFT

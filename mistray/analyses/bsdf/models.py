@@ -119,7 +119,7 @@ def given(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
     if kind != name:  # a file: what it says is not said again
         allowed = {key: param for key, param in allowed.items() if key != "file" and key not in MADE_OF.get(kind, {})}
     every = dict.fromkeys(key for known in (allowed, *map(parameters, KINDS)) for key in known)
-    found = {key: value for key in every if (value := options.get(key)) is not None and value is not False}
+    found = {key: value for key in every if (value := options[key]) is not None and value is not False}
     for key in found:
         if key not in allowed:
             raise MistrayError(f"{name} has no {flag(key)}; its options are {', '.join(map(flag, allowed))}")
