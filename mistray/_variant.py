@@ -11,7 +11,7 @@ import os
 import pkgutil
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import ModuleType
 
 from mistray._llvm import LLVM_REMEDY, OLDEST_LLVM, find_llvm, search_llvm, version_text
@@ -138,8 +138,12 @@ def plugin_modules() -> list[str]:
 
 def plugins_of_others() -> dict[str, bool]:
     """Full names of the modules of plugins that other packages have, and whether the user named them."""
-    given = [name.strip() for name in os.environ.get(PLUGIN_MODULES, "").split(",") if name.strip()]
+    given = _given_plugins()
     return {value: value in given for value in (*(value for _, value in points_of(PLUGIN_ROOT)), *given)}
+
+
+def _given_plugins() -> list[str]:
+    return [name.strip() for name in os.environ.get(PLUGIN_MODULES, "").split(",") if name.strip()]
 
 
 def use_plugins(modules: Sequence[str]) -> None:
@@ -156,10 +160,9 @@ def use_plugins(modules: Sequence[str]) -> None:
     MistrayError
         If a variant is active and a module cannot be imported.
     """
-    given = [name for name, is_given in plugins_of_others().items() if is_given]
-    os.environ[PLUGIN_MODULES] = ",".join(dict.fromkeys([*given, *modules]))
+    os.environ[PLUGIN_MODULES] = ",".join(dict.fromkeys([*_given_plugins(), *modules]))
     if _registered_variant is not None:
-        _import_of_others()
+        _import_of_others(plugins_of_others())
 
 
 def register_plugins() -> None:
@@ -187,20 +190,19 @@ def _register_for(variant: str) -> None:
     # Plugin classes derive from classes of one variant. All modules are dropped before the first is imported again:
     # reloading them one by one would leave a class derived from another plugin's base on the base of the old variant.
     global _registered_variant
-    names, others = plugin_modules(), tuple(plugins_of_others())
-    for name in [
-        name for name in sys.modules if name in names or f"{name}.".startswith(tuple(f"{n}." for n in others))
-    ]:
+    names, others = plugin_modules(), plugins_of_others()
+    inside = tuple(f"{name}." for name in others)
+    for name in [name for name in sys.modules if name in names or f"{name}.".startswith(inside)]:
         del sys.modules[name]
     for name in names:
         importlib.import_module(name)
-    _import_of_others()
+    _import_of_others(others)
     _registered_variant = variant
 
 
-def _import_of_others() -> None:
-    """Import the plugins of other packages; leave out an installed one that cannot be, and raise for a named one."""
-    for name, is_given in plugins_of_others().items():
+def _import_of_others(others: Mapping[str, bool]) -> None:
+    """Import `plugins_of_others`; leave out an installed one that cannot be imported, and raise for a named one."""
+    for name, is_given in others.items():
         try:
             importlib.import_module(name)
         except Exception as error:  # code of others

@@ -123,7 +123,8 @@ class Options(argparse.Namespace):
         from mistray._variant import ensure_variant, set_threads, use_plugins
 
         with later():  # an interrupt may crash Mitsuba and Dr.Jit while they start
-            use_plugins(self.has("plugin") or ())
+            if self.has("plugin"):
+                use_plugins(self.plugin)
             ensure_variant(self.has("variant"))  # settles libLLVM
             if self.has("threads") is not None:
                 set_threads(self.threads)

@@ -68,7 +68,8 @@ def do_part(
             f"worker {worker.address} has {worker.state.nthreads} threads; start it with --nthreads 1: a trace takes "
             "all cores by itself"
         )
-    use_plugins([name for name in surroundings.get("plugins", "").split(",") if name])
+    if surroundings.get("plugins"):
+        use_plugins(surroundings["plugins"].split(","))
     ensure_variant(surroundings["variant"])
     from mistray.cluster.travel import Unpacked
     from mistray.cluster.travel import surroundings as own_surroundings
