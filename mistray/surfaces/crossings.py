@@ -166,6 +166,10 @@ class AxisRay:
         t = smaller(t, FAR)
         return larger(self.oo, dr.fma(t, dr.fma(t, self.dd, 2 * self.od), self.oo))
 
+    def closest(self) -> mi.Float:
+        """Return the distance, mm, at which the ray is closest to the axis; 0 for a ray along it."""
+        return dr.select(self.dd < AXIAL, 0, -self.od / self.dd)
+
     def lateral(self, t: mi.Float) -> tuple[mi.Float, mi.Float]:
         """Return the x and y coordinates of the ray's point at the distance t, mm."""
         return dr.fma(t, self.dx, self.ox), dr.fma(t, self.dy, self.oy)
@@ -188,20 +192,32 @@ def plane_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.
     return dr.select(ok, t, dr.inf)
 
 
-def _of_conic(ray: AxisRay, n: Numbers) -> tuple[mi.Float, mi.Float, mi.Float]:
-    """Return the coefficients of a t² + 2 b t + g = 0 for the distances t, mm, at which a ray crosses a conic."""
-    oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
-    a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
-    b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)
-    return a, b, dr.fma(c, dr.fma(k1 * oz, oz, ray.oo), -2 * oz)
+def _roots(
+    t0: mi.Float, a: mi.Float, b: mi.Float, g: mi.Float, own: mi.Bool
+) -> tuple[mi.Float, mi.Float, mi.Float, mi.Bool]:
+    """
+    Return the two distances, mm, at which a ray crosses a quadric, the discriminant, and whether it crosses at all.
 
-
-def _two_roots(a: mi.Float, b: mi.Float, c: mi.Float, own: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Bool]:
-    """Return the roots of a t² + 2 b t + c = 0, and whether they are real; with `own` one root is 0."""
-    c = dr.select(own, 0, c)
-    discriminant = dr.fma(b, b, -a * c)
+    `a`, `b` and `g` are the coefficients of a u² + 2 b u + g = 0 for the distance u from the point of the ray at `t0`,
+    which lies close to the surface. From a distant origin, the difference of two squares would round away what is
+    small: a ray from 1 m away met a wall of 26 mm radius 1.5 µm behind it, and the end of a vane inside instead. See
+    E. Haines et al., Precision improvements for ray/sphere intersection, Ray Tracing Gems (2019), chapter 7. A ray
+    that leaves the surface, `own`, starts at one root.
+    """
+    discriminant = dr.fma(b, b, -a * g)
     q = -(b + dr.mulsign(dr.sqrt(larger(discriminant, 0)), b))
-    return q / a, c / q, discriminant >= 0
+    ta, tb = dr.select(own, 0, t0 + q / a), dr.select(own, 2 * (t0 - b / a), t0 + g / q)
+    return ta, tb, discriminant, own | (discriminant >= 0)
+
+
+def _conic_roots(ray: AxisRay, n: Numbers, own: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float, mi.Bool]:
+    """Return `_roots` of the crossings of a ray with a conic, counted from the ray's point closest to the vertex."""
+    oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
+    t0 = -dr.fma(oz, ray.dz, ray.od)
+    (x, y), z = ray.lateral(t0), dr.fma(t0, ray.dz, oz)
+    a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
+    b = dr.fma(c, dr.fma(k1 * z, ray.dz, dr.fma(x, ray.dx, y * ray.dy)), -ray.dz)
+    return _roots(t0, a, b, dr.fma(c, dr.fma(k1 * z, z, dr.fma(x, x, y * y)), -2 * z), own)
 
 
 def _first(ta: mi.Float, tb: mi.Float, ok_a: mi.Bool, ok_b: mi.Bool) -> mi.Float:
@@ -211,7 +227,7 @@ def _first(ta: mi.Float, tb: mi.Float, ok_a: mi.Bool, ok_b: mi.Bool) -> mi.Float
 def conic_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.Float:
     """Return the distance to a ray's first crossing with a conic within its aperture, mm; infinite for none."""
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
-    ta, tb, real = _two_roots(*_of_conic(ray, n), own)
+    ta, tb, _, real = _conic_roots(ray, n, own)
     nearest = dr.select(own, n.self_hit, 0)
 
     def ok(t: mi.Float) -> mi.Bool:
@@ -232,8 +248,7 @@ def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple
     surface that it leaves. It is unsafe, too, if the steps do not converge. Unsafe rays need the full search.
     """
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
-    a, b, g = _of_conic(ray, n)
-    ta, tb, real = _two_roots(a, b, g, own)
+    ta, tb, discriminant, real = _conic_roots(ray, n, own)
     # The conic is hit where the asphere is, but for the departure along the ray
     early = dr.select(own, n.self_hit, -4 * n.departure)
 
@@ -244,7 +259,8 @@ def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple
 
     near_a, near_b = near(ta), near(tb)
     found = near_a | near_b
-    touching = dr.abs(dr.fma(b, b, -a * g)) < 4 * n.departure * dr.abs(a)
+    curving = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
+    touching = dr.abs(discriminant) < 4 * n.departure * dr.abs(curving)
     unsure = (near_a & near_b) | (own & found) | (touching & ~own)
     t = dr.select(near_a, ta, tb)
     # A step squares the error; the interaction at the hit adds one more
@@ -262,11 +278,15 @@ def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple
 
 def cone_crossing(ray: AxisRay, p: Cone, n: Numbers, own: mi.Bool) -> mi.Float:
     """Return the distance to a ray's first crossing with a cone between its ends, mm; infinite for none."""
+    # Counted from the point between the ends of the cone that is closest to the axis
     oz = ray.oz - n.z
-    r = dr.fma(n.slope, oz, n.r0)
+    low, high = (n.z_low - oz) * ray.inv_dz, (n.z_high - oz) * ray.inv_dz
+    t0 = larger(smaller(ray.closest(), larger(low, high)), smaller(low, high))
+    x, y = ray.lateral(t0)
+    r = dr.fma(n.slope, dr.fma(t0, ray.dz, oz), n.r0)
     a = dr.fma(-n.slope * ray.dz, n.slope * ray.dz, ray.dd)
-    b = dr.fma(-n.slope * r, ray.dz, ray.od)
-    ta, tb, real = _two_roots(a, b, dr.fma(-r, r, ray.oo), own)
+    b = dr.fma(-n.slope * r, ray.dz, dr.fma(x, ray.dx, y * ray.dy))
+    ta, tb, _, real = _roots(t0, a, b, dr.fma(-r, r, dr.fma(x, x, y * y)), own)
     nearest = dr.select(own, n.self_hit, 0)
 
     def ok(t: mi.Float) -> mi.Bool:
@@ -284,14 +304,14 @@ def stretch(
 
     `oz` is the ray's height at its origin, mm. If the end is not beyond the start, the ray misses the cylinder.
     """
-    discriminant = dr.fma(ray.od, ray.od, -ray.dd * (ray.oo - outer2))
-    root, inv = dr.sqrt(larger(discriminant, 0)), dr.rcp(ray.dd)
-    axial = ray.dd < AXIAL  # such a ray never leaves the cylinder
+    t0 = ray.closest()
+    x, y = ray.lateral(t0)
+    inside2 = outer2 - dr.fma(x, x, y * y)
+    half = dr.select(ray.dd < AXIAL, dr.inf, dr.sqrt(larger(inside2, 0) / ray.dd))  # a ray along the axis never leaves
     z0, z1 = (z_low - oz) * ray.inv_dz, (z_high - oz) * ray.inv_dz
-    start = larger(larger(dr.select(axial, 0, (-ray.od - root) * inv), smaller(z0, z1)), 0)
-    end = smaller(dr.select(axial, dr.inf, (-ray.od + root) * inv), larger(z0, z1))
-    inside = dr.select(axial, ray.oo <= outer2, discriminant >= 0)
-    return start, dr.select(inside, end, -1)
+    start = larger(larger(t0 - half, smaller(z0, z1)), 0)
+    end = smaller(t0 + half, larger(z0, z1))
+    return start, dr.select(inside2 >= 0, end, -1)
 
 
 def asphere_entry(ray: AxisRay, n: Numbers, own: mi.Bool) -> mi.Float:
