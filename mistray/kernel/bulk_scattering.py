@@ -23,6 +23,7 @@ import numpy as np
 
 from mistray.kernel.device_targets import DeviceTargets
 from mistray.kernel.interaction import Interaction
+from mistray.kernel.lobes import tangents
 from mistray.kernel.targets import AimSet, Inside, Place
 from mistray.physics.henyey_greenstein import phase_about, sampled_cosine
 from mistray.surfaces.optics import THIN
@@ -163,7 +164,7 @@ class BulkScattering:
         # Direction by the Henyey-Greenstein phase function about d
         cosine = sampled_cosine(u[1], g)
         sine = dr.sqrt(dr.maximum(dr.fma(-cosine, cosine, 1), 0))
-        across, beside = mi.coordinate_system(d)
+        across, beside = tangents(d)
         sin_phi, cos_phi = dr.sincos(2 * dr.pi * u[2])
         direction = dr.normalize(cosine * d + sine * (cos_phi * across + sin_phi * beside))
         if not self._aimed:

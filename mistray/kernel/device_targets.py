@@ -20,6 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.kernel.lobes import tangents
 from mistray.kernel.targets import AimSet, AnyTarget, Ellipsoid, TargetCone
 from mistray.surfaces.upload import upload
 
@@ -192,7 +193,7 @@ def _within(axis: mi.Vector3f, width: mi.Float, u: mi.Float, sine: mi.Float, cos
     """Return a direction within a cone of `width` = 1 - cos of its half-angle about an axis, uniform in solid angle."""
     less = u * width
     aside = dr.sqrt(less * (2 - less))
-    across, beside = mi.coordinate_system(axis)
+    across, beside = tangents(axis)
     return (1 - less) * axis + aside * (cosine * across + sine * beside)
 
 

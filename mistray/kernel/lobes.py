@@ -23,6 +23,24 @@ CELLS = RINGS + 1
 LAST_BIT = 2.0**-24  # last bit of a random number: a cell of no share is not kept even if the number is 0
 LOG2_FIRST = 1.0 - OCTAVES  # log2 of the radius of the first node
 FIRST_R2 = 4.0**LOG2_FIRST
+TURNED = -0.3  # z component of a normal below which its tangents are mirrored
+
+
+def tangents(normal: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
+    """
+    Return two unit vectors that form a right-handed frame with a unit normal.
+
+    T. Duff et al., "Building an orthonormal basis, revisited", Journal of Computer Graphics Techniques 6 (2017) 1.
+    There the frame is mirrored at z = 0, which is where all normals of a tube lie: a rounding of a position would turn
+    the scattered rays. Here it is mirrored where few normals lie.
+    """
+    mirrored = dr.select(normal.z < TURNED, mi.Float(-1), 1)
+    a = -dr.rcp(mirrored + normal.z)
+    b = normal.x * normal.y * a
+    return (
+        mi.Vector3f(dr.fma(mirrored * a, dr.square(normal.x), 1), mirrored * b, -mirrored * normal.x),
+        mi.Vector3f(b, dr.fma(a, dr.square(normal.y), mirrored), -normal.y),
+    )
 
 
 class RadialSampler:

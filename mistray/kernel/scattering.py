@@ -22,6 +22,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.kernel.interaction import Interaction, shares_at
+from mistray.kernel.lobes import tangents
 from mistray.kernel.sample_axes import NO_TANGENT, fraction_of, plane_of_sample
 from mistray.kernel.scatter_shares import ScatterBudget, ScatteredRay, ScatterHit, ScatterPdfs, ScatterShares
 from mistray.kernel.scatter_tables import (
@@ -407,7 +408,7 @@ class Scattering(ScatterShares):
         # The direction
         sine, cosine = dr.sincos(2 * dr.pi * turn)
         axis = dr.select(by_angle, centre, outward) if self.tables.flags & BY_ANGLE else outward
-        across, along = mi.coordinate_system(axis)
+        across, along = tangents(axis)
         aside = cosine * across + sine * along
         tangential = centre - dr.dot(centre, outward) * outward + r * aside
         cos2 = 1 - dr.squared_norm(tangential)

@@ -20,6 +20,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.kernel.device_targets import DeviceTargets
+from mistray.kernel.lobes import tangents
 from mistray.kernel.targets import AimSet
 from mistray.messages import Message
 from mistray.notes import Note
@@ -267,7 +268,7 @@ class DetectorStart:
         # Cosine-weighted hemisphere
         disk = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(u[0], u[1]))
         cosine = dr.sqrt(dr.maximum(1 - dr.squared_norm(disk), 0))
-        across, along = mi.coordinate_system(outward)
+        across, along = tangents(outward)
         if self._guide is not None:
             across, along = (
                 dr.select(guided, own, other)
