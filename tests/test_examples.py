@@ -24,10 +24,11 @@ SITE = Path(__file__).parents[1] / "docs" / "site"
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # Examples that take long, one by one or together: reports, studies, searches, other processes
 LONG = (
-    *("mistray.analysis.*", "mistray.optimize.*", "mistray.report.*", "mistray.sweeps.*"),
+    *("mistray.analysis.*", "mistray.optimize.*", "mistray.recorders.*", "mistray.report.*", "mistray.sweeps.*"),
     *("mistray.[Ss]tudy", "mistray.first_level", "mistray.FirstLevel", "mistray.thermal", "mistray.ThermalReport"),
     *("mistray.[Tt]ransfer", "mistray.image_quality", "mistray.ImageQuality", "mistray.Explorer", "mistray.distribute"),
-    *("mistray.prescription.from_batoid", "mistray.prescription.from_rayoptics"),
+    *("mistray.[Ss]weep", "mistray.Objects", "mistray.View", "mistray.prescription.from_batoid"),
+    *("mistray.prescription.*_optiland", "mistray.prescription.*_oslo", "mistray.prescription.from_rayoptics"),
 )
 # What examples import of programs that may not be installed
 PEERS = {"optiland": "optic", "oslo": "optic", "rayoptics": "optical.opticalmodel"}

@@ -56,7 +56,7 @@ def distribute(client: Client | str, patience_s: float = PATIENCE_S) -> Iterator
 
     Examples
     --------
-    >>> from distributed import LocalCluster  # a script does so below: if __name__ == "__main__"
+    >>> from distributed import LocalCluster  # in a script: after if __name__ == "__main__"
     >>> with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
     ...     with mistray.distribute(cluster.get_client()):
     ...         t = mistray.trace(mistray.load("lens_and_window"), rays=10_000)
