@@ -48,6 +48,11 @@ def ensure_variant(name: str | None = None) -> str:
     MistrayError
         If the variant does not exist, is not a JIT variant or cannot run here, or if Mitsuba or libLLVM is missing or
         unsupported.
+
+    Examples
+    --------
+    >>> mistray.ensure_variant()
+    '..._ad_rgb'
     """
     wanted = name or active_variant() or os.environ.get("MISTRAY_VARIANT") or DEFAULT_VARIANT
     _require_jit(wanted)
@@ -83,6 +88,12 @@ def set_threads(count: int) -> None:
     ------
     MistrayError
         If the number is out of range, or no variant can be activated.
+
+    Examples
+    --------
+    >>> import os
+    >>> mistray.set_threads(max(1, os.cpu_count() - 1))  # one processor stays free
+    >>> mistray.set_threads(os.cpu_count())
     """
     count = THREADS.check("threads", count)
     ensure_variant()

@@ -109,6 +109,15 @@ def critical_rays(
     ------
     MistrayError
         If no light of a field forms an image, and for all reasons for which `mistray.trace` does.
+
+    Examples
+    --------
+    >>> table = mistray.analysis.critical_rays(mistray.load("cooke_triplet"), 10, rays=2000, rim=4)
+    >>> table.name.unique().tolist()
+    ['centre', 'rim 0°', 'rim 90°', 'rim 180°', 'rim 270°']
+    >>> ends = table.groupby("name").last()
+    >>> print(f"the centre of the beam arrives at y = {ends.y_mm['centre']:.1f} mm")
+    the centre of the beam arrives at y = 8.8 mm
     """
 
 def first_level(
@@ -249,6 +258,16 @@ def first_level(
     ------
     MistrayError
         If a limit is empty or unknown, or `mistray.pst` raises it.
+
+    Examples
+    --------
+    >>> found = mistray.first_level(mistray.load("plate_and_wall"), [30], rays=10_000)
+    >>> for name, pst in found.curves.items():
+    ...     print(f"{name}: {pst.curve('stray')[0][0]:.1e}")
+    scatter once: 2.8e-03
+    ghosts off: 2.8e-03
+    scatter off: 0.0e+00
+    all: 2.9e-03
     """
 
 def ghosts(
@@ -383,6 +402,14 @@ def ghosts(
     Interrupted
         If the user presses Ctrl-C; ``partial`` is as above, with the finished fields and the rays of the unfinished
         one.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> report.top(0, 2)[["ghost_1", "ghost_2"]]
+        ghost_1   ghost_2
+    2  L3_front   L2_rear
+    5   L3_rear  L1_front
     """
 
 def image_quality(
@@ -442,6 +469,14 @@ def image_quality(
     MistrayError
         If no light reaches the detector by the design path, at a field or at all, or the light does not converge. Also
         if a surface on the way is a mesh, or the source is neither far away nor a point.
+
+    Examples
+    --------
+    >>> found = mistray.image_quality(mistray.load("ritchey_chretien"), [0, 0.1], grid=32)
+    >>> for field in found:
+    ...     print(f"{field.name}: RMS spot {1000 * field.rms_spot_mm():.1f} µm, Strehl ratio {field.strehl:.2f}")
+    0°: RMS spot 0.1 µm, Strehl ratio 1.00
+    0.1°: RMS spot 3.3 µm, Strehl ratio 0.88
     """
 
 def objects(
@@ -520,6 +555,14 @@ def objects(
     MistrayError
         If an argument is out of range, there is more than one kind of source, the scene has no detector, or the stop is
         unknown.
+
+    Examples
+    --------
+    >>> found = mistray.objects(mistray.load("cassegrain"), rays=2000)
+    >>> [seen.id for seen in found.critical[:3]]
+    ['inner_baffle_wall', 'inner_baffle_vane_5', 'inner_baffle_vane_4']
+    >>> [both.id for both in found.common]
+    ['secondary_baffle']
     """
 
 def pst(
@@ -679,6 +722,15 @@ def pst(
     UnfinishedError
         If workers of `mistray.distribute` are lost; ``partial`` is the PST of the passes before, or, forward, the sums
         of the finished cells by their numbers of angle and azimuth.
+
+    Examples
+    --------
+    >>> pst = mistray.pst(mistray.load("lens_and_window"), [10, 30], rays=20_000)
+    >>> stray, error = pst.curve("stray")
+    >>> for angle, value, se in zip(pst.field_deg, stray, error):
+    ...     print(f"{angle:.0f}°: {value:.1e} ± {se:.0e}")
+    10°: 4.7e-05 ± 6e-07
+    30°: 3.9e-05 ± 4e-07
     """
 
 def study(
@@ -810,6 +862,14 @@ def study(
     ------
     MistrayError
         If an argument is out of range, or the scene has no source or no detector.
+
+    Examples
+    --------
+    >>> found = mistray.study(mistray.load("newtonian_scatter"), [10, 30], [0], rays=2000)
+    >>> [step for step in found if "objects" in step]
+    ['critical_objects', 'illuminated_objects', 'common_objects']
+    >>> print(found.findings[0].partition(",")[0])
+    2 optical surfaces: focal length 1270 mm
     """
 
 def thermal(
@@ -927,6 +987,14 @@ def thermal(
     MistrayError
         If a temperature or the band is out of range, a name fits no surface, part or material, or a material is not
         known in the band.
+
+    Examples
+    --------
+    >>> found = mistray.thermal(mistray.load("cassegrain"), 293, (8, 12), wavelengths_um=10, rays=5000)
+    >>> print(f"{mistray.report.with_error(found.total_W_mm2)} W/mm²")
+    1.0700e-04 ± 1.7e-07 W/mm²
+    >>> found.emitters[0].name
+    'inner_baffle_wall'
     """
 
 def transfer(
@@ -1062,6 +1130,14 @@ def transfer(
     MistrayError
         If `mistray.image_quality` or `mistray.trace` raises it, the direct image of a field misses the detector, the
         scene has several sources, or a value is out of range.
+
+    Examples
+    --------
+    >>> (field,) = mistray.transfer(mistray.load("cooke_triplet"), rays=5000, frequencies_per_mm=[10, 20, 40])
+    >>> {name: round(share.value, 3) for name, share in field.shares.items()}
+    {'direct': 0.981, 'ghosts': 0.019, 'scatter': 0.0, 'diffraction': 0.0}
+    >>> field.without_stray().round(2), field.composite().value.round(2)
+    (array([0.84, 0.55, 0.16]), array([0.83, 0.54, 0.16]))
     """
 
 def transfer_of_bsdf(
@@ -1105,6 +1181,13 @@ def transfer_of_bsdf(
     MistrayError
         If the event or a value is invalid, light is totally reflected, the surface sends no light on, or a model fails
         at this event.
+
+    Examples
+    --------
+    >>> from mistray.scatter.abg import ABg
+    >>> found = mistray.analysis.transfer_of_bsdf(ABg(A=0.0025, B=0.001, g=1.8), 550.0)
+    >>> print(f"TIS {found.tis:.4f}")
+    TIS 0.0413
     """
 
 def transfer_of_spectrum(
@@ -1146,4 +1229,11 @@ def transfer_of_spectrum(
     MistrayWarning
         If the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
         that of the theories for smooth surfaces, with which scenes are traced.
+
+    Examples
+    --------
+    >>> from mistray.scatter.k_correlation import KCorrelation
+    >>> found = mistray.analysis.transfer_of_spectrum(KCorrelation(2.0, 10.0, 2.5), 550.0)
+    >>> print(f"TIS {found.tis:.2e}, {(4 * np.pi * 2.0 / 550) ** 2:.2e} by the formula of Bennett and Porteus")
+    TIS 1.60e-03, 2.09e-03 by the formula of Bennett and Porteus
     """

@@ -14,6 +14,14 @@ class MistrayError(ValueError):
     """Bad input or a missing part; the message names the object, the value and the remedy in one line.
 
     The command line prints it without a traceback and exits with code 2.
+
+    Examples
+    --------
+    >>> try:
+    ...     mistray.load("phone_camer")
+    ... except mistray.MistrayError as error:
+    ...     print(str(error).partition(";")[0])
+    scene 'phone_camer': no such file
     """
 
 
@@ -24,7 +32,7 @@ class UnknownKeyError(MistrayError, KeyError):
 
 
 class MistrayWarning(UserWarning):
-    """
+    r"""
     Warning about a result or its input, in one line: a note, or an improbable number.
 
     Parameters
@@ -34,6 +42,13 @@ class MistrayWarning(UserWarning):
     code : str
         Code of a note of a result, such as "aimed", see docs/warnings.md; "" otherwise. The text ends with it in
         brackets, so that `warnings.filterwarnings` can select it.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> str(mistray.MistrayWarning("3 rays reach the detector", "few-rays"))
+    '3 rays reach the detector [few-rays]'
+    >>> warnings.filterwarnings("ignore", r".*\[few-rays\]$", mistray.MistrayWarning)  # notes of this code alone
     """
 
     def __init__(self, message: str, code: str = "") -> None:
@@ -65,6 +80,12 @@ class UnfinishedError(MistrayError):
     partial : object or None
         Finished part, in the form of a whole result (a trace of fewer rays, a report of fewer fields); None if it is
         too little for a result.
+
+    Examples
+    --------
+    >>> error = mistray.UnfinishedError("all workers are lost", partial={0.0: "trace of the field 0"})
+    >>> list(error.partial)
+    [0.0]
     """
 
     def __init__(self, message: str, partial: Any = None) -> None:

@@ -7,7 +7,24 @@ from typing import NamedTuple
 
 
 class Estimate(NamedTuple):
-    """A Monte Carlo estimate: ``value`` and its standard error ``se``, in the same unit."""
+    """
+    A Monte Carlo estimate and its standard error, in the same unit.
+
+    Attributes
+    ----------
+    value : float
+        Estimate; its unit is that of the attribute or table that holds it.
+    se : float
+        Standard error, ≥ 0; NaN if it is unknown.
+
+    Examples
+    --------
+    >>> stray = mistray.analysis.Estimate(2.5e-4, 3e-6)
+    >>> direct = mistray.analysis.Estimate(0.5, 0.001)
+    >>> ratio = stray.over(direct)
+    >>> print(f"{ratio.value:.2e} ± {ratio.se:.0e}")
+    5.00e-04 ± 6e-06
+    """
 
     value: float
     se: float

@@ -167,6 +167,16 @@ def optimize(
         or any value not finite, at the start. If the function of a term fails in a trial before the search. A search
         that comes to a point without a merit ends there and keeps its steps. An error after the search is reported in
         the result.
+
+    Examples
+    --------
+    >>> study = {
+    ...     "term": [{"kind": "path_power", "selection": "ghost", "goal": "minimise", "rays": 1000}],
+    ...     "coating": [{"name": "ar", "surfaces": ["L1_front"], "layers": "MgF2 80", "thickness_nm": [60, 150]}],
+    ... }
+    >>> found = mistray.optimize.optimize("lens_and_window", study, steps=2, verification_seeds=2, next_order=False)
+    >>> print(f"{found.best.x[0]:.0f} nm instead of {found.steps[0].x[0]:.0f} nm")
+    106 nm instead of 80 nm
     """
 
 def sensitivity(
@@ -246,4 +256,13 @@ def sensitivity(
         If a key is unknown, nothing is left to differentiate by, an argument is out of range, or the metric is 0 or not
         finite. Also if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such
         parameters are left out. If the state is of another run.
+
+    Examples
+    --------
+    >>> ghosts = mistray.optimize.path_power(mistray.load("lens_and_window"), "ghost", rays=5000)
+    >>> found = mistray.sensitivity(ghosts, keys=["detector.bsdf.R", "*.n_back_shift"], check=False)
+    >>> for row in found.rows[:2]:
+    ...     print(f"{row.label}: {row.change.value:+.1%} for a tolerance of {row.tolerance:.2g}")
+    detector.bsdf.R: +9.2% for a tolerance of 0.04
+    index of N-BK7: -0.1% for a tolerance of 0.0005
     """

@@ -159,6 +159,14 @@ def export_step(
     ------
     MistrayError
         If a number is out of range, a field has no light on the detector, or the file cannot be written.
+
+    Examples
+    --------
+    >>> found = mistray.export_step(mistray.load("lens_and_window"), "lens.step", 0, paths=2, rays=2000)
+    >>> found.path.name, found.solids
+    ('lens.step', ('L1', 'window'))
+    >>> found.beams, found.paths
+    (('beam 0 deg',), ('0 deg: detector → window_rear, 0.959 W', '0 deg: detector → window_front, 0.826 W'))
     """
 
 def view(
@@ -219,4 +227,13 @@ def view(
     ------
     MistrayError
         If plotly is missing, a value is out of range or needs a trace, or the trace is of another scene.
+
+    Examples
+    --------
+    >>> scene = mistray.load("cooke_triplet")
+    >>> view = mistray.view(scene, mistray.trace(scene, rays=10_000), paths=2, rays=5)
+    >>> len(view.rays)
+    10
+    >>> view.write("view.html").name
+    'view.html'
     """

@@ -160,6 +160,12 @@ class Settings:
         every branch carries its Stokes vector. "auto" is "stokes" if a source of the scene is polarised, or if a pilot
         trace finds that this changes a listed path or the stray light by more than 1 %, see
         `mistray.trace.polarization_choice`. Otherwise it is "unpolarized".
+
+    Examples
+    --------
+    >>> settings = mistray.trace.Settings(rays=20_000, max_reflections=1)
+    >>> settings.max_events, settings.flux_threshold
+    (64, 1e-08)
     """
 
     rays: int = RAYS.field(1_000_000, "start rays of all sources together")

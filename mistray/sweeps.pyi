@@ -175,6 +175,15 @@ def rank_edits(
     MistrayError
         If there is nothing to edit, a key or step is unknown or out of range, a step in per cent is one of 0, or the
         PST at an angle is 0.
+
+    Examples
+    --------
+    >>> steps = {"polish.A": "10 %"}
+    >>> found = mistray.sweeps.rank_edits("plate_and_wall", 30, rays=10_000, keys="polish.*", steps=steps)
+    >>> [edit.label for edit in found.edits]
+    ['polish.A', 'polish.g', 'polish.B']
+    >>> print(f"{found.to_pandas().change_percent[0]:.1f} % by a tenth more scatter")
+    1.8 % by a tenth more scatter
     """
 
 def sweep(
@@ -296,6 +305,15 @@ def sweep(
         surfaces overlap, a requested cache is impossible, or `mistray.trace` raises it. Finished rows are in the cache.
     UnfinishedError
         If workers are lost, see `mistray.distribute`; its `partial` is a Sweep of the finished rows.
+
+    Examples
+    --------
+    >>> states = {"centred": {"L2.y": 0.0}, "shifted": {"L2.y": 0.3}}
+    >>> found = mistray.sweep("cooke_triplet", 0, configurations=states, rays=5000, cache=False)
+    >>> mistray.report.with_error(found.estimate("stray_W", "shifted"))
+    '1.562 ± 0.018'
+    >>> found.to_pandas().worst_path.tolist()
+    ['L3_front → L2_rear', 'L3_front → L2_rear']
     """
 
 def sweep_pst(
@@ -441,4 +459,13 @@ def sweep_pst(
         If a configuration names something that the scene lacks, makes surfaces overlap or is impossible; if an argument
         is unknown; if a loaded scene is not from `mistray.load`, or is to be painted, coated or blocked although it has
         no file or other values than its file; or for any reason of `mistray.pst`.
+
+    Examples
+    --------
+    >>> coated = mistray.sweeps.Configuration("coated", coat={"L1": "bbar3"})
+    >>> found = mistray.sweeps.sweep_pst("lens_and_window", [coated], [10, 30], rays=20_000)
+    >>> for row in found.to_pandas().itertuples():
+    ...     print(f"{row.angle_deg:.0f}°: {row.before:.1e} before, {row.after:.1e} after")
+    10°: 4.6e-05 before, 3.9e-08 after
+    30°: 3.9e-05 before, 3.2e-08 after
     """

@@ -20,7 +20,7 @@ INTRODUCTION = """\
 
 All public functions and classes by their docstrings. Lengths are in mm, wavelengths in nm, powers in W. Angles are in
 degrees where a name ends in `_deg`. `import mistray` is enough for the first table: `mistray.load`, `mistray.trace`
-and so on.
+and so on. Examples take `import mistray` and `import numpy as np` for granted; few rays make them quick.
 """
 
 

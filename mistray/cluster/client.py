@@ -53,6 +53,15 @@ def distribute(client: Client | str, patience_s: float = PATIENCE_S) -> Iterator
         If ``distributed`` is not installed, there is no scheduler or no worker, or a worker has other versions.
     UnfinishedError
         Within the block, if the scheduler or all workers are lost; finished work is in ``partial``.
+
+    Examples
+    --------
+    >>> from distributed import LocalCluster  # in a script: after if __name__ == "__main__"
+    >>> with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+    ...     with mistray.distribute(cluster.get_client()):
+    ...         t = mistray.trace(mistray.load("lens_and_window"), rays=10_000)
+    >>> t.rays_traced
+    10000
     """
     Client = package("distribute needs dask.distributed", "distributed", "distributed").Client
     ensure_variant()

@@ -46,6 +46,15 @@ def read_coating(
     ------
     MistrayError
         If the string has neither form, or the file is missing or malformed.
+
+    Examples
+    --------
+    >>> quarter_wave = mistray.coatings.coating_from_text("MgF2 0.25w")
+    >>> mistray.coatings.write_table(quarter_wave, "mgf2.csv", [500, 550, 600], [0, 30], back="N-BK7")
+    >>> table = mistray.coatings.read_coating("mgf2.csv")
+    >>> found = mistray.coatings.spectrum(table, [550], [0], back="N-BK7")
+    >>> print(f"R = {found.R.mean():.4f}")
+    R = 0.0133
     """
     match = _ZEMAX.fullmatch(spec.strip())
     if match:
@@ -70,6 +79,14 @@ def coating_from_text(text: str, design_nm: float = 550.0) -> CoatingModel:
     ------
     MistrayError
         If the text is none of these.
+
+    Examples
+    --------
+    >>> coating = mistray.coatings.coating_from_text("MgF2 0.25w", design_nm=550)
+    >>> print(f"{coating.layers[0].thickness_nm:.1f} nm")
+    99.4 nm
+    >>> mistray.coatings.coating_from_text("bbar3").name
+    'bbar3'
     """
     spec = text.strip()
     if spec == "bare":
@@ -117,6 +134,14 @@ def write_table(
     ------
     MistrayError
         If a material is unknown at a wavelength, or the file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> quarter_wave = mistray.coatings.coating_from_text("MgF2 0.25w")
+    >>> mistray.coatings.write_table(quarter_wave, "mgf2.csv", [500, 550, 600], [0, 30], back="N-BK7")
+    >>> print(Path("mgf2.csv").read_text().splitlines()[0])
+    # MgF2 0.25w between air (front) and N-BK7 (back)
     """
     wavelengths_nm, angles_deg = several(wavelengths_nm), several(angles_deg)
     seen = {

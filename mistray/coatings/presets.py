@@ -101,6 +101,15 @@ def preset(name: str, design_nm: float = 550.0) -> Stack:
     ------
     MistrayError
         If the name is unknown or the wavelength is not positive.
+
+    Examples
+    --------
+    >>> bbar = mistray.coatings.preset("bbar3")
+    >>> [layer.material for layer in bbar.layers]
+    ['1.38', '2.10', '1.63']
+    >>> found = mistray.coatings.spectrum(bbar, [450, 550, 650], [0])
+    >>> found.R[:, 0, 0].round(4)
+    array([0.0027, 0.0018, 0.0001])
     """
     design = PRESETS.get(name)
     if design is None:

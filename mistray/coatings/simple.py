@@ -29,7 +29,22 @@ def check_shares(r: float, t: float, what: str) -> None:
 
 @dataclass(frozen=True)
 class Bare:
-    """Interface without coating: Fresnel's equations between the two media, which may absorb."""
+    """
+    Interface without coating: Fresnel's equations between the two media, which may absorb.
+
+    Attributes
+    ----------
+    name : str
+        Name for messages and titles.
+    opaque : bool
+        Whether T = 0 for all media.
+
+    Examples
+    --------
+    >>> found = mistray.coatings.Bare().response(550.0, 1.0, 1.5, np.array([1.0]), from_front=True)
+    >>> found.R.round(4)  # s and p at normal incidence
+    array([[0.04, 0.04]])
+    """
 
     name: str = "bare"
     opaque: bool = False
@@ -57,6 +72,13 @@ class Ideal:
     ------
     MistrayError
         If R or T is not in 0 … 1, or R + T > 1.
+
+    Examples
+    --------
+    >>> splitter = mistray.coatings.Ideal(R=0.48, T=0.48)
+    >>> found = splitter.response(550.0, 1.0, 1.5, np.array([1.0]), from_front=True)
+    >>> found.A.round(4)
+    array([[0.04, 0.04]])
     """
 
     R: float

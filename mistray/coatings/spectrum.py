@@ -28,6 +28,17 @@ class CoatingSpectrum:
         Fractions of the flux for s and p. Light that enters a metal (k > `METAL_K`) is absorbed: T = 0.
     phase_r, phase_t : (w, a) float64
         Phases arg(j_s) - arg(j_p), rad, see `Response`.
+
+    Examples
+    --------
+    >>> quarter_wave = mistray.coatings.coating_from_text("MgF2 0.25w")
+    >>> found = mistray.coatings.spectrum(quarter_wave, [450, 550, 650], [0, 45])
+    >>> found.R.shape  # wavelengths, angles, s and p
+    (3, 2, 2)
+    >>> found.mean("R").round(4)
+    array([[0.0171, 0.0202],
+           [0.0133, 0.0215],
+           [0.015 , 0.0257]])
     """
 
     wavelength_nm: np.ndarray
@@ -76,6 +87,13 @@ def spectrum(
     ------
     MistrayError
         If an angle is outside 0 … 90°, a material is unknown at a wavelength, or the light would come from a metal.
+
+    Examples
+    --------
+    >>> quarter_wave = mistray.coatings.coating_from_text("MgF2 0.25w")
+    >>> found = mistray.coatings.spectrum(quarter_wave, [450, 550, 650], [0], back="N-BK7")
+    >>> found.R[:, 0, 0].round(4)
+    array([0.0171, 0.0133, 0.015 ])
     """
     lam, angle = (np.asarray(values, dtype=np.float64) for values in (wavelengths_nm, angles_deg))
     if not len(lam) or not len(angle) or angle.min() < 0 or angle.max() > 90:

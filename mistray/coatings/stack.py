@@ -37,6 +37,13 @@ class Layer:
         Geometrical thickness, nm, ≥ 0.
     n_shift, k_shift : float
         Shifts added to n and k of the material at every wavelength: N = n + n_shift + i (k + k_shift).
+
+    Examples
+    --------
+    >>> layer = mistray.coatings.Layer("MgF2", 99.4)
+    >>> n = layer.index(550.0).real
+    >>> print(f"{n:.3f}, {n * layer.thickness_nm / 550:.3f} waves")
+    1.384, 0.250 waves
     """
 
     material: str
@@ -71,6 +78,13 @@ class Stack:
     ------
     MistrayError
         If `first` is unknown, or a number of a layer is negative or not finite.
+
+    Examples
+    --------
+    >>> quarter_wave = mistray.coatings.Stack((mistray.coatings.Layer("MgF2", 99.4),))
+    >>> found = mistray.coatings.spectrum(quarter_wave, [550], [0], back="N-BK7")
+    >>> print(f"R = {found.R.mean():.2%}")
+    R = 1.33%
     """
 
     layers: tuple[Layer, ...]
@@ -181,6 +195,14 @@ def parse_layers(
     ------
     MistrayError
         If a layer has no thickness, or the material of an optical thickness is unknown at `design_nm`.
+
+    Examples
+    --------
+    >>> for layer in mistray.coatings.parse_layers("MgF2 0.25w, 2.1 0.5w", design_nm=550):
+    ...     print(f"{layer.material}: {layer.thickness_nm:.1f} nm")
+    ...
+    MgF2: 99.4 nm
+    2.1: 131.0 nm
     """
     if not design_nm > 0:
         raise MistrayError(f"{Stack((), name=name)}: design_nm = {design_nm:g}; it must be greater than 0")
@@ -232,6 +254,12 @@ def layer_text(layers: Sequence[Layer]) -> str:
     ------
     MistrayError
         If a layer has a shift, or a material with a comma in its name (a file), which the text cannot hold.
+
+    Examples
+    --------
+    >>> layers = mistray.coatings.Layer("MgF2", 99.4), mistray.coatings.Layer("2.1", 131.0)
+    >>> mistray.coatings.layer_text(layers)
+    'MgF2 99.4, 2.1 131'
     """
     for number, layer in enumerate(layers, start=1):
         if "," in layer.material:

@@ -45,6 +45,16 @@ class CoatingTable:
         R for light from the front, R for light from the back, and T, which is equal from both sides; for s and p.
     phasors : (w, a, 3) complex128
         Phase factors exp(i φ) of the phases φ = arg(j_s) - arg(j_p) in the order of `shares`, see `Response`.
+
+    Examples
+    --------
+    >>> quarter_wave = mistray.coatings.coating_from_text("MgF2 0.25w")
+    >>> mistray.coatings.write_table(quarter_wave, "mgf2.csv", [500, 550, 600], [0, 30], back="N-BK7")
+    >>> table = mistray.coatings.CoatingTable.read("mgf2.csv")
+    >>> table.wavelength_nm
+    array([500., 550., 600.])
+    >>> np.degrees(np.arccos(table.cos_rare)).round(6)
+    array([30.,  0.])
     """
 
     name: str

@@ -55,11 +55,21 @@ class _Section:
 
 
 class CoatingFile(Mapping[str, CoatingModel]):
-    """
+    r"""
     Coatings of a Zemax file, by name; case does not matter.
 
     `read_coating_file` makes this mapping. A coating is made when it is looked up: a `Stack` from COAT, an `Ideal` from
     IDEAL and ``COAT I.t``, and a `CoatingTable` from IDEAL2 and TABLE.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> _ = Path("COATING.DAT").write_text("MATE MGF2\n0.55 1.38 0\nCOAT AR\nMGF2 0.25\nCOAT I.98\n")
+    >>> coatings = mistray.coatings.read_coating_file("COATING.DAT")
+    >>> list(coatings)
+    ['AR', 'I.98']
+    >>> coatings["I.98"].T
+    0.98
     """
 
     def __init__(self, path: Path, sections: dict[str, _Section], design_nm: float) -> None:
@@ -231,7 +241,7 @@ class CoatingFile(Mapping[str, CoatingModel]):
 
 
 def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile:
-    """
+    r"""
     Read a Zemax coating file.
 
     Parameters
@@ -251,6 +261,14 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
     MistrayError
         If the file is missing, a head or a MATE section is malformed, a name occurs twice, or a layer's material is not
         in the file; with the number of the line. Other errors are raised when a coating is looked up.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> _ = Path("COATING.DAT").write_text("MATE MGF2\n0.55 1.38 0\nCOAT AR\nMGF2 0.25\n")
+    >>> coating = mistray.coatings.read_coating_file("COATING.DAT", design_nm=550)["AR"]
+    >>> print(f"{coating.layers[0].thickness_nm:.1f} nm")
+    99.6 nm
     """
     if not design_nm > 0:
         raise MistrayError(f"coating file '{path}': design_nm = {design_nm:g}; it must be greater than 0")

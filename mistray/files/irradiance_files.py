@@ -80,6 +80,13 @@ class IrradianceMap:
         Origin of the map and settings of the trace.
     unit : {"W/mm²", "lx"}
         Unit; the map is an illuminance if it is lx.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> image = mistray.report.IrradianceMap(t.irradiance, t.irradiance_se, t.extent)
+    >>> image.unit, image.irradiance.shape
+    ('W/mm²', (380, 380))
     """
 
     irradiance: Map
@@ -123,6 +130,13 @@ def write_irradiance(irradiance_map: IrradianceMap, path: str | Path) -> Path:
     MistrayError
         If the path has another ending, the package for the format is not installed, the file cannot be written, or a
         number is too large for EXR.
+
+    Examples
+    --------
+    >>> edges = -1.5, 1.5, -1, 1
+    >>> image = mistray.report.IrradianceMap(np.ones((2, 3)), np.zeros((2, 3)), edges, {"made by": "hand"})
+    >>> mistray.report.write_irradiance(image, "even.npy").name
+    'even.npy'
     """
     writer, _ = _format(Path(path))
     return replace_file(path, writer(irradiance_map), "irradiance map")
@@ -141,6 +155,14 @@ def read_irradiance(path: str | Path) -> IrradianceMap:
     ------
     MistrayError
         If the path has another ending, the package for the format is not installed, or the file is no such map.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> t.write_irradiance("image.npy")
+    >>> image = mistray.report.read_irradiance("image.npy")
+    >>> [round(float(edge), 1) for edge in image.extent]
+    [-19.0, 19.0, -19.0, 19.0]
     """
     path = Path(path)
     _, reader = _format(path)

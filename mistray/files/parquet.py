@@ -47,6 +47,14 @@ def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any
     ------
     MistrayError
         If pyarrow is not installed, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> file = mistray.report.write_parquet(t.paths.to_pandas(), "paths.parquet")
+    >>> len(pd.read_parquet(file))
+    16
     """
     arrow = format_package("parquet")
     import pandas as pd

@@ -32,8 +32,9 @@ from mistray.physics.geometry.sag import trimmed
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import Point, detector_frame, lens_edge
 from mistray.prescription.imported_beam import Fill, beam_size, check_beam
-from mistray.prescription.model import Detector, Prescription, Source, Stop, Structure, Surface
+from mistray.prescription.model import Detector, Prescription, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
+from mistray.prescription.sources import Source
 from mistray.read_file import read_text
 
 _ROUNDING_MM = 2e-6
@@ -66,6 +67,13 @@ def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pup
     ------
     MistrayError
         If the file is missing or broken, a key is missing, or the variant is unknown.
+
+    Examples
+    --------
+    >>> file = mistray.scene.find("phone_camera").with_name("prescription.json")
+    >>> camera = mistray.prescription.from_json(file)
+    >>> len(camera.surfaces), camera.detector.pixels
+    (14, (512, 512))
     """
     path = Path(path)
     text = read_text(path, "prescription")

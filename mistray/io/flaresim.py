@@ -92,7 +92,7 @@ class _File:
 
 
 def read_flaresim(path: str | Path) -> Sequential:
-    """
+    r"""
     Read a lens file of FlareSim.
 
     Parameters
@@ -111,6 +111,15 @@ def read_flaresim(path: str | Path) -> Sequential:
     MistrayError
         If the file holds no surfaces or cannot be read, or if the lens has no real focus. This concerns converters,
         close-up lenses, and mirror lenses written without their mirrors.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> rows = "50 5 1.5168 64.17 10 1; -50 1 1 0 10 0; stop 46 1 0 4.5 0"
+    >>> _ = Path("singlet.lens").write_text("name: Singlet\nfocal_length: 49.2\nsurfaces:\n" + rows.replace("; ", "\n"))
+    >>> lens = mistray.prescription.read_flaresim("singlet.lens")
+    >>> [row.stop for row in lens.rows]
+    [False, False, True, False]
     """
     path = Path(path)
     file = _read(path)

@@ -28,7 +28,7 @@ def read_oslo(
     glass_catalogues: Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
 ) -> Sequential:
-    """
+    r"""
     Read an OSLO lens file.
 
     Parameters
@@ -50,6 +50,18 @@ def read_oslo(
     MistrayError
         If optiland 0.6.3 or later is missing, the file or a glass cannot be read, or it holds a command that optiland's
         reader or mistray does not know, since ignoring it would change the lens.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> text = (
+    ...     'LEN NEW "Singlet" 49 3; EBR 4; ANG 1; UNI 1; AIR; TH 1e20; NXT; GLA N-BK7; RD 50; TH 5; AP 10; AST; '
+    ...     "NXT; AIR; RD -50; TH 46; AP 10; NXT; AIR; WV 0.588; WW 1; END 3"
+    ... )
+    >>> _ = Path("singlet.len").write_text(text.replace("; ", "\n"))
+    >>> lens = mistray.prescription.read_oslo("singlet.len")
+    >>> [row.radius for row in lens.rows]
+    [50.0, -50.0, inf]
     """
     path = Path(path)
     require_file(path, "lens")

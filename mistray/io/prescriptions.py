@@ -53,6 +53,14 @@ def from_zemax(
     ------
     MistrayError
         If the file cannot be read, or holds something without a counterpart.
+
+    Examples
+    --------
+    >>> from mistray.scenes.cooke_triplet.prescription import build
+    >>> _ = mistray.prescription.write_zemax(mistray.prescription.to_sequential(build()), "triplet.zmx")
+    >>> system = mistray.prescription.from_zemax("triplet.zmx", edges="ground")
+    >>> [surface.name for surface in system.surfaces[:3]]
+    ['L1_front', 'L1_rear', 'L2_front']
     """
     by_name = coatings if isinstance(coatings, Mapping) else None
     file = None if coatings is None or isinstance(coatings, Mapping) else coatings
@@ -70,7 +78,7 @@ def from_codev(
     glasses: Mapping[str, str] | None = None,
     **options: Any,
 ) -> Prescription:
-    """
+    r"""
     Read a CODE V sequence file.
 
     Parameters
@@ -93,6 +101,15 @@ def from_codev(
     ------
     MistrayError
         If the file cannot be read, or holds something without a counterpart.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> text = "RDM; LEN; EPD 8; DIM M; WL 588; YAN 0; SO 0 1E20; S 50 5 NBK7_SCHOTT; STO; S -50 46; SI 0 0; GO"
+    >>> _ = Path("singlet.seq").write_text(text.replace("; ", "\n"))
+    >>> singlet = mistray.prescription.from_codev("singlet.seq", edges="open")
+    >>> [surface.name for surface in singlet.surfaces]
+    ['S1', 'S2']
     """
     chosen: Any = {"configuration": configuration, "glass_catalogues": glass_catalogues, "glasses": glasses}
     lens = read_codev(path, radius_mode=radius_mode, **chosen)
@@ -121,6 +138,13 @@ def from_optiland(optic: Any, **options: Any) -> Prescription:
     ------
     MistrayError
         If the lens holds something without a counterpart.
+
+    Examples
+    --------
+    >>> from optiland.samples.objectives import CookeTriplet
+    >>> triplet = mistray.prescription.from_optiland(CookeTriplet())
+    >>> [surface.name for surface in triplet.surfaces[:3]]
+    ['S1', 'S2', 'S3']
     """
     coatings = coatings_of(optic) | dict(options.pop("coatings", None) or {})
     return to_prescription(optiland_table(optic), coatings=coatings, **options)
@@ -134,7 +158,7 @@ def from_oslo(
     glasses: Mapping[str, str] | None = None,
     **options: Any,
 ) -> Prescription:
-    """
+    r"""
     Read an OSLO lens file with optiland.
 
     Parameters
@@ -155,6 +179,18 @@ def from_oslo(
     ------
     MistrayError
         If `mistray.io.oslo.read_oslo` raises, or the lens cannot be closed.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> text = (
+    ...     'LEN NEW "Singlet" 49 3; EBR 4; ANG 1; UNI 1; AIR; TH 1e20; NXT; GLA N-BK7; RD 50; TH 5; AP 10; AST; '
+    ...     "NXT; AIR; RD -50; TH 46; AP 10; NXT; AIR; WV 0.588; WW 1; END 3"
+    ... )
+    >>> _ = Path("singlet.len").write_text(text.replace("; ", "\n"))
+    >>> singlet = mistray.prescription.from_oslo("singlet.len", edges="ground")
+    >>> [surface.name for surface in singlet.surfaces]
+    ['S1', 'S2']
     """
     chosen: Any = {"glass_catalogues": glass_catalogues, "glasses": glasses}
     return to_prescription(read_oslo(path, configuration=configuration, **chosen), **options)
@@ -180,13 +216,20 @@ def from_rayoptics(model: Any, **options: Any) -> Prescription:
     ------
     MistrayError
         If the lens holds something without a counterpart, or a file cannot be read.
+
+    Examples
+    --------
+    >>> from importlib.resources import files
+    >>> triplet = mistray.prescription.from_rayoptics(files("rayoptics") / "models" / "Sasian Triplet.roa")
+    >>> [surface.name for surface in triplet.surfaces[:3]]
+    ['S1', 'S2', 'S3']
     """
     table = read_rayoptics(model) if isinstance(model, str | Path) else rayoptics_table(model)
     return to_prescription(table, **options)
 
 
 def from_flaresim(path: str | Path, **options: Any) -> Prescription:
-    """
+    r"""
     Read a lens file of FlareSim.
 
     Parameters
@@ -205,5 +248,14 @@ def from_flaresim(path: str | Path, **options: Any) -> Prescription:
     ------
     MistrayError
         If the file cannot be read, or the lens has no real focus.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> rows = "50 5 1.5168 64.17 10 1; -50 1 1 0 10 0; stop 46 1 0 4.5 0"
+    >>> _ = Path("singlet.lens").write_text("name: Singlet\nfocal_length: 49.2\nsurfaces:\n" + rows.replace("; ", "\n"))
+    >>> singlet = mistray.prescription.from_flaresim("singlet.lens")
+    >>> singlet.surfaces[0].coating.preset
+    'mgf2_quarter_wave'
     """
     return to_prescription(read_flaresim(path), **options)

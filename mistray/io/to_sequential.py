@@ -18,9 +18,10 @@ from mistray.physics.geometry.outline import Outline, circle, rectangle
 from mistray.physics.geometry.pose import moved
 from mistray.physics.sags.terms import half_turned
 from mistray.prescription.coating import Coating
-from mistray.prescription.model import Detector, ObjectPoint, Prescription, Source, Surface
+from mistray.prescription.model import Detector, Prescription, Surface
 from mistray.prescription.sequential.rays import Array, passes, trace
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
+from mistray.prescription.sources import ObjectPoint, Source
 
 _TINY = 1e-9  # mm and radians below which a displacement or a turn is rounding
 _DECIMALS = 12  # of thicknesses in mm and tilts in degrees, beyond which they are rounding
@@ -48,6 +49,13 @@ def to_sequential(prescription: Prescription) -> Sequential:
     MistrayError
         If there is no detector or no surface, if the material in front of a surface differs from the one behind the
         surface before it, or if light would have to travel backwards.
+
+    Examples
+    --------
+    >>> from mistray.scenes.cooke_triplet.prescription import build
+    >>> triplet = mistray.prescription.to_sequential(build())
+    >>> [row.material for row in triplet.rows]
+    ['N-LAK9', 'air', 'N-SF5', 'air', 'N-LAK9', 'air', 'air']
     """
     if prescription.detector is None or not prescription.surfaces:
         missing = "detector" if prescription.surfaces else "optical surface"

@@ -49,6 +49,13 @@ def to_optiland(prescription: Prescription, field_deg: float | Sequence[float] |
     MistrayError
         If optiland is not installed, or a surface has no counterpart: a freeform, one off the axis, an outline that is
         neither a circle, a ring nor a rectangle.
+
+    Examples
+    --------
+    >>> from mistray.scenes.cooke_triplet.prescription import build
+    >>> lens = mistray.prescription.to_optiland(build(), field_deg=[0, 10])
+    >>> print(f"f = {float(lens.paraxial.f2()):.1f} mm")
+    f = 50.0 mm
     """
     lens = to_sequential(prescription)
     optic = _optiland("optic").Optic(lens.name)

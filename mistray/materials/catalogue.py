@@ -154,7 +154,15 @@ def _pages(folder: Path) -> list[str]:
 
 
 def names() -> list[str]:
-    """Return all names: the pinned materials, then the glasses with their makers in front."""
+    """
+    Return all names: the pinned materials, then the glasses with their makers in front.
+
+    Examples
+    --------
+    >>> names = mistray.materials.names()
+    >>> [name for name in names if name.endswith("/F2")]
+    ['schott/F2', 'cdgm/F2', 'hikari/F2']
+    """
     return [*PINNED, *(entry.name for catalogue in glasses().values() for entry in catalogue.values())]
 
 

@@ -35,6 +35,13 @@ def cauchy_index(nd: float, vd: float, wavelength_nm: float) -> float:
     430 … 700     2.5e-4              3.5e-3
     400 … 1000    2e-3                7.5e-3
     ============  ==================  =======================
+
+    Examples
+    --------
+    >>> print(f"{mistray.materials.cauchy_index(1.5168, 64.17, 486.1):.4f}")
+    1.5224
+    >>> print(f"{mistray.materials.refractive_index('N-BK7', 486.1):.4f}")
+    1.5224
     """
     b = (nd - 1) / vd / (LINE_F_NM**-2 - LINE_C_NM**-2)
     return nd + b * (wavelength_nm**-2 - LINE_D_NM**-2)

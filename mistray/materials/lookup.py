@@ -48,6 +48,12 @@ class MaterialSource:
         Page and reference of k, if they differ from those of n.
     beyond : MaterialSource or None
         Source for wavelengths outside `n_range_nm`, if the name stands for several pages.
+
+    Examples
+    --------
+    >>> glass = mistray.materials.source("N-BK7")
+    >>> glass.n_range_nm, glass.k_known
+    ((300.0, 2500.0), True)
     """
 
     name: str
@@ -112,6 +118,13 @@ def refractive_index(material: str, wavelength_nm: float) -> float:
     MistrayError
         If the name is unknown, a number is out of its range, a file is not understood, or the wavelength lies outside
         the material's range.
+
+    Examples
+    --------
+    >>> print(f"{mistray.materials.refractive_index('N-BK7', 587.56):.4f}")
+    1.5168
+    >>> print(f"{mistray.materials.refractive_index('nd=1.62 Vd=36.4', 486.1):.4f}")
+    1.6319
     """
     spec = parse(material)
     _check_wavelength(spec, wavelength_nm)
@@ -135,6 +148,11 @@ def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) 
     ------
     MistrayError
         If the string is not understood.
+
+    Examples
+    --------
+    >>> mistray.materials.nearest_known_nm("N-BK7", 200)
+    300.0
     """
     spec = parse(material)
     if spec.extrapolate:
@@ -150,7 +168,14 @@ def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) 
 
 
 def bulk_scatter(material: str) -> BulkScatter:
-    """Return the coefficient, 1/mm, and g of the scatter inside a material, from the suffixes of its string."""
+    """
+    Return the coefficient, 1/mm, and g of the scatter inside a material, from the suffixes of its string.
+
+    Examples
+    --------
+    >>> mistray.materials.bulk_scatter("N-BK7 scatter=0.002 g=0.9")
+    BulkScatter(per_mm=0.002, g=0.9)
+    """
     return parse(material).bulk
 
 
@@ -174,6 +199,12 @@ def complex_index(material: str, wavelength_nm: float) -> complex:
     ------
     MistrayError
         For the reasons of `refractive_index`, and if k is unknown: it is never assumed to be 0.
+
+    Examples
+    --------
+    >>> silver = mistray.materials.complex_index("Ag", 550)
+    >>> print(f"{silver:.2f}")
+    0.06+3.60j
     """
     spec = parse(material)
     _check_wavelength(spec, wavelength_nm)
@@ -190,7 +221,16 @@ def complex_index(material: str, wavelength_nm: float) -> complex:
 
 
 def table_nodes_nm(material: str) -> tuple[float, ...]:
-    """Return the wavelengths of a material's tables of n and k, nm; empty without tables."""
+    """
+    Return the wavelengths of a material's tables of n and k, nm; empty without tables.
+
+    Examples
+    --------
+    >>> mistray.materials.table_nodes_nm("Ag")[:3]
+    (187.9, 191.6, 195.3)
+    >>> mistray.materials.table_nodes_nm("nd=1.5 Vd=60")
+    ()
+    """
     curves = [curve for found in _materials(parse(material)) for curve in (found.n, found.k) if curve is not None]
     return tuple(dict.fromkeys(node for curve in curves for node in curve.nodes_nm))
 
@@ -203,6 +243,11 @@ def source(material: str) -> MaterialSource:
     ------
     MistrayError
         If the string is not understood.
+
+    Examples
+    --------
+    >>> print(mistray.materials.source("N-BK7").reference)
+    SCHOTT Zemax catalog 2017-01-20b (obtained from http://www.schott.com) See also SCHOTT glass data sheets
     """
     known: MaterialSource | None = None
     for found in reversed(_materials(parse(material))):
@@ -227,6 +272,14 @@ def resolved(material: str, resolve: Callable[[str], str]) -> str:
     Return a material string with the path of its file, if it names one, replaced by ``resolve(path)``.
 
     It is meant for scenes, whose paths are relative to the scene file.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> mistray.materials.resolved("glass.csv", lambda path: Path("scene", path).as_posix())
+    'scene/glass.csv'
+    >>> mistray.materials.resolved("N-BK7", lambda path: Path("scene", path).as_posix())
+    'N-BK7'
     """
     spec = parse(material)
     if not isinstance(spec.form, UserFile):

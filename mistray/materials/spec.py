@@ -69,6 +69,12 @@ class BulkScatter:
         Scattering coefficient, 1/mm: fraction of the light that is scattered per length.
     g : float
         Asymmetry parameter of the Henyey-Greenstein phase function, its mean cosine, -1 < g < 1.
+
+    Examples
+    --------
+    >>> haze = mistray.materials.BulkScatter(per_mm=0.002, g=0.9)
+    >>> print(f"{1 - np.exp(-haze.per_mm * 10):.3f} of the light is scattered in 10 mm")
+    0.020 of the light is scattered in 10 mm
     """
 
     per_mm: float = 0.0
@@ -135,7 +141,17 @@ def parse(material: str) -> Spec:
 
 
 def shifted(material: str, by: float) -> str:
-    """Return the material string with `by` added to n at every wavelength, in its suffix ``shift=VALUE``."""
+    """
+    Return the material string with `by` added to n at every wavelength, in its suffix ``shift=VALUE``.
+
+    Examples
+    --------
+    >>> melt = mistray.materials.shifted("N-BK7", 0.0005)
+    >>> melt
+    'N-BK7 shift=0.0005'
+    >>> print(f"{mistray.materials.refractive_index(melt, 587.56):.4f}")
+    1.5173
+    """
     if not by:
         return material
     spec = parse(material)

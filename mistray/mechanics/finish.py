@@ -29,6 +29,15 @@ class Finish:
     scatter : tuple of Scatter
         Scatter models. Their ``side``, like the ``first`` layer of the coating, refers to a body whose outside is the
         back.
+
+    Examples
+    --------
+    >>> black = mistray.mechanics.Finish()
+    >>> black.coating.R, black.scatter
+    (0.0, ())
+    >>> white = mistray.mechanics.finish("0.9")
+    >>> white.scatter[0].properties["reflectance"]
+    0.9
     """
 
     coating: Coating | None = BLACK
@@ -62,6 +71,14 @@ def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Fin
     ------
     MistrayError
         If the text is none of these, or a model refuses its values.
+
+    Examples
+    --------
+    >>> paint = mistray.mechanics.finish("0.05")
+    >>> paint.scatter[0].kind
+    'paint'
+    >>> mistray.mechanics.finish("R=0.05").coating.R
+    0.05
     """
     if text in known:
         return known[text]

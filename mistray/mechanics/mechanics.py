@@ -51,6 +51,14 @@ class Mechanics:
         Pairs of a pattern and an optical space for matching faces; the last match counts.
     most_analytic : int
         Largest number of analytic surfaces; the largest surfaces are chosen. Each one adds a little time per ray.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> _ = trimesh.creation.box((4, 4, 10)).export("post.stl")
+    >>> post = mistray.mechanics.read_mechanics("post.stl").painted({"post": "0.05"})
+    >>> post.parts[0].name, post.paint[0][1].scatter[0].kind
+    ('post', 'paint')
     """
 
     source: Path
@@ -274,6 +282,16 @@ def read_mechanics(
     ------
     MistrayError
         If the file is missing, damaged, empty or of another type, or a package is missing.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> _ = trimesh.creation.box((4, 4, 10)).export("post.stl")
+    >>> post = mistray.mechanics.read_mechanics("post.stl", unit="mm")
+    >>> post.parts[0].name
+    'post'
+    >>> [shape.name for shape in post.to_xml("parts.xml")]
+    ['post']
     """
     path = Path(path)
     suffix = path.suffix.lower()

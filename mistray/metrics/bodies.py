@@ -36,6 +36,15 @@ class Body:
         Columns: axes of the body in the world; those of its surfaces if these agree, else the world's.
     pivot : (3,) float64
         Point of the world that stays in place in a tilt, mm.
+
+    Examples
+    --------
+    >>> known = mistray.optimize.parameters(mistray.load("lens_and_window"))
+    >>> window = mistray.optimize.bodies(known)["window"]
+    >>> window.pivot  # mm
+    array([ 0.,  0., 64.])
+    >>> window.moved({"z": 0.5})["window_front.z"]
+    0.5
     """
 
     part: str
@@ -154,6 +163,12 @@ def bodies(known: Mapping[str, Parameter]) -> dict[str, Body]:
     -------
     dict
         Bodies by the names of their parts. The pivot is the middle of the box around the vertices of the surfaces.
+
+    Examples
+    --------
+    >>> known = mistray.optimize.parameters(mistray.load("lens_and_window"))
+    >>> list(mistray.optimize.bodies(known))
+    ['L1', 'window', 'barrel', 'board']
     """
     owners: dict[str, dict[str, Parameter]] = {}
     for key, p in known.items():

@@ -56,6 +56,14 @@ class Metric:
         Name for messages and tables.
     times : float
         Factor that multiplies the number of rays in all traces.
+
+    Examples
+    --------
+    >>> def ghosts(views):
+    ...     return views[0].power("ghost") / views[0].launched_W
+    >>> metric = mistray.Metric(mistray.load("cooke_triplet"), ghosts, settings={"rays": 5000})
+    >>> print(f"{metric.value():.4f}")
+    0.0042
     """
 
     scene: Any
@@ -207,6 +215,17 @@ def combine(
     ------
     MistrayError
         If there is no metric, or the metrics belong to several scenes.
+
+    Examples
+    --------
+    >>> scene = mistray.load("cooke_triplet")
+    >>> terms = {
+    ...     "ghosts": mistray.optimize.path_power(scene, "ghost", rays=5000),
+    ...     "image": mistray.optimize.transmission(scene, rays=5000),
+    ... }
+    >>> merit = mistray.optimize.combine(terms, lambda values: values["ghosts"] / values["image"])
+    >>> print(f"{merit.value():.4f}")
+    0.0192
     """
     if not metrics:
         raise MistrayError("combine() got no metric; give at least one")
@@ -223,7 +242,15 @@ def combine(
 
 
 def log(metric: Metric) -> Metric:
-    """Return the natural logarithm of a metric, whose derivatives are relative; raise `MistrayError` if it is ≤ 0."""
+    """
+    Return the natural logarithm of a metric, whose derivatives are relative; raise `MistrayError` if it is ≤ 0.
+
+    Examples
+    --------
+    >>> ghosts = mistray.optimize.path_power(mistray.load("cooke_triplet"), "ghost", rays=5000)
+    >>> print(f"{mistray.optimize.log(ghosts).value():.2f} = ln {ghosts.value():.4f}")
+    -5.48 = ln 0.0042
+    """
 
     def function(observations: list[Any]) -> Any:
         value = mi.Float64(metric.function(observations))
@@ -249,6 +276,16 @@ def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Met
         Paths, see `Observation.power`.
     **traced
         Arguments `field_deg`, `wavelength_nm` and `weights` of `Metric`, and arguments of `mistray.trace`.
+
+    Examples
+    --------
+    >>> scene = mistray.load("cooke_triplet")
+    >>> ghosts = mistray.optimize.path_power(scene, "ghost", rays=5000)
+    >>> print(f"{ghosts.value():.4f} of the light comes as ghosts")
+    0.0042 of the light comes as ghosts
+    >>> one = mistray.optimize.path_power(scene, "L2_front -> L1_rear", rays=5000)
+    >>> print(f"{one.value():.1e} by one path")
+    6.4e-04 by one path
     """
     return _of_paths(scene, selection, lambda o: o.power(selection) / o.pupil_W, traced, "W/W", "path power")
 
@@ -258,6 +295,12 @@ def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -
     Return a metric: the power of ghosts, or of other paths, over that of the direct image, mean over the fields.
 
     If there is no direct light at a field, evaluation raises `MistrayError`. Parameters are those of `path_power`.
+
+    Examples
+    --------
+    >>> metric = mistray.optimize.ghost_to_signal(mistray.load("cooke_triplet"), field_deg=[0, 10], rays=5000)
+    >>> print(f"{metric.value():.3f}")
+    0.018
     """
     name = "ghost-to-signal ratio"
     return _of_paths(scene, selection, lambda o: o.power(selection) / _signal(o, name), traced, "1", name)
@@ -275,6 +318,13 @@ def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> M
         Function of the irradiance, ``mi.Float64`` (height · width, W/mm²), that returns a Dr.Jit scalar.
     **traced
         Keywords of `path_power`.
+
+    Examples
+    --------
+    >>> import drjit as dr
+    >>> metric = mistray.optimize.image_metric(mistray.load("cooke_triplet"), dr.mean, rays=5000)
+    >>> print(f"{metric.value():.4f} W/mm²")
+    0.0582 W/mm²
     """
     return _mean(scene, lambda o: function(o.irradiance), traced, "", "image metric")
 
@@ -297,6 +347,12 @@ def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float =
         Exponent p ≥ 1.
     **traced
         Keywords of `path_power`.
+
+    Examples
+    --------
+    >>> metric = mistray.optimize.peak_irradiance(mistray.load("cooke_triplet"), "ghost", rays=5000)
+    >>> print(f"{metric.value():.2f} {metric.unit}")
+    0.07 W/mm2
     """
     return _of_paths(scene, selection, lambda o: o.peak(selection, norm), traced, "W/mm2", "peak irradiance")
 
@@ -321,6 +377,12 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
         Exponent p ≥ 1; 1 for the sum over the paths.
     **traced
         Keywords of `path_power`.
+
+    Examples
+    --------
+    >>> metric = mistray.optimize.ghost_rms_irradiance(mistray.load("cooke_triplet"), rays=5000)
+    >>> print(f"{metric.value():.1e} {metric.unit}")
+    6.3e-04 W/mm2
     """
     return _of_paths(
         scene,
@@ -338,6 +400,12 @@ def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NOR
 
     It is the smooth minimum over the single paths of a selection; a single path gives its own RMS radius. Parameters
     are those of `ghost_rms_irradiance`.
+
+    Examples
+    --------
+    >>> metric = mistray.optimize.ghost_focus(mistray.load("cooke_triplet"), rays=5000)
+    >>> print(f"{metric.value():.1f} {metric.unit}")
+    8.3 mm
     """
     return _of_paths(
         scene,
@@ -354,6 +422,12 @@ def rms_spot(scene: Any, **traced: Any) -> Metric:
     Return a metric: the RMS radius of the direct image about its centroid, all wavelengths, mm, mean over fields.
 
     If there is no direct light at a field, evaluation raises `MistrayError`. Keywords are those of `path_power`.
+
+    Examples
+    --------
+    >>> metric = mistray.optimize.rms_spot(mistray.load("cooke_triplet"), field_deg=[0, 10], rays=5000)
+    >>> print(f"{1000 * metric.value():.0f} µm")
+    14 µm
     """
     return _mean(scene, lambda o: o.moments(DIRECT).rms_radius, traced, "mm", "RMS spot")
 
@@ -365,6 +439,12 @@ def transmission(scene: Any, **traced: Any) -> Metric:
     Losses at the stop and the rims are included. A beam wider than the entrance pupil gives a smaller value. The
     exception is a source that declares which part the unmoved stop passes (`Trace.pupil_W`), as that of an imported
     lens does. A pupil that is larger at a field off the axis gives a larger value. Keywords are those of `path_power`.
+
+    Examples
+    --------
+    >>> metric = mistray.optimize.transmission(mistray.load("cooke_triplet"), rays=5000)
+    >>> print(f"{metric.value():.2f} of a beam that is wider than the lens")
+    0.22 of a beam that is wider than the lens
     """
     return _mean(scene, lambda o: o.power(DIRECT) / o.pupil_W, traced, "W/W", "transmission")
 
@@ -388,6 +468,12 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
         the field. The error of the slope is about step² d³r/dθ³ / 3.
     **traced
         Keywords of `path_power`, with `field_deg`; the axis is traced as well.
+
+    Examples
+    --------
+    >>> metric = mistray.optimize.relative_illumination(mistray.load("cooke_triplet"), field_deg=10, rays=20_000)
+    >>> print(f"{metric.value():.2f}, cos⁴: {np.cos(np.radians(10)) ** 4:.2f}")
+    0.94, cos⁴: 0.94
     """
     name = "relative illumination"
     fields = _angles(traced.get("field_deg")) or ()

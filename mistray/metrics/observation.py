@@ -77,6 +77,12 @@ class Observation:
     ----------
     trace : Trace
         Trace with its results, which are not differentiable.
+
+    Examples
+    --------
+    >>> found = mistray.optimize.Observation(mistray.trace(mistray.load("cooke_triplet"), rays=5000))
+    >>> print(f"{found.power('ghost')[0] / found.launched_W:.4f}")
+    0.0042
     """
 
     resamples = True
@@ -347,6 +353,15 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
     norm : float
         Exponent p ≥ 1. A larger one is nearer to the maximum, and more of the derivative belongs to one value. 1 gives
         the sum.
+
+    Examples
+    --------
+    >>> import mitsuba as mi
+    >>> for norm in 1, 2, 16:
+    ...     print(f"{norm}: {mistray.optimize.smooth_maximum(mi.Float64(1, 2, 3), norm)[0]:.2f}")
+    1: 6.00
+    2: 3.74
+    16: 3.00
     """
     NORMS.check("norm", norm)
     largest = dr.max(dr.detach(values))
@@ -358,5 +373,13 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
 
 
 def smooth_minimum(values: Any, norm: float = NORM) -> mi.Float64:
-    """Return the smooth minimum (Σ v^-p)^(-1/p) of values v > 0: at most their minimum; see `smooth_maximum`."""
+    """
+    Return the smooth minimum (Σ v^-p)^(-1/p) of values v > 0: at most their minimum; see `smooth_maximum`.
+
+    Examples
+    --------
+    >>> import mitsuba as mi
+    >>> print(f"{mistray.optimize.smooth_minimum(mi.Float64(1, 2, 3))[0]:.4f}")
+    1.0000
+    """
     return 1 / smooth_maximum(1 / values, norm)

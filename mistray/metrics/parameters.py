@@ -57,6 +57,13 @@ class Parameter:
         Usual manufacturing tolerance, half the width of its range, see the module; in `unit`, > 0.
     low, high : float
         Limits of the physical range, in `unit`.
+
+    Examples
+    --------
+    >>> known = mistray.optimize.parameters(mistray.load("lens_and_window"))
+    >>> place = known["window_front.z"]
+    >>> place.kind, place.unit, place.value, place.tolerance
+    ('position', 'mm', array([0.]), 0.02)
     """
 
     key: str
@@ -95,6 +102,12 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
     -------
     dict
         Parameters by key, in the order of `params`.
+
+    Examples
+    --------
+    >>> known = mistray.optimize.parameters(mistray.load("lens_and_window"))
+    >>> list(known)[:3]
+    ['L1_front.bsdf.n_front_shift', 'L1_front.bsdf.n_back_shift', 'L1_front.curvature']
     """
     params = mi.traverse(scene) if params is None else params
     surfaces = solid_shapes(scene)
@@ -137,6 +150,12 @@ def match(known: Mapping[str, Parameter], patterns: str | Iterable[str]) -> list
     ------
     MistrayError
         If a pattern matches nothing; the message offers the nearest keys.
+
+    Examples
+    --------
+    >>> known = mistray.optimize.parameters(mistray.load("lens_and_window"))
+    >>> mistray.optimize.match(known, "window_*.z")
+    ['window_front.z', 'window_rear.z', 'window_edge.z']
     """
     found: dict[str, None] = {}
     for pattern in several(patterns):
@@ -162,6 +181,12 @@ def groups(known: Mapping[str, Parameter]) -> dict[str, list[str]]:
         Keys by the name of the group. ``N-BK7.index`` has the shifts of all sides on which a material lies. They change
         together, because light that comes out of one glass into another without a surface between is stopped. ``L1.z``
         has one coordinate of all surfaces of a part with parallel frames, and moves the part as a whole.
+
+    Examples
+    --------
+    >>> known = mistray.optimize.parameters(mistray.load("lens_and_window"))
+    >>> mistray.optimize.groups(known)["window.z"]
+    ['window_front.z', 'window_rear.z', 'window_edge.z']
     """
     found: dict[str, list[str]] = {}
     frames: dict[str, list[np.ndarray]] = {}

@@ -19,10 +19,11 @@ from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import barrel, detector_frame, lens_edge, wall
 from mistray.prescription.grid_file import read_grid, save_grid
 from mistray.prescription.mesh_structure import MeshStructure
-from mistray.prescription.model import Detector, ObjectPoint, Prescription, Source, Stop, Structure, Surface
+from mistray.prescription.model import Detector, Prescription, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
 from mistray.prescription.sequential.first_order import SequentialFirstOrder
 from mistray.prescription.sequential.table import Decentre, Row, Sequential, Unread
+from mistray.prescription.sources import ObjectPoint, Source
 
 if TYPE_CHECKING:
     from mistray.io import (  # type: ignore[no-redef]  # a module has a name of these, too

@@ -42,6 +42,13 @@ class Coating:
     name : str or None
         Surfaces whose coatings have the same name share one object in the scene, with one set of parameters; ``None``:
         each surface has its own.
+
+    Examples
+    --------
+    >>> antireflection = mistray.Coating(layers="MgF2 0.25w", design_nm=550)
+    >>> mirror = mistray.Coating(R=0.98)
+    >>> mirror.opaque, antireflection.opaque
+    (True, False)
     """
 
     R: float | None = None

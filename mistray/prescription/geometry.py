@@ -52,6 +52,13 @@ def wall(
     -------
     tuple of Structure
         Frusta in the order of the profile.
+
+    Examples
+    --------
+    >>> paint = mistray.Coating(R=0.03)
+    >>> wall = mistray.prescription.wall("tube", [(30, -100), (30, 0), (25, 0)], coating=paint)
+    >>> [(face.name, face.r1) for face in wall]
+    [('tube_1', 30), ('tube_2', 25)]
     """
     pieces = [(a, b) for a, b in pairwise(points) if a != b]
     return tuple(
@@ -105,6 +112,13 @@ def lens_edge(
     tuple of Structure
         Faces ``<part>_bevel_1``, ``<part>_flange_1``, ``<part>_edge``, ``<part>_flange_2`` and ``<part>_bevel_2``,
         without faces of zero width.
+
+    Examples
+    --------
+    >>> front = mistray.Surface("L1_front", radius=50, semi_diameter=10, back="N-BK7", part="L1")
+    >>> rear = mistray.Surface("L1_rear", z=5, radius=-50, semi_diameter=9, front="N-BK7", part="L1")
+    >>> [face.name for face in mistray.prescription.lens_edge(front, rear, 10.5)]
+    ['L1_flange_1', 'L1_edge', 'L1_flange_2']
     """
     part = part or first.part or first.name
     glass = _shared_material(first, second)
@@ -172,6 +186,14 @@ def barrel(
     -------
     tuple of Structure
         Edges and walls, from the first rim to the last.
+
+    Examples
+    --------
+    >>> front = mistray.Surface("L1_front", radius=50, semi_diameter=10, back="N-BK7", part="L1")
+    >>> rear = mistray.Surface("L1_rear", z=5, radius=-50, semi_diameter=10, front="N-BK7", part="L1")
+    >>> detector = mistray.Detector(z=51, half_width=4, half_height=3)
+    >>> [face.name for face in mistray.prescription.barrel([front, rear, detector])]
+    ['L1_edge', 'barrel_1_wall']
     """
     result: list[Structure] = []
     space = first_space
@@ -214,6 +236,13 @@ def detector_frame(
     -------
     tuple of Surface
         Rectangles left, right, below and above.
+
+    Examples
+    --------
+    >>> detector = mistray.Detector(z=51, half_width=4, half_height=3)
+    >>> board = mistray.prescription.detector_frame(detector, outer_radius=10)
+    >>> [face.name for face in board]
+    ['board_left', 'board_right', 'board_bottom', 'board_top']
     """
     w, h = detector.half_width, detector.half_height
     if w is None or h is None:

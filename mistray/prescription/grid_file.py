@@ -30,6 +30,13 @@ def read_grid(path: str | Path) -> Grid:
     ------
     MistrayError
         If the file cannot be read, holds an invalid number, or has too few points.
+
+    Examples
+    --------
+    >>> heights = 1e-4 * np.add.outer(np.linspace(-5, 5, 11) ** 2, np.linspace(-5, 5, 11) ** 2)
+    >>> _ = mistray.prescription.save_grid(mistray.prescription.Grid.of(heights, (1.0, 1.0)), "error.npz")
+    >>> mistray.prescription.read_grid("error.npz").step
+    (1.0, 1.0)
     """
     return Grid.of_values(*read_sag_grid(path), str(path))
 
@@ -54,6 +61,14 @@ def save_grid(grid: Grid, path: str | Path) -> Grid:
     ------
     MistrayError
         If the name has another ending, or the file cannot be written.
+
+    Examples
+    --------
+    >>> heights = 1e-4 * np.add.outer(np.linspace(-5, 5, 11) ** 2, np.linspace(-5, 5, 11) ** 2)
+    >>> grid = mistray.prescription.save_grid(mistray.prescription.Grid.of(heights, (1.0, 1.0)), "error.npz")
+    >>> mirror = mistray.Surface("mirror", radius=-200, semi_diameter=5, mirror=True, sag={"grid": grid})
+    >>> mirror.sag["grid"].path
+    'error.npz'
     """
     path = Path(path)
     if path.suffix != SUFFIX:

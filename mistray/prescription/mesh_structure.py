@@ -25,6 +25,12 @@ class MeshStructure:
         Materials. `back` is on the side that the normals of the triangles point to, the outside of a body.
     coating, scatter, part, space
         Coating, scatter models, part and space, as in `Structure`.
+
+    Examples
+    --------
+    >>> bracket = mistray.prescription.MeshStructure("bracket", "meshes/bracket.ply")
+    >>> bracket.coating.R  # black
+    0.0
     """
 
     name: str

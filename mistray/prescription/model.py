@@ -1,4 +1,4 @@
-"""Parts of an optical system: surfaces, structure, stop, source, detector.
+"""Parts of an optical system: surfaces, structure, stop, detector; its sources are in `mistray.prescription.sources`.
 
 Lengths in mm, light travels +z, angles in degrees in names that end in ``_deg``. A surface's vertex is the origin of
 its frame and ``front`` is its -z side. All classes are immutable; edit one with `dataclasses.replace`.
@@ -26,13 +26,13 @@ from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating, check_name
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.naming import scattering, shared_coatings, shared_scatter
-from mistray.prescription.polarized import PolarizedFields
 from mistray.prescription.scatter import Scatter
-from mistray.prescription.spectral import Spectral
-from mistray.ranges import FILM_SIDE, PLACE_MM, POSITIVE, RADIUS_MM, SIZE_MM, Range, Words, check_fields
+from mistray.ranges import FILM_SIDE, PLACE_MM, RADIUS_MM, SIZE_MM, Range, check_fields
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from mistray.prescription.sources import ObjectPoint, Source
 
 MAX_COEFFICIENTS = 9
 """Number of even coefficients a4 … a20 that the `asphere` plugin takes."""
@@ -105,6 +105,12 @@ class Surface(Placed):
         Object that the surface belongs to; ``None``: its own name.
     space : int
         Optical space for grouping in tables; -1: none.
+
+    Examples
+    --------
+    >>> mirror = mistray.Surface("primary", radius=-1000, conic=-1, semi_diameter=100, mirror=True)
+    >>> print(f"sag at the rim: {mirror.z_at(100.0):.1f} mm")
+    sag at the rim: -5.0 mm
     """
 
     name: str
@@ -142,7 +148,7 @@ class Surface(Placed):
         if self.outline is not None:
             self.outline.check(owner)
         check_fields(self, owner)
-        _within(self.outer_radius).check("inner_semi_diameter", self.inner_semi_diameter, owner)
+        within(self.outer_radius).check("inner_semi_diameter", self.inner_semi_diameter, owner)
         if len(self.coefficients) > MAX_COEFFICIENTS:
             raise MistrayError(
                 f"surface '{self.name}': {len(self.coefficients)} coefficients; at most {MAX_COEFFICIENTS} (a4 … "
@@ -213,6 +219,13 @@ class Structure(Placed):
         Coating of the frustum; ``None``: bare Fresnel interface. The default is a perfect absorber.
     scatter, part, space
         Scatter models, part and space, as in `Surface`.
+
+    Examples
+    --------
+    >>> tube = mistray.Structure("tube", 30, -100, 30, 0, coating=mistray.Coating(R=0.03))
+    >>> vane = mistray.Structure("vane", 25, -50, 30, -50)  # a ring, black without a coating
+    >>> vane.coating.R
+    0.0
     """
 
     name: str
@@ -250,6 +263,12 @@ class Detector(Surface):
     design_path : str
         Sequences of surfaces that form its image, such as ``"L1:T L2:T fold:R"``. Alternatives for a step are joined by
         ``|``, sequences by ``;``. If empty, they are found automatically, see docs/design_path.md.
+
+    Examples
+    --------
+    >>> sensor = mistray.Detector(z=51, half_width=4, half_height=3, pixels=(800, 600))
+    >>> print(f"pixels of {1000 * 2 * sensor.half_width / sensor.pixels[0]:.0f} µm")
+    pixels of 10 µm
     """
 
     name: str = "detector"
@@ -288,6 +307,12 @@ class Stop:
     coating, scatter, part, space
         Coating, scatter models, part and space, as in `Structure`. The name of the part also starts the names of the
         faces.
+
+    Examples
+    --------
+    >>> stop = mistray.prescription.Stop(radius=4, z_front=10, z_rear=10.5, outer_front=12, outer_rear=12)
+    >>> [face.name for face in stop.faces()]
+    ['stop_front', 'stop_wall', 'stop_rear']
     """
 
     radius: float
@@ -302,7 +327,7 @@ class Stop:
     space: int = -1
 
     def __post_init__(self) -> None:
-        opening = replace(_within(min(self.outer_front, self.outer_rear)), above=True)
+        opening = replace(within(min(self.outer_front, self.outer_rear)), above=True)
         opening.check("radius", self.radius, f"stop '{self.part}'")
         if self.z_rear < self.z_front:
             raise MistrayError(
@@ -326,94 +351,6 @@ class Stop:
             )
             for face, *profile in profiles
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Source(Placed, Spectral, PolarizedFields):
-    """A collimated beam whose axis passes through the pivot (x, y, z), with the parameters of the `collimated` emitter.
-
-    Attributes
-    ----------
-    radius, inner_radius : float or None, float
-        Outer and inner radius of the beam's cross-section, mm.
-    half_width, half_height : float or None
-        Half sizes of a rectangular cross-section instead, mm.
-    field_deg, azimuth_deg : float
-        Field angle θ and azimuth about z, degrees. The direction (0, sin θ, cos θ) is rotated by the azimuth, in the
-        frame given by ``tilt_deg``.
-    plane : str
-        Plane of the cross-section. "beam": normal to the beam; "axis": the pivot plane, normal to the frame's z.
-    distance : float
-        Distance of the start of the rays upstream of the pivot, mm; 0: outside the scene.
-    irradiance : float
-        Irradiance on a plane normal to the beam, W/mm².
-    wavelength_nm, weights, spectrum, band_nm, bands
-        Wavelengths of the light, see `Spectral`.
-    pattern : str
-        Arrangement of the rays: "random" or "grid".
-    pupil_area : float or None
-        Area of the cross-section whose light counts as launched in transmissions, mm²; None: the whole cross-section.
-    stokes, jones, polarization_deg
-        Polarisation of the light, see `PolarizedFields`.
-    """
-
-    radius: float | None = SIZE_MM.field(None)
-    inner_radius: float = 0.0
-    half_width: float | None = SIZE_MM.field(None)
-    half_height: float | None = SIZE_MM.field(None)
-    field_deg: float = 0.0
-    azimuth_deg: float = 0.0
-    plane: str = Words(("beam", "axis")).field("beam")
-    distance: float = 0.0
-    irradiance: float = POSITIVE.field(1.0)
-    pattern: str = Words(("random", "grid")).field("random")
-    pupil_area: float | None = POSITIVE.field(None)
-
-    def __post_init__(self) -> None:
-        self.check_polarization("source")
-        rectangle = (self.half_width, self.half_height)
-        if (self.radius is None) == (None in rectangle):
-            raise MistrayError(
-                f"source: radius = {self.radius} with half_width, half_height = {rectangle}; "
-                "give either radius or both half sizes"
-            )
-        check_fields(self, "source")
-        if self.radius is not None:
-            _within(self.radius).check("inner_radius", self.inner_radius, "source")
-        self.check_spectrum("source")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObjectPoint(Placed, Spectral, PolarizedFields):
-    """A point of a near object instead of a collimated beam, with the parameters of the `point_source` emitter.
-
-    At zero field it lies on the z axis of its frame, whose origin is the centre of the entrance pupil.
-
-    Attributes
-    ----------
-    distance : float
-        Distance from the object to the origin of the frame, mm.
-    field_deg, azimuth_deg : float
-        Field angle and azimuth, degrees. They shift the point in its plane so that its light arrives at the origin at
-        this angle.
-    intensity : float
-        Radiant intensity, W/sr.
-    half_angle_deg : float
-        Half angle of the cone of its light about the z axis, degrees.
-    wavelength_nm, weights, spectrum, band_nm, bands, stokes, jones, polarization_deg
-        Wavelengths and polarisation, as for `Source`.
-    """
-
-    distance: float = SIZE_MM.field()
-    field_deg: float = 0.0
-    azimuth_deg: float = 0.0
-    intensity: float = POSITIVE.field(1.0)
-    half_angle_deg: float = Range(0.0, 180.0, above=True, unit="degrees").field(90.0)
-
-    def __post_init__(self) -> None:
-        self.check_polarization("object point")
-        check_fields(self, "object point")
-        self.check_spectrum("object point")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -443,6 +380,22 @@ class Prescription:
     MistrayError
         If two names are equal, if coatings or scatter models of the same name differ, or if two coaxial surfaces cross
         or coincide within their common aperture.
+
+    Examples
+    --------
+    >>> front = mistray.Surface("L1_front", radius=50, semi_diameter=10, back="N-BK7", part="L1")
+    >>> rear = mistray.Surface("L1_rear", z=5, radius=-50, semi_diameter=10, front="N-BK7", part="L1")
+    >>> detector = mistray.Detector(z=51, half_width=4, half_height=3)
+    >>> lens = mistray.Prescription(
+    ...     name="singlet",
+    ...     surfaces=(front, rear),
+    ...     structures=mistray.prescription.barrel([front, rear, detector]),
+    ...     detector=detector,
+    ...     source=mistray.Source(radius=8),
+    ... )
+    >>> scene = lens.to_scene()
+    >>> [shape.id() for shape in scene.shapes()]
+    ['L1_front', 'L1_rear', 'L1_edge', 'barrel_1_wall', 'detector']
     """
 
     name: str
@@ -567,7 +520,7 @@ class Prescription:
         return load(self.to_dict())
 
 
-def _within(outer: float) -> Range:
+def within(outer: float) -> Range:
     """Return the allowed range of an inner radius, mm, inside an outer radius, mm."""
     return Range(0.0, outer, below=True, unit="mm", remedy="the outer radius is the end")
 

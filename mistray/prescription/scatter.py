@@ -36,6 +36,13 @@ class Scatter:
     ------
     MistrayError
         If the plugin or a property is unknown, or the model refuses a value.
+
+    Examples
+    --------
+    >>> polish = mistray.Scatter("harvey_shack", {"rms_nm": 2.0, "l": 0.01, "s": -1.5})
+    >>> polish.model().rms_nm
+    2.0
+    >>> mirror = mistray.Surface("primary", radius=-1000, semi_diameter=100, mirror=True, scatter=(polish,))
     """
 
     kind: str

@@ -18,9 +18,10 @@ from mistray.physics.sags.terms import GRID
 from mistray.prescription.coating import Coating
 from mistray.prescription.grid_file import grid_bytes
 from mistray.prescription.mesh_structure import MeshStructure
-from mistray.prescription.model import Detector, ObjectPoint, Placed, Source, Structure, Surface
+from mistray.prescription.model import Detector, Placed, Structure, Surface
 from mistray.prescription.naming import each_shape, shared_coatings, shared_scatter
 from mistray.prescription.scatter import Scatter, Value
+from mistray.prescription.sources import ObjectPoint, Source
 from mistray.prescription.spectral import list_text
 from mistray.replace_file import replace_files
 

@@ -71,6 +71,20 @@ class Visit:
     connection_ratio : mi.Float or None
         Connections that find the path, per ray and per light vertex, see
         `mistray.kernel.pdf_ratios.PdfRatios.connection_ratios`; None: there are no connections.
+
+    Examples
+    --------
+    >>> import drjit as dr
+    >>> import mitsuba as mi
+    >>> class Hits(mistray.recorders.Recorder):
+    ...     def attach(self, scene):
+    ...         self.ids, self.count = scene.table.ids, dr.zeros(mi.UInt32, scene.table.count)
+    ...     def visit(self, visit, memory):
+    ...         dr.scatter_reduce(dr.ReduceOp.Add, self.count, mi.UInt32(1), visit.surface, visit.active)
+    >>> hits = Hits()
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[hits])
+    >>> hits.count[hits.ids.index("L1_front")] == t.surfaces[0].hits
+    True
     """
 
     start: StartRays
@@ -144,6 +158,21 @@ class Branch:
         d ln(throughput) / d(R or T).
     active : mi.Bool
         Lanes that send a child on.
+
+    Examples
+    --------
+    >>> import drjit as dr
+    >>> import mitsuba as mi
+    >>> class Reflected(mistray.recorders.Recorder):
+    ...     def attach(self, scene):
+    ...         self.ids, self.count = scene.table.ids, dr.zeros(mi.UInt32, scene.table.count)
+    ...     def branch(self, branch, memory):
+    ...         sent = branch.active & branch.reflect
+    ...         dr.scatter_reduce(dr.ReduceOp.Add, self.count, mi.UInt32(1), branch.place, sent)
+    >>> reflected = Reflected()
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[reflected])
+    >>> reflected.count[reflected.ids.index("detector")]
+    10000
     """
 
     start: StartRays
@@ -190,6 +219,24 @@ class Departure:
     light_vertex : mi.UInt32 or None
         Number of the light vertex plus one that a ray was connected to, see
         `mistray.kernel.scatter_shares.CONNECTED`; 0 of other rays.
+
+    Examples
+    --------
+    >>> import drjit as dr
+    >>> import mitsuba as mi
+    >>> class Backwards(mistray.recorders.Recorder):
+    ...     departs = True
+    ...     def attach(self, scene):
+    ...         self.sum = dr.zeros(mi.Float64, 1)
+    ...     def depart(self, departure, memory):
+    ...         out = departure.active & (departure.heading.z < 0)
+    ...         dr.scatter_reduce(dr.ReduceOp.Add, self.sum, mi.Float64(departure.weight), mi.UInt32(0), out)
+    ...     def collect(self, unit):
+    ...         self.flux_W = unit * self.sum[0]
+    >>> backwards = Backwards()
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[backwards])
+    >>> print(f"{backwards.flux_W:.2f} W of {t.energy.escaped_W:.2f} W leave towards the source")
+    58.32 W of 58.32 W leave towards the source
     """
 
     start: StartRays
@@ -236,6 +283,23 @@ class Segment:
         Whether the ray leaves the scene.
     active : mi.Bool
         Lanes that travel a segment.
+
+    Examples
+    --------
+    >>> import drjit as dr
+    >>> import mitsuba as mi
+    >>> class Escaped(mistray.recorders.Recorder):
+    ...     def attach(self, scene):
+    ...         self.sum = dr.zeros(mi.Float64, 1)
+    ...     def travel(self, segment, memory):
+    ...         leaves = segment.active & segment.leaves
+    ...         dr.scatter_reduce(dr.ReduceOp.Add, self.sum, mi.Float64(segment.flux), mi.UInt32(0), leaves)
+    ...     def collect(self, unit):
+    ...         self.flux_W = unit * self.sum[0]
+    >>> escaped = Escaped()
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[escaped])
+    >>> print(f"{escaped.flux_W:.2f} W, {t.energy.escaped_W:.2f} W by the ledger")
+    58.32 W, 58.32 W by the ledger
     """
 
     start: StartRays
@@ -265,6 +329,20 @@ class Return:
         Depth of the first node to which the lane does not come back.
     active : mi.Bool
         Lanes that go back.
+
+    Examples
+    --------
+    >>> import drjit as dr
+    >>> import mitsuba as mi
+    >>> class Deepest(mistray.recorders.Recorder):
+    ...     def attach(self, scene):
+    ...         self.depth = dr.zeros(mi.UInt32, 1)
+    ...     def back(self, back, memory):
+    ...         dr.scatter_reduce(dr.ReduceOp.Max, self.depth, back.depth, mi.UInt32(0), back.active)
+    >>> deepest = Deepest()
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[deepest])
+    >>> deepest.depth[0]
+    12
     """
 
     start: StartRays
@@ -292,6 +370,23 @@ class Recorder:
         Name in a result; empty: none.
     kernel_by : tuple of str
         Attributes that the kernel depends on.
+
+    Examples
+    --------
+    >>> import drjit as dr
+    >>> import mitsuba as mi
+    >>> class Steep(mistray.recorders.Recorder):
+    ...     def attach(self, scene):
+    ...         self.sum = dr.zeros(mi.Float64, 1)
+    ...     def visit(self, visit, memory):
+    ...         steep = visit.active & (visit.interaction.cos_i < 0.5)
+    ...         dr.scatter_reduce(dr.ReduceOp.Add, self.sum, mi.Float64(visit.weight), mi.UInt32(0), steep)
+    ...     def collect(self, unit):
+    ...         self.flux_W = unit * self.sum[0]
+    >>> steep = Steep()
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[steep])
+    >>> print(f"{steep.flux_W:.1f} W meet surfaces at more than 60°")
+    2.7 W meet surfaces at more than 60°
     """
 
     name = ""

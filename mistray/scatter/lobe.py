@@ -56,6 +56,12 @@ class RatioTable:
     from_x : bool
         Whether ψ and φ of an anisotropic lobe are counted from the sample's x axis. Then values interpolated between
         two nodes of ρ turn with the sample; otherwise they are fixed to the plane of incidence.
+
+    Examples
+    --------
+    >>> half = mistray.scatter.RatioTable(np.full((2, 2, 2), 0.5))
+    >>> half.at(np.array([1.0]), np.array([0.1]), np.array([0.0]))
+    array([0.5])
     """
 
     values: np.ndarray
@@ -176,6 +182,12 @@ class Lobe:
         by `oblique` at other angles.
     oblique_limit : float
         Upper bound of 1/cos θi, so that a beam does not lose more light than it has.
+
+    Examples
+    --------
+    >>> lambertian = mistray.scatter.Lobe("reflection", lambda r: np.full(r.shape, 0.3 / np.pi), centre="normal")
+    >>> lambertian.profile(np.array([0.0, 0.5])).round(3)
+    array([0.095, 0.095])
     """
 
     event: str
@@ -243,7 +255,17 @@ def factor(name: str, cos_i: Any, cos_s: Any, cos_0: Any, r2: Any) -> Any:
 
 
 class LobeModel(Protocol):
-    """Interface of a scatter model for the kernel and the plugins."""
+    """
+    Interface of a scatter model for the kernel and the plugins.
+
+    Examples
+    --------
+    >>> from mistray.scatter.abg import ABg
+    >>> model = ABg(A=0.0025, B=0.001, g=1.8)
+    >>> (lobe,) = model.event_lobes("reflection", 550.0, 1.0, 1.5)
+    >>> lobe.profile(np.array([0.01, 0.1])).round(3)  # BSDF in 1/sr at |β - β0|
+    array([1.998, 0.148])
+    """
 
     @property
     def name(self) -> str:
@@ -281,6 +303,15 @@ class Placement:
         the absorbed light.
     name : str
         Name of the model for error messages.
+
+    Examples
+    --------
+    >>> from mistray.scatter.abg import ABg
+    >>> polish = ABg(A=0.0025, B=0.001, g=1.8, event="reflection")
+    >>> polish.events(from_front=True)
+    ('reflection',)
+    >>> polish.changed(A=0.005).values
+    {'A': 0.005, 'B': 0.001, 'g': 1.8}
     """
 
     _: KW_ONLY

@@ -55,6 +55,13 @@ def add_structures(
     MistrayError
         If the scene cannot be read, if it already has an object named like a structure, or if a coating or scatter
         model of a structure has the name of a different one in the scene.
+
+    Examples
+    --------
+    >>> shade = mistray.Structure("shade", 14, -30, 14, -1)
+    >>> file = mistray.scene.add_structures("cooke_triplet", [shade], "shaded.xml")
+    >>> "shade" in [shape.id() for shape in mistray.load(file).shapes()]
+    True
     """
     file, target, structures = SceneFile(find(source)), Path(target), list(structures)
     known = shared_objects(file)

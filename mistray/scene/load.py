@@ -70,6 +70,15 @@ def load(
     -----
     MistrayWarning
         If a scatter model or source has improbable numbers, one warning for each; see `mistray.scene.improbable`.
+
+    Examples
+    --------
+    >>> scene = mistray.load("cooke_triplet")
+    >>> [shape.id() for shape in scene.shapes()][:3]
+    ['L1_front', 'L1_rear', 'L2_front']
+    >>> sunlit = mistray.load("cooke_triplet", sources="sun:field_deg=30")
+    >>> sunlit.emitters()[0].id()
+    'source'
     """
     ensure_variant()
     return _loaded(source if isinstance(source, dict) else find(source), None, sources, sensors)
@@ -237,6 +246,11 @@ def find(source: str | Path | ModuleType) -> Path:
     ------
     MistrayError
         If `source` is none of these.
+
+    Examples
+    --------
+    >>> mistray.scene.find("cooke_triplet").name
+    'scene.xml'
     """
     if isinstance(source, ModuleType):
         source = source.__path__[0] if hasattr(source, "__path__") else source.__name__

@@ -40,6 +40,13 @@ class Rules:
     ----------
     coatings, paint, scatter : mapping
         Pattern → coating, paint or scatter models.
+
+    Examples
+    --------
+    >>> rules = mistray.scene.Rules(coatings={"L1": "bbar3"}, paint={"barrel": 0.03})
+    >>> coated = mistray.scene.write_coated("cooke_triplet", "coated.xml", rules)
+    >>> sorted(coated.changes)[:3]
+    ['L1_front', 'L1_rear', 'barrel_1_wall']
     """
 
     coatings: CoatingRules = field(default_factory=dict)

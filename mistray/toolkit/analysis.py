@@ -45,7 +45,8 @@ def analysis(
         Class of the request. Its fields are arguments; those declared before ``KW_ONLY`` also by position.
     run : callable
         Function of the analysed object (mostly a scene), of a request, and of keywords that are not fields of the
-        request. Its docstring describes them under Parameters and becomes that of the returned function.
+        request. Its docstring describes them under Parameters and becomes that of the returned function, with its
+        Examples.
     positional : sequence of str
         Arguments after the scene that may be given by position, in this order, if the fields and the function do not
         determine it.

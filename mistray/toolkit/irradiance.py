@@ -34,6 +34,13 @@ class MapStatistics:
         Rays that reached the map.
     pixel_mm : (float, float)
         Width and height of a pixel, mm.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> found = mistray.analysis.statistics(t.irradiance, t.irradiance_se, t.extent, 10_000)
+    >>> print(f"{found.flux_W:.1f} W in all, at most {found.maximum:.3g} W/mm²")
+    83.1 W in all, at most 2.06e+03 W/mm²
     """
 
     minimum: float
@@ -58,6 +65,14 @@ def statistics(irradiance: Map, irradiance_se: Map, extent: Extent, incident_ray
         Extent x0, x1, y0, y1, mm.
     incident_rays : int
         Rays that reached the map, a number that the map itself does not contain.
+
+    Examples
+    --------
+    >>> x = np.linspace(-1, 1, 101)
+    >>> spot = np.exp(-np.add.outer(x**2, x**2) / 0.02)
+    >>> found = mistray.analysis.statistics(spot, 0 * spot, (-1, 1, -1, 1), 1000)
+    >>> print(f"{found.flux_W:.4f} W")
+    0.0616 W
     """
     pixel = pixel_size(irradiance, extent)
     brightest = np.unravel_index(np.argmax(irradiance), irradiance.shape)
@@ -133,6 +148,11 @@ def log10_image(irradiance: Map, floor: float) -> npt.NDArray[np.float64]:
         Irradiance, W/mm².
     floor : float
         Smallest irradiance shown, W/mm², > 0. Pixels below it are NaN, so that a plot leaves them empty.
+
+    Examples
+    --------
+    >>> mistray.analysis.log10_image(np.array([[1e-3, 1e-9]]), floor=1e-6)
+    array([[-3., nan]])
     """
     if not floor > 0:
         raise MistrayError(f"log10_image: floor is {floor:g} W/mm²; it must be positive")
@@ -181,6 +201,13 @@ def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]
         no light in them.
     expected : float
         Value expected from the standard errors alone, for Gaussian noise: the mean of |N(0, s)| is s·sqrt(2/π).
+
+    Examples
+    --------
+    >>> image = np.array([[1.0, 2.0, 1.0], [3.0, 5.0, 3.0]])
+    >>> measured, expected = mistray.analysis.mirror_asymmetry(image, 0.1 * image)
+    >>> print(f"{measured:.3f}, {expected:.3f} by noise alone")
+    0.000, 0.030 by noise alone
     """
     difference, noise = np.abs(irradiance - irradiance[:, ::-1]), np.hypot(irradiance_se, irradiance_se[:, ::-1])
     known = np.isfinite(noise)

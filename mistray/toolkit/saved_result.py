@@ -80,6 +80,13 @@ def load_result(path: str | Path) -> Result:
     ------
     MistrayError
         If there is no such file, it is damaged or no result, or another version of mistray has written it.
+
+    Examples
+    --------
+    >>> found = mistray.pst(mistray.load("lens_and_window"), [10, 30], rays=20_000)
+    >>> _ = found.save("lens_pst.npz")
+    >>> mistray.load_result("lens_pst.npz").field_deg
+    array([10., 30.])
     """
     with _told(path):
         with open_input(path, own=True) as file:

@@ -17,7 +17,8 @@ from mistray.result import KeyNumber, Result
 from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
 from mistray.trace.host.retrace import retrace
-from mistray.trace.paths import LocatedPaths, PathTable
+from mistray.trace.located_paths import LocatedPaths
+from mistray.trace.paths import PathTable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,7 +58,18 @@ class Ray(NamedTuple):
 
 
 class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..toolkit.figures.traces:rays_figure"):
-    """Recorded rays of a run, event by event, as polylines and as a table."""
+    """
+    Recorded rays of a run, event by event, as polylines and as a table.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> history = t.history(1, n=2)
+    >>> len(history), history.rays[0].shape  # two rays; start and nine hits of the first
+    (2, (10, 3))
+    >>> history.to_pandas().surface[:4].tolist()
+    ['-', 'L1_front', 'L1_rear', 'L2_front']
+    """
 
     def __init__(self, run: Run, rays: list[Ray]) -> None:
         self._run, self._rays = run, rays

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -17,12 +17,13 @@ from mistray.events import INTERCEPTS, LETTERS
 from mistray.execute.tracer import Run
 from mistray.ids import event_words
 from mistray.ranges import several
-from mistray.recorders.path_events import DIRECT, Events, describe_events, event_keys, way, way_letters, way_text
+from mistray.recorders.path_events import DIRECT, describe_events, event_keys, way, way_letters, way_text
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, sum_of_runs
 from mistray.result import KeyNumber, Result
 from mistray.settings import BATCHES
 from mistray.trace.filter_rows import Rows
+from mistray.trace.located_paths import LocatedPaths
 from mistray.trace.named_paths import warn_unless_one
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
 from mistray.trace.path_filter import PathFilter
@@ -123,6 +124,12 @@ class PathRow:
         Normalised Stokes vector (S1, S2, S3)/S0: linear along the world's x as seen across the ray (along y where the
         ray is within 26° of x), linear at 45° from there, and circular, clockwise as the detector sees it; see
         docs/polarization.md.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> t.paths[1].kind, t.paths[1].path
+    ('ghost', 'TTRRTTTTA')
     """
 
     path_id: int
@@ -185,40 +192,6 @@ class PathRow:
         return [(name, names[letter]) for name, letter in (event.rsplit(":", 1) for event in event_words(self.events))]
 
 
-class LocatedPaths(NamedTuple):
-    """Paths of one run: their `path_id` and their places in its ledger, (n,) int each."""
-
-    run: Run
-    ids: np.ndarray
-    places: np.ndarray
-
-    @property
-    def slots(self) -> np.ndarray:
-        """Slots of the paths in the ledger, (n,) int."""
-        return np.asarray(self.run.paths.slots[self.places])
-
-    @property
-    def keys(self) -> np.ndarray:
-        """Keys of the paths, (n,) uint64, see `mistray.recorders.path_key`."""
-        return np.asarray(self.run.paths.keys[self.places])
-
-    @property
-    def sums(self) -> np.ndarray:
-        """Sums of the paths by batch, (n, BATCHES, SUMS), in units of a start ray, see `mistray.recorders.ledger`."""
-        return np.asarray(self.run.paths.sums[self.places])
-
-    @property
-    def events(self) -> Events:
-        """Event lists of the paths."""
-        paths = self.run.paths
-        return Events.of(self.run.table, self.run.design, paths.events[self.places], paths.lengths[self.places])
-
-    def ids_of(self, keys: np.ndarray) -> np.ndarray:
-        """Return the `path_id` of each path that is given by its key, (n,) uint64."""
-        order = np.argsort(self.keys)
-        return self.ids[order][np.searchsorted(self.keys[order], keys)]
-
-
 class PathTable(
     Sequence[PathRow],
     Result,
@@ -240,6 +213,14 @@ class PathTable(
         Number of the run of each path, and its place in the ledger of that run.
     numbers : PathNumbers
         Power, centroid, radius and polarisation of the paths.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> t.paths[1].label
+    'L2_front → L1_rear'
+    >>> len(t.paths.find("L2_front", "L1_rear"))
+    8
     """
 
     def __init__(

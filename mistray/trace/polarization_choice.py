@@ -64,6 +64,13 @@ class PolarizationChoice:
     change : float
         Largest relative change of a listed path, or of the stray light, by Stokes vectors instead of the means of s and
         p; 0 where nothing polarises, NaN where it was not measured.
+
+    Examples
+    --------
+    >>> choice = mistray.trace.PolarizationChoice("stokes", "as a measurement with a polariser")
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000, polarization=choice)
+    >>> t.settings["polarization_reason"]
+    'as a measurement with a polariser'
     """
 
     mode: str

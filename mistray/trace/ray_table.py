@@ -23,8 +23,9 @@ from mistray.recorders.start_rays import StartRays
 from mistray.surfaces.upload import upload
 from mistray.trace.filter_rows import Rows
 from mistray.trace.history import Ray, RayHistory, bundles, joined_histories, spread
+from mistray.trace.located_paths import LocatedPaths
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.paths import LocatedPaths, PathRow, PathTable
+from mistray.trace.paths import PathRow, PathTable
 
 if TYPE_CHECKING:
     import pandas as pd

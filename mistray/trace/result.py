@@ -96,6 +96,12 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         Number of ray segments that were traced.
     seconds : float
         Time in the kernel, s: neither recording nor compiling it counts.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> print(f"{len(t.paths)} paths, stray light {mistray.report.with_error(t.paths.stray_W)} W")
+    16 paths, stray light 1.561 ± 0.013 W
     """
 
     def __init__(self, runs: list[Run], settings: dict[str, Any], task: SceneTask | None = None) -> None:

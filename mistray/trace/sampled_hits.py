@@ -25,7 +25,8 @@ from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 from mistray.trace.history import Bundle, bundles
-from mistray.trace.paths import LocatedPaths, PathTable
+from mistray.trace.located_paths import LocatedPaths
+from mistray.trace.paths import PathTable
 
 CAPACITY = 1 << 16  # branches that are recorded; others are not in the sample
 CONE_CAPACITY = 1 << 14  # branches of 64 events that are recorded for light cones

@@ -85,6 +85,17 @@ class Budget(Result, table=".page:numbers_table", figure=".figures:budget_figure
         Effects that the gradients leave out.
     seconds : float
         Duration, s.
+
+    Examples
+    --------
+    >>> study = {
+    ...     "require": [{"metric": "pst_bin", "field_deg": 30, "limit": 2.6e-3}],
+    ...     "choose": [{"surfaces": "plate_*", "parameter": "A", "best": 1e-5, "worst": 1e-2, "cost": {"weight": 1}}],
+    ...     "traced": {"rays": 10_000},
+    ... }
+    >>> (met,) = mistray.optimize.budget("plate_and_wall", study).requirements
+    >>> print(f"{met.requirement}: {met.before.value:.1e}, afterwards {met.after.value:.1e}; limit {met.limit:.1e}")
+    PST at 30°: 2.9e-03, afterwards 2.4e-03; limit 2.6e-03
     """
 
     study: BudgetStudy

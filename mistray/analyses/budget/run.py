@@ -59,6 +59,19 @@ def budget(
     ------
     MistrayError
         If the study or the scene cannot be used, or the limits cannot be met; the message says by how much.
+
+    Examples
+    --------
+    >>> study = {
+    ...     "require": [{"metric": "pst_bin", "field_deg": 30, "limit": 2.6e-3}],
+    ...     "choose": [{"surfaces": "plate_*", "parameter": "A", "best": 1e-5, "worst": 1e-2, "cost": {"weight": 1}}],
+    ...     "traced": {"rays": 10_000},
+    ... }
+    >>> found = mistray.optimize.budget("plate_and_wall", study)
+    >>> found.holds
+    True
+    >>> [surface for chosen in found.chosen for surface in chosen.surfaces]
+    ['plate_front', 'plate_rear']
     """
     began = time.perf_counter()
     read = read_budget(study)

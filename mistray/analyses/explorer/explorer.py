@@ -91,6 +91,16 @@ class Explorer:
     ------
     MistrayError
         If the scene cannot be loaded or traced, has several detectors, or a pattern matches no parameter.
+
+    Examples
+    --------
+    >>> explorer = mistray.Explorer("lens_and_window", field_deg=[0.0], rays=2000)
+    >>> watts, error = explorer.settle()["stray_W"]
+    >>> print(f"{watts:.1f} W of stray light")
+    2.7 W of stray light
+    >>> watts, error = explorer.move({"coating L1": "bbar3"})["stray_W"]
+    >>> print(f"{watts:.1f} W with a coating on L1, estimated at once")
+    2.2 W with a coating on L1, estimated at once
     """
 
     def __init__(

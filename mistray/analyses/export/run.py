@@ -50,6 +50,12 @@ class StepExport(Result):
         Reason for each shape that is not in the file, by its id.
     notes : tuple of str
         Remarks on the bodies.
+
+    Examples
+    --------
+    >>> found = mistray.export_step(mistray.load("lens_and_window"), "lens.step")
+    >>> found.solids, found.error_mm
+    (('L1', 'window'), 0.0)
     """
 
     path: Path
@@ -95,6 +101,14 @@ def run(scene: mi.Scene, request: StepRequest, *, path: str | Path, name: str = 
     ------
     MistrayError
         If a number is out of range, a field has no light on the detector, or the file cannot be written.
+
+    Examples
+    --------
+    >>> found = mistray.export_step(mistray.load("lens_and_window"), "lens.step", 0, paths=2, rays=2000)
+    >>> found.path.name, found.solids
+    ('lens.step', ('L1', 'window'))
+    >>> found.beams, found.paths
+    (('beam 0 deg',), ('0 deg: detector → window_rear, 0.959 W', '0 deg: detector → window_front, 0.826 W'))
     """
     fields, thickness_mm = list(dict.fromkeys(request.field_deg or ())), request.mirror_thickness_mm
     finder = BeamFinder(scene, request.wavelength_nm) if fields or thickness_mm is not None else None

@@ -55,6 +55,17 @@ class Evaluations:
         Values of the parameters at which the model was evaluated.
     found : list of Modelled
         Result of the model at each point.
+
+    Examples
+    --------
+    >>> x = np.arange(1.0, 5.0)
+    >>> def line(parameters):
+    ...     return mistray.optimize.Modelled(parameters[0] * x, np.zeros((4, 4)), x[:, None])
+    >>> model = mistray.optimize.Evaluations(line)
+    >>> for noise in 0.0, 0.05, -0.05:
+    ...     found = mistray.optimize.fit(model, 2.0 * x + noise, 0.1 * np.ones(4), {"slope": 1.0})
+    >>> len(model.points)
+    2
     """
 
     def __init__(self, model: Model, settled: float = SETTLED) -> None:
@@ -117,6 +128,16 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
         The values that were accepted, the start first, the estimate last.
     evaluations : int
         Number of evaluations of the model, without those that `Evaluations` had stored.
+
+    Examples
+    --------
+    >>> x = np.arange(1.0, 5.0)
+    >>> def line(parameters):
+    ...     return mistray.optimize.Modelled(parameters[0] * x, np.zeros((4, 4)), x[:, None])
+    >>> found = mistray.optimize.fit(line, 2.0 * x, 0.1 * np.ones(4), {"slope": 1.0})
+    >>> low, high = found.interval("slope")
+    >>> print(f"{low:.2f} … {high:.2f}, {found.degrees} degrees of freedom")
+    1.96 … 2.04, 3 degrees of freedom
     """
 
     names: tuple[str, ...]
@@ -376,6 +397,16 @@ def fit(
     ------
     MistrayError
         If shapes or values do not agree, or the fit does not settle.
+
+    Examples
+    --------
+    >>> x = np.arange(1.0, 5.0)
+    >>> def line(parameters):
+    ...     return mistray.optimize.Modelled(parameters[0] * x, np.zeros((4, 4)), x[:, None])
+    >>> observed = 2.0 * x + [0.1, -0.1, 0.1, -0.1]
+    >>> found = mistray.optimize.fit(line, observed, 0.1 * np.ones(4), {"slope": 1.0})
+    >>> print(f"{found.value[0]:.2f} ± {found.standard_error[0]:.2f}, χ² = {found.chi_square:.1f}")
+    1.99 ± 0.02, χ² = 3.9
     """
     names, guess = tuple(start), np.array(list(start.values()), dtype=np.float64)
     data, spread = _checked_data(names, observed, noise)

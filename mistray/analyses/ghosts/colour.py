@@ -199,6 +199,14 @@ class ColourPictures:
         Number of pixels averaged along each side of a block.
     all_light, stray : dict
         Field angle in degrees → `Developed`, (H / block, W / block, 3); row 0 is at the smallest y.
+
+    Examples
+    --------
+    >>> lines = [450, 550, 650]
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), 0, lines, rays=10_000)
+    >>> pictures = mistray.report.ColourPictures(report, mistray.report.Look(stops=2.0))
+    >>> pictures.block, list(pictures.stray)
+    (38, [0.0])
     """
 
     def __init__(self, report: GhostReport, look: Look | None = None) -> None:

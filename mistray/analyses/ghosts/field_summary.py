@@ -52,6 +52,15 @@ class FieldSummary:
         Statistics block of the whole irradiance map.
     asymmetry, asymmetry_expected : float
         See `mistray.toolkit.irradiance.mirror_asymmetry`.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> found = report.summary(10)
+    >>> found.paths_of_kind["ghost"]
+    15
+    >>> mistray.report.with_error(found.ghost_to_signal)
+    '0.017586 ± 0.000035'
     """
 
     field_deg: float

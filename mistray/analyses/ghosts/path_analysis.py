@@ -70,6 +70,15 @@ def path_analysis(
     ------
     MistrayError
         If the key is unknown, or the share is below 0 or not below 1.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> table = mistray.analysis.path_analysis(t, sort="opl_mm")
+    >>> table[["label", "branches"]].head(2)
+                     label  branches
+    0   L3_rear → L1_front      2081
+    1  L3_front → L1_front      1055
     """
     if sort not in SORT_KEYS:
         raise MistrayError(f"path_analysis: sort is '{sort}'; use {', '.join(SORT_KEYS)}")

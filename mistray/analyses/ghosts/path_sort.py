@@ -37,6 +37,13 @@ class SortedPath:
         Absorbed flux and its standard error, W, its percentage of all detected flux, and the wavelength, nm.
     events : tuple of (str, str, str)
         Intercept type, object and surface, from "Emitted" to "Absorbed".
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> first = mistray.report.parse_path_sort(mistray.report.path_sort_text(t, count=2))[0]
+    >>> first.intercepts, first.events[1]
+    ('(6 SpecTran)', ('SpecTran', 'L1', 'L1_front'))
     """
 
     path_id: int
@@ -96,6 +103,13 @@ def path_sort_text(trace: Trace, count: int | None = None) -> str:
     -------
     str
         Text that `parse_path_sort` reads back.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> text = mistray.report.path_sort_text(t, count=1)
+    >>> print(text.splitlines()[0])
+    Path sort: all paths that end on the detector, sorted by absorbed flux.
     """
     entries = sorted_paths(trace, count)
     lines = [TITLE, _settings_line(trace.settings)]
@@ -122,6 +136,13 @@ def parse_path_sort(text: str) -> list[SortedPath]:
     ------
     MistrayError
         If the text is not such a file, or a path lacks its representative ray.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> paths = mistray.report.parse_path_sort(mistray.report.path_sort_text(t, count=2))
+    >>> [(path.path_id, path.rays) for path in paths]
+    [(0, 3222), (1, 2309)]
     """
     lines = text.splitlines()
     header = "\t".join(COLUMNS)

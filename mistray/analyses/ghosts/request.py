@@ -95,6 +95,12 @@ class Look:
         Light that appears grey.
     block : int
         Number of pixels averaged along each side; a divisor of height and width. 0: as many as the noise requires.
+
+    Examples
+    --------
+    >>> look = mistray.report.Look(stops=2.0, white="D65")
+    >>> look.reference
+    'ghosts'
     """
 
     stops: float = field(STOPS, 0.0, "exposure, stops over the one that just fills the brightest channel", metavar="S")

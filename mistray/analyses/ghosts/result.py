@@ -79,6 +79,14 @@ class GhostReport(
         Field angles that were traced again with more rays, degrees, see `ghosts`.
     not_traced : tuple of float
         Field angles requested but not traced for lack of time, degrees, see `ghosts`.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> for field_deg, t in report.items():
+    ...     print(f"{field_deg:.0f}°: {len(t.paths)} paths, stray light {t.paths.stray_W.value:.1f} W")
+    0°: 16 paths, stray light 1.6 W
+    10°: 16 paths, stray light 1.4 W
     """
 
     def __init__(

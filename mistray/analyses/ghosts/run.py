@@ -62,6 +62,14 @@ def run(
     Interrupted
         If the user presses Ctrl-C; ``partial`` is as above, with the finished fields and the rays of the unfinished
         one.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> report.top(0, 2)[["ghost_1", "ghost_2"]]
+        ghost_1   ghost_2
+    2  L3_front   L2_rear
+    5   L3_rear  L1_front
     """
     arguments: dict[str, Any] = {**request.light, **request.settings}
     wanted: list[float | None] = list(dict.fromkeys(request.field_deg or [None]))

@@ -168,7 +168,7 @@ def page(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES, title: str = 
     )
 
 
-def write(
+def write_quality(
     found: ImageQuality,
     directory: str | Path,
     frequencies: float | Sequence[float] | None = None,
@@ -180,6 +180,13 @@ def write(
 
     `frequencies`, 1/mm, are those of the MTF in the tables; by default three below the cut-off. Returns the files
     written.
+
+    Examples
+    --------
+    >>> found = mistray.image_quality(mistray.load("ritchey_chretien"), 0.1, grid=32)
+    >>> files = mistray.report.write_quality(found, "quality", frequencies=50.0)
+    >>> [file.name for file in files[:3]]
+    ['image_quality.csv', 'mtf.csv', 'zernikes.csv']
     """
     return write_report(page(found, _tables(frequencies), title, command), directory)
 
@@ -189,8 +196,16 @@ def _tables(frequencies: float | Sequence[float] | None) -> ImageTables:
 
 
 def quality_text(found: ImageQuality, frequencies: float | Sequence[float]) -> str:
-    """Return `text` with the MTF at given spatial frequencies, 1/mm."""
+    """
+    Return `text` with the MTF at given spatial frequencies, 1/mm.
+
+    Examples
+    --------
+    >>> found = mistray.image_quality(mistray.load("ritchey_chretien"), 0.1, grid=32)
+    >>> print(mistray.report.quality_text(found, 20.0).splitlines()[0])
+    image quality of the direct light at 550 nm; stop: primary; image scale 4928.57 mm / tan θ
+    """
     return text(found, _tables(frequencies))
 
 
-write_quality = write  # its name in `mistray.report`
+write = write_quality  # its name in a `page`

@@ -47,6 +47,13 @@ class PointSpread(NamedTuple):
         Side of a pixel, mm.
     x_mm, y_mm : (n,) float64
         Middles of the columns and rows relative to the image point, mm: x sagittal, y tangential.
+
+    Examples
+    --------
+    >>> (field,) = mistray.image_quality(mistray.load("ritchey_chretien"), 0.1, grid=32)
+    >>> spread = field.psf(pixels=32, pixel_mm=0.001)
+    >>> print(f"{spread.values.sum() * spread.pixel_mm**2:.2f} of the light falls into 32 µm x 32 µm")
+    0.89 of the light falls into 32 µm x 32 µm
     """
 
     values: Array
@@ -86,6 +93,13 @@ class LineImage(Result):
         Points where the rays cross the stop, in units of its radius; NaN in dark cells.
     stop_area : (n, n) float64
         Area in the stop per area of direction cosines; NaN in dark cells.
+
+    Examples
+    --------
+    >>> (field,) = mistray.image_quality(mistray.load("ritchey_chretien"), 0.1, grid=32)
+    >>> (line,) = field.lines
+    >>> print(f"{line.wavelength_nm:.0f} nm: {line.rms_waves():.2f} waves RMS")
+    550 nm: 0.06 waves RMS
     """
 
     wavelength_nm: float
@@ -198,6 +212,14 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         Irradiance of the image of an even scene over that on the axis.
     tangential_focus_mm, sagittal_focus_mm : float
         Foci of rays close to the chief ray, mm from the detector along z.
+
+    Examples
+    --------
+    >>> (field,) = mistray.image_quality(mistray.load("ritchey_chretien"), 0.1, grid=32)
+    >>> print(f"RMS spot {1000 * field.rms_spot_mm():.1f} µm, Airy disc {1000 * field.airy_diameter_mm():.1f} µm")
+    RMS spot 3.3 µm, Airy disc 13.2 µm
+    >>> field.mtf([20.0, 50.0]).round(2)
+    array([0.74, 0.39])
     """
 
     field_deg: float
@@ -495,6 +517,16 @@ class ImageQuality(OfFields[FieldImage], Result, table=".page:quality_table", fi
         Settings and facts of the computation, as plain values.
     notes : tuple of str
         Limits of validity and other remarks on the result.
+
+    Examples
+    --------
+    >>> found = mistray.image_quality(mistray.load("ritchey_chretien"), [0, 0.1], grid=32)
+    >>> print(f"focal length {found.image_scale_mm:.0f} mm, stop: {found.stop}")
+    focal length 4929 mm, stop: primary
+    >>> found.to_pandas([50.0])[["field_deg", "mtf_tangential_50_per_mm"]].round(2)
+       field_deg  mtf_tangential_50_per_mm
+    0        0.0                      0.48
+    1        0.1                      0.39
     """
 
     fields: tuple[FieldImage, ...]

@@ -57,6 +57,12 @@ def objects_layout(found: Objects, title: str = "") -> Figure:
         Result of the search for objects.
     title : str
         Name of the optical system.
+
+    Examples
+    --------
+    >>> found = mistray.objects(mistray.load("cassegrain"), rays=2000)
+    >>> figure = mistray.report.objects_layout(found, title="Cassegrain telescope")
+    >>> figure.savefig("objects.png")
     """
     lines = section(found.scene)
     low, high = bounds(lines)

@@ -216,12 +216,27 @@ def write_objects(
 
     `estimates` is ignored, because the result has its own. `title`, the name of the optical system, and `command`, the
     command line, appear in the report. Returns the files written; the page is the last.
+
+    Examples
+    --------
+    >>> found = mistray.objects(mistray.load("cassegrain"), rays=2000)
+    >>> files = mistray.report.write_objects(found, found.estimates, "objects")
+    >>> [file.name for file in files[-3:]]
+    ['objects.json', 'objects.png', 'objects.html']
     """
     return write_report(page(found, DEFAULT_TABLES, title, command), directory)
 
 
 def objects_text(found: Objects, estimates: pd.DataFrame, count: int = DEFAULT_TABLES.rows) -> str:
-    """Return `text` with at most `count` rows of each table; `estimates` is ignored."""
+    """
+    Return `text` with at most `count` rows of each table; `estimates` is ignored.
+
+    Examples
+    --------
+    >>> found = mistray.objects(mistray.load("cassegrain"), rays=2000)
+    >>> print(mistray.report.objects_text(found, found.estimates, count=3).splitlines()[3])
+    Critical objects: 7, seen by the detector
+    """
     return text(found, ObjectsTables(count))
 
 

@@ -57,6 +57,13 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
         Settings and facts of the computation, as plain values.
     unpolarized : list of Note
         Notes on paths that Stokes vectors would change.
+
+    Examples
+    --------
+    >>> found = mistray.objects(mistray.load("cassegrain"), rays=2000)
+    >>> found.stop, len(found.critical), len(found.illuminated)
+    ('secondary', 7, 20)
+    >>> table = found.to_pandas("common")
     """
 
     scene: mi.Scene

@@ -69,6 +69,14 @@ def run(
     MistrayError
         If an argument is out of range, there is more than one kind of source, the scene has no detector, or the stop is
         unknown.
+
+    Examples
+    --------
+    >>> found = mistray.objects(mistray.load("cassegrain"), rays=2000)
+    >>> [seen.id for seen in found.critical[:3]]
+    ['inner_baffle_wall', 'inner_baffle_vane_5', 'inner_baffle_vane_4']
+    >>> [both.id for both in found.common]
+    ['secondary_baffle']
     """
     began = time.perf_counter()
     if source is not None:

@@ -143,6 +143,13 @@ def write_pst(
     -------
     list of Path
         The files written.
+
+    Examples
+    --------
+    >>> pst = mistray.pst(mistray.load("lens_and_window"), [10, 30], rays=20_000)
+    >>> files = mistray.report.write_pst(pst, "pst", title="Lens and window")
+    >>> [file.name for file in files]
+    ['pst.csv', 'pst_paths.csv', 'pst.json', 'pst.png', 'pst_causes.png', 'report.html']
     """
     return write_report(pst_report(pst, title, command, paths_shown, maps_at), directory)
 

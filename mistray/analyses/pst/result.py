@@ -90,6 +90,16 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         Part of `by_batch` that rays of each direction contribute, see `budget`.
     next_orders : tuple of NextOrder
         Stray light by field angle compared with that of one more event on each path, if it was measured.
+
+    Examples
+    --------
+    >>> pst = mistray.pst(mistray.load("lens_and_window"), [10, 30], rays=20_000)
+    >>> for angle, found in zip(pst.field_deg, pst.estimates("ghost")):
+    ...     print(f"{angle:.0f}°: {mistray.report.with_error(found)}")
+    10°: 4.661e-05 ± 6.5e-07
+    30°: 3.855e-05 ± 3.6e-07
+    >>> pst.paths(30).label.tolist()
+    ['L1_rear → L1_front']
     """
 
     grid: DirectionGrid

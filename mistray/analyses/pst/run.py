@@ -82,6 +82,15 @@ def run(
     UnfinishedError
         If workers of `mistray.distribute` are lost; ``partial`` is the PST of the passes before, or, forward, the sums
         of the finished cells by their numbers of angle and azimuth.
+
+    Examples
+    --------
+    >>> pst = mistray.pst(mistray.load("lens_and_window"), [10, 30], rays=20_000)
+    >>> stray, error = pst.curve("stray")
+    >>> for angle, value, se in zip(pst.field_deg, stray, error):
+    ...     print(f"{angle:.0f}°: {value:.1e} ± {se:.0e}")
+    10°: 4.7e-05 ± 6e-07
+    30°: 3.9e-05 ± 4e-07
     """
     if seconds is not None and request.method == "forward":
         refuse_workers_in_time()

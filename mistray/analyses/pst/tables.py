@@ -193,6 +193,12 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
         Point source transmittance (PST).
     paths_shown : int
         Number of paths and causes for each angle; 0: none.
+
+    Examples
+    --------
+    >>> pst = mistray.pst(mistray.load("lens_and_window"), [10, 30], rays=20_000)
+    >>> print(mistray.report.pst_text(pst, paths_shown=0).splitlines()[0])
+    PST = E_det/E_⊥: irradiance on the detector over that on a plane across the beam (normal)
     """
     parts = [heading(pst), curve_text(pst), ""]
     if pst.path_rows is not None and paths_shown:

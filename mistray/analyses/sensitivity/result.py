@@ -92,6 +92,15 @@ class Sensitivity(Result, table=".page:ranking_table", figure=".figures:ranking_
         Times of the primal and of the reverse run of the gradient, s.
     facts : dict
         Settings and facts of the computation, as plain values.
+
+    Examples
+    --------
+    >>> ghosts = mistray.optimize.path_power(mistray.load("lens_and_window"), "ghost", rays=5000)
+    >>> found = mistray.sensitivity(ghosts, keys=["detector.bsdf.R", "*.n_back_shift"], check=False)
+    >>> row = found["detector.bsdf.R"]
+    >>> print(f"d/dR = {row.derivative.value:.3f}; R = 0 lowers the ghosts by {row.to_factor:.1f}")
+    d/dR = 0.031; R = 0 lowers the ghosts by 1.6
+    >>> table = found.to_pandas()
     """
 
     name: str

@@ -81,6 +81,15 @@ def run(
         If a key is unknown, nothing is left to differentiate by, an argument is out of range, or the metric is 0 or not
         finite. Also if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such
         parameters are left out. If the state is of another run.
+
+    Examples
+    --------
+    >>> ghosts = mistray.optimize.path_power(mistray.load("lens_and_window"), "ghost", rays=5000)
+    >>> found = mistray.sensitivity(ghosts, keys=["detector.bsdf.R", "*.n_back_shift"], check=False)
+    >>> for row in found.rows[:2]:
+    ...     print(f"{row.label}: {row.change.value:+.1%} for a tolerance of {row.tolerance:.2g}")
+    detector.bsdf.R: +9.2% for a tolerance of 0.04
+    index of N-BK7: -0.1% for a tolerance of 0.0005
     """
     if seconds is not None:
         refuse_workers_in_time()

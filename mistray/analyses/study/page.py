@@ -92,8 +92,16 @@ def study_warnings(study: Study) -> list[str]:
     return [f"step {step.number}: {text}" for step in study.steps for text in step_warnings(study, step)]
 
 
-def text(study: Study) -> str:
-    """Return the text that `mistray study` prints: the verdict, findings of every step, then warnings."""
+def study_text(study: Study) -> str:
+    """
+    Return the text that `mistray study` prints: the verdict, findings of every step, then warnings.
+
+    Examples
+    --------
+    >>> found = mistray.study(mistray.load("newtonian_scatter"), [10, 30], [0], rays=2000)
+    >>> print(mistray.report.study_text(found).splitlines()[0])
+    Stray-light study of 'scene'
+    """
     lines = [f"Stray-light study of '{study.name}'", "", "Verdict"]
     for name, part in verdict_records(study).items():
         lines += [f"  {VERDICTS[name]}", *(f"    {text}" for text in part["sentences"])]
@@ -173,7 +181,7 @@ def csv_tables(study: Study) -> dict[str, pd.DataFrame]:
     return {f"{step.number}_{name}.csv": frame for step in study.steps for name, frame in step.tables.items()}
 
 
-def write(study: Study, directory: str | Path, command: str = "") -> list[Path]:
+def write_study(study: Study, directory: str | Path, command: str = "") -> list[Path]:
     """
     Write report.html and every table of every step as CSV, named by step and table.
 
@@ -192,6 +200,13 @@ def write(study: Study, directory: str | Path, command: str = "") -> list[Path]:
     -------
     list of Path
         Files written; report.html is the last.
+
+    Examples
+    --------
+    >>> found = mistray.study(mistray.load("newtonian_scatter"), [10, 30], [0], rays=2000)
+    >>> files = mistray.report.write_study(found, "study")
+    >>> files[-1].name
+    'report.html'
     """
     return write_report(page(study, command), directory)
 
@@ -292,5 +307,5 @@ def _settings(study: Study, command: str) -> Section:
     return settings_section(shown, command, definitions, assumptions, link="Settings")
 
 
-study_text = text  # names in `mistray.report`
-write_study = write
+text = study_text  # names in a `page`
+write = write_study

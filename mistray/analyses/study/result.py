@@ -42,6 +42,16 @@ class Study(Mapping[str, StudyStep], Result, table=".page:findings_table", figur
         The point source transmittance of step 8.
     images : Transfer or None
         Images of points with their stray light of step 8; None if the scene forms none.
+
+    Examples
+    --------
+    >>> found = mistray.study(mistray.load("newtonian_scatter"), [10, 30], [0], rays=2000)
+    >>> list(found)[:3]
+    ['optical_model', 'mechanical_model', 'critical_objects']
+    >>> print(f"focal length {found.first_order.focal_length_mm:.0f} mm")
+    focal length 1270 mm
+    >>> found.pst.field_deg
+    array([10., 30.])
     """
 
     scene: Any

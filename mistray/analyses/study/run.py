@@ -89,6 +89,14 @@ def run(
     ------
     MistrayError
         If an argument is out of range, or the scene has no source or no detector.
+
+    Examples
+    --------
+    >>> found = mistray.study(mistray.load("newtonian_scatter"), [10, 30], [0], rays=2000)
+    >>> [step for step in found if "objects" in step]
+    ['critical_objects', 'illuminated_objects', 'common_objects']
+    >>> print(found.findings[0].partition(",")[0])
+    2 optical surfaces: focal length 1270 mm
     """
     began = started = time.perf_counter()
     # Refused before the first step, not by the last one

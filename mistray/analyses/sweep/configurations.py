@@ -41,6 +41,12 @@ class Configuration:
         Paint and coatings as in `mistray.coat`, by names or patterns of surfaces or parts; for `sweep_pst`.
     block : sequence of Structure
         Structures to add: vanes, rings, tubes; for `sweep_pst`.
+
+    Examples
+    --------
+    >>> coated = mistray.sweeps.Configuration("coated", {"L2.z": -0.1}, coat={"L1": "bbar3"})
+    >>> coated.rebuilds  # coatings change the scene, numbers do not
+    True
     """
 
     name: str

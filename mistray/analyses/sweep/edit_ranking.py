@@ -117,6 +117,14 @@ class EditRanking(Result, table=".edit_tables:edit_ranking_table", figure=".edit
         Relative width of the zones at rims at each field angle, see `mistray.optimize.Gradient`.
     traced : Pst or None
         PST that is differentiated, with the facts of its trace.
+
+    Examples
+    --------
+    >>> found = mistray.sweeps.rank_edits("plate_and_wall", 30, rays=10_000, keys="polish.*")
+    >>> found.edits[0].label
+    'polish.g'
+    >>> print(f"PST {found.pst[0].value:.1e}, ranked by steps such as {found['polish.A'].step:.1e} of A")
+    PST 2.9e-03, ranked by steps such as 2.5e-06 of A
     """
 
     field_deg: tuple[float, ...]
@@ -199,6 +207,15 @@ def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Prog
     MistrayError
         If there is nothing to edit, a key or step is unknown or out of range, a step in per cent is one of 0, or the
         PST at an angle is 0.
+
+    Examples
+    --------
+    >>> steps = {"polish.A": "10 %"}
+    >>> found = mistray.sweeps.rank_edits("plate_and_wall", 30, rays=10_000, keys="polish.*", steps=steps)
+    >>> [edit.label for edit in found.edits]
+    ['polish.A', 'polish.g', 'polish.B']
+    >>> print(f"{found.to_pandas().change_percent[0]:.1f} % by a tenth more scatter")
+    1.8 % by a tenth more scatter
     """
     angles, keys = request.field_deg, request.keys
     loaded = scene if isinstance(scene, mi.Scene) else load(find(scene))

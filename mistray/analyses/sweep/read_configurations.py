@@ -11,7 +11,7 @@ from mistray.toolkit.toml_section import TomlSection
 
 
 def read_configurations(source: str | Path) -> list[Configuration]:
-    """
+    r"""
     Read configurations from a TOML file.
 
     Parameters
@@ -25,6 +25,15 @@ def read_configurations(source: str | Path) -> list[Configuration]:
     MistrayError
         If the file is missing or not TOML, a key is unknown or missing, a value is not a number, or two configurations
         have the same name.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> lines = "[[configuration]]", 'name = "shifted"', "[configuration.values]", '"L2.y" = 0.1'
+    >>> _ = Path("states.toml").write_text("\n".join(lines))
+    >>> (state,) = mistray.sweeps.read_configurations("states.toml")
+    >>> state.name, state.values
+    ('shifted', {'L2.y': (0.1,)})
     """
     whole = TomlSection.of(source, "configurations")
     whole.known(("configuration",))

@@ -76,6 +76,15 @@ def run(
         surfaces overlap, a requested cache is impossible, or `mistray.trace` raises it. Finished rows are in the cache.
     UnfinishedError
         If workers are lost, see `mistray.distribute`; its `partial` is a Sweep of the finished rows.
+
+    Examples
+    --------
+    >>> states = {"centred": {"L2.y": 0.0}, "shifted": {"L2.y": 0.3}}
+    >>> found = mistray.sweep("cooke_triplet", 0, configurations=states, rays=5000, cache=False)
+    >>> mistray.report.with_error(found.estimate("stray_W", "shifted"))
+    '1.562 ± 0.018'
+    >>> found.to_pandas().worst_path.tolist()
+    ['L3_front → L2_rear', 'L3_front → L2_rear']
     """
     source: Source = find(scene) if isinstance(scene, str | Path) else scene
     contents = SceneContents(source) if isinstance(source, Path) and cache is not False else None  # before it is read

@@ -35,6 +35,12 @@ def write_configuration(source: str | Path, configuration: Configuration, target
     MistrayError
         If the configuration names something that the scene lacks, a value is in another file or in none, or surfaces
         overlap afterwards; nothing is written then.
+
+    Examples
+    --------
+    >>> coated = mistray.sweeps.Configuration("coated", coat={"L*": "bbar3"}, paint={"barrel*": 0.03})
+    >>> file = mistray.sweeps.write_configuration("cooke_triplet", coated, "coated.xml")
+    >>> scene = mistray.load(file)
     """
     one, file = configuration, find(source)
     with tempfile.TemporaryDirectory() as folder:

@@ -51,8 +51,17 @@ def part_table(report: ThermalReport) -> Table:
     return Table([*columns("<part"), *heads], rows, "t-parts")
 
 
-def text(report: ThermalReport, shown: int = SHOWN) -> str:
-    """Return the text that `mistray thermal` prints: the strongest emitters, the sums, and warnings."""
+def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
+    """
+    Return the text that `mistray thermal` prints: the strongest emitters, the sums, and warnings.
+
+    Examples
+    --------
+    >>> found = mistray.thermal(mistray.load("cassegrain"), 293, (8, 12), wavelengths_um=10, rays=5000)
+    >>> text = mistray.report.thermal_text(found, shown=2)
+    >>> text.splitlines()[0].partition(",")[0]
+    "thermal emission on 'detector'"
+    """
     left = report.emitters[shown:]
     power = sum(e.irradiance_W_mm2.value for e in left)
     rest = [f"… and {len(left)} more", "", "", "", number(power, 4), _percent(report, power)]
@@ -170,15 +179,21 @@ def csv_tables(report: ThermalReport) -> dict[str, pd.DataFrame]:
     return {"thermal.csv": report.to_pandas()} | {name: frame(*rows) for name, rows in further.items() if rows[1]}
 
 
-def write(report: ThermalReport, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
+def write_thermal(report: ThermalReport, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
     """
     Write the tables of `csv_tables`, thermal.json, thermal.png and report.html into a directory, see `write_report`.
 
     `title`, the name of the optical system, and `command`, the command line, appear in the report. Returns the files
     written; the page is the last.
+
+    Examples
+    --------
+    >>> found = mistray.thermal(mistray.load("cassegrain"), 293, (8, 12), wavelengths_um=10, rays=5000)
+    >>> [file.name for file in mistray.report.write_thermal(found, "thermal")]
+    ['thermal.csv', 'thermal.json', 'thermal.png', 'report.html']
     """
     return write_report(page(report, title, command), directory)
 
 
-thermal_text = text  # names in `mistray.report`
-write_thermal = write
+text = thermal_text  # names in a `page`
+write = write_thermal

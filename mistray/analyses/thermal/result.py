@@ -89,6 +89,14 @@ class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_f
         Plain values: rays, seconds, settings.
     notes : list of Note
         Notes on the reliability of the results.
+
+    Examples
+    --------
+    >>> found = mistray.thermal(mistray.load("cassegrain"), 293, (8, 12), wavelengths_um=10, rays=5000)
+    >>> for part, irradiance in list(found.by_part().items())[:2]:
+    ...     print(f"{part}: {irradiance.value / found.total_W_mm2.value:.0%} of the emission")
+    inner_baffle: 51% of the emission
+    inner_baffle_vane_5: 43% of the emission
     """
 
     emitters: list[Emitter]

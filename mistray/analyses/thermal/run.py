@@ -80,6 +80,14 @@ def run(
     MistrayError
         If a temperature or the band is out of range, a name fits no surface, part or material, or a material is not
         known in the band.
+
+    Examples
+    --------
+    >>> found = mistray.thermal(mistray.load("cassegrain"), 293, (8, 12), wavelengths_um=10, rays=5000)
+    >>> print(f"{mistray.report.with_error(found.total_W_mm2)} W/mm²")
+    1.0700e-04 ± 1.7e-07 W/mm²
+    >>> found.emitters[0].name
+    'inner_baffle_wall'
     """
     temperature_K, (low, high), settings = request.temperature_K, request.band_um, request.settings
     rules = request.temperatures or {}

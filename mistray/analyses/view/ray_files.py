@@ -54,6 +54,13 @@ def write_rays(rays: Sequence[RayLine], path: str | Path) -> Path:
     ------
     MistrayError
         If the ending is another one, or the file cannot be written.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> rays = mistray.report.rays_of_paths(t, [1], n=3)
+    >>> mistray.report.write_rays(rays, "ghost.ply").name
+    'ghost.ply'
     """
     write, _ = format_of(path)
     return replace_file(path, write(rays), "ray file")
@@ -67,6 +74,13 @@ def read_rays(path: str | Path) -> list[RayLine]:
     ------
     MistrayError
         If the ending is another one, or the file is missing or is no such file.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> _ = mistray.report.write_rays(mistray.report.rays_of_paths(t, [1], n=3), "ghost.json")
+    >>> [ray.path_id for ray in mistray.report.read_rays("ghost.json")]
+    [1, 1, 1]
     """
     _, read = format_of(path)
     data = read_file(path, "ray file")

@@ -25,6 +25,14 @@ class View:
         Drawn rays, for `mistray.report.write_rays`.
     title, note : str
         Heading of the page, and a line that describes its content.
+
+    Examples
+    --------
+    >>> view = mistray.view(mistray.load("lens_and_window"))
+    >>> view.title, len(view.surfaces)
+    ('scene', 13)
+    >>> view.write("view.html").name
+    'view.html'
     """
 
     def __init__(self, figure: Any, surfaces: list[OpenSurface], rays: list[RayLine], title: str, note: str) -> None:

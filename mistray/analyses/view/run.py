@@ -70,6 +70,15 @@ def run(
     ------
     MistrayError
         If plotly is missing, a value is out of range or needs a trace, or the trace is of another scene.
+
+    Examples
+    --------
+    >>> scene = mistray.load("cooke_triplet")
+    >>> view = mistray.view(scene, mistray.trace(scene, rays=10_000), paths=2, rays=5)
+    >>> len(view.rays)
+    10
+    >>> view.write("view.html").name
+    'view.html'
     """
     go = graph_objects()
     traces = [] if trace is None else [trace] if not isinstance(trace, Sequence) else list(trace)

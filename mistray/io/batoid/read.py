@@ -33,7 +33,8 @@ from mistray.physics.sags.grid import Grid
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.geometry import barrel
 from mistray.prescription.imported_beam import Fill, beam_size, check_beam
-from mistray.prescription.model import Detector, Placed, Prescription, Source, Structure, Surface
+from mistray.prescription.model import Detector, Placed, Prescription, Structure, Surface
+from mistray.prescription.sources import Source
 
 if TYPE_CHECKING:
     import batoid
@@ -91,6 +92,14 @@ def from_batoid(
     ------
     MistrayError
         If batoid is missing, the file cannot be read, or an element has no counterpart; the message names the element.
+
+    Examples
+    --------
+    >>> import batoid
+    >>> hsc = batoid.Optic.fromYaml("HSC.yaml")
+    >>> telescope = mistray.prescription.from_batoid(hsc, wavelength_nm=750)
+    >>> telescope.surfaces[0].name, telescope.surfaces[0].mirror
+    ('PM', True)
     """
     batoid = package("batoid files need batoid", "batoid", "batoid")
     check_beam(beam)

@@ -86,7 +86,7 @@ def read_codev(
     glass_catalogues: Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
 ) -> Sequential:
-    """
+    r"""
     Read a CODE V command file.
 
     Parameters
@@ -113,6 +113,15 @@ def read_codev(
     MistrayError
         If the file cannot be read, a number or a glass is not understood, an unsupported command would change the lens,
         or ``radius_mode`` contradicts the file. The message names file and line.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> text = "RDM; LEN; EPD 8; DIM M; WL 588; YAN 0; SO 0 1E20; S 50 5 NBK7_SCHOTT; STO; S -50 46; SI 0 0; GO"
+    >>> _ = Path("singlet.seq").write_text(text.replace("; ", "\n"))
+    >>> lens = mistray.prescription.read_codev("singlet.seq")
+    >>> [(row.radius, row.thickness, row.material) for row in lens.rows[:2]]
+    [(50.0, 5.0, 'schott/N-BK7'), (-50.0, 46.0, 'air')]
     """
     path = Path(path)
     data = read_file(path, "CODE V file")

@@ -101,6 +101,14 @@ def read_zemax(
     MistrayError
         If the file is missing or broken, is not sequential, has an unsupported surface type, or a glass is unknown. The
         message names the line.
+
+    Examples
+    --------
+    >>> from mistray.scenes.cooke_triplet.prescription import build
+    >>> _ = mistray.prescription.write_zemax(mistray.prescription.to_sequential(build()), "triplet.zmx")
+    >>> triplet = mistray.prescription.read_zemax("triplet.zmx")
+    >>> [(row.radius, row.material) for row in triplet.rows[:2]]
+    [(23.713, 'schott/N-LAK9'), (7331.287999999999, 'air')]
     """
     path = Path(path)
     sections = read_sections(path)

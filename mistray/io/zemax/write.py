@@ -59,6 +59,14 @@ def write_zemax(lens: Sequential, path: str | Path) -> tuple[str, ...]:
     MistrayError
         If a surface has polynomial terms beyond r¹⁶, the lens has more than 24 wavelengths, a material has no index at
         one of them, or the file cannot be written.
+
+    Examples
+    --------
+    >>> from mistray.scenes.cooke_triplet.prescription import build
+    >>> lens = mistray.prescription.to_sequential(build())
+    >>> losses = mistray.prescription.write_zemax(lens, "triplet.zmx")
+    >>> losses
+    ()
     """
     if len(lens.wavelengths_nm) > MOST_WAVELENGTHS:
         raise MistrayError(

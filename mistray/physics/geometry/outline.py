@@ -44,6 +44,12 @@ class OutlineFigure:
         Rotation about that position, degrees, from x to y.
     sizes : tuple of float
         Radius; half width and half height; or coordinates x1, y1, x2, y2, … of the corners; mm.
+
+    Examples
+    --------
+    >>> ring = mistray.prescription.circle(5.0, inner=2.0)
+    >>> [(figure.sign, figure.kind, figure.sizes) for figure in ring.figures]
+    [('+', 'circle', (5.0,)), ('-', 'circle', (2.0,))]
     """
 
     kind: str
@@ -157,6 +163,14 @@ class Outline:
     ----------
     figures : tuple of OutlineFigure
         Figures in the order in which they are combined.
+
+    Examples
+    --------
+    >>> slot = mistray.prescription.rectangle(4.0, 1.0)
+    >>> slot.bounds()
+    (-4.0, 4.0, -1.0, 1.0)
+    >>> slot.contains(np.array([3.0, 5.0]), np.array([0.5, 0.5]))
+    array([ True, False])
     """
 
     figures: tuple[OutlineFigure, ...]
@@ -333,18 +347,42 @@ class Outline:
 
 
 def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) -> Outline:
-    """Return the outline of a circle centred at (x, y), or of an annulus if `inner` > 0; lengths in mm."""
+    """
+    Return the outline of a circle centred at (x, y), or of an annulus if `inner` > 0; lengths in mm.
+
+    Examples
+    --------
+    >>> ring = mistray.prescription.circle(5.0, inner=2.0)
+    >>> ring.contains(np.array([0.0, 3.0]), np.array([0.0, 0.0]))
+    array([False,  True])
+    """
     hole = (OutlineFigure("circle", "-", x, y, sizes=(inner,)),) if inner > 0 else ()
     return Outline((OutlineFigure("circle", "+", x, y, sizes=(radius,)), *hole))
 
 
 def rectangle(half_width: float, half_height: float, x: float = 0.0, y: float = 0.0, angle_deg: float = 0.0) -> Outline:
-    """Return the outline of a rectangle centred at (x, y), lengths in mm, rotated from x to y by degrees."""
+    """
+    Return the outline of a rectangle centred at (x, y), lengths in mm, rotated from x to y by degrees.
+
+    Examples
+    --------
+    >>> window = mistray.prescription.rectangle(4.0, 1.0, angle_deg=90.0)
+    >>> [round(edge, 6) for edge in window.bounds()]
+    [-1.0, 1.0, -4.0, 4.0]
+    """
     return Outline((OutlineFigure("rectangle", "+", x, y, angle_deg, (half_width, half_height)),))
 
 
 def polygon(corners: Sequence[Sequence[float]]) -> Outline:
-    """Return the outline of a polygon with given corners (x, y), mm."""
+    """
+    Return the outline of a polygon with given corners (x, y), mm.
+
+    Examples
+    --------
+    >>> triangle = mistray.prescription.polygon([(0, 0), (4, 0), (0, 3)])
+    >>> triangle.bounds()
+    (0.0, 4.0, 0.0, 3.0)
+    """
     return Outline((OutlineFigure("polygon", sizes=tuple(float(v) for corner in corners for v in corner)),))
 
 

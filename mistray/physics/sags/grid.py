@@ -39,6 +39,13 @@ class Grid:
         Points without a measured height, at which the height of the nearest point is used.
     path : str
         Path of the file, to which a scene file refers; "" for none.
+
+    Examples
+    --------
+    >>> heights = 1e-4 * np.add.outer(np.linspace(-5, 5, 11) ** 2, np.linspace(-5, 5, 11) ** 2)
+    >>> figure_error = mistray.prescription.Grid.of(heights, (1.0, 1.0))
+    >>> figure_error.half
+    (5.0, 5.0)
     """
 
     corners: np.ndarray

@@ -99,6 +99,16 @@ class CassegrainBaffles:
         Tube from the mouth B to the detector.
     obscuration : float
         Fraction of the area of the primary that A covers on the axis.
+
+    Examples
+    --------
+    >>> from mistray.scenes.cassegrain.prescription import build
+    >>> telescope = build()
+    >>> baffles = mistray.prescription.cassegrain_baffles(
+    ...     *telescope.surfaces, telescope.detector, field_deg=0.28, wall_depth=4, wall_rear=26
+    ... )
+    >>> print(f"{baffles.obscuration:.1%} of the primary, {len(baffles.tube.vanes)} vanes")
+    13.6% of the primary, 5 vanes
     """
 
     outer_rim: tuple[float, float]
@@ -169,6 +179,18 @@ def cassegrain_baffles(
     ------
     MistrayError
         If a surface is off the axis, or no pair of baffles blocks all straight lines.
+
+    Examples
+    --------
+    >>> numbers = {"radius": -1000, "conic": -1, "semi_diameter": 100, "inner_semi_diameter": 26}
+    >>> primary = mistray.Surface("primary", mirror=True, **numbers)
+    >>> secondary = mistray.Surface("secondary", z=-370, radius=-346.67, conic=-2.78, semi_diameter=24, mirror=True)
+    >>> detector = mistray.Detector(z=150, semi_diameter=10)
+    >>> baffles = mistray.prescription.cassegrain_baffles(
+    ...     primary, secondary, detector, field_deg=0.28, wall_depth=4, wall_rear=26
+    ... )
+    >>> [round(number, 1) for number in baffles.outer_rim]  # r and z, mm
+    [34.0, -322.1]
     """
     for surface in (primary, secondary, detector):
         if not surface.coaxial:

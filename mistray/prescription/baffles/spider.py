@@ -63,6 +63,14 @@ def spider(
     ------
     MistrayError
         If a dimension is not above 0, or vanes overlap at their inner end.
+
+    Examples
+    --------
+    >>> vanes = mistray.prescription.spider(
+    ...     "spider", vanes=4, inner_radius=30, outer_radius=105, thickness=1, depth=20, z=-400
+    ... )
+    >>> len(vanes), vanes[0].name
+    (16, 'spider_1_front')
     """
     owner = f"spider '{name}'"
     SIZE_MM.check_all(owner, outer_radius=outer_radius, thickness=thickness, depth=depth)

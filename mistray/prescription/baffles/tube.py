@@ -67,6 +67,16 @@ class BaffleTube:
         Radius of the aperture at the end, from which no lit wall may be seen, mm.
     vanes : tuple of Vane
         Vanes from the front to the rear.
+
+    Examples
+    --------
+    >>> tube = mistray.prescription.vane_tube(
+    ...     "hood", optic_radius=20, z_rear=0, length=150, wall_radius=40, field_deg=5
+    ... )
+    >>> [round(vane.z) for vane in tube.vanes]
+    [-150, -128, -102, -72, -40, -5]
+    >>> print(f"light beyond {tube.direct_deg:.1f}° meets no optic directly")
+    light beyond 19.5° meets no optic directly
     """
 
     name: str
@@ -146,6 +156,11 @@ def hood_length(optic_radius: float, field_deg: float, exclusion_deg: float) -> 
     ------
     MistrayError
         If a number is out of range, so that no such hood exists.
+
+    Examples
+    --------
+    >>> print(f"{mistray.prescription.hood_length(optic_radius=20, field_deg=5, exclusion_deg=30):.1f} mm")
+    81.7 mm
     """
     SIZE_MM.check_all("hood", optic_radius=optic_radius)
     return 2 * optic_radius / slope_margin("hood", field_deg, exclusion_deg)
@@ -202,6 +217,16 @@ def vane_tube(
     MistrayError
         If a number is impossible, the beam does not fit into the tube, the bevel suits neither side of a vane, or vanes
         are thicker than their distance.
+
+    Examples
+    --------
+    >>> tube = mistray.prescription.vane_tube(
+    ...     "hood", optic_radius=20, z_rear=0, length=150, wall_radius=40, field_deg=5
+    ... )
+    >>> for vane in tube.vanes[:2]:
+    ...     print(f"z = {vane.z:.1f} mm, radius {vane.radius:.2f} mm")
+    z = -150.0 mm, radius 33.12 mm
+    z = -128.1 mm, radius 31.20 mm
     """
     owner = f"baffle '{name}'"
     SIZE_MM.check_all(owner, optic_radius=optic_radius, length=length)

@@ -48,6 +48,14 @@ class TwoStageBaffle:
         Name of the baffle; its stages are ``<name>_outer`` and ``<name>_inner``.
     outer, inner : BaffleTube
         Tubes of the two stages.
+
+    Examples
+    --------
+    >>> baffle = mistray.prescription.two_stage_baffle(
+    ...     "baffle", optic_radius=20, z_rear=0, field_deg=5, exclusion_deg=40, depth=10
+    ... )
+    >>> print(f"{baffle.length:.0f} mm, {len(baffle.outer.vanes)} and {len(baffle.inner.vanes)} vanes")
+    262 mm, 5 and 5 vanes
     """
 
     name: str
@@ -120,6 +128,17 @@ def two_stage_baffle(
     MistrayError
         If a number is impossible, or the inner stage so short that no outer stage keeps light beyond the exclusion
         angle from its opening.
+
+    Examples
+    --------
+    >>> for exclusion_deg in 30, 40, 50:
+    ...     baffle = mistray.prescription.two_stage_baffle(
+    ...         "baffle", optic_radius=20, z_rear=0, field_deg=5, exclusion_deg=exclusion_deg, depth=10
+    ...     )
+    ...     print(f"{exclusion_deg}°: {baffle.length:.0f} mm")
+    30°: 443 mm
+    40°: 262 mm
+    50°: 168 mm
     """
     what = f"baffle '{name}'"
     SIZE_MM.check_all(what, optic_radius=optic_radius, depth=depth)

@@ -31,6 +31,15 @@ class VaneEdge:
     ------
     MistrayError
         If a number is out of range or the numbers contradict each other.
+
+    Examples
+    --------
+    >>> edge = mistray.prescription.VaneEdge(thickness=0.5, bevel_deg=20, radius=0.02)
+    >>> tube = mistray.prescription.vane_tube(
+    ...     "hood", optic_radius=20, z_rear=0, length=150, wall_radius=40, field_deg=5, edge=edge
+    ... )
+    >>> tube.vanes[0].edge.radius
+    0.02
     """
 
     thickness: float = replace(SIZE_MM, remedy="for an ideal edge give none").field()
@@ -64,6 +73,13 @@ class Vane:
         Shape of the edge; ``None``: a plane ring of zero thickness.
     bevel : str
         Bevelled face: "front", with the plate before the tip, or "rear", with the plate behind it.
+
+    Examples
+    --------
+    >>> edge = mistray.prescription.VaneEdge(thickness=1, bevel_deg=20)
+    >>> vane = mistray.prescription.Vane(z=-50, radius=22, edge=edge)
+    >>> vane.plate
+    (-51, -50)
     """
 
     z: float

@@ -37,6 +37,15 @@ def lit_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
     -------
     tuple of (float, float)
         First and last z of each zone, mm; at most one behind each vane.
+
+    Examples
+    --------
+    >>> tube = mistray.prescription.vane_tube(
+    ...     "hood", optic_radius=20, z_rear=0, length=150, wall_radius=40, field_deg=5
+    ... )
+    >>> zones = mistray.prescription.lit_zones(tube)
+    >>> [(round(first), round(last)) for first, last in zones][:2]
+    [(-150, -128), (-125, -102)]
     """
     steepness = math.tan(math.radians(exclusion_deg))
     zones = []
@@ -51,7 +60,18 @@ def lit_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
 
 
 def seen_zones(tube: BaffleTube) -> tuple[Zone, ...]:
-    """Zones (first and last z, mm) of the wall that the optic sees: at most one behind each vane."""
+    """
+    Zones (first and last z, mm) of the wall that the optic sees: at most one behind each vane.
+
+    Examples
+    --------
+    >>> tube = mistray.prescription.vane_tube(
+    ...     "hood", optic_radius=20, z_rear=0, length=150, wall_radius=40, field_deg=5
+    ... )
+    >>> zones = mistray.prescription.seen_zones(tube)
+    >>> [(round(first), round(last)) for first, last in zones][:2]
+    [(-128, -125), (-102, -94)]
+    """
     zones = []
     for k, (start, end) in enumerate(_gaps(tube)):
         behind = [(vane.z, vane.radius) for vane in tube.vanes[k + 1 :]]
@@ -65,6 +85,14 @@ def first_order_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zon
     Zones (first and last z, mm) of the wall that are both lit and seen, so that one scatter reaches the optic.
 
     Parameters are those of `lit_zones`. A tube made by `vane_tube` has no such zones beyond its own exclusion angle.
+
+    Examples
+    --------
+    >>> tube = mistray.prescription.vane_tube(
+    ...     "hood", optic_radius=20, z_rear=0, length=150, wall_radius=40, field_deg=5
+    ... )
+    >>> mistray.prescription.first_order_zones(tube)  # no wall is both lit and seen
+    ()
     """
     both = [(max(a[0], b[0]), min(a[1], b[1])) for a in lit_zones(tube, exclusion_deg) for b in seen_zones(tube)]
     return tuple(zone for zone in both if zone[0] < zone[1])

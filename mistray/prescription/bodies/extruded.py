@@ -67,6 +67,15 @@ def prism(
     ------
     MistrayError
         If the section crosses itself or has no area, or if a name is not that of a face.
+
+    Examples
+    --------
+    >>> corners = [(-10, 0), (10, 0), (10, 20)]  # y and z, mm
+    >>> prism = mistray.prescription.prism(
+    ...     "fold", corners, 20, material="N-BK7", faces=("entrance", "exit", "hypotenuse"), mirrors="hypotenuse"
+    ... )
+    >>> [(face.name, face.mirror) for face in prism[:3]]
+    [('fold_entrance', False), ('fold_exit', False), ('fold_hypotenuse', True)]
     """
     owner = f"prism '{name}'"
     section = _section(corners, owner)
@@ -136,6 +145,12 @@ def box(
     ------
     MistrayError
         If a size is not above 0.
+
+    Examples
+    --------
+    >>> electronics = mistray.prescription.box("electronics", (40, 20, 30), centre=(0, -60, 10))
+    >>> len(electronics), electronics[1].name
+    (6, 'electronics_top')
     """
     Each(SIZE_MM, 3).check("size", size, f"box '{name}'")
     _, b, c = (side / 2 for side in size)
@@ -184,6 +199,13 @@ def beam_splitter_cube(
     ------
     MistrayError
         If `size` is not above 0.
+
+    Examples
+    --------
+    >>> half = mistray.Coating(R=0.5, T=0.5)
+    >>> cube = mistray.prescription.beam_splitter_cube("cube", 25.4, material="N-BK7", splitter=half)
+    >>> [face.name for face in cube]
+    ['cube_entrance', 'cube_reflected', 'cube_exit', 'cube_unused', 'cube_left', 'cube_right', 'cube_splitter']
     """
     h = size / 2
     names = ("entrance", "reflected", "exit", "unused")

@@ -66,6 +66,12 @@ def fresnel(
     ------
     MistrayError
         If a size is not above 0, the surface ends within its semi-diameter, or there are more than 2000 rings.
+
+    Examples
+    --------
+    >>> lens = mistray.prescription.fresnel("fresnel", radius=-25, semi_diameter=20, groove_mm=0.5, back="PMMA")
+    >>> len(lens), lens[0].name
+    (79, 'fresnel_1')
     """
     owner = f"Fresnel face '{name}'"
     given = {"groove_mm": groove_mm, "depth_mm": depth_mm}

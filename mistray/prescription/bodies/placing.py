@@ -56,6 +56,14 @@ def moved_as_one(
     -------
     tuple
         Moved faces, in order.
+
+    Examples
+    --------
+    >>> cube = mistray.prescription.box("cube", (10, 10, 10))
+    >>> turned = mistray.prescription.moved_as_one(cube, z=50, tilt_deg=(0, 45, 0))
+    >>> front = turned[0]
+    >>> round(front.x, 3), round(front.z, 3)
+    (-3.536, 46.464)
     """
     motion = Placed(x=x, y=y, z=z, tilt_deg=tilt_deg).to_world()
     found = []
@@ -85,6 +93,13 @@ def array(faces: Sequence[Part], places: Sequence[Sequence[float]]) -> tuple[Par
     ------
     MistrayError
         If there is no place, or a place is not two or three numbers.
+
+    Examples
+    --------
+    >>> lenslet = mistray.Surface("lenslet", radius=5, semi_diameter=0.5, back="N-BK7")
+    >>> row = mistray.prescription.array([lenslet], [(x, 0) for x in (-1, 0, 1)])
+    >>> [(face.name, face.x) for face in row]
+    [('lenslet_1', -1.0), ('lenslet_2', 0.0), ('lenslet_3', 1.0)]
     """
     if not len(places):
         raise MistrayError("array: there are no places; give x and y of each member, mm")

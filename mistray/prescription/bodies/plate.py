@@ -57,6 +57,12 @@ def plate(
     ------
     MistrayError
         If the thickness is not above 0, the outline has other figures, or holes cross the rim or each other.
+
+    Examples
+    --------
+    >>> mask = mistray.prescription.plate("mask", mistray.prescription.circle(30, inner=10), 2)
+    >>> [face.name for face in mask]
+    ['mask_front', 'mask_rear', 'mask_wall_1', 'mask_wall_2']
     """
     owner = f"plate '{name}'"
     SIZE_MM.check("thickness", thickness, owner)

@@ -9,9 +9,10 @@ import numpy as np
 from mistray.percent import percent_text
 from mistray.prescription.closing.surfaces import OpticalSurfaces
 from mistray.prescription.imported_beam import Beam, beam_size
-from mistray.prescription.model import ObjectPoint, Source, Surface
+from mistray.prescription.model import Surface
 from mistray.prescription.sequential.first_order import field_tangents, stop_place
 from mistray.prescription.sequential.rays import trace
+from mistray.prescription.sources import ObjectPoint, Source
 
 _ASIDE = 0.02  # of the pupil's radius: a beam that comes in so far from the axis moves the source
 _RINGS, _RAYS = 101, 8  # of the beam, that show how it fills the stop

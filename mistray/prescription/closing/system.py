@@ -59,6 +59,14 @@ class Built:
         First-order data of the lens.
     notes : tuple of str
         Assumptions of the file's reader and of the closing.
+
+    Examples
+    --------
+    >>> from mistray.prescription.closing.system import build
+    >>> from mistray.scenes.cooke_triplet.prescription import build as triplet
+    >>> built = build(mistray.prescription.to_sequential(triplet()), edges="ground")
+    >>> print(f"f = {built.first_order.efl:.2f} mm, {len(built.prescription.structures)} structures")
+    f = 50.00 mm, 13 structures
     """
 
     prescription: Prescription
@@ -112,6 +120,16 @@ def to_prescription(
     ------
     MistrayError
         If a material is unknown, no ray gets through, surfaces cross, or there are more than `MOST_SURFACES`.
+
+    Examples
+    --------
+    >>> row = mistray.prescription.Row
+    >>> glass = row(1, radius=50, thickness=5, material="N-BK7", stop=True)
+    >>> rows = glass, row(2, radius=-50, thickness=46), row(3, kind="image")
+    >>> lens = mistray.prescription.Sequential("singlet", rows, aperture=8)
+    >>> system = mistray.prescription.to_prescription(lens, edges="ground")
+    >>> [structure.name for structure in system.structures[:3]]
+    ['L1_edge', 'L1_flange_2', 'barrel_1_wall']
     """
     built = build(
         sequential,

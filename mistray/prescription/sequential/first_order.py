@@ -49,6 +49,14 @@ class SequentialFirstOrder:
         Image height per object height; 0 for an object at infinity.
     wavelength_nm : float
         Wavelength, nm.
+
+    Examples
+    --------
+    >>> from mistray.prescription.closing.system import build
+    >>> from mistray.scenes.cooke_triplet.prescription import build as triplet
+    >>> found = build(mistray.prescription.to_sequential(triplet())).first_order
+    >>> print(f"f = {found.efl:.2f} mm, f/{found.f_number:.2f}, entrance pupil {found.epd:.2f} mm wide")
+    f = 50.00 mm, f/4.00, entrance pupil 12.50 mm wide
     """
 
     efl: float

@@ -39,6 +39,12 @@ class Unread:
         Content as written in the file.
     reason : str
         Reason why it had no effect, and the consequence for the result.
+
+    Examples
+    --------
+    >>> unread = mistray.prescription.Unread(12, "GLRS 0 0", "it draws the lens")
+    >>> print(f"line {unread.line}: {unread.text} has no effect, since {unread.reason}")
+    line 12: GLRS 0 0 has no effect, since it draws the lens
     """
 
     line: int
@@ -62,6 +68,13 @@ class Decentre:
         Whether to rotate first (in the order z, y, x), then shift along the rotated axes.
     returns : bool
         Whether later rows use the frame before the move, as for the decentre of a single surface.
+
+    Examples
+    --------
+    >>> fold = mistray.prescription.Decentre(tilt_deg=(45, 0, 0), returns=True)
+    >>> row = mistray.prescription.Row(2, mirror=True, thickness=-30, decentre=fold)
+    >>> row.decentre.tilt_deg
+    (45, 0, 0)
     """
 
     x: float = 0.0
@@ -109,6 +122,12 @@ class Row:
         Move of the frame before the surface.
     line : int
         Line number at which the surface begins in the file.
+
+    Examples
+    --------
+    >>> row = mistray.prescription.Row(1, radius=50, thickness=5, material="N-BK7", stop=True)
+    >>> row.conic, row.semi_diameter  # a sphere, whose size follows from the rays
+    (0.0, None)
     """
 
     number: int
@@ -173,6 +192,15 @@ class Sequential:
         Content of the file that had no effect.
     notes : tuple of str
         Assumptions that a user should know, each once.
+
+    Examples
+    --------
+    >>> row = mistray.prescription.Row
+    >>> glass = row(1, radius=50, thickness=5, material="N-BK7", stop=True)
+    >>> rows = glass, row(2, radius=-50, thickness=46), row(3, kind="image")
+    >>> lens = mistray.prescription.Sequential("singlet", rows, aperture=8, fields=((0, 0), (0, 3)))
+    >>> lens.wavelength_nm
+    587.56
     """
 
     name: str

@@ -42,6 +42,15 @@ class FarField(PassingLight):
     ------
     MistrayError
         If borders do not ascend, or directions are 0 or parallel.
+
+    Examples
+    --------
+    >>> sky = mistray.recorders.FarField("sky", edges_deg=[0, 90, 180])
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[sky])
+    >>> sky.flux_of_rings.value.round(1)  # W, forwards and backwards
+    array([ 0. , 58.3])
+    >>> print(f"{t.energy.escaped_W:.1f} W by the ledger")
+    58.3 W by the ledger
     """
 
     kind, unit = "far field", "W/sr"

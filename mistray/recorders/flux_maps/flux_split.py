@@ -32,6 +32,14 @@ class SplitRow:
         Incident flux on both sides; light that comes back contributes again.
     absorbed, specular_reflection, specular_transmission, scattered_reflection, scattered_transmission : (float, float)
         Fluxes that add up to `incident`. Totally reflected light is a specular reflection.
+
+    Examples
+    --------
+    >>> split = mistray.recorders.FluxSplit("split", surfaces="detector")
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[split])
+    >>> (row,) = split.rows
+    >>> print(f"{row.absorbed[0] / row.incident[0]:.2f} of the light is absorbed")
+    0.80 of the light is absorbed
     """
 
     surface: str
@@ -73,6 +81,15 @@ class FluxSplit(SurfaceLight):
     ------
     MistrayError
         During the trace, if a pattern names no surface.
+
+    Examples
+    --------
+    >>> split = mistray.recorders.FluxSplit("split", surfaces="L1_*")
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[split])
+    >>> for row in split.rows[:2]:
+    ...     print(f"{row.surface}: {row.specular_reflection[0] / row.incident[0]:.3f} reflected")
+    L1_front: 0.042 reflected
+    L1_rear: 0.042 reflected
     """
 
     kind, unit = "flux split", "W"

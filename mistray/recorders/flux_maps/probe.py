@@ -49,6 +49,14 @@ class Probe(PassingLight):
     ------
     MistrayError
         For a number out of range, or a normal that is 0 or parallel to `up`.
+
+    Examples
+    --------
+    >>> probe = mistray.recorders.Probe("behind L1", centre=(0, 0, 50), half_width=15, half_height=15, pixels=(10, 10))
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[probe])
+    >>> irradiance, error = probe.irradiance
+    >>> print(f"{irradiance.sum() * 3 * 3:.0f} W of {t.energy.launched_W:.0f} W")
+    188 W of 201 W
     """
 
     kind, unit = "probe", "W/mm²"

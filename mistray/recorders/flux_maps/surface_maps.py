@@ -82,6 +82,17 @@ class SurfaceMap:
         Corners of the cells in the world, mm.
     incident, absorbed : Sampled
         Incident and absorbed flux of the cells, with their noise, (rows, columns), W.
+
+    Examples
+    --------
+    >>> walls = mistray.recorders.SurfaceMaps("walls", surfaces="barrel_*", azimuths=12, lengths=4)
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[walls])
+    >>> wall = walls.maps["barrel_1_wall"]
+    >>> irradiance, error = wall.irradiance
+    >>> irradiance.shape, wall.along, wall.across
+    ((4, 12), 'z', 'azimuth')
+    >>> print(f"{wall.power[0]:.2f} W meet the wall")
+    0.92 W meet the wall
     """
 
     surface: str
@@ -156,6 +167,16 @@ class SurfaceMaps(SurfaceLight):
     ------
     MistrayError
         For numbers out of range; during the trace, if a pattern names no surface, or if no surface can be unrolled.
+
+    Examples
+    --------
+    >>> walls = mistray.recorders.SurfaceMaps("walls", azimuths=12, lengths=4)
+    >>> t = mistray.trace(mistray.load("lens_and_window"), rays=10_000, recorders=[walls])
+    >>> list(walls.maps)[:3]
+    ['L1_edge', 'barrel_1_wall', 'window_edge']
+    >>> watts, error = walls.power
+    >>> print(f"{watts:.1f} W meet opaque surfaces")
+    3.4 W meet opaque surfaces
     """
 
     kind, unit = "surface maps", "W/mm²"

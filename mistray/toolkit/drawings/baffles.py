@@ -42,6 +42,13 @@ def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float =
         Field angle, degrees; light at smaller angles is left out of the lit zones, except in an inner stage.
     title : str
         Title of the figure.
+
+    Examples
+    --------
+    >>> tube = mistray.prescription.vane_tube(
+    ...     "hood", optic_radius=20, z_rear=0, length=150, wall_radius=40, field_deg=5
+    ... )
+    >>> mistray.report.baffle_figure(tube, title="Hood").savefig("hood.png")
     """
     if isinstance(baffle, TwoStageBaffle):
         stages = [(baffle.outer, exclusion_deg), (baffle.inner, 0.0)]
@@ -89,6 +96,16 @@ def cassegrain_figure(prescription: Prescription, baffles: CassegrainBaffles, ti
         Baffles, whose rims A and B are marked, with the line from the edge of the detector past them.
     title : str
         Title of the figure.
+
+    Examples
+    --------
+    >>> from mistray.scenes.cassegrain.prescription import build
+    >>> telescope = build()
+    >>> primary, secondary = telescope.surfaces
+    >>> baffles = mistray.prescription.cassegrain_baffles(
+    ...     primary, secondary, telescope.detector, field_deg=0.28, wall_depth=4, wall_rear=26
+    ... )
+    >>> mistray.report.cassegrain_figure(telescope, baffles).savefig("baffles.png")
     """
     shapes = [shape for shape in prescription.shapes() if isinstance(shape, Structure | Surface) and shape.coaxial]
     axes = _axes(title, *_extent([point for shape in shapes for point in _profile(shape).tolist()]))

@@ -134,6 +134,11 @@ def layout(
         Number of stray paths drawn, the worst first by the rank of the report; the strongest by power is added.
     path_ids : int or sequence of int, optional
         Draw these paths of ``report.table(field_deg)`` instead; the first one in blue.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> mistray.report.layout(report, 10, ghosts=2).savefig("ghosts.svg")
     """
     chosen = (
         worst_paths(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, several(path_ids))
@@ -210,6 +215,13 @@ def layout_figure(
     ------
     MistrayError
         If a row is unknown, rows come without a trace, or there are fewer than 0 paths or 1 ray.
+
+    Examples
+    --------
+    >>> scene = mistray.load("cooke_triplet")
+    >>> figure = mistray.report.layout_figure(scene, mistray.trace(scene, rays=10_000), path_ids=[0, 1])
+    >>> mistray.report.write_layout(figure, "layout.svg").name
+    'layout.svg'
     """
     asked = None if path_ids is None else several(path_ids)
     choice = RayChoice(paths=paths, path_ids=asked, rays=rays, selection=selection)
@@ -250,6 +262,12 @@ def write_layout(figure: Figure, path: str | Path) -> Path:
     ------
     MistrayError
         If the ending is another one, or the file cannot be written.
+
+    Examples
+    --------
+    >>> figure = mistray.report.layout_figure(mistray.load("cooke_triplet"))
+    >>> mistray.report.write_layout(figure, "layout.pdf").name
+    'layout.pdf'
     """
     kind = layout_format(path)
     buffer = io.BytesIO()

@@ -51,6 +51,13 @@ class RayLine:
         Start and every hit, mm.
     flux_W : (k + 1,) float64
         Flux arriving at each point, W.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> ray = mistray.report.rays_of_paths(t, [1], n=3)[0]
+    >>> ray.points.shape, ray.events.split()[2:4]
+    ((10, 3), ['L2_front:R', 'L1_rear:R'])
     """
 
     path_id: int
@@ -130,6 +137,13 @@ def rays_of_paths(trace: Trace, path_ids: int | Iterable[int] | None = None, n: 
     ------
     MistrayError
         If a row is unknown, or `n` is below 1.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> rays = mistray.report.rays_of_paths(t, [0, 1], n=3)
+    >>> [ray.path_id for ray in rays]
+    [0, 0, 0, 1, 1, 1]
     """
     ids = range(len(trace.paths)) if path_ids is None else several(path_ids)
     return [line for i in ids for line in ray_lines(trace.history(int(i), n).to_pandas().assign(path_id=int(i)))]

@@ -73,6 +73,14 @@ def write_formats(
     -------
     list of Path
         The files written.
+
+    Examples
+    --------
+    >>> t = mistray.trace(mistray.load("cooke_triplet"), rays=10_000)
+    >>> maps = {"image": mistray.report.IrradianceMap(t.irradiance, t.irradiance_se, t.extent)}
+    >>> files = mistray.report.write_formats(["parquet", "npy"], ".", {"paths.csv": t.paths.to_pandas()}, maps)
+    >>> [file.name for file in files]
+    ['paths.parquet', 'image.npy']
     """
     folder = Path(directory)
     written = []

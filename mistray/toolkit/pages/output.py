@@ -26,6 +26,11 @@ def writable_directory(directory: str | Path) -> Path:
     ------
     MistrayError
         If the path is a file, is not writable, or its disk is full.
+
+    Examples
+    --------
+    >>> mistray.report.writable_directory("results").name
+    'results'
     """
     with told(directory):
         if not str(directory):

@@ -36,7 +36,16 @@ def add_section(make: Made, of: type) -> Made:
 
 
 def remove_section(make: SectionMaker) -> None:
-    """Remove a section, added by `add_section`, from future reports."""
+    """
+    Remove a section, added by `add_section`, from future reports.
+
+    Examples
+    --------
+    >>> def remarks(report):
+    ...     return None
+    >>> _ = mistray.report.report_section(remarks, of=mistray.ThermalReport)
+    >>> mistray.report.remove_section(remarks)
+    """
     del _MAKERS[make]
 
 

@@ -34,6 +34,11 @@ def with_error(number: Estimate, digits: int = 2) -> str:
 
     The error has ``digits`` digits and the value ends at the same place. A number that is not finite is "–"; an unknown
     error is "± ?".
+
+    Examples
+    --------
+    >>> mistray.report.with_error(mistray.analysis.Estimate(9.35478e-5, 1.23e-8))
+    '9.3548e-05 ± 1.2e-08'
     """
     value, se = number
     if not math.isfinite(value):

@@ -101,6 +101,13 @@ class DiskSource:
         Direction of the cone's axis, the normal of the disc.
     name : str
         Name for tables.
+
+    Examples
+    --------
+    >>> lamp = mistray.analysis.DiskSource(centre=(0, 0, -50), radius=15, half_angle_deg=20)
+    >>> found = mistray.objects(mistray.load("cooke_triplet"), rays=2000, source=lamp)
+    >>> [lit.id for lit in found.illuminated[:2]]
+    ['barrel_face', 'barrel_1_wall']
     """
 
     centre: tuple[float, float, float]

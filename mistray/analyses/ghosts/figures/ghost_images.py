@@ -70,6 +70,12 @@ def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = No
         Field angle, degrees.
     limits : (float, float), optional
         Floor and top of the scale of both, powers of ten of W/mm², such as `common_range`. Default: each has its own.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> figure = mistray.report.ghost_image(report, 10)
+    >>> figure.savefig("ghosts_10deg.png")
     """
     t = report[field_deg]
     stray = report.stray_light(field_deg)
@@ -99,6 +105,12 @@ def montage(report: GhostReport, columns: int = 4, common: bool = False) -> Figu
         Number of maps in a row.
     common : bool
         Draw all on one log10 scale; by default each has its own.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> figure = mistray.report.montage(report, columns=2, common=True)
+    >>> figure.savefig("stray_light.png")
     """
     fields = list(report)
     limits = common_range(report, stray=True) if common else None
@@ -131,7 +143,16 @@ def _how_to_read(image: Map, cells: int, common: bool) -> str:
 
 
 def levels_against_field(report: GhostReport, title: str = "") -> Figure:
-    """Draw power (W) of the direct image and of each kind of stray light, and the worst paths, against field angle."""
+    """
+    Draw power (W) of the direct image and of each kind of stray light, and the worst paths, against field angle.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> figure = mistray.report.levels_against_field(report, title="Cooke triplet")
+    >>> figure.axes[0].get_ylabel()
+    'power [W absorbed]'
+    """
     fields = sorted(report)
     summaries = [report.summary(field) for field in fields]
     figure, (left, right) = Figure.of_panels(10.4, 4.0, 1, 2, dpi=110)

@@ -39,6 +39,14 @@ def report_section(make: Any = None, *, of: type = GhostReport) -> Any:
     -------
     callable
         `make` itself, so that this function works as a decorator.
+
+    Examples
+    --------
+    >>> from mistray.toolkit.pages.model import Section
+    >>> @mistray.report.report_section
+    ... def remarks(report):
+    ...     return Section("Remarks", ("The barrel is painted black.",))
+    >>> mistray.report.remove_section(remarks)
     """
 
     def add(make: SectionMaker) -> Callable[[Any], Any]:

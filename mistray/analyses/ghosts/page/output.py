@@ -113,6 +113,13 @@ def write_png(report: GhostReport, directory: str | Path, look: Look | None = No
     -------
     list of Path
         The files written.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> files = mistray.report.write_png(report, "pictures")
+    >>> [file.name for file in files[:3]]
+    ['levels.png', 'ghosts_0deg.png', 'layout_0deg.png']
     """
     return write_files(draw(report, look)[0], directory)
 
@@ -155,6 +162,13 @@ def write_all(
     -------
     list of Path
         The files written.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> files = mistray.report.write_all(report, "ghosts", title="Cooke triplet")
+    >>> sorted(file.name for file in files if file.suffix == ".csv")
+    ['energy.csv', 'paths.csv', 'stray_levels.csv', 'summary.csv', 'surfaces.csv']
     """
     made = page(report, GhostTables(per_wavelength=per_wavelength, colour=look is not None, look=look), title, command)
     if pdf:

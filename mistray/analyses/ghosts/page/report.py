@@ -90,6 +90,12 @@ def write_html(
     -------
     Path
         File written.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> mistray.report.write_html(report, "report.html", title="Cooke triplet").name
+    'report.html'
     """
     return replace_file(path, html_text(report, title, command, pictures, per_wavelength), "report")
 
@@ -101,7 +107,16 @@ def html_text(
     pictures: Mapping[str, bytes] | None = None,
     per_wavelength: bool = False,
 ) -> str:
-    """Return the report as HTML text; for the arguments see `write_html`."""
+    """
+    Return the report as HTML text; for the arguments see `write_html`.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> text = mistray.report.html_text(report, title="Cooke triplet")
+    >>> text[:15]
+    '<!DOCTYPE html>'
+    """
     return html_page(ghosts_report(report, title, command, pictures or {}, per_wavelength))
 
 

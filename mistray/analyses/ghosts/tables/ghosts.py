@@ -158,7 +158,7 @@ def ledger_table(report: GhostReport) -> str:
 
 
 def main_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
-    """
+    r"""
     Return the text that `mistray ghosts` prints: the main table, the worst ghosts of each field and the energy closure.
 
     Parameters
@@ -169,6 +169,16 @@ def main_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bo
         Number of worst paths listed for each field.
     per_wavelength : bool
         Add rows for each wavelength, and the energy ledger at each of them.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> print(mistray.report.main_table(report, count=1).partition("\n\n")[0])
+    field  paths  direct image      stray light         stray/direct      stray/nominal             worst ghost
+    [deg]         [W absorbed]     [W absorbed]                                          [norm. RMS irradiance]
+    -----  -----  ------------  ---------------  -------------------  -----------------  ----------------------
+        0     16  81.60 ± 0.56    1.557 ± 0.013    0.01908 ± 0.00018  0.01908 ± 0.00018     3.505e-09 ± 1.6e-11
+       10     16  80.28 ± 0.15  1.4118 ± 0.0024  0.017586 ± 0.000035  0.01730 ± 0.00012     3.505e-09 ± 2.7e-11
     """
     nominal = report.nominal.rms_irradiance_W_mm2
     closure = max((report[field].energy.closure for field in report), key=abs)

@@ -147,6 +147,12 @@ def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool =
     -------
     list of Path
         The files written.
+
+    Examples
+    --------
+    >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
+    >>> [file.name for file in mistray.report.write_csv(report, "tables")]
+    ['summary.csv', 'paths.csv', 'energy.csv', 'surfaces.csv', 'stray_levels.csv']
     """
     tables = csv_tables(report, per_wavelength)
     return write_files({name: csv_text(table, in_full=True) for name, table in tables.items()}, directory)

@@ -71,6 +71,16 @@ class Levels(Result, table="..tables:levels_table", figure="..figures:levels_fig
         Unit by name of the term.
     light : dict of str to FirstLight
         Light of all seeds by the first surface that it meets, for each field angle in words.
+
+    Examples
+    --------
+    >>> term = {"kind": "path_power", "selection": "ghost", "goal": "minimise", "rays": 2000}
+    >>> shift = {"parameters": ["window_front.y"], "low": -0.1, "high": 0.1}
+    >>> study = mistray.optimize.read_study({"term": [term], "variable": [shift]})
+    >>> levels = mistray.optimize.measure(mistray.load("lens_and_window"), study, seeds=2)
+    >>> for cell, values in levels.values.items():
+    ...     print(f"{cell.term}: {values.mean():.4f} {levels.units[cell.term]}, {values.size} seeds")
+    path_power: 0.0135 W/W, 2 seeds
     """
 
     seeds: tuple[int, ...]
@@ -141,6 +151,16 @@ class Comparison(Result, table="..tables:rows_table", figure="..figures:comparis
         Rows of each term: the whole, each field, each wavelength, each field at each wavelength.
     entering : mapping of str to tuple of Entering
         Surfaces that light meets first in the second design but not in the first, by field angle in words.
+
+    Examples
+    --------
+    >>> term = {"kind": "path_power", "selection": "ghost", "goal": "minimise", "rays": 2000}
+    >>> shift = {"parameters": ["window_front.y"], "low": -0.1, "high": 0.1}
+    >>> study = mistray.optimize.read_study({"term": [term], "variable": [shift]})
+    >>> scenes = mistray.load("lens_and_window"), mistray.coat("lens_and_window", {"*": "mgf2_quarter_wave"})
+    >>> found = mistray.optimize.compare(*(mistray.optimize.measure(scene, study, seeds=2) for scene in scenes))
+    >>> print(f"{found.rows[0].ratio:.3f} ± {found.rows[0].ratio_se:.3f} times less")
+    3.435 ± 0.002 times less
     """
 
     seeds: tuple[int, ...]
@@ -202,6 +222,15 @@ def measure(
         Number of seeds that are traced whatever the time, at least 2.
     seconds : float
         Time limit, s: no further seed is begun if it would not end within it.
+
+    Examples
+    --------
+    >>> term = {"kind": "path_power", "selection": "ghost", "goal": "minimise", "rays": 2000}
+    >>> shift = {"parameters": ["window_front.y"], "low": -0.1, "high": 0.1}
+    >>> study = mistray.optimize.read_study({"term": [term], "variable": [shift]})
+    >>> levels = mistray.optimize.measure(mistray.load("lens_and_window"), study, seeds=2)
+    >>> levels.seeds
+    (1, 2)
     """
     SEED_COUNT.check("seeds", seeds)
     numbers = tuple(study.optimizer.seed + 1 + k for k in range(seeds))
@@ -320,7 +349,20 @@ def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
 
 
 def compare(before: Levels, after: Levels) -> Comparison:
-    """Compare two designs measured with equal study and seeds: mean, ratio and standard error of each cell."""
+    """
+    Compare two designs measured with equal study and seeds: mean, ratio and standard error of each cell.
+
+    Examples
+    --------
+    >>> term = {"kind": "path_power", "selection": "ghost", "goal": "minimise", "rays": 2000}
+    >>> shift = {"parameters": ["window_front.y"], "low": -0.1, "high": 0.1}
+    >>> study = mistray.optimize.read_study({"term": [term], "variable": [shift]})
+    >>> scenes = mistray.load("lens_and_window"), mistray.coat("lens_and_window", {"*": "mgf2_quarter_wave"})
+    >>> before, after = (mistray.optimize.measure(scene, study, seeds=2) for scene in scenes)
+    >>> found = mistray.optimize.compare(before, after)
+    >>> print(f"{found.rows[0].before:.4f} before, {found.rows[0].after:.4f} after")
+    0.0135 before, 0.0039 after
+    """
     if before.seeds != after.seeds:
         raise MistrayError("the two measurements differ in seeds; measure both scenes with the same study")
     if before.values.keys() != after.values.keys():

@@ -25,7 +25,18 @@ STARTS = 4  # with coatings
 
 @dataclass(frozen=True)
 class Term(Request):
-    """Section ``[[term]]`` of a study: a metric and the goal for its value."""
+    """
+    Section ``[[term]]`` of a study: a metric and the goal for its value.
+
+    Examples
+    --------
+    >>> ghosts = {"kind": "path_power", "selection": "ghost", "goal": "minimise"}
+    >>> image = {"kind": "transmission", "goal": "at_least", "limit_of_start": 0.99}
+    >>> shift = {"parameters": ["window_front.y"], "low": -0.1, "high": 0.1}
+    >>> study = mistray.optimize.read_study({"term": [ghosts, image], "variable": [shift]})
+    >>> [(term.name, term.goal) for term in study.terms]
+    [('path_power', 'minimise'), ('transmission', 'at_least')]
+    """
 
     name: str = field(TEXT, MISSING, "name for tables and messages; without it the kind")
     kind: Any = field(
@@ -76,7 +87,15 @@ class Term(Request):
 
 @dataclass(frozen=True)
 class Moved(Request):
-    """Scene parameters that a variable of a study moves, with their factor and pivot."""
+    """
+    Scene parameters that a variable of a study moves, with their factor and pivot.
+
+    Examples
+    --------
+    >>> rear = mistray.optimize.Moved("L2_rear.curvature", factor=-1.0)  # it bends the other way
+    >>> rear.factor, rear.entry
+    (-1.0, None)
+    """
 
     key: str = field(
         TEXT,
@@ -98,7 +117,16 @@ class Moved(Request):
 
 @dataclass(frozen=True)
 class VariableGroup(Request):
-    """Section ``[[variable]]`` of a study: parameters that move together, and the bounds of their value."""
+    """
+    Section ``[[variable]]`` of a study: parameters that move together, and the bounds of their value.
+
+    Examples
+    --------
+    >>> moved = mistray.optimize.Moved("L2_front.curvature"), mistray.optimize.Moved("L2_rear.curvature", factor=-1.0)
+    >>> bending = mistray.optimize.VariableGroup("bending", moved, low=-0.05, high=-0.03)
+    >>> len(bending.parameters), bending.each
+    (2, False)
+    """
 
     name: str | None = field(TEXT, MISSING, "name for tables and messages; without it the first key")
     parameters: tuple[Moved, ...] = field(
@@ -170,6 +198,13 @@ class CoatingGroup:
         Smallest and largest thickness of each layer, nm.
     design_nm : float
         Wavelength at which the start design was made, nm.
+
+    Examples
+    --------
+    >>> start = mistray.coatings.preset("mgf2_quarter_wave")
+    >>> coating = mistray.optimize.CoatingGroup("ar", ("L1_front", "L1_rear"), start, ((60.0, 150.0),))
+    >>> [layer.material for layer in coating.start.layers]
+    ['1.38']
     """
 
     name: str
@@ -181,7 +216,15 @@ class CoatingGroup:
 
 @dataclass(frozen=True)
 class Optimizer(Request):
-    """Section ``[optimizer]`` of a study: search method, numbers of steps and starts, and criteria for the end."""
+    """
+    Section ``[optimizer]`` of a study: search method, numbers of steps and starts, and criteria for the end.
+
+    Examples
+    --------
+    >>> optimizer = mistray.optimize.Optimizer(steps=10, starts=4)
+    >>> optimizer.method, optimizer.seeds
+    ('lbfgsb', 'fixed')
+    """
 
     method: str = field(
         Words(tuple(PATIENCE)),
@@ -248,6 +291,14 @@ class DesignStudy:
         Coatings that are varied.
     optimizer : Optimizer
         Settings of the search.
+
+    Examples
+    --------
+    >>> term = {"kind": "path_power", "selection": "ghost", "goal": "minimise"}
+    >>> shift = {"parameters": ["window_front.y"], "low": -0.1, "high": 0.1}
+    >>> study = mistray.optimize.read_study({"term": [term], "variable": [shift]})
+    >>> study.variables[0].high, study.optimizer.method
+    (0.1, 'lbfgsb')
     """
 
     name: str

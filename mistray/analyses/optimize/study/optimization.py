@@ -92,6 +92,19 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
         them one by one. Gradients that meet no rims are missing.
     search_seconds, traced_seconds, verification_seconds : float
         Time of the searches, of the traces and derivatives in them, and of the comparison.
+
+    Examples
+    --------
+    >>> study = {
+    ...     "term": [{"kind": "path_power", "selection": "ghost", "goal": "minimise", "rays": 1000}],
+    ...     "coating": [{"name": "ar", "surfaces": ["L1_front"], "layers": "MgF2 80", "thickness_nm": [60, 150]}],
+    ... }
+    >>> found = mistray.optimize.optimize("lens_and_window", study, steps=2, verification_seeds=2, next_order=False)
+    >>> row = found.comparison.rows[0]
+    >>> print(f"{row.before:.5f} before, {row.after:.5f} after")
+    0.01254 before, 0.01236 after
+    >>> found.coatings[0].surfaces
+    ('L1_front',)
     """
 
     study: DesignStudy
@@ -202,6 +215,16 @@ def run(
         or any value not finite, at the start. If the function of a term fails in a trial before the search. A search
         that comes to a point without a merit ends there and keeps its steps. An error after the search is reported in
         the result.
+
+    Examples
+    --------
+    >>> study = {
+    ...     "term": [{"kind": "path_power", "selection": "ghost", "goal": "minimise", "rays": 1000}],
+    ...     "coating": [{"name": "ar", "surfaces": ["L1_front"], "layers": "MgF2 80", "thickness_nm": [60, 150]}],
+    ... }
+    >>> found = mistray.optimize.optimize("lens_and_window", study, steps=2, verification_seeds=2, next_order=False)
+    >>> print(f"{found.best.x[0]:.0f} nm instead of {found.steps[0].x[0]:.0f} nm")
+    106 nm instead of 80 nm
     """
     read = study if isinstance(study, DesignStudy) else read_study(study)
     if request.steps is not None:

@@ -18,6 +18,12 @@ class Start:
         Origin of the point.
     x : (variables,) float64
         Values of the variables, in their units.
+
+    Examples
+    --------
+    >>> start = mistray.optimize.Start("given design", np.array([100.0]))
+    >>> start.name, start.x
+    ('given design', array([100.]))
     """
 
     name: str
@@ -92,6 +98,20 @@ class Step:
         Time since the beginning of the optimisation, s, without interruptions.
     x : tuple of float
         Values of the variables, in their units.
+
+    Examples
+    --------
+    >>> study = {
+    ...     "term": [{"kind": "path_power", "selection": "ghost", "goal": "minimise", "rays": 1000}],
+    ...     "coating": [{"name": "ar", "surfaces": ["L1_front"], "layers": "MgF2 80", "thickness_nm": [60, 150]}],
+    ... }
+    >>> found = mistray.optimize.optimize("lens_and_window", study, steps=2, verification_seeds=2, next_order=False)
+    >>> for step in found.steps:
+    ...     print(f"{step.step}: {step.x[0]:.0f} nm")
+    0: 80 nm
+    0: 114 nm
+    1: 112 nm
+    2: 106 nm
     """
 
     start: int

@@ -33,6 +33,17 @@ def read_study(source: str | Path | Mapping[str, Any]) -> DesignStudy:
     MistrayError
         If the file is missing or not TOML, a key is unknown or missing, or a value is impossible; one line with the
         file, the key and the remedy.
+
+    Examples
+    --------
+    >>> study = mistray.optimize.read_study(
+    ...     {
+    ...         "term": [{"kind": "path_power", "selection": "ghost", "goal": "minimise"}],
+    ...         "coating": [{"name": "ar", "surfaces": ["L1_front"], "layers": "MgF2 80", "thickness_nm": [60, 150]}],
+    ...     }
+    ... )
+    >>> study.terms[0].name, study.coatings[0].bounds_nm
+    ('path_power', ((60.0, 150.0),))
     """
     whole = TomlSection.of(source, "study")
     whole.known(SECTIONS)

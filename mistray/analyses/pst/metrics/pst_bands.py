@@ -37,6 +37,12 @@ class Modelled:
         Covariance of the Monte Carlo noise of the values.
     jacobian : (n, k) float64
         Derivatives of the values with respect to the parameters.
+
+    Examples
+    --------
+    >>> model = mistray.optimize.Modelled(np.array([2.0, 4.0]), np.zeros((2, 2)), np.array([[1.0], [2.0]]))
+    >>> model.value + model.jacobian @ np.array([0.1])  # to first order
+    array([2.1, 4.2])
     """
 
     value: np.ndarray
@@ -99,6 +105,15 @@ class PstBands:
     ------
     MistrayError
         If a key has no derivative or several entries, or the edges do not fit.
+
+    Examples
+    --------
+    >>> bands = mistray.optimize.PstBands(mistray.load("plate_and_wall"), ["polish.A"], [10, 20, 40], rays=10_000)
+    >>> bands.bands  # azimuth, and ends in degrees
+    [(None, 10.0, 20.0), (None, 20.0, 40.0)]
+    >>> modelled = bands(bands.start)
+    >>> [f"{value:.1e}" for value in modelled.value]
+    ['5.0e-03', '2.9e-03']
     """
 
     def __init__(

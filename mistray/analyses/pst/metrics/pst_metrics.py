@@ -82,6 +82,12 @@ def pst_bin(
     **traced
         Arguments of `mistray.pst`, with `pst_field_deg` for its field angles: by default `field_deg` alone, a cell 2°
         wide. Metrics with the same settings share one trace in `combine`.
+
+    Examples
+    --------
+    >>> metric = mistray.optimize.pst_bin(mistray.load("lens_and_window"), 30, rays=20_000)
+    >>> print(f"{metric.value():.1e}")
+    3.9e-05
     """
     CONVENTION.check("convention", convention)
     settings = {PST_FIELD: (float(PST_FIELD_DEG.check("field_deg", field_deg)),), **traced}
@@ -128,6 +134,13 @@ def pst_band(
         See `PstObservation.band`.
     **traced
         Keywords of `pst_bin`; without `pst_field_deg` cells of at most 2° fill the band.
+
+    Examples
+    --------
+    >>> angles = [10, 20, 30, 40]
+    >>> metric = mistray.optimize.pst_band(mistray.load("lens_and_window"), 10, 40, pst_field_deg=angles, rays=20_000)
+    >>> print(f"{metric.value():.1e}")
+    3.9e-05
     """
     QUANTITY.check("quantity", quantity)
     CONVENTION.check("convention", convention)
@@ -172,6 +185,12 @@ def pst_mask(
         Exponent p ≥ 1 of the smooth maximum, see `smooth_maximum`.
     **traced
         Keywords of `pst_bin`.
+
+    Examples
+    --------
+    >>> metric = mistray.optimize.pst_mask(mistray.load("lens_and_window"), [10, 30], [1e-4, 5e-5], rays=20_000)
+    >>> print(f"{metric.value():.2f}: below 1, the mask is met")
+    0.77: below 1, the mask is met
     """
     CONVENTION.check("convention", convention)
     if PST_FIELD in traced:
@@ -212,6 +231,12 @@ def veiling_glare(
         "mean": E_black is the mean of the stray light over the detector. "point": the detector lies within the image.
     **traced
         Keywords of `pst_bin`; without `pst_field_deg` cells of 2° fill the source.
+
+    Examples
+    --------
+    >>> metric = mistray.optimize.veiling_glare(mistray.load("lens_and_window"), 2, source_deg=40, rays=20_000)
+    >>> print(f"{metric.value():.2f} %")
+    0.50 %
     """
     return _metric(
         scene,

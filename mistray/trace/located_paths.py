@@ -1,0 +1,44 @@
+"""Paths of one run by their places in its ledger."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mistray.execute.tracer import Run
+from mistray.recorders.path_events import Events
+
+
+class LocatedPaths(NamedTuple):
+    """Paths of one run: their `path_id` and their places in its ledger, (n,) int each."""
+
+    run: Run
+    ids: np.ndarray
+    places: np.ndarray
+
+    @property
+    def slots(self) -> np.ndarray:
+        """Slots of the paths in the ledger, (n,) int."""
+        return np.asarray(self.run.paths.slots[self.places])
+
+    @property
+    def keys(self) -> np.ndarray:
+        """Keys of the paths, (n,) uint64, see `mistray.recorders.path_key`."""
+        return np.asarray(self.run.paths.keys[self.places])
+
+    @property
+    def sums(self) -> np.ndarray:
+        """Sums of the paths by batch, (n, BATCHES, SUMS), in units of a start ray, see `mistray.recorders.ledger`."""
+        return np.asarray(self.run.paths.sums[self.places])
+
+    @property
+    def events(self) -> Events:
+        """Event lists of the paths."""
+        paths = self.run.paths
+        return Events.of(self.run.table, self.run.design, paths.events[self.places], paths.lengths[self.places])
+
+    def ids_of(self, keys: np.ndarray) -> np.ndarray:
+        """Return the `path_id` of each path that is given by its key, (n,) uint64."""
+        order = np.argsort(self.keys)
+        return self.ids[order][np.searchsorted(self.keys[order], keys)]

@@ -1,0 +1,128 @@
+"""Examples in docstrings: each public function and class has one, and it does what it says."""
+
+from __future__ import annotations
+
+import dataclasses
+import doctest
+import fnmatch
+import importlib
+import inspect
+import re
+import sys
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import peers
+import pytest
+
+import mistray
+from mistray.toolkit.fields import Request
+
+SITE = Path(__file__).parents[1] / "docs" / "site"
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+# Examples that take long, one by one or together: reports, studies, searches, other processes
+LONG = (
+    *("mistray.analysis.*", "mistray.optimize.*", "mistray.recorders.*", "mistray.report.*", "mistray.sweeps.*"),
+    *("mistray.[Ss]tudy", "mistray.first_level", "mistray.FirstLevel", "mistray.thermal", "mistray.ThermalReport"),
+    *("mistray.[Tt]ransfer", "mistray.image_quality", "mistray.ImageQuality", "mistray.Explorer", "mistray.distribute"),
+    *("mistray.[Ss]weep", "mistray.Objects", "mistray.View", "mistray.prescription.from_batoid"),
+    *("mistray.prescription.*_optiland", "mistray.prescription.*_oslo", "mistray.prescription.from_rayoptics"),
+)
+# What examples import of programs that may not be installed
+PEERS = {"optiland": "optic", "oslo": "optic", "rayoptics": "optical.opticalmodel"}
+
+
+@lru_cache(maxsize=1)
+def public() -> dict[str, Any]:
+    """Public functions and classes by name, each once: of `mistray`, then of the packages that the reference shows."""
+    sys.path.insert(0, str(SITE))
+    try:
+        packages = importlib.import_module("reference").PACKAGES
+    finally:
+        sys.path.remove(str(SITE))
+    found: dict[int, tuple[str, Any]] = {}
+    for package in ("mistray", *(f"mistray.{name}" for name in packages)):
+        module = importlib.import_module(package)
+        for name in module.__all__:
+            value = getattr(module, name)
+            if inspect.isroutine(value) or inspect.isclass(value):
+                found.setdefault(id(value), (f"{package}.{name}", value))
+    return dict(found.values())
+
+
+def takes_long(name: str) -> bool:
+    return any(fnmatch.fnmatchcase(name, pattern) for pattern in LONG)
+
+
+def failures(name: str, value: Any) -> str:
+    """Run the examples of a function, or of a class and its methods, and return what went wrong."""
+    told: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=FLAGS, verbose=False)
+    for test in doctest.DocTestFinder().find(value, name, module=False, globs={"mistray": mistray, "np": np}):
+        runner.run(test, out=told.append)
+    assert runner.tries
+    return "".join(told)
+
+
+def run(name: str) -> None:
+    for package, module in PEERS.items():
+        if name.endswith(package):
+            (peers.rayoptics if package == "rayoptics" else peers.optiland)(module)
+    assert failures(name, public()[name]) == ""
+
+
+@pytest.mark.quick
+def test_each_public_name_has_an_example() -> None:
+    without, idle = [], []
+    for name, value in public().items():
+        _, heading, text = (inspect.getdoc(value) or "").partition("Examples\n--------\n>>> ")
+        without += [] if heading else [name]
+        shown = inspect.isclass(value) or re.search(rf"\.{name.rpartition('.')[2]}\b", text)
+        idle += [] if shown else [name]
+    assert len(public()) > 250
+    assert (without, idle) == ([], []), "give it an example under Examples, which calls a function that it belongs to"
+    assert [pattern for pattern in LONG if not fnmatch.filter(public(), pattern)] == []
+
+
+@pytest.mark.quick
+def test_each_public_attribute_is_described() -> None:
+    """By its class or one that it is derived from; the field of a request has its sentence where it is declared."""
+    silent = []
+    for name, value in public().items():
+        if inspect.isclass(value) and not issubclass(value, Request):
+            docs = "\n".join(inspect.cleandoc(one.__doc__ or "") for one in value.__mro__)
+            entries = re.findall(r"^(\w+(?:, \w+)*)(?: : .+)?\n {4}\S", docs, re.MULTILINE)
+            described = {one for entry in entries for one in entry.split(", ")}
+            fields = [field.name for field in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+            own = getattr(value, "_fields", ()) if issubclass(value, tuple) else fields
+            known = {field for field in own if field in described or field.replace("_se", "") in described}
+            silent += [f"{name}.{field}" for field in own if field[0] != "_" and field not in known]
+    assert silent == []
+
+
+@pytest.mark.quick
+@pytest.mark.core
+@pytest.mark.parametrize("name", sorted(name for name in public() if not takes_long(name)))
+def test_an_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run(name)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", sorted(filter(takes_long, public())))
+def test_a_long_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run(name)
+
+
+@pytest.mark.quick
+def test_a_wrong_example_is_told() -> None:
+    def wrong() -> None:
+        """
+        >>> mistray.report.with_error(mistray.analysis.Estimate(2.0, 0.1))
+        '2.00 ± 0.20'
+        """
+
+    assert "Got:\n    '2.00 ± 0.10'" in failures("wrong", wrong)
