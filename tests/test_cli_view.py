@@ -83,7 +83,6 @@ def test_a_path_is_drawn_once_for_all_wavelengths() -> None:
     assert len(chosen_rows(traced, 100)) == len(ways)
 
 
-@pytest.mark.long
 def test_walls_are_recorded_and_painted(capsys: Captured) -> None:
     maps = ("--surface-maps", "housing*", "azimuths=8")
     code = succeeds(capsys, "view", "plate_and_wall", "--rays", 500, "--max-scatters", 0, *maps, "--out", "walls.html")

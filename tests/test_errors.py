@@ -152,7 +152,6 @@ def test_the_command_writes_nothing(
     check_line(err, words)
 
 
-@pytest.mark.long
 def test_the_good_scene_and_the_command_as_a_process(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     command = [sys.executable, "-m", "mistray", *COMMAND]
     old, new, words = CASES[0]

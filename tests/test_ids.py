@@ -68,7 +68,6 @@ def test_paths_are_the_same(tmp_path: Path, plain: mistray.Trace, names: tuple[s
         assert ids == [row.path_id for row in plain.paths.select(given)], given
 
 
-@pytest.mark.long
 def test_commands(tmp_path: Path, monkeypatch: Patch, capsys: Any) -> None:
     names = STRANGE[0]
     monkeypatch.chdir(tmp_path)

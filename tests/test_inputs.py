@@ -139,7 +139,6 @@ def patience() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", READERS)

@@ -149,7 +149,6 @@ STUDIES = ("baffle_vanes", "phone_camera_ar", "triplet_ar")
 RUN = [pytest.param(path, id=path.stem, marks=slow_unless(path.stem not in STUDIES)) for path in NOTEBOOKS]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("path", RUN)
 def test_runs(path, tmp_path):
     notebook = read(path)

@@ -525,7 +525,6 @@ SCENES = sorted((Path(__file__).parents[1] / "scenes").glob("*/scene.xml"))
 D_LINE_NM = 587.5618
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("path", SCENES, ids=[path.parent.name for path in SCENES])
 @pytest.mark.parametrize("field_deg", [0.0, 0.4, 9.0])
 def test_energy_closes_and_media_fit(path: Path, field_deg: float) -> None:

@@ -84,7 +84,6 @@ def test_editable_install(clone, tmp_path):
     assert mapping == {inside: clone / outside for outside, inside in SOURCES.items()}
 
 
-@pytest.mark.long
 def test_nobody_imports_the_mapped_folders_directly():
     """From the root of the repository, `import plugins` is a second copy of `mistray.plugins`."""
     wrong = []

@@ -76,7 +76,6 @@ def test_pages_are_current_and_every_plugin_has_one() -> None:
             assert markup not in text.replace("```", "")
 
 
-@pytest.mark.long
 def test_the_page_of_imported_files_is_current() -> None:
     """After a change of a reader: python docs/make_import_page.py."""
     peers.need("rayoptics")

@@ -180,7 +180,6 @@ def test_a_signal_ends_an_explosion(name: str, number: signal.Signals, tmp_path:
     assert not list(tmp_path.rglob(".mistray-*"))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("room", [200_000, 500_000])
 def test_a_full_disk_keeps_the_tables_that_fit(room: int, tmp_path: Path) -> None:
     def little_room() -> None:

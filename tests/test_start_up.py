@@ -59,7 +59,6 @@ def test_the_list_of_commands_needs_no_request(tmp_path: Path) -> None:
     assert {name.rpartition(".")[2] for name in found if name.count(".") > 2} == {"command"}
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("byte_code")
 def test_the_package_is_fast() -> None:
     run(sys.executable, "-c", "import mistray")

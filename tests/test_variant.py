@@ -29,7 +29,6 @@ def run_python(code: str, *arguments: str, **environment: str | None) -> subproc
     )
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("before", "environment", "argument", "expected"),
     [

@@ -13,7 +13,6 @@ SOME = {"options": 151, "scenes": 71, "files": 13, "surroundings": 15}
 SPLIT = {"options": 12, "scenes": 6, "files": 4}
 
 
-@pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("part", SOME)
 def test_some_cases(part: str, tmp_path: Path) -> None:

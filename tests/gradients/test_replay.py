@@ -151,7 +151,6 @@ def is_fragile(case: Case, path: Branches, lanes: np.ndarray) -> np.ndarray:
     return taken
 
 
-@pytest.mark.long
 def test_paths_replay_sequentially(case: Case) -> None:
     (run,) = case.t.runs
     assert {tuple(row.event_list) for row in case.t.paths} == set(case.by_path)

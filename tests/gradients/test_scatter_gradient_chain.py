@@ -171,7 +171,6 @@ DIRECTIONS = [pytest.param(name, False, id=f"{name}-forward") for name in FORMS]
 ]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("name", "backward"), DIRECTIONS)
 def test_flux_by_values(load_scene: Load, name: str, backward: bool) -> None:
     form = FORMS[name]

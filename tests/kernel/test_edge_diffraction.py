@@ -138,7 +138,6 @@ class TestPst:
         closed = 0.55e-3 * far.RADIUS / (2 * math.pi**2 * far.LENGTH**2) * mean
         assert far.expected(25.0, 0.1) == pytest.approx(closed, rel=1e-4)
 
-    @pytest.mark.long
     @pytest.mark.parametrize(
         ("method", "rays", "width"),
         [("adjoint", 20_000_000, 0.25), ("adjoint", 15_000_000, 0.5), ("forward", 600_000, 0.5)],

@@ -212,7 +212,6 @@ def kind_of(key: str) -> str:
     return "index" if name in ("n_front_shift", "n_back_shift") else name
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", KEYS)
 def test_each_parameter(cases: Callable[[str], Case], name: str) -> None:
     """Every kind of parameter and metric; a gradient that is 1 % too large fails for each of them."""
@@ -223,7 +222,6 @@ def test_each_parameter(cases: Callable[[str], Case], name: str) -> None:
     assert noticed >= {kind_of(key) for key in keys} - ({"tilt_z"} if name in ("triplet", "Offner relay") else set())
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["singlet", "double Gauss", "phone camera"])
 def test_directions(cases: Callable[[str], Case], name: str) -> None:
     """All parameters of a kind move at once, at random; the metric is a sum of moments of all paths, at random."""
@@ -350,7 +348,6 @@ def kind_by_model(key: str) -> str:
     return key if ".bsdf." in key else key.rsplit(".", 1)[-1]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", SCATTERING)
 def test_scatter_models(cases: Callable[[str], Case], name: str) -> None:
     """A gradient that is 5 % too large must fail for each kind."""
@@ -368,7 +365,6 @@ def test_what_is_left_out_is_named(cases: Callable[[str], Case]) -> None:
     assert any("scatter with the index" in text for text in found.left_out)
 
 
-@pytest.mark.long
 def test_cleanliness_level() -> None:
     """
     Dust, whose random choices change with its level: two traces with other seeds at levels 20 % apart.
@@ -535,7 +531,6 @@ CHANGES: dict[str, tuple[str, Callable[[Any], Any], list[str]]] = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("no_kernels")
 @pytest.mark.parametrize("name", CHANGES)
 def test_numbers_are_data(load_scene: Callable[[str], Any], name: str) -> None:
@@ -548,7 +543,6 @@ def test_numbers_are_data(load_scene: Callable[[str], Any], name: str) -> None:
     assert counts[2:] == [0, 0, 0], counts
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("how", [{}, {"method": "adam", "seeds": "fresh"}])
 def test_no_step_of_a_search_compiles(how: dict[str, Any]) -> None:
     """On the Cooke triplet: two terms of light at two fields, one of layers; none after the second step."""

@@ -45,7 +45,6 @@ def interaction_of(wi: np.ndarray, count: int) -> mi.SurfaceInteraction3f:
 
 
 class TestSampling:
-    @pytest.mark.long
     @pytest.mark.parametrize(
         ("angle", "mode"), [(0.0, IMPORTANCE), (50.0, IMPORTANCE), (50.0, RADIANCE), (80.0, IMPORTANCE)]
     )
@@ -100,7 +99,6 @@ class TestRefused:
         both = surface(small | {"rotation_deg": 30.0}, second=small | {"rotation_deg": 30.0}, R=0.0, T=0.0)
         assert str(both.sample_axis) == "x turned by 30°"
 
-    @pytest.mark.long
     @pytest.mark.parametrize(
         ("shape", "message"),
         [

@@ -270,7 +270,6 @@ def triplet() -> Any:
     return optic
 
 
-@pytest.mark.long
 def test_a_lens_there_and_back(triplet: Any) -> None:
     lens = lens_of_optiland(triplet)
     assert lens.surfaces[0].coating == Coating(R=0.02, T=0.97)

@@ -79,7 +79,6 @@ class TestPrism:
         assert down.power[0] == pytest.approx(np.pi * (1 - r) ** 2, rel=1e-5)
         assert t.energy.absorbed["porro_left"][0] == 0
 
-    @pytest.mark.long
     def test_closed(self) -> None:
         """Light that got into a concave body finds no gap between its faces on the way through 60 reflections."""
         corners = [(-10, -10), (10, -10), (10, 10), (3, 2), (-10, 10)]

@@ -274,7 +274,6 @@ BEAM, DISC, APART = 5.0, 3.0, 4.0  # radii and distance of the axes, mm
 SEEDS = 60
 
 
-@pytest.mark.long
 def test_a_clipped_beam(tmp_path: Path) -> None:
     """The closed form within the errors, which are those of the spread and fall faster than with random rays."""
     disc = shape_xml("asphere", "detector", 10.0, sensor=True, semi_diameter=DISC)
@@ -349,7 +348,6 @@ def test_contradictions_name_both_and_walls_alone_are_noted() -> None:
         assert any("'1.6'" in note and "'tube'" in note for note in found.facts["notes"]) == named
 
 
-@pytest.mark.long
 def test_a_solid_telescope_has_one_pst() -> None:
     """A mirror and a painted wall hide the entrance; forward rays need not know the glass. False alarms 1e-4 each."""
     front = {**BLACK, "front": "1.6"}

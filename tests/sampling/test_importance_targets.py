@@ -132,7 +132,6 @@ def oracle_lands(images: DetectorImages, name: str, number: int, origins: np.nda
     return landed
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", [*LENS_SCENES, "phone_camera"])
 def test_targets_hold_the_light_that_reaches_the_detector(name):
     """At least 98 % of the light that lands (5 % less of diffuse light) lies within; 10 % of the aimed rays land."""

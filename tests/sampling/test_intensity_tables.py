@@ -88,7 +88,6 @@ def test_flux() -> None:
 
 
 @pytest.mark.parametrize("wrong", [False, True])
-@pytest.mark.long
 def test_directions_follow_the_intensity(wrong: bool) -> None:
     """χ² of 24 × 24 cells of equal solid angle, against sums of the intensity; false alarm 1e-4. A wrong one fails."""
     found, n, side = rough(), 300_000, 24

@@ -123,7 +123,6 @@ def test_squares() -> None:
     assert_z("tilted", tilted.detected_W, float(parts.mean()), error, false_alarm=3e-5)
 
 
-@pytest.mark.long
 def test_errors_hold_over_seeds() -> None:
     """χ² of 40 seeds of four sources; false alarms 0.2 %."""
     for name in ("cone", "disc", "part of the sky", "stock area"):
@@ -331,7 +330,6 @@ def turned_scene(source: dict[str, Any], frame: mi.ScalarTransform4f) -> mi.Scen
     return lit({"id": "source", **source, "to_world": frame}, detector=detector)
 
 
-@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:source 'source'. to_world is in single precision")
 @pytest.mark.parametrize("half_angle_deg", [3.0, 0.02, 0.00458, 1e-3, 1e-4])
 def test_a_turned_scene_has_the_same_light(half_angle_deg: float) -> None:

@@ -126,7 +126,6 @@ INSTRUMENT = {
 }  # fmt: skip
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_beside_the_trace_from_the_detector(seed: int) -> None:
     """Surface by surface the irradiance that `mistray.thermal` finds, by lenses and scatter; false alarms 0.1 %."""
@@ -379,7 +378,6 @@ def test_zemax_file_by_hand(tmp_path: Path) -> None:
     assert read_ray_set(tmp_path / "no_unit.dat", unit="m").origins.tolist() == [[1000, 2000, 3000]]
 
 
-@pytest.mark.long
 def test_light_of_a_trace_goes_on(tmp_path: Path) -> None:
     """Rays at a plane, in a file, traced on: the image behind it is that of the whole trace. False alarms 0.1 %."""
     lamp = {"type": "surface_source", "radius": 2.0, "z": -30.0, "half_angle_deg": 20.0, "wavelength_nm": "450, 600"}

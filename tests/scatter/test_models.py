@@ -290,7 +290,6 @@ LOBES = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("theta_deg", [0.0, 30.0, 60.0, 85.0])
 @pytest.mark.parametrize("name", LOBES)
 def test_against_brute_quadrature(name: str, theta_deg: float) -> None:

@@ -204,7 +204,6 @@ class TestCommand:
         names = ("direct_power_W", "direct_rms_radius_mm", "paths")
         assert [results[0][name] for name in names] == pytest.approx([results[1][name] for name in names], rel=1e-9)
 
-    @pytest.mark.long
     def test_import(self, tmp_path: Path, capsys: Captured) -> None:
         source = find("phone_camera").with_name("prescription.json")
         rules = ["--coating", "L*=bbar4", "--paint", "barrel_*=good_black_paint"]

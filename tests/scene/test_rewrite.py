@@ -132,7 +132,6 @@ class TestText:
             '<float name="x" value="0.1"/>',
         ]
 
-    @pytest.mark.long
     @pytest.mark.parametrize(
         "values",
         [

@@ -224,7 +224,6 @@ def test_rays_that_leave_a_surface(scene: Scene) -> None:
     assert {scene.ids[i] for i in np.unique(surface[surface >= 0])} == set(scene.ids)
 
 
-@pytest.mark.long
 def test_grazing_rays(scene: Scene) -> None:
     """Many of them are fragile; see `test_a_shallow_double_crossing` for one that is just not."""
     hits, fragile = scene.compare(scene.grazing(8_000, seed=3))
@@ -492,7 +491,6 @@ def test_surfaces_of_all_kinds_in_a_tree_stop_the_same_light(load_scene: Load, m
         assert looped.energy.absorbed[name][0] == pytest.approx(power, abs=2e-4 * launched), name
 
 
-@pytest.mark.long
 def test_derivatives_by_rings_add_up_to_that_of_the_tube(load_scene: Load) -> None:
     """A metric of the tube's reflectance and radius: the same rays, so its derivative is the sum over the rings."""
 
@@ -505,7 +503,6 @@ def test_derivatives_by_rings_add_up_to_that_of_the_tube(load_scene: Load) -> No
     assert total(150, "bsdf.reflectance") == pytest.approx(total(1, "bsdf.reflectance"), rel=1e-5)
 
 
-@pytest.mark.long
 def test_the_kernel_does_not_grow_with_the_number_of_walls(load_scene: Load) -> None:
     """What is compiled is counted, which no cache of kernels hides; unrolled, a wall adds 110 operations."""
 

@@ -76,7 +76,6 @@ def oracle(layers: Layers, n_in: float, n_out: float, cosines: np.ndarray) -> np
     return np.array(values).T
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seed", range(8))
 def test_random_stacks(load_scene, seed) -> None:
     rng = np.random.default_rng(seed)

@@ -253,7 +253,6 @@ def test_names_follow_from_the_events_of_a_path_alone() -> None:
     assert [names_of([events], DESIGN)[0] for events in NAMES] == list(NAMES.values())
 
 
-@pytest.mark.long
 def test_different_paths_have_different_names() -> None:
     """Every event list of up to four events, 41 371 of them."""
     words = [f"{name}:{letter}" for name in ("front", "rear", "mirror", "tube") for letter in "TRtr"]
@@ -263,7 +262,6 @@ def test_different_paths_have_different_names() -> None:
         assert len(set(names_of(lists, *design))) == len(lists)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("scene", ["phone_camera", "double_gauss_barrel", "cassegrain", "lens_and_reflector"])
 def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
     pst = mistray.pst(mistray.load(scene), [18.0, 20.0, 22.0, 24.0], rays=4_000)
@@ -279,7 +277,6 @@ def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
         assert rows.label.str.strip().astype(bool).all()
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("scene", sorted(shipped_scenes()))
 def test_every_path_of_a_trace_has_a_name_of_its_own(scene: str) -> None:
     """At two wavelengths, where the same events have the same name; in the ledger, its print and by ways."""
@@ -306,7 +303,6 @@ def traced(scene) -> mistray.Trace:
     return mistray.trace(scene, rays=400, field_deg=1.0, wavelength_nm=[500.0, 600.0])
 
 
-@pytest.mark.long
 def test_every_printed_name_means_its_row(traced) -> None:
     rows = traced.paths.by_way()
     chosen = [*range(12), *range(12, len(rows), len(rows) // 12)]
@@ -325,7 +321,6 @@ def test_every_printed_name_means_its_row(traced) -> None:
         assert found == {traced.paths[i].events for i in expected}
 
 
-@pytest.mark.long
 def test_a_name_within_a_filter(traced) -> None:
     label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
     whole = traced.paths.select(label)

@@ -219,7 +219,6 @@ def events_of(row: Any, ray: Any, stack: tuple[tuple[complex, float], ...]) -> t
     return hits, np.cumprod(left)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("polarization", ["unpolarized", "stokes"])
 @pytest.mark.parametrize("field_deg", [0.0, 18.0])
 def test_flux_along_the_way(coated, polarization, field_deg) -> None:

@@ -22,7 +22,6 @@ def result(request):
     return request.param, LSST.compare(request.param, RAYS)
 
 
-@pytest.mark.long
 def test_every_path_of_batoid_and_no_other(result):
     """More are only those that come back to the camera by M3, which batoid's list of neighbours leaves out."""
     field, comparison = result

@@ -123,7 +123,6 @@ def check(name: str, adjoint: Pst, forward: Pst, case: Case) -> None:
     assert probability > FALSE_ALARM, f"{name}: χ² of {len(z)} numbers has the probability {probability:.1e}; {listed}"
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CASES]
 )

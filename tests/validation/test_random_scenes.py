@@ -164,7 +164,6 @@ def check(structure: int, count: int, folder: Path) -> Outcome:
     return outcome
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("structure", QUICK)
 def test_some_random_scenes(structure: int, tmp_path: Path) -> None:
     assert check(structure, QUICK[structure], tmp_path).lit >= QUICK[structure] / 4

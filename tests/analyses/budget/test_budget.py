@@ -83,7 +83,6 @@ def by_hand(parts: np.ndarray, limit: float) -> np.ndarray:
     return shape * np.sqrt(limit / np.sum(parts * shape**2))
 
 
-@pytest.mark.long
 def test_two_surfaces(source: Path, parts: np.ndarray, limit: float, tmp_path: Path) -> None:
     """To 1 %: what is scattered twice, and the light that scatter takes from the beam, are of second order."""
     result = budget(source, study(limit))

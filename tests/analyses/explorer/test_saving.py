@@ -84,7 +84,6 @@ def test_names_of_any_kind(saving, tmp_path):
     assert "窓 [1]" in other.save_study().read_text(encoding="utf-8")
 
 
-@pytest.mark.long
 def test_the_study_runs_on_both_scenes(saving, capsys):
     saving.move({"coating window": "bare"})
     with pytest.raises(mistray.MistrayError, match="control"):

@@ -99,7 +99,6 @@ def test_the_explorer_shows_itself(at_start, monkeypatch):
     assert "mistray[widget]" in at_start._repr_mimebundle_()["text/plain"]
 
 
-@pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the widget; install chromium")
 def test_the_front_end_speaks_with_a_model(at_start, tmp_path):
     with serving(at_start) as server, page(tmp_path / "profile") as shown:

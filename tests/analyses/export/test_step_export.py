@@ -193,7 +193,6 @@ def test_aspheres_as_opencascade_reads_them_lie_on_their_sag(tmp_path):
         assert ends.sum() > 500
 
 
-@pytest.mark.long
 def test_volumes_of_cemented_lenses_are_those_of_their_profiles(tmp_path):
     scene = mistray.load("double_gauss")
     parts = parts_of(mistray.export_step(scene, tmp_path / "gauss.step").path, TOL)
@@ -208,7 +207,6 @@ def test_volumes_of_cemented_lenses_are_those_of_their_profiles(tmp_path):
         assert abs(volume(parts[name]) - exact) <= 1.1 * TOL * area(parts[name])
 
 
-@pytest.mark.long
 def test_walls_come_back_as_the_frusta_that_they_are(tmp_path):
     scene = mistray.load("baffle_tube")
     written = mistray.export_step(scene, tmp_path / "tube.step")

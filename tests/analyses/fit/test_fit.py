@@ -36,7 +36,6 @@ class TestFit:
         assert found.chi_square < 1e-3
         assert found.degrees == 10
 
-    @pytest.mark.long
     def test_regions_hold_the_truth_as_often_as_they_say(self):
         """400 draws at 95 %: 380 ± 4.4 expected, 362 or less with a probability of 1e-4."""
         rng, inside, distances, start = np.random.default_rng(3), 0, [], {"height": 2.0, "decay": 1.0}
@@ -68,7 +67,6 @@ def weak(values: np.ndarray) -> Modelled:
 class TestScales:
     """Parameters that data hardly know, of either sign, and limits."""
 
-    @pytest.mark.long
     def test_regions_of_a_weak_roughness(self):
         """
         Its square is 0.12 with an error of 0.06: in the logarithm regions were cut off on one side.
@@ -259,7 +257,6 @@ def scene() -> Any:
 class TestPstBands:
     """The derivatives of a curve from one replay."""
 
-    @pytest.mark.long
     def test_jacobian_is_that_of_single_numbers(self, scene):
         """Each row against `mistray.gradient` of that cell; a band of both cells is the mean over solid angles."""
         bands = PstBands(scene, KEYS, (20, 22, 24), cell_deg=2.0, **SETTINGS)
@@ -287,7 +284,6 @@ class TestPstBands:
         assert bands.high[1] <= (62 / 10) ** 2 - 1, "a sphere over the whole lens"
         assert bands.low[2:].tolist() == [0, 1, 0]
 
-    @pytest.mark.long
     def test_data_of_an_azimuth_that_shows_no_screen(self, scene):
         """Where the lens does not light the screen, neither its place nor its paint is told; the roughness is."""
         keys = ("polish.rms_nm", "black.reflectance", "screen.y")
@@ -309,7 +305,6 @@ class TestPstBands:
             next(seen.table_gradients(np.ones((5, 1, 2)), request, np.zeros((1, 2), dtype=int)))
 
 
-@pytest.mark.long
 @pytest.mark.validation
 def test_truth_is_near_in_four_draws():
     """χ² of 12 degrees of freedom is beyond 32.9 with a probability of 1e-3; half the covariance doubles it."""

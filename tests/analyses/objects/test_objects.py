@@ -99,7 +99,6 @@ def test_a_tube_lit_from_outside(load_scene, angle):
     assert_z("detector", detector.value, direct, max(detector.se, 1e-12))
 
 
-@pytest.mark.long
 def test_cone_of_light_through_an_opening(load_scene):
     """Averaged over the solid angle of a cone, an area takes A (1 + cos h)/2; a disc source gives the same."""
     scene = load_scene(open_tube_text(1e-3, 1.0, 0.999))
@@ -224,7 +223,6 @@ def test_before_and_after_the_stop(phone):
     assert [entry.id for entry in found.optics] == ["primary", "diagonal", "image"]
 
 
-@pytest.mark.long
 def test_ray_controls(load_scene):
     scene = load_scene(plate_text(R=0.3, T=0.5))
     disc = DiskSource((0.0, 0.0, -1.0), 20.0, 1.0)
@@ -340,7 +338,6 @@ def seen_share(half_width: float, gap: float, glass: float, n: float) -> float:
     return float(np.trapezoid(np.sin(2 * theta) * azimuths, theta))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("total", [True, False])
 def test_gcf_of_one_side_is_at_most_one(total):
     """Closed forms of the last faces; L5 is seen by total reflection, too; one of a thousand fails by chance."""

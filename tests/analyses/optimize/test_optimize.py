@@ -134,7 +134,6 @@ class TestSearch:
         assert set(result.parameters) == {"p0_front.bsdf.R", "p0_rear.bsdf.R"}
         assert result.comparison.of("path_power").ratio == pytest.approx(2500, rel=1e-4)
 
-    @pytest.mark.long
     def test_several_starts_leave_a_local_minimum(self, plate: Path) -> None:
         """Three quarter waves are a minimum too, a worse one over a band: from there only other starts lead away."""
         band = [450, 550, 650]
@@ -294,7 +293,6 @@ def out(result: Optimization, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.long
 def test_tables(result: Optimization, out: Path) -> None:
     rows = pd.read_csv(out / "terms.csv")
     assert len(rows) == len(result.comparison.rows) == 1 + 2 + 2 + 4 + 1
@@ -503,7 +501,6 @@ def compared(folder: Path, seed: int) -> Any:
     return compare(*levels).total
 
 
-@pytest.mark.long
 def test_errors(tmp_path: Path) -> None:
     """Two sets of eight seeds agree within five errors of their difference, and common rays sharpen the ratio.
 

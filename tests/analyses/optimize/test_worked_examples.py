@@ -49,7 +49,6 @@ def found(script: Any) -> Any:
     ]
 
 
-@pytest.mark.long
 def test_better_than_the_preset_with_as_many_layers(script, found):
     textbook, designed, wrong = found
     assert [len(coating.stack.layers) for coating in designed.coatings] == [3] * len(script.GLASSES)
@@ -71,7 +70,6 @@ def test_better_than_the_preset_with_as_many_layers(script, found):
     assert [len(axes.lines) for axes in curves] == [2] * len(script.GLASSES)
 
 
-@pytest.mark.long
 def test_errors_of_gains(script):
     """Powers that differ by noise of known size: the error of a gain is that of the part that they do not share."""
     rng = np.random.default_rng(4)
@@ -170,7 +168,6 @@ def fewer_rays() -> DesignStudy:
     )
 
 
-@pytest.mark.long
 def test_stray_light_falls_and_light_of_the_field_is_kept(tmp_path: Path) -> None:
     """On other seeds; before and after trace the same rays, so that the ratio is known well. The first vanes grow."""
     result = optimize(script("baffle_vanes").short_vanes(tmp_path), fewer_rays(), next_order=False)

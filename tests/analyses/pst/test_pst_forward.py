@@ -277,7 +277,6 @@ def mean_of_cell(angle_deg: float) -> float:
     return float(np.mean(lit * np.cos(theta) * np.exp(-PER_MM * THICKNESS / np.cos(within))))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("material", [ABSORBING, SCATTERING])
 @pytest.mark.parametrize("method", ["adjoint", "joined"])
 def test_direct_light_is_weakened_in_front_of_the_detector(load_scene, material: str, method: str) -> None:
@@ -290,7 +289,6 @@ def test_direct_light_is_weakened_in_front_of_the_detector(load_scene, material:
     assert np.all(np.abs(z_score(value, exact, se)) < z_limit(4 * len(ANGLES_DEG)))
 
 
-@pytest.mark.long
 def test_light_scattered_in_front_of_the_detector(load_scene) -> None:
     """The light of one and two scatter events by both directions alone and together; false alarm 1e-3."""
     scene = load_scene(immersed(SCATTERING))

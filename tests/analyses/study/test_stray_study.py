@@ -63,7 +63,6 @@ def small() -> Study:
     return study(mistray.load("plate_and_wall"), ANGLES, FIELDS, rays=RAYS, name="plate and wall")
 
 
-@pytest.mark.long
 def test_surfaces_in_the_order_of_the_light_and_their_targets(camera):
     step = optical_model(*camera)
     table = step.table
@@ -181,7 +180,6 @@ def test_eight_steps_in_order(small):
         small["ghosts"]
 
 
-@pytest.mark.long
 def test_one_report_and_a_csv_of_every_table(small, tmp_path: Path):
     files = small.write(tmp_path / "out", "mistray study plate_and_wall")
     assert files[-1].name == "report.html"
@@ -218,7 +216,6 @@ def test_bad_arguments_are_one_line():
 HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
 
 
-@pytest.mark.long
 def test_tables_facts_and_findings(load_scene):
     scene = load_scene(paraboloid_text(HALO, detector=5.0))
     # At 4° the direct image misses the detector
@@ -238,7 +235,6 @@ def test_tables_facts_and_findings(load_scene):
     assert f"{lost:.3g} %" in text
 
 
-@pytest.mark.long
 def test_every_face_has_its_models() -> None:
     """Table 12: polish on what light crosses, flat black on the structure, particles on everything."""
     outside = {"window_front", "barrel_0_recess", "barrel_0_front_face"}
@@ -394,7 +390,6 @@ def test_the_rim_of_a_stop(load_scene: Callable[[str], Any]) -> None:
     assert np.ptp(ends.opl_mm) < 1e-9
 
 
-@pytest.mark.long
 def test_rays_of_fields_and_wavelengths_and_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = mistray.load("cooke_triplet")
     table = critical_rays(scene, [0.0, 8.0], wavelength_nm=[486.1, 656.3], rays=2000)

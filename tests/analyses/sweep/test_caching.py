@@ -143,7 +143,6 @@ class TestReuse:
         assert mistray.sweep(lens, cache=kept, **ASKED).reused == 2
 
 
-@pytest.mark.long
 def test_whatever_a_number_depends_on_makes_another_key(lens: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def key(place: tuple[str, float] | None = None, field_deg: float = 0.0, nm: float = 500.0,
             azimuth_deg: float | None = None, **settings: Any) -> str:  # fmt: skip

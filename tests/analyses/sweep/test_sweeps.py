@@ -325,7 +325,6 @@ def test_nothing_changes_nothing(scene: Path) -> None:
     assert "10 deg" in text
 
 
-@pytest.mark.long
 def test_edits_say_that_their_light_is_unpolarised(tmp_path: Path) -> None:
     """The ghost of a plate at 45° is 1.548 times as bright by Stokes vectors; what is given is taken."""
     scene, edit = write(tmp_path, plates_text(1)), Configuration("bent", {"p0_front.curvature": [1e-5]})
@@ -336,7 +335,6 @@ def test_edits_say_that_their_light_is_unpolarised(tmp_path: Path) -> None:
     assert any(told in text for text in rank_edits(scene, 45.0, rays=2000, keys=["p0_front.z"]).left_out)
 
 
-@pytest.mark.long
 def test_painted_and_moved_light_is_in_proportion(scene: Path) -> None:
     """What the wall scatters once goes with its reflectance, ray by ray: the error of the ratio is that of float32."""
     found = swept(
@@ -376,7 +374,6 @@ def test_a_block(scene: Path) -> None:
         assert change.before_se > 0
 
 
-@pytest.mark.long
 def test_the_error_of_the_ratio(scene: Path) -> None:
     """
     Of 12 seeds the ratios spread as their errors say.
@@ -390,7 +387,6 @@ def test_the_error_of_the_ratio(scene: Path) -> None:
     assert 1.5 < chi2 < 37.4
 
 
-@pytest.mark.long
 def test_tables_and_command(ringed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     edits = tmp_path / "edits.toml"
     edits.write_text(
@@ -497,7 +493,6 @@ def through_the_hole(hole: float = HOLE, distance: float = DISTANCE, nm: float =
     return float(np.average(values, weights=np.diff(-np.cos(edges))))
 
 
-@pytest.mark.long
 def test_closed_forms(ringed: Path) -> None:
     """All four methods: four comparisons within 4.5 standard errors, false alarm 3e-5; the widest error is 10 %."""
     found = ranked(ringed, "direct", rays=1_200_000)
@@ -526,7 +521,6 @@ def test_closed_forms(ringed: Path) -> None:
     assert painted.derivative[0].se > 1e-3 * painted.derivative[0].value
 
 
-@pytest.mark.long
 def test_parts_move_as_a_whole() -> None:
     """The derivative by the place of a lens is the sum of those by its surfaces, which are no edits of their own."""
     scene, settings = mistray.load("baffle_tube"), {"rays": 20_000, "max_scatters": 1, "cell_deg": 8}
@@ -541,7 +535,6 @@ def test_parts_move_as_a_whole() -> None:
     assert not {*keys, "lens_front.tilt_x"} & labels
 
 
-@pytest.mark.long
 def test_several_angles_share_one_pst(ringed: Path) -> None:
     both = rank_edits(ringed, [ANGLE, 25.0], "total", rays=20_000, max_scatters=1)
     metric = pst_bin(mistray.load(ringed), 25.0, "total", pst_field_deg=[ANGLE, 25.0], rays=20_000, max_scatters=1)

@@ -208,7 +208,6 @@ def test_a_smooth_mirror_has_no_stray_light(load_scene):
     np.testing.assert_allclose(outside, expected, rtol=0.08)
 
 
-@pytest.mark.long
 def test_wavelengths_are_added_by_their_light(load_scene):
     """The sum over wavelengths of lens times (direct + scatter), with the shares of a trace of each."""
     scene = load_scene(paraboloid_text(HALO))
@@ -222,7 +221,6 @@ def test_wavelengths_are_added_by_their_light(load_scene):
     assert_z("MTF", found.value, expected, se, floor=1e-6, false_alarm=1e-3)
 
 
-@pytest.mark.long
 def test_errors_hold_over_seeds(load_scene):
     """Spread of 60 seeds over the printed errors, pooled: 0.85 … 1.15; of one number a false alarm is below 0.1."""
     scene = load_scene(paraboloid_text(HALO, detector=5.0))
