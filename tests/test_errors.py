@@ -9,37 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import vectors
 
 import mistray
 from mistray import cli
 from mistray.errors import MistrayError
 
-SCENE = """\
-<scene version="3.0.0">
-    <integrator type="straylight"/>
-    <emitter type="collimated" id="source">
-        <float name="radius" value="2"/>
-    </emitter>
-    <shape type="asphere" id="L1_front">
-        <float name="radius" value="20"/>
-        <float name="semi_diameter" value="5"/>
-        <bsdf type="interface"><string name="back" value="1.5"/></bsdf>
-    </shape>
-    <shape type="asphere" id="L1_rear">
-        <float name="radius" value="-20"/>
-        <float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="3"/></transform>
-        <bsdf type="interface"><string name="front" value="1.5"/></bsdf>
-    </shape>
-    <shape type="asphere" id="detector">
-        <float name="half_width" value="5"/>
-        <float name="half_height" value="5"/>
-        <transform name="to_world"><translate z="20"/></transform>
-        <bsdf type="interface"><float name="R" value="0"/></bsdf>
-        <sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor>
-    </shape>
-</scene>
-"""
+SCENE = vectors.text("singlet.xml")
 EMITTER = re.search(r"    <emitter.*</emitter>\n", SCENE, re.DOTALL)[0]
 SENSOR = re.search(r"        <sensor.*</sensor>\n", SCENE)[0]
 FIRST_BSDF = '<bsdf type="interface"><string name="back" value="1.5"/></bsdf>'

@@ -1,4 +1,4 @@
-"""Tables of numbers that tests compare with, in tests/data; the comments of each file name its source."""
+"""Files of tests/data: texts, and tables of numbers that tests compare with, whose comments name the source."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ from pathlib import Path
 import pandas as pd
 
 DATA = Path(__file__).parent / "data"
+
+
+def text(name: str) -> str:
+    return (DATA / name).read_text(encoding="utf-8")
 
 
 def rows(name: str) -> list[dict[str, str]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import vectors
 from oracles import brushed
 from refusals import refused
 
@@ -171,33 +172,7 @@ def test_events_and_equality() -> None:
     assert (one, hash(one)) == (Tabulated(level()), hash(Tabulated(level())))
 
 
-LAMBERT = """# a comment
-Source  Measured
-Symmetry  PlaneSymmetrical
-SpectralContent  Monochrome
-ScatterType  BRDF
-SampleRotation  1
-0
-AngleOfIncidence  2
-0\t60
-ScatterAzimuth 3
-0 90 180
-ScatterRadial 4
-0 10 90
-150
-
-Monochrome
-DataBegin
-TIS 0.3
-0.0954929658551372 0.0954929658551372 0.0954929658551372 0
-0.0954929658551372 0.0954929658551372 0.0954929658551372 0
-0.0954929658551372 0.0954929658551372 0.0954929658551372 0
-TIS 0.3
-0.0954929658551372 0.0954929658551372 0.0954929658551372 0.0954929658551372
-0.0954929658551372 0.0954929658551372 0.0954929658551372 0
-0.0954929658551372 0.0954929658551372 0 0
-DataEnd
-"""
+LAMBERT = vectors.text("lambert.bsdf")
 DENSE = np.concatenate([[0.0], np.geomspace(0.05, 150, 60)])
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import tmm
+import vectors
 from command_line import Captured, fails, run, succeeds
 from oracles.small_scenes import write
 from refusals import refused
@@ -217,48 +218,7 @@ class TestCommand:
 
 AR = Stack((Layer("1.38", 99.5), Layer("2.1", 131.25)), name="AR")
 TRIPLET = find("cooke_triplet")
-SCENE = """<?xml version="1.0" encoding="utf-8"?>
-<!-- a > b, "quoted" -->
-<scene version="3.0.0">
-    <integrator type="straylight"/>
-    <emitter type="collimated"><float name="radius" value="1"/></emitter>
-    <bsdf type="interface" id="glass">
-        <string name="back" value="1.5"/> <!-- crown -->
-        <float name="R" value="0.1"/>
-        <float name="T" value="0.9"/>
-    </bsdf>
-    <bsdf type="thinfilm" id="old">
-        <string name="preset" value="v_coat"/>
-    </bsdf>
-    <!-- the lens -->
-    <shape type="asphere" id="a">
-        <float name="semi_diameter" value="5"/>
-        <ref id="glass"/>
-    </shape>
-    <shape type="asphere" id="b">
-        <float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="2"/></transform>
-        <bsdf type="interface">
-            <string name="front" value="1.5"/>
-            <ref id="old"/>
-        </bsdf>
-    </shape>
-    <shape type="asphere" id="c"><float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="4"/></transform>
-        <bsdf type="interface"><string name="back" value="1.6"/><bsdf type="thinfilm"><string name="layers" value="1.4 100"/></bsdf></bsdf></shape>
-    <shape type="asphere" id="d"><float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="6"/></transform>
-        <bsdf type='thinfilm' id="alone"><string name="front" value="1.6"/><string name="preset" value="bbar3"/><string name="back" value="air"/></bsdf></shape>
-    <shape type="asphere" id="e"><float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="8"/></transform><bsdf type="interface"/></shape>
-    <shape type="asphere" id="detector">
-        <float name="half_width" value="5"/><float name="half_height" value="5"/>
-        <transform name="to_world"><translate z="9"/></transform>
-        <bsdf type="interface"><float name="R" value="0"/></bsdf>
-        <sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor>
-    </shape>
-</scene>
-"""  # noqa: E501
+SCENE = vectors.text("coat.xml")
 
 
 class TestWhatChanges:
