@@ -75,13 +75,6 @@ def watts(loaded: Any, rays: int) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def beam_psts(loaded: Any, angles: list[int], rays: int) -> dict[int, float]:
-    beam = mistray.ghosts(loaded, field_deg=angles, rays=rays)
-    area = SIDE**2
-    sums = {angle: beam.summary(float(angle)) for angle in angles}
-    return {angle: (s.direct.power_W.value + s.stray_W.value) / ABSORBED / area for angle, s in sums.items()}
-
-
 def bends(found: Pst) -> pd.DataFrame:
     rows = [
         (b.field_deg, b.slope_before, b.slope_after, b.change_se, _words(b.before), _words(b.after))
