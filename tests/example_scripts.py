@@ -1,7 +1,5 @@
 """The scripts of examples/ and docs/ as modules, anew at each call: a test may reduce what they trace."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tiny scenes and studies on which `number_fuzz` tries its numbers, and the command lines that use them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

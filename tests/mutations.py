@@ -5,8 +5,6 @@ A fault is caught if a test fails that `make test` runs, in the files named besi
 exit code 1 if a fault is not caught.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

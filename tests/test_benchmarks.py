@@ -1,7 +1,5 @@
 """The benchmarks: that they refuse unequal work, remember, and tell what got slower. They run in small here."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The command line: arguments, one-line errors, exit codes; progress on a terminal after a second."""
 
-from __future__ import annotations
-
 import argparse
 import ast
 import importlib

@@ -1,7 +1,5 @@
 """No command replaces a file that it reads, nor, without --force, any other; it says so before it computes."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil

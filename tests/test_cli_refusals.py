@@ -1,7 +1,5 @@
 """What the commands themselves refuse: one line that names the option and the remedy, before anything is traced."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from pathlib import Path

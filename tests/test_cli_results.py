@@ -1,7 +1,5 @@
 """What options of commands make of a result, in text, JSON and files; PSTs and searches that are saved and go on."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

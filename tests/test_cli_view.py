@@ -1,7 +1,5 @@
 """`mistray view`: the page, other files, rays by class, walls."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What README.md and docs/ show works: Python runs, a page in one namespace; commands exist; links lead somewhere."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util

@@ -1,7 +1,5 @@
 """The documentation site builds without a warning, its links lead somewhere, and its search answers questions."""
 
-from __future__ import annotations
-
 import html
 import inspect
 import json

@@ -1,7 +1,5 @@
 """Bad input: one line on stderr that names the object, the value and the remedy; exit code 2; nothing written."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Every command of mistray end to end: its exit code, the numbers of `--json`, the files it writes and what it says."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from functools import reduce

@@ -1,7 +1,5 @@
 """Ids with blanks, quotation marks, arrows: the same numbers as with plain ones, in every table and on every page."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import json

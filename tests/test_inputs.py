@@ -1,7 +1,5 @@
 """Every reader of a user's file opens regular files only, and what makes no sense is named at once."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util

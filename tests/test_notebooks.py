@@ -1,7 +1,5 @@
 """The notebooks run, and are committed without what running them leaves behind."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

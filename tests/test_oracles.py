@@ -1,7 +1,5 @@
 """The oracles against vectors, analytic cases, each other, and the shipped scenes."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

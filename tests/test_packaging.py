@@ -1,7 +1,5 @@
 """The wheel, the sdist's wheel and the editable install hold the files that are in the repository, and nothing else."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import pkgutil

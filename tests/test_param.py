@@ -1,7 +1,5 @@
 """Parameters of plugins, ranges of numbers, shares as texts: what they hold and say, in Python, shell and scenes."""
 
-from __future__ import annotations
-
 import argparse
 import inspect
 import math

@@ -1,7 +1,5 @@
 """The pages that scripts write are current; examples of the plugins load, and their tables tell the truth."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import re

@@ -1,7 +1,5 @@
 """Files around the program keep to what pages say: workflow, hooks, templates, addresses, deprecations."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Files that belong together appear together, and a folder of results is the old or the new one, however a run ends."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import importlib

@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM end a command within two seconds, with one line and 130 or 143, whatever it is at."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import resource

@@ -3,8 +3,6 @@
 That of the package grows with the load of the machine, and is compared with that of NumPy and Mitsuba alone.
 """
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Closed streams, places without UTF-8 or home, no time: a line says what to do, or what was not traced."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """The ten tasks of docs/tasks.md run and give what the page says; what docs/coming_from.md names exists."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import inspect

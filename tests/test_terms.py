@@ -1,7 +1,5 @@
 """Terms of the field in the engine and the PST: private words for them do not come back."""
 
-from __future__ import annotations
-
 import io
 import re
 import tokenize

@@ -1,7 +1,5 @@
 """The variant is one that can trace, and every plugin follows it."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

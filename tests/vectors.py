@@ -1,7 +1,5 @@
 """Files of tests/data: texts, and tables of numbers that tests compare with, whose comments name the source."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Reports of objects, of thermal emission, and of images with stray light."""
 
-from __future__ import annotations
-
 import inspect
 import io
 import json

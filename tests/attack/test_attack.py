@@ -1,7 +1,5 @@
 """The attack, some of its cases or all: nothing that a user or an enemy gives ends in a traceback, a hang or a lie."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

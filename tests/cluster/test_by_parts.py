@@ -1,7 +1,5 @@
 """Work in parts, and `mistray.distribute` with a cluster of processes; scenes on their way to another process."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import gc

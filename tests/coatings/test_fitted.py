@@ -1,7 +1,5 @@
 """Presets on bodies that they were not made for, against `tmm` and a plain quarter wave."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Coatings: bare surfaces, shares, stacks beside `tmm`, presets beside vectors, tables of both sides."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Coating files of Zemax OpticStudio, coatings by the strings that name them, tables written and read back."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

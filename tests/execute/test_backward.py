@@ -1,7 +1,5 @@
 """Backward traces: balance, books, passes that add up; launches of bounded time, which no number hangs on."""
 
-from __future__ import annotations
-
 import copy
 import importlib
 import os

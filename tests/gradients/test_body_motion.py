@@ -1,7 +1,5 @@
 """Bodies whose faces meet in edges that the light crosses: the sum of their faces' derivatives is that of the body."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The choice of the width of zones at rims: drawn hits of a known density, and scenes whose derivatives are known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

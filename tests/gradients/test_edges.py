@@ -1,7 +1,5 @@
 """What a metric gains where rims and silhouettes move, and at the onset of total reflection; 1 of 1000 runs fails."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Beams that just fill a rim, and derivatives by the numbers of outlines, against closed forms."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

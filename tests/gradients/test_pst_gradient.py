@@ -1,7 +1,5 @@
 """Derivatives of a PST by rays of both directions, of a lens that scatters in a painted tube with a vane."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

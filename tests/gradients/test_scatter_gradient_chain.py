@@ -1,7 +1,5 @@
 """Derivatives of scatter along a path by values, directions, normals, R and T, against closed forms in float64."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Scatter that depends on how a sample lies, in a trace: within 4 standard errors (6e-5 each) and what is written at
 the test for interpolation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Media that absorb and scatter: Beer and Lambert's law, slabs against float64 photons, quadratures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles import bulk

@@ -1,7 +1,5 @@
 """Rings that diffract, traced: within 3 standard errors of the far field of a round aperture (2.7e-3 each)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

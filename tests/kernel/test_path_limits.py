@@ -1,7 +1,5 @@
 """Limits of paths in closed form: thresholds by kind of branch, hits, ancestry, operations; what is cut is booked."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

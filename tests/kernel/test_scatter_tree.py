@@ -1,7 +1,5 @@
 """The ray tree of a scattering lens against a slow Monte Carlo in float64, path by path, and its energy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

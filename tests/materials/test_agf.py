@@ -1,7 +1,5 @@
 """Zemax AGF files and a user's CSV tables: indices, transmittances, encodings, and lines that are wrong."""
 
-from __future__ import annotations
-
 import cmath
 import math
 

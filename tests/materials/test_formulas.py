@@ -1,7 +1,5 @@
 """Dispersion formulas against the package that brings the pages, closed evaluations and printed indices."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

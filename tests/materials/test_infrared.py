@@ -1,7 +1,5 @@
 """Materials of the infrared: indices against numbers that others print, absorption, names, and where the data end."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

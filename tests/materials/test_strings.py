@@ -1,7 +1,5 @@
 """What a material string may be, and what is said about a wrong one."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """STL, PLY and OBJ: names, units, polygons, damage; and the PLY files that are written."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

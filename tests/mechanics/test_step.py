@@ -1,7 +1,5 @@
 """STEP files: units, assemblies, complete and trimmed faces, normals, damage; and the PST of a tube from one."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Paint and spaces by name, scene files with mechanics, and the plugin `part_mesh`."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Derivatives by geometry against the float64 oracle and differences, and what a new value compiles: nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path

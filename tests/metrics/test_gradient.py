@@ -1,7 +1,5 @@
 """Derivatives of metrics by shares, layers and indices, beside closed forms and differences, also of full traces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Metrics of traces: their numbers against the tables of the traces themselves, and their coating gradients."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

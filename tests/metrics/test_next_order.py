@@ -1,7 +1,5 @@
 """A result beside that with one more event on each path, curves with other limits, and a term that reaches 0."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sags on grids, exact for bicubics, and Forbes's polynomials, against batoid, their definition and optiland."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

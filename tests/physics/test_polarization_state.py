@@ -1,7 +1,5 @@
 """What sources say of their polarisation, against fields in time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from refusals import refused

@@ -1,7 +1,5 @@
 """Stacks and their derivatives in NumPy and Dr.Jit against tables, `tmm`, closed forms and differences."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Plugins keep Mitsuba's protocols; probes, far fields, maps and splits as sensors of a scene or beside its file."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

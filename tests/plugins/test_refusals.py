@@ -1,7 +1,5 @@
 """Parameters of plugins that do not go together: one line that names the object, the parameters and the remedy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

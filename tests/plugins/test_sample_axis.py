@@ -1,7 +1,5 @@
 """Anisotropic tables as Mitsuba BSDFs: density and weights of samples, radiance under `path`, and what is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

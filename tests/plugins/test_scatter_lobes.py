@@ -1,7 +1,5 @@
 """Lobes of the scatter plugins: values and derivatives against float64, samples by χ² and by what they weigh."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

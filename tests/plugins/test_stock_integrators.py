@@ -1,7 +1,5 @@
 """Our shapes as Mitsuba plugins, and radiance through glass by stock integrators, as thermodynamics says."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Lenses of optiland, both ways, of ray-optics, and OSLO files; other files: tests/validation/test_lens_files.py."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Vane tubes, spiders and Cassegrain baffles by straight float64 rays: what they shade, and what cannot be one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Prisms, boxes, cubes and plates: closed bodies that do to light what textbooks say, and arrays."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """CODE V files made by hand, command by command; those of other programs: tests/validation/test_lens_files.py."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Lens files of FlareSim and prescriptions in JSON: what is read, what is assumed, and what is refused by name."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

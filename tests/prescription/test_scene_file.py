@@ -1,7 +1,5 @@
 """One tree of nodes, two forms: the dictionary and the XML file hold the same scene, with its models of scatter."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path

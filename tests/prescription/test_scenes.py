@@ -1,7 +1,5 @@
 """Shipped scenes are what their prescriptions give, with the figures of their sources; an infrared camera."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Cells of directions against float64; probes and far fields of light that passes or leaves, by closed forms."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -1,7 +1,5 @@
 """Modes agree, standard errors say how far results and pixels scatter; hits on a film with a tent."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 from typing import Any

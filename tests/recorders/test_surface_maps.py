@@ -1,7 +1,5 @@
 """Light at surfaces: what they do with it, where it falls on walls, and parts of it; closed forms and the ledger."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 

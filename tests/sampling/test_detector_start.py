@@ -1,7 +1,5 @@
 """Start rays of a detector, spread evenly or learned from light, and scatter in media that is aimed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cones of aimed scatter beside the oracle, what targets refuse, and all kinds of rays beside unaimed light."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Intensities by direction from files: flux, directions, aim and orientation, beside closed forms."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mitsuba as mi

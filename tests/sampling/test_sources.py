@@ -1,7 +1,5 @@
 """Light of sources near and far on a detector, beside closed forms; sources that cannot be, by each way in."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Sources: the own emission of a scene, rays of files, and derivatives by every number that has them."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Files of measured scatter: spectra of a polish, BSDFs of Speos, ABg catalogues of OpticStudio."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Scatter models: what they refuse and scatter, totals over the hemisphere, scans, chances without aimed rays."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math

@@ -1,7 +1,5 @@
 """Tables of scatter: what they hold comes back, files of isotropic and turned samples, and what is wrong with one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

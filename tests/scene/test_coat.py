@@ -1,7 +1,5 @@
 """Coatings, paint and scatter put on surfaces by patterns: what they do to light, what changes in a file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

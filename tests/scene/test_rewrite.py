@@ -1,7 +1,5 @@
 """Scene files with other values are what was given, and nothing else changes; improbable scatter is named."""
 
-from __future__ import annotations
-
 import difflib
 import subprocess
 import sys

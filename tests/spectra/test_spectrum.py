@@ -1,7 +1,5 @@
 """Spectra beside published numbers and integrals of their own; as a trace takes them from every kind of scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

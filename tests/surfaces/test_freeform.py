@@ -1,7 +1,5 @@
 """Freeforms against float64 and batoid, and surfaces that meet in a seam."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Nearest hits and normals against the oracle, and what stays where a scene is turned, moved, scaled or mirrored."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable, Iterator

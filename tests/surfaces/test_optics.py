@@ -1,7 +1,5 @@
 """R and T in the kernel against tmm, light through bodies that absorb, and stock shapes beside analytic surfaces."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

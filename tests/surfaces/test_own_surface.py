@@ -1,7 +1,5 @@
 """A surface that a user defines in one file, as this one: part of a torus, the rounded lip of a baffle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Wrong values of every field of every analysis, from what the fields demand: one line with name, value and remedy."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import pickle

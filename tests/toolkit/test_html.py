@@ -1,7 +1,5 @@
 """Reports as HTML and PDF: what is on their pages, files all there or none, and where headings of columns stand."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import importlib

@@ -1,7 +1,5 @@
 """Requests as JSON: schemas that take what requests take, and round trips."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

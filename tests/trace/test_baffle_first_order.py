@@ -1,7 +1,5 @@
 """Generated tubes show no first-order path, forwards and backwards; spoiled ones do: false alarms 0."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from dataclasses import replace

@@ -5,8 +5,6 @@ and only float32 rounding is left: 1e-6 relative, which `assert_within` takes as
 standard error is written at the test, the number is within 0.1 %.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

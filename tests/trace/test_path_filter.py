@@ -1,7 +1,5 @@
 """The language of filters, and names of paths: their algebra, flags and errors, and that each name means its path."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import warnings

@@ -1,7 +1,5 @@
 """The path table from ledgers written down by hand: classes, ways of the light, errors of sums, and its speed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from fake_ledger import (

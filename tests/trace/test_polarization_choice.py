@@ -1,7 +1,5 @@
 """The mode of polarisation that a trace takes, and rays of coated lenses, against closed forms and field vectors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import prod
 from typing import Any

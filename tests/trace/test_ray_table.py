@@ -1,7 +1,5 @@
 """Tables of rays at the detector, at any surface and of many paths: exactly the rays that are asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

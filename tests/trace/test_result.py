@@ -1,7 +1,5 @@
 """What a trace gives back and is asked for: maps, tables, colours, several detectors, errors on enough rays."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import fields, replace
 from pathlib import Path

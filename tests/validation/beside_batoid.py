@@ -1,7 +1,5 @@
 """Telescopes that batoid ships, ray by ray beside its split trace, which lets light go to a neighbour only."""
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import dataclass, replace
 from functools import cached_property

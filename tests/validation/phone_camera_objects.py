@@ -1,7 +1,5 @@
 """Critical, illuminated and common objects of the phone camera beside Tables 7, 9 and 10 of the FRED study."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

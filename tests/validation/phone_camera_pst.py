@@ -1,7 +1,5 @@
 """PST of the phone camera beside that of the FRED study, whose numbers stand in the notebook."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any

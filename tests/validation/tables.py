@@ -1,7 +1,5 @@
 """Tables of the validation reports, as docs/make_validation_tables.py writes them, read back."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Designs of CODE V whose images are known, in float64: an imager of Zernike mirrors, a bench of parabolas."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rubin/LSST ray by ray against batoid; see docs/validation/lsst.md."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

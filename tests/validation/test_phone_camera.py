@@ -1,7 +1,5 @@
 """The phone camera against an independent ray trace, quadrature, and the FRED study; see docs/validation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles.statistics import assert_z, z_limit

@@ -1,8 +1,6 @@
 """The PST backward and forward, two samplings of one integral, on nine scenes with ghosts and scatter: differences over
 their errors, a Student t of 31 degrees of freedom, as normal variables; numbers that single rays carry do not enter."""
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,8 +1,6 @@
 """PSTs by both methods against closed forms and quadrature in float64: within 5 standard errors of 32 batches, false
 alarm 2e-5 each of about 300 numbers, with errors below the limits at the tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Random freeforms, each from its number alone: closed books, no NaN, and the paths of a tracer in float64."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

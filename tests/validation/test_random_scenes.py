@@ -1,8 +1,6 @@
 """A thousand random systems (``python tests/random_scenes.py NUMBER FOLDER``): no NaN, closed books, the oracle's
 paths; scenes with a fault stay in the test's temporary folder."""
 
-from __future__ import annotations
-
 import dataclasses
 import faulthandler
 import re

@@ -1,8 +1,6 @@
 """Aimed scatter of six scenes: the answer as without aim, and how much sooner, by the ratio of variance × time; unaimed
 hits carry nearly the same flux w, so that the variance of a power P without hits is P w."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Printed standard errors are those of repeated runs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Three telescopes ray by ray against batoid; see docs/validation/telescopes.md."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Budgets of scatter: the least cost against Lagrange multipliers by hand and enumeration, and what cannot be met."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from typing import Any

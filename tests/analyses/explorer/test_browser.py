@@ -1,7 +1,5 @@
 """The explorer used in a real browser: ten steps of somebody who plays with a lens, and twenty moves that are timed."""
 
-from __future__ import annotations
-
 import json
 import random
 import threading

@@ -1,7 +1,5 @@
 """What the explorer says at once agrees with what a trace of the same state finds, in the coatings that are put on."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What Save writes is a scene and a study of the state that is shown; no file is lost."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

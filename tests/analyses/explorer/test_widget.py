@@ -1,7 +1,5 @@
 """The widget answers as the page does, by messages, and shows itself in Jupyter."""
 
-from __future__ import annotations
-
 import builtins
 import json
 import time

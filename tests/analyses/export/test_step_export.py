@@ -1,7 +1,5 @@
 """STEP files: their numbers against float64 formulas, and bodies as OpenCASCADE reads them against closed forms."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

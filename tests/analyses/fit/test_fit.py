@@ -1,7 +1,5 @@
 """Fits with a covariance: a model in closed form, and the PST in bands against its own cells and differences."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

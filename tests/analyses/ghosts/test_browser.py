@@ -1,7 +1,5 @@
 """Every control of a report in a browser: headless Chromium opens the pages and uses them."""
 
-from __future__ import annotations
-
 import base64
 import re
 from collections.abc import Callable, Iterator

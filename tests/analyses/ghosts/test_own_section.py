@@ -1,7 +1,5 @@
 """A section of one's own in the report of a ghost analysis: this file is all that a user writes."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

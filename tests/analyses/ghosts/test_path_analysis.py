@@ -1,7 +1,5 @@
 """Paths with their lengths, objects and sort keys, under other names; scattered light and ranks in tables and pages."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

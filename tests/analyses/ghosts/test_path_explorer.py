@@ -1,7 +1,5 @@
 """The panel of a field: what the page holds of its paths, and the scripts that work with it."""
 
-from __future__ import annotations
-
 import base64
 import importlib
 import io

@@ -1,7 +1,5 @@
 """What a ghost analysis comes to: the worst paths, the surface to change first, several wavelengths, Airy discs."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Image quality of scenes with closed forms, and surface transfer functions of scatter models."""
 
-from __future__ import annotations
-
 import math
 
 import mitsuba as mi

@@ -1,7 +1,5 @@
 """Critical, illuminated and common objects: view factors, set logic, places, product estimates, patches, bad input."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The merit, its worst field and wavelength, and derivatives by reflectances, against formulas and differences."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Optimisations: closed-form optima, bounds, starts, methods, checkpoints, files and tables, and other seeds."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Searches on functions whose minima are known, start designs, variables, and what is refused."""
 
-from __future__ import annotations
-
 import sys
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Studies: what they say, and one clear line for everything that is wrong."""
 
-from __future__ import annotations
-
 import copy
 import re
 import tomllib

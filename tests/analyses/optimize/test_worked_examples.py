@@ -1,7 +1,5 @@
 """Worked examples, reduced: two designs of coatings beside textbook ones, vanes that grow, walls that stay joined."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """PST by both directions at once: a pilot, errors that hold, weight windows, deep baffles, weights that add to one."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import itertools

@@ -1,7 +1,5 @@
 """The PST by forward runs, from within a medium, and by backward runs: closed forms, errors asked for, saved books."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 from typing import Any

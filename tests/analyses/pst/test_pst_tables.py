@@ -1,7 +1,5 @@
 """A known PST: its saved state, paths, causes, breaks, and tables, pictures and files that say what it holds."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Metrics of PSTs beside the table of a PST and differences, and stray light of fields from classes of directions."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Sensitivity tables and linear propagation: closed forms, differences with the same rays, groups, bad input."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time

@@ -1,7 +1,5 @@
 """The steps of a study by numbers known without it; first-order numbers and critical rays by closed forms."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Sweeps and the cache: what is found again, what is not, and what happens when the disk does not play along."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

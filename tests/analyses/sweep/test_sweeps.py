@@ -1,7 +1,5 @@
 """Sweeps and edits: closed forms, the same numbers as scenes written out, the ranking, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -3,8 +3,6 @@
 A number from a trace must lie within 4 standard errors of the exact one: false-alarm probability 6e-5 each.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from itertools import pairwise

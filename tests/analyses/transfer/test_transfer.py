@@ -1,7 +1,5 @@
 """Images with stray light: against closed forms, against the ledger, over seeds and scales, and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The 3-D view, the layout, surfaces that they cut open, and files of rays: all is what was traced."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re
