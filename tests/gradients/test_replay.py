@@ -189,12 +189,6 @@ def test_ledger_against_the_nonsequential_oracle(case: Case) -> None:
     compare_ledgers(case)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("field_deg", [5.0, 10.0, 15.0, 20.0, 25.0])
-def test_more_rays_through_the_phone_camera(field_deg: float) -> None:
-    compare_ledgers(traced(ROOT / "scenes" / "phone_camera" / "scene.xml", field_deg, 800))
-
-
 def compare_ledgers(case: Case) -> None:
     (run,) = case.t.runs
     settings = {key: case.t.settings[key] for key in ("max_reflections", "max_events", "flux_threshold")}

@@ -16,7 +16,6 @@ from mistray.errors import MistrayError
 
 SAMPLES = 200_000
 FALSE_ALARM = 1e-4  # of each χ²
-FRONT_NORMAL = np.array([0.0, 0.0, -1.0])
 T = mi.ScalarTransform4f
 
 
