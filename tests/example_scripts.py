@@ -1,4 +1,4 @@
-"""The scripts of examples/ and docs/ as modules, anew at each call: a test may reduce what they trace."""
+"""Scripts of examples/, docs/ and .ci/ as modules, anew at each call: a test may reduce what they trace."""
 
 import importlib.util
 import sys

@@ -137,8 +137,6 @@ def test_refused():
     for given, arguments, words in (
         (mistray.load("cooke_triplet"), {"field_deg": 60.0}, r"field 60°.*no light"),
         (scene, {"stop": "nobody"}, "'nobody'"),
-        (scene, {"grid": 3}, "grid is 3"),
-        (scene, {"reference_radius_mm": 0.0}, "reference_radius_mm is 0"),
         (mistray.load(blind), {}, "no image"),
         (mistray.load("cooke_triplet", "laser:0,0,-50,waist_x=1,waist_y=1"), {}, "neither far away nor a point"),
     ):

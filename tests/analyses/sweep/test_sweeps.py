@@ -161,8 +161,6 @@ class TestKernels:
 
 def test_wrong_arguments(plate: Path) -> None:
     for arguments, words in (
-        (([],), "field_deg is empty; give at least one"),
-        (([0, 95],), "field_deg is 95; it must lie between -90 and 90"),
         (([0], [550, 550]), "give every wavelength once"),
         (([0], 550, {}), "configurations is empty"),
         (([0], 550, [Configuration("a", {})] * 2), "configuration 'a' is given twice"),
