@@ -1,5 +1,7 @@
 """What a request alone gives, and rows of a result, of toys; `test_every_field` is about the analyses."""
 
+from __future__ import annotations
+
 import argparse
 import inspect
 import math

@@ -2,11 +2,13 @@
 
 import itertools
 import re
+import tomllib
 import warnings
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
+import vectors
 from command_line import fails
 from fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, design_of, encode
 
@@ -177,39 +179,7 @@ def test_algebra(rows: Rows) -> None:
 
 
 def test_errors_name_the_filter_and_what_is_wrong(rows: Rows) -> None:
-    for text, names in (
-        ("H(L1_fron)", ("L1_fron", "L1_front")),
-        ("H(lens 9)", ("lens 9", "L1_front")),
-        ("powr_W > 2", ("powr_W", "power_W")),
-        ("H(L1", ("')'",)),
-        ("(I", ("')'",)),
-        ("I)", ("')'",)),
-        ("I G", ("'G'", "&")),
-        ("I &", ("end",)),
-        ("& I", ("'&'",)),
-        ("!", ("end",)),
-        ("M", ("M(x)",)),
-        ("M(primary) > 2", ("M(primary)",)),
-        ("H()", ("H()",)),
-        ("H(primary) = many", ("H(primary)",)),
-        ("kind", ("kind", "H(kind)")),
-        ("kind > 3", ("kind", "text")),
-        ("power_W = abc", ("power_W", "abc")),
-        ("power_W >", ("'>'",)),
-        ("I $ G", ("'$'",)),
-        ('""', ("quotation",)),
-        ('"L1_rear:Q"', ("L1_rear:Q", "'Q'")),
-        ('"nowhere:T"', ("nowhere",)),
-        ("gost", ("gost", "'ghost'", "H(gost)")),
-        ("kind = gost", ("gost", "ghost")),
-        ("ghost_1 = L1_fron", ("L1_fron", "L1_front")),
-        ("L1_fron -> L1_rear", ("L1_fron", "L1_front")),
-        ("scatter at L1_fron", ("L1_fron", "L1_front")),
-        ("direct image, on detectr", ("detectr", "detector")),
-        ("L1_fron:T detector:A", ("L1_fron", "L1_front")),
-        ("L1_front:X detector:A", ("'X'", "L1_front")),
-        ("L1_front -> L1_rear & I", ("L1_rear & I", "quotation")),
-    ):
+    for text, names in tomllib.loads(vectors.text("filter_refusals.toml"))["refused"]:
         with pytest.raises(mistray.MistrayError) as caught:
             PathFilter(text).holds(rows)
         message = str(caught.value)
