@@ -488,7 +488,6 @@ class TestTM25:
         assert (t**2).mean() == pytest.approx(1 / 6 + 1 / 4, abs=1e-3)
 
 
-GOOD = "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n"
 ONE = [[0, 0, 0, 0, 0, 1, 1]]
 NO_SUCH_TABLE = tm25([[*ONE[0], 2]], (1, 1, 1, 0, 0, 0, 0, 1), spectrum=4, tables=((500.0, 1.0),))
 
@@ -496,21 +495,10 @@ NO_SUCH_TABLE = tm25([[*ONE[0], 2]], (1, 1, 1, 0, 0, 0, 0, 1), spectrum=4, table
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("empty.csv", b""),
-        ("header.csv", GOOD),
-        ("no_flux.csv", "x_mm,y_mm,z_mm,dx,dy,dz\n0,0,0,0,0,1\n"),
-        ("inf.csv", GOOD + "0,0,0,0,0,1,inf\n"),
-        ("text.csv", GOOD + "0,0,a,0,0,1,1\n"),
-        ("negative.csv", GOOD + "0,0,0,0,0,1,-1\n"),
-        ("dark.csv", GOOD + "0,0,0,0,0,1,0\n"),
-        ("still.csv", GOOD + "0,0,0,0,0,0,1\n"),
-        ("far.csv", GOOD + "0,0,1e308,0,0,1,1\n"),
-        ("ragged.csv", GOOD + "0,0,0,0,0,1,1,1,1,1,1\n0,0\n"),
-        ("colour.csv", GOOD.replace("\n", ",wavelength_nm\n") + "0,0,0,0,0,1,1,-5\n"),
         ("cut.dat", struct.pack("<iI100s", 1010, 5, b"cut") + bytes(100)),
         ("short.dat", "3 4\n1 2 3 0 0 1 1\n"),
         ("words.dat", "hello\n"),
-        ("lamp.txt", GOOD),
+        ("lamp.txt", "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n"),
         ("none.parquet", "PAR1"),
         ("empty.tm25ray", b""),
         ("short.tm25ray", b"TM25"),
