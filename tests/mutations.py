@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +27,7 @@ class Fault(NamedTuple):
     tests: str  # files or folders where it should show, below tests
 
 
-FAULTS = {name: Fault(**fault) for name, fault in tomllib.loads(vectors.text("faults.toml")).items()}
+FAULTS = {name: Fault(**fault) for name, fault in vectors.toml("faults.toml").items()}
 
 
 def caught(fault: Fault) -> str:

@@ -2,7 +2,6 @@
 
 import shlex
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -10,7 +9,7 @@ import vectors
 from command_line import Captured, Patch, fails
 from test_every_command import INPUTS, STUDY
 
-REFUSED = tomllib.loads(vectors.text("cli_refusals.toml"))
+REFUSED = vectors.toml("cli_refusals.toml")
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """The notebooks run, and are committed without what running them leaves behind."""
 
 import re
-import tomllib
 from pathlib import Path
 
 import nbformat
@@ -14,7 +13,7 @@ from tiers import slow_unless
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 CELL_SECONDS = 300
 # Run after the last cell of a notebook: its claims
-CLAIMS: dict[str, str] = tomllib.loads(vectors.text("notebook_claims.toml"))
+CLAIMS: dict[str, str] = vectors.toml("notebook_claims.toml")
 
 # Run before the notebook of optiland, which the tests import without what it draws with
 NOTED = re.compile(r".*MistrayWarning: .*\[[a-z-]+\]\n.*\n")  # a note of a result, and the line that has called

@@ -1,7 +1,6 @@
 """Files that are wrong: every reader says in one line which file it is, where, and what is wrong."""
 
 import re
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf
 from mistray.spectra.spectrum import read_table
 
 pytestmark = pytest.mark.quick
-WRONG: dict[str, dict[str, Any]] = tomllib.loads(vectors.text("wrong_files.toml"))
+WRONG: dict[str, dict[str, Any]] = vectors.toml("wrong_files.toml")
 READERS: dict[str, Callable[[Path], object]] = {
     "coating file": lambda path: read_coating_file(path)["A"],
     "coating table": CoatingTable.read,

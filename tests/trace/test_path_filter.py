@@ -2,7 +2,6 @@
 
 import itertools
 import re
-import tomllib
 import warnings
 from collections.abc import Sequence
 
@@ -179,7 +178,7 @@ def test_algebra(rows: Rows) -> None:
 
 
 def test_errors_name_the_filter_and_what_is_wrong(rows: Rows) -> None:
-    for text, names in tomllib.loads(vectors.text("filter_refusals.toml"))["refused"]:
+    for text, names in vectors.toml("filter_refusals.toml")["refused"]:
         with pytest.raises(mistray.MistrayError) as caught:
             PathFilter(text).holds(rows)
         message = str(caught.value)

@@ -161,7 +161,7 @@ class TestReading:
 
 
 class TestRefusals:
-    @pytest.mark.parametrize("row", tomllib.loads(vectors.text("study_refusals.toml"))["refused"], ids=repr)
+    @pytest.mark.parametrize("row", vectors.toml("study_refusals.toml")["refused"], ids=repr)
     def test_one_line_with_key_and_remedy(self, row: list[Any]) -> None:
         place, *value, message = row
         with refused(f"^study: .*{message}"):
