@@ -9,6 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from refusals import refused
 
 from mistray._mitsuba_compat import mesh_arrays
@@ -20,20 +21,7 @@ pytestmark = pytest.mark.quick
 DATA = Path(__file__).parents[1] / "data"
 CORNERS = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 4.0)]
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]  # a tetrahedron of 4 mm³, normals outwards
-OBJ = """\
-# two parts
-v 0 0 0
-v 2 0 0
-v 2 3 0
-v 0 3 0
-o plate
-f 1 2 3 4
-o fin
-g left
-f 1//1 2//1 3//1
-g right
-f -4/1 -2/2 -1/3
-"""
+OBJ = vectors.text("two_parts.obj")
 
 
 def ascii_stl(*names: str) -> str:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import vectors
 from refusals import refused
 
 from mistray.io.zemax.read import read_zemax
@@ -329,29 +330,7 @@ def test_errors_are_one_line_with_file_and_place(read):
         assert len(str(error.value)) < 400
 
 
-CONFIGURATIONS = (
-    SINGLET
-    + """
-EFFL 1 2 0
-TOL TOFF
-MNUM 3 1
-LTTL 0 1 "at infinity" 0 0 0 1 1 0 0.0 "" 0
-LTTL 0 2 "near" 0 0 0 1 1 0 0.0 "" 0
-LTTL 0 3 "other glass" 0 0 0 1 1 0 0.0 "" 0
-THIC 2 1 {z} 0 0 0 1 1 1 0 0 "" 0
-THIC 2 2 97.5 0 0 0 1 1 1 0 0 "" 0
-THIC 2 3 12 0 0 0 1 1 1 0 0 "" 0
-THIC 0 1 1e10 0 0 0 1 1 1 0 0 "" 0
-THIC 0 2 800 0 0 0 1 1 1 0 0 "" 0
-THIC 0 3 1e10 0 0 0 1 1 1 0 0 "" 0
-CRVT 1 2 -0.01 0 0 0 1 1 1 0 0 "" 0
-APER 0 2 7.25 0 0 0 1 1 1 0 0 "" 0
-YFIE 1 2 3.5 0 0 0 1 1 1 0 0 "" 0
-FVDY 1 2 0.125 0 0 0 1 1 1 0 0 "" 0
-GLSS 1 3 N-SF11 0 0 0 1 1 1 0 0 "" 0
-MOFF 0 1 "" 0 0 0 1 1 0 0.0 "" 0
-"""
-)
+CONFIGURATIONS = SINGLET + "\n" + vectors.text("zemax_configurations.txt")
 
 
 @pytest.mark.parametrize("wanted", [2, "2", "near"])

@@ -7,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from command_line import fails, succeeds
 from refusals import refused
 
@@ -135,20 +136,7 @@ def test_wrong_speos_files(tmp_path, old, new, message):
         read_speos_bsdf(file)
 
 
-CATALOGUE = """! shop catalogue
-NAME Polish 1
-WAVE 0.6328
-0.0  2e-5  1E-6  2.0
-
-NAME LAMBERT
-ABG 0 0.1 0 0
-45 0.1 0 0
-# two angles
-name steep
-wave 0
-0 1e-4 1e-3 2
-60 2e-4 1e-3 2
-"""
+CATALOGUE = vectors.text("abg_catalogue.dat")
 
 
 @pytest.fixture
