@@ -7,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from lit_detector import BLACK, RADIUS, TUBE, discs, lit, meter, square
 from oracles.statistics import assert_z
 from refusals import refused
@@ -180,46 +181,7 @@ def scene(lamp: dict[str, Any]) -> mi.Scene:
     return mi.load_dict({"type": "scene", "detector": detector, "lamp": lamp, "tube": TUBE}, optimize=False)
 
 
-WAIST = {"waist_x": 0.2, "waist_y": 0.2, "m2_x": 2.0, "m2_y": 2.0}
-LASER = {"type": "gaussian_beam", "z": -4000.0, "wavelength_nm": 1000.0, **WAIST}
-POINT = {"type": "point_source", "z": -30.0}
-LAMP = {**POINT, "half_angle_deg": 89.0, "exponent": 4.0}
-DISC = {"type": "surface_source", "z": -15.0, "radius": 12.0}
-SCREEN = {"type": "surface_source", "z": -15.0, "half_width": 12.0, "half_height": 9.0}
-SUN = {"type": "distant_disc", "field_deg": 40.0}
-GRADIENTS: dict[str, tuple[dict[str, Any], str, float]] = {  # what, by which numbers, a step
-    "distance": ({**POINT, "half_angle_deg": 60.0}, "z", 1e-3),
-    "cone": ({**POINT, "half_angle_deg": 25.0}, "half_angle_deg", 1e-3),
-    "cone of a Lambertian point": ({**POINT, "half_angle_deg": 25.0, "exponent": 1.0}, "half_angle_deg", 1e-3),
-    "place in x": ({**POINT, "z": -15.0, "x": 6.0, "half_angle_deg": 80.0}, "x", 1e-3),
-    "place in y": ({**POINT, "z": -15.0, "x": 2.0, "y": -6.0, "half_angle_deg": 80.0}, "y", 1e-3),
-    "tilt about x": ({**LAMP, "tilt_x": 25.0, "tilt_y": 5.0}, "tilt_x", 1e-2),
-    "tilt about y": ({**LAMP, "tilt_x": 5.0, "tilt_y": -25.0}, "tilt_y", 1e-2),
-    "radius": (DISC, "radius", 1e-3),
-    "cone of a disc": ({**DISC, "radius": 6.0, "half_angle_deg": 30.0}, "half_angle_deg", 1e-3),
-    "width": (SCREEN, "half_width", 1e-2),
-    "height": (SCREEN, "half_height", 1e-2),
-    "disc in x": ({**DISC, "x": 6.0}, "x", 1e-2),
-    "disc in y": ({**DISC, "y": 6.0}, "y", 1e-2),
-    "disc in z": (DISC, "z", 1e-2),
-    "disc about x": ({**DISC, "tilt_x": 25.0, "exponent": 6.0}, "tilt_x", 1e-2),
-    "disc about y": ({**DISC, "tilt_y": 25.0, "tilt_x": 5.0, "exponent": 6.0}, "tilt_y", 1e-2),
-    "screen about y": ({**SCREEN, "tilt_y": 25.0, "exponent": 6.0}, "tilt_y", 1e-2),
-    "waist in x": (LASER, "waist_x", 1e-5),
-    "waist in y": (LASER, "waist_y", 1e-5),
-    "quality in x": (LASER, "m2_x", 1e-4),
-    "quality in y": (LASER, "m2_y", 1e-4),
-    "waist place in x": ({**LASER, "offset_x": 500.0}, "offset_x", 1e-2),
-    "waist place in y": ({**LASER, "offset_y": 500.0}, "offset_y", 1e-2),
-    "beam in x": ({**LASER, "x": 5.0}, "x", 1e-3),
-    "beam in y": ({**LASER, "y": 5.0}, "y", 1e-3),
-    "beam in z": (LASER, "z", 1e-1),
-    "beam about x": ({**LASER, "tilt_x": 0.07}, "tilt_x", 1e-4),
-    "beam about y": ({**LASER, "tilt_y": 0.07}, "tilt_y", 1e-4),
-    "direction of the sun": ({**SUN, "tilt_x": 2.0, "tilt_y": 5.0}, "tilt_x", 1e-3),
-    "direction of the sun about y": ({**SUN, "tilt_y": 20.0}, "tilt_y", 1e-3),
-    "size of the sun": ({"type": "distant_disc", "diameter_deg": 60.0}, "diameter_deg", 1e-2),
-}
+GRADIENTS: dict[str, tuple[dict[str, Any], str, float]] = vectors.toml("source_gradients.toml")
 
 
 def places_of(lamp: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
+import vectors
 from oracles.small_scenes import plates_text, write
 
 import mistray
@@ -264,19 +265,7 @@ class TestOwnTerm:
         assert [step.x for step in ended.steps] == [step.x for step in result.steps[:2]]
 
 
-STUDY: dict[str, Any] = {
-    "trace": {"wavelength_nm": [500, 600], "field_deg": [0, 2], "rays": 32},
-    "term": [
-        {"name": "ghosts", "kind": "path_power", "goal": "minimise"},
-        {"name": "price", "kind": "total_thickness", "goal": "at_most", "limit_of_start": 1.5},
-    ],
-    "coating": [
-        {"name": "front", "surfaces": ["p0_front"], "layers": "1.38 60, 2.0 30", "thickness_nm": [20, 180]},
-        {"name": "rear", "surfaces": ["p0_rear"], "layers": "1.38 60", "thickness_nm": [20, 70]},
-    ],
-    "variable": [{"name": "n", "parameters": ["front.n_shift[0]", "rear.n_shift"], "low": -0.01, "high": 0.03}],
-    "optimizer": {"starts": 2, "steps": 6},
-}
+STUDY: dict[str, Any] = vectors.toml("plate_study.toml")
 
 
 @pytest.fixture(scope="module")

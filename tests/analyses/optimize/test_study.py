@@ -19,24 +19,7 @@ from mistray.optimize import Metric, Moved, Optimizer, path_power, read_study
 pytestmark = pytest.mark.quick
 
 ROOT = Path(__file__).parents[3]
-GOOD: dict[str, Any] = {
-    "trace": {"field_deg": [0, 10], "wavelength_nm": [500, 600], "weights": [1, 3], "rays": 100},
-    "term": [
-        {"name": "ghosts", "kind": "path_power", "goal": "minimise", "selection": "ghost"},
-        {"kind": "transmission", "goal": "at_least", "limit": 0.9, "rays": 50},
-        {"kind": "pst_band", "goal": "at_most", "limit_of_start": 0.5, "low_deg": 20, "high_deg": 80},
-        {"kind": "layer_minimum", "goal": "at_least", "limit": 10, "coatings": ["a"]},
-    ],
-    "coating": [
-        {"name": "a", "surfaces": ["L1_front"], "layers": "MgF2 0.25w", "thickness_nm": [20, 200]},
-        {"name": "b", "surfaces": ["L2_front"], "preset": "bbar3", "thickness_nm": [[1, 200], [2, 201], [3, 202]]},
-    ],
-    "variable": [
-        {"name": "vanes", "parameters": ["vane_*.r0", {"key": "edge.r0", "factor": -1}], "low": 5, "high": 9},
-        {"parameters": "paint.A", "low": 1e-4, "high": 1e-2, "scale": "log"},
-    ],
-    "optimizer": {"steps": 5},
-}
+GOOD: dict[str, Any] = vectors.toml("good_study.toml")
 
 
 LIGHT = {"term": [{"kind": "path_power", "goal": "minimise"}]}
