@@ -142,21 +142,7 @@ class TestPatterns:
 
 
 def test_wrong_rules(file: Path, tmp_path: Path) -> None:
-    for rules, words in (
-        ({"coatings": {"C*": "bbar3"}}, "'C\\*=bbar3' fits no surface and no part; the nearest names are"),
-        ({"coatings": {"iris*": "bbar3"}}, "'iris_front' is opaque; give an opaque coating, such as"),
-        ({"coatings": {"A*": "bbar"}}, "coating 'bbar': .*did you mean 'bbar[34]'"),
-        ({"coatings": {"A*": "MgF2"}}, "coating 'MgF2'"),
-        ({"coatings": {"A*": "R=0.9 T=0.2"}}, "R \\+ T must not exceed 1"),
-        ({"coatings": {"A*": "MgF2 1e308"}}, "coating"),
-        ({"coatings": {"A*": "missing.csv"}}, "missing.csv': No such file"),
-        ({"coatings": {"A*": ""}}, "coating ''"),
-        ({"paint": {"A*": "flat_blak"}}, "paint 'flat_blak'.*did you mean flat_black"),
-        ({"paint": {"A*": 1.5}}, "reflectance is 1.5"),
-        ({"scatter": {"A*": "harvey rms_nm=3"}}, "scatter 'harvey rms_nm=3'.*did you mean 'harvey_shack'"),
-        ({"scatter": {"A*": "harvey_shack rms=3"}}, "there is no 'rms'; did you mean 'rms_nm'"),
-        ({"scatter": {"A*": "harvey_shack rms_nm=0 rms_nm=1"}}, "rms_nm is given twice"),
-    ):
+    for rules, words in vectors.toml("refusals.toml")["rules of coat"]:
         with refused(words):
             write_coated(file, tmp_path / "new.xml", Rules(**rules))
         assert not (tmp_path / "new.xml").exists()

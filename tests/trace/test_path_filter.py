@@ -188,23 +188,7 @@ def test_errors_name_the_filter_and_what_is_wrong(rows: Rows) -> None:
 
 NAMED = {"front": GLASS, "rear": GLASS, "mirror": REFLECTOR, "bevel": EDGE, "tube": STRUCTURE, "detector": SENSOR}
 DESIGN = "front:T rear:T mirror:R detector:A"
-NAMES = {
-    DESIGN: "direct image",
-    "front:T rear:T mirror:R detector:R mirror:R rear:R mirror:R detector:A": "detector → rear",
-    "front:T rear:R front:R rear:T mirror:R detector:A": "rear → front",
-    "front:T rear:t mirror:R detector:A": "scatter at rear",
-    "front:T rear:T mirror:r detector:A": "scatter at mirror",
-    "tube:R detector:A": "tube (structure)",
-    "tube:r detector:A": "scatter at tube",
-    "front:T rear:T tube:r detector:A": "front:T rear:T tube:r",
-    "front:T rear:T tube:r mirror:R detector:A": "front:T rear:T tube:r mirror:R",
-    "front:T rear:R front:R bevel:T mirror:R detector:A": "rear:R front:R bevel:T mirror:R",
-    "front:T rear:T detector:A": "straight shot through front, rear",
-    "rear:T mirror:R detector:A": "straight shot through rear, mirror:R",
-    "detector:A": "straight shot past all surfaces",
-    "mirror:R detector:R rear:R mirror:R detector:A": "mirror:R detector:R past rear:R",
-    "front:I rear:T mirror:R detector:A": "front:I",
-}
+NAMES = vectors.toml("path_names.toml")
 
 
 def names_of(events: Sequence[str], *design: str) -> list[str]:
