@@ -15,7 +15,7 @@ from oracles.layers import stack_powers
 from oracles.replay import OUTCOMES, replay
 from oracles.scatter_scenes import bsdf_xml, lenses_text, tube_text
 from oracles.scene_xml import parse_scene
-from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+from oracles.small_scenes import STEEP_REAR, interface_xml, plates_text, scene_text, shape_xml
 from oracles.stacks import Stack, by_tmm
 from oracles.statistics import assert_z
 
@@ -61,6 +61,19 @@ class TestGeometry:
             (Frustum(2, 1, 1, 1), [0, 1.5, 1], [0, 0, 1]),
         ):
             np.testing.assert_allclose(frustum.normal(np.array([point], dtype=float))[0], normal, atol=1e-15)
+
+    def test_normals_are_gradients(self) -> None:
+        x, y, h = np.array([0.3, -0.9, 0.0]), np.array([0.2, 0.4, 0.0]), 1e-6
+
+        def sag(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            return STEEP_REAR.sag(x * x + y * y)
+
+        slopes = (sag(x + h, y) - sag(x - h, y)) / (2 * h), (sag(x, y + h) - sag(x, y - h)) / (2 * h)
+        expected = np.stack([-slopes[0], -slopes[1], np.ones(3)], axis=1)
+        expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+        np.testing.assert_allclose(STEEP_REAR.normal(np.stack([x, y, sag(x, y)], axis=1)), expected, atol=1e-9)
+        rim_slope = 2 * STEEP_REAR.outer * STEEP_REAR.slope_u(np.array(STEEP_REAR.outer**2))
+        assert rim_slope == pytest.approx(2.07, abs=0.005)
 
 
 class TestSceneXml:
