@@ -92,7 +92,7 @@ release-check:
 	$(PYTHON) -m venv .venv-release
 	.venv-release/bin/python -m pip install -qq 'pip>=25.1'
 	.venv-release/bin/python -m pip install -qq --group release
-	.venv-release/bin/python tests/release_check.py
+	.venv-release/bin/python .ci/release_check.py
 
 venv: $(STAMPS)/installed $(STAMPS)/libraries
 

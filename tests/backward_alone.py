@@ -1,7 +1,5 @@
 """Rays against the light that count all light, beside hardly any with it: what any way of sampling must come to."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 

@@ -1,7 +1,5 @@
 """A command run in this process, as the entry point runs it: exit code, output, and the line of an error."""
 
-from __future__ import annotations
-
 import pytest
 
 from mistray import cli

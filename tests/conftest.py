@@ -1,7 +1,5 @@
 """Tiers and order of the tests, the record of what they take, and what a GPU runs."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import signal

@@ -1,7 +1,5 @@
 """Derivatives of functions of numbers by Dr.Jit's automatic differentiation, in float64."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""The scripts of examples/ and docs/ as modules, anew at each call: a test may reduce what they trace."""
-
-from __future__ import annotations
+"""Scripts of examples/, docs/ and .ci/ as modules, anew at each call: a test may reduce what they trace."""
 
 import importlib.util
 import sys

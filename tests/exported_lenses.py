@@ -7,8 +7,6 @@ the exported file, as optiland 0.6.3 traces it, and where they meet the image; i
 optiland's Newton iteration for aspheres is told to go on to 1e-14 mm.
 """
 
-from __future__ import annotations
-
 import csv
 import importlib
 import tempfile

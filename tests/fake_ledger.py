@@ -1,7 +1,5 @@
 """Ledgers without a kernel: event lists and hits that a test writes down, in the form in which a run decodes them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 

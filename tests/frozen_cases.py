@@ -1,7 +1,5 @@
 """Scenes whose recorded rays the oracle of frozen paths follows, and metrics that both sides compute."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 import xml.etree.ElementTree as ElementTree

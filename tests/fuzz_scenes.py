@@ -1,11 +1,10 @@
 """Tiny scenes and studies on which `number_fuzz` tries its numbers, and the command lines that use them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
 
+import vectors
 from number_fuzz import NASTY_XML, Try, Worker
 from oracles.small_scenes import interface_xml, shape_xml
 from test_every_command import STUDY
@@ -24,42 +23,8 @@ BENT = {"z": 5.0, "curvature": 0.01}
 SQUARE = {"clip_1": "+rectangle", "clip_1_half_width": 4.0, "clip_1_half_height": 4.0}
 TRIANGLE = {"clip_1": "+polygon", "clip_1_x1": -4.0, "clip_1_y1": -4.0, "clip_1_x2": 4.0, "clip_1_y2": -3.0,
             "clip_1_x3": 1.0, "clip_1_y3": 4.0}  # fmt: skip
-# Plugin → its numbers, as ordinary as can be
-NUMBERS: dict[str, dict[str, Any]] = {
-    "asphere": {"semi_diameter": 4.0},
-    "freeform": BENT | SQUARE,
-    "frustum": {"r0": 4.0, "r1": 4.0, "z0": 1.0, "z1": 2.0},
-    "part_mesh": {"filename": "bracket.ply"},
-    "abg": {"A": 0.01, "B": 0.001, "g": 2.0},
-    "edge_diffraction": {"width_mm": 0.1},
-    "gaussian_lobe": {"total": 0.01, "width": 0.1},
-    "harvey_shack": {"b0": 0.1, "l": 0.01, "s": -1.5},
-    "k_correlation": {"rms_nm": 1.0, "B_um": 10.0, "slope": 2.5},
-    "paint": {"reflectance": 0.05, "b0": 0.1, "l": 0.1, "s": -2.0},
-    "particulate": {"level": 300.0},
-    "phong": {"b0": 0.1, "exponent": 3.0},
-    "polynomial": {"c000": -0.5, "c100": -0.4, "l10": -0.7},
-    "psd_table": {"file": "psd.csv", "beyond": "zero"},
-    "tabulated": {"file": "black.bsdf"},
-    "target": {"surfaces": "*"},
-    "thinfilm": {"layers": "1.38 99.64"},
-    "interface": {"front": "air", "back": "1.5"},
-    "collimated": {"radius": 2.0},
-    "distant_disc": {"diameter_deg": 0.5},
-    "gaussian_beam": {"waist_x": 1.0, "waist_y": 1.0, "z": -50.0},
-    "point_source": {"half_angle_deg": 20.0, "z": -50.0},
-    "ray_file": {"filename": "lamp.csv"},
-    "sky": {"radiance": 1.0, "half_angle_deg": 20.0},
-    "surface_source": {"radius": 2.0, "z": -50.0},
-    "thermal": {"temperature_K": 293.0},
-    "far_field": {"azimuths": 4},
-    "flux_split": {"surfaces": "front"},
-    "surface_maps": {"surfaces": "front", "azimuths": 4, "lengths": 3},
-    "probe": {"half_width": 2.0},
-    "straylight": {"rays": 256.0},
-    "film": {"width": 8, "height": 8},
-    "rectangle": {},
-}
+DATA = vectors.toml("fuzz_scenes.toml")
+NUMBERS: dict[str, dict[str, Any]] = DATA["numbers"]  # of plugins, as ordinary as can be
 # Plugin and parameter → what stands there instead of the above, where the two do not go together
 CURVED = BENT | SQUARE
 INSTEAD: dict[tuple[str, str], dict[str, Any]] = {
@@ -109,23 +74,7 @@ PAINTS = ("paint", "tabulated")  # that scatter at the wall, not at the lens
 ALONE = ("R", "T", "n_front_shift", "n_back_shift", "wavelength_nm")  # that a model has only by itself
 # Numbers within texts, and those of stock plugins: object, name, kind, text
 WITHIN: tuple[tuple[str, str, str], ...] = (
-    ("thinfilm", "layers", "1.38 {}"),
-    ("thinfilm", "layers", "{} 99.64"),
-    ("thinfilm", "n_shift", "{}"),
-    ("thinfilm", "k_shift", "{}"),
-    ("interface", "back", "{}"),
-    ("interface", "back", "nd={} Vd=40"),
-    ("interface", "back", "nd=1.6 Vd={}"),
-    ("interface", "back", "1.5+{}i"),
-    ("interface", "back", "N-BK7 shift={}"),
-    ("interface", "back", "1.5 scatter={} g=0.5"),
-    ("interface", "back", "1.5 scatter=0.1 g={}"),
-    ("collimated", "wavelength_nm", "500, {}"),
-    ("thermal", "parts", "detector={}"),
-    ("thermal", "band_nm", "8000, {}"),
-    ("straylight", "cut_below", "R={}"),
-    ("straylight", "cut_below_W", "T={}"),
-    ("target", "half_axes", "1, {}, 1"),
+    *DATA["within"]["texts"],
     *((kind, "to_world", '<{} {}="{{}}"/>'.format(*move)) for kind in ("asphere", "frustum", "collimated", "rectangle")
       for move in (("translate", "z"), ("rotate", 'x="1" angle'), ("scale", "value"))),
 )  # fmt: skip
@@ -202,42 +151,9 @@ FAR = lens_text('<emitter type="collimated"><float name="radius" value="0.5"/></
 NEAR = lens_text(
     '<emitter type="point_source"><float name="half_angle_deg" value="0.05"/><float name="z" value="-500"/></emitter>'
 )
-BUDGET = """
-[[require]]
-metric = "pst_band"
-low_deg = 20
-high_deg = 40
-limit = 1.0
-
-[[choose]]
-surfaces = "front"
-parameter = "A"
-values = [0.001, 0.01]
-costs = [3, 1]
-
-[traced]
-rays = 64
-"""
+BUDGET = vectors.text("fuzz_budget.toml")
 SMALL = ("--rays", "200")
-LINES = {
-    "import": ("lens.zmx", "-o", "made.xml", "--force"),
-    "export": ("scene.xml", "-o", "made.csv", "--force"),
-    "coat": ("scene.xml", "-o", "made.xml", "--force"),
-    "view": ("scene.xml", "--json", "--out", "view.html", "--force", *SMALL),
-    "app": ("scene.xml", "--json", "--no-browser", "--seconds", "0.2", *SMALL),
-    "ghosts": ("scene.xml", "--json", *SMALL),
-    "image": ("lens.xml", "--json", "--grid", "16"),
-    "sweep": ("scene.xml", "--json", "--no-cache", *SMALL),
-    "objects": ("scene.xml", "--json", *SMALL),
-    "pst": ("scene.xml", "--json", "--field-deg", "0", "20", *SMALL),
-    "study": ("scene.xml", "--json", "--quick", "--pst-field-deg", "0", "20", *SMALL),
-    "thermal": ("scene.xml", "--json", *SMALL),
-    "coating": ("bbar3", "--json", "--wavelength-nm", "500", "600"),
-    "bsdf": ("abg", "--A", "0.01", "--B", "0.001", "--g", "2", "--json"),
-    "sensitivity": ("scene.xml", "--json", "--parameter", "*.curvature", *SMALL),
-    "budget": ("scene.xml", "budget.toml", "--json"),
-    "optimize": ("scene.xml", "study.toml", "--json", "--verification-seeds", "2"),
-}
+LINES = {command: tuple(line.split()) for command, line in DATA["lines"].items()}
 MESH = ("tube.step", "-o", "made.xml", "--force")
 # Further ordinary options of commands, which leave something unknown
 MORE = {

@@ -1,7 +1,5 @@
 """Damages files as users and transfers do, by seed: the same number gives the same damage on every machine."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Pages of reports: closed tags, unique ids, links within, rows as wide as their heads, nothing from a network."""
 
-from __future__ import annotations
-
 import re
 from html.parser import HTMLParser
 

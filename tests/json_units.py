@@ -1,7 +1,5 @@
 """What `--json` prints, as docs/json.md promises: one object, plain JSON, numbers that say their units."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Parts of scenes as dictionaries: black walls, detectors, and a lamp before a round black detector."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

@@ -1,7 +1,5 @@
 """Prints the lowest versions that pyproject.toml allows, as constraints of pip: ``make test-lowest`` installs them."""
 
-from __future__ import annotations
-
 import tomllib
 from collections import defaultdict
 from pathlib import Path

@@ -5,8 +5,6 @@ The worker, `python number_fuzz.py`, answers one line of JSON for each line of a
 the worker and not the tests.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

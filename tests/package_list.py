@@ -1,7 +1,5 @@
 """Writes the packages of pyproject.toml anew: `python tests/package_list.py`."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

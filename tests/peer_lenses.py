@@ -4,8 +4,6 @@ All lengths are in mm. Rays start 10 mm in front of the first vertex, in the fra
 decentre, and end in the frame of the image surface.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import logging

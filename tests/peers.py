@@ -5,8 +5,6 @@ LLVM (200 MB). optiland imports vtk for its drawings, and numba for decorators o
 where one of the two is not installed, a module that does nothing takes its place.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """Refusals: a `MistrayError` in one line, which names what is wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

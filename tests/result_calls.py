@@ -1,7 +1,5 @@
 """Calls of all functions that return results, for tests of what results have in common."""
 
-from __future__ import annotations
-
 import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Scatter models as closed forms of unit vectors of incidence and of scatter, 1/sr in float64, without lobes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Surfaces that scatter, one for each model, as the tests of the scatter plugins use them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

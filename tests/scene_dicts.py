@@ -1,7 +1,5 @@
 """Parts of scenes as dicts: places on the axis, films, black detectors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

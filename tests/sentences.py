@@ -1,7 +1,5 @@
 """Sentences of Markdown pages, of the program's help and of its messages, and how many words they have."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Lenses as tables of surfaces, from which tests of the import build systems."""
 
-from __future__ import annotations
-
 from mistray.prescription import Decentre, Prescription, Row, Sequential
 
 

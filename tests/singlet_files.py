@@ -1,7 +1,5 @@
 """One biconvex lens of N-BK7, as the lens files of two programs; the texts of tests of the import and of others."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 DATA = Path(__file__).parent / "data"

@@ -1,7 +1,5 @@
 """No kernel leaves its arrays, as Dr.Jit checks in its debug mode; small files say so before they take gigabytes."""
 
-from __future__ import annotations
-
 import io
 import resource
 import subprocess

@@ -1,7 +1,5 @@
 """The benchmarks: that they refuse unequal work, remember, and tell what got slower. They run in small here."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -222,7 +220,6 @@ def test_every_part_runs_in_small(part, tmp_path):
     assert "not the same work" not in table
 
 
-@pytest.mark.long
 def test_numbers_that_changed_are_named(tmp_path):
     """The same program gives the same numbers; another number, a path more or other kernels are told apart."""
     from same_numbers import differences

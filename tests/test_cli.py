@@ -1,7 +1,5 @@
 """The command line: arguments, one-line errors, exit codes; progress on a terminal after a second."""
 
-from __future__ import annotations
-
 import argparse
 import ast
 import importlib
@@ -19,6 +17,7 @@ import json_units
 import numpy as np
 import pandas as pd
 import pytest
+import vectors
 from analyses.fake_pst import fake_pst
 from analyses.fake_scene import lens_scene
 from analyses.fake_trace import EXTENT, trace_at
@@ -118,29 +117,7 @@ def test_version_and_module(capsys: Captured) -> None:
     assert done.stdout.startswith("mistray ")
 
 
-TREE = {
-    "rays": 1000,
-    "max_reflections": 4,
-    "max_scatters": 3,
-    "max_optical_scatters": 2,
-    "max_random_scatters": 1,
-    "max_generations": 5,
-    "max_events": 20,
-    "max_consecutive": 9,
-    "max_segments": 5000,
-    "scatter_rays": 2,
-    "aimed_rays": 7,
-    "aim": "targets",
-    "flux_threshold": 1e-6,
-    "cut_below": "R=1e-6, t=1e-9, A=1e-12",
-    "cut_below_W": "T=1e-3",
-    "scatter_threshold": 1e-3,
-    "splitting": "one",
-    "below_threshold": "roulette",
-    "seed": 5,
-    "ray_control": "reflect_specular",
-    "polarization": "stokes",
-}
+TREE = vectors.toml("settings.toml")
 
 
 @pytest.mark.parametrize("command", ["ghosts", "pst"])

@@ -1,7 +1,5 @@
 """What `--help` says is true: examples are commands, defaults are those that hold."""
 
-from __future__ import annotations
-
 import argparse
 import inspect
 import re

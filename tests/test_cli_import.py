@@ -1,7 +1,5 @@
 """`mistray import` of lens files: what it writes, prints and refuses; and a lens file in the place of a scene."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """No command replaces a file that it reads, nor, without --force, any other; it says so before it computes."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil
@@ -12,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import vectors
 from command_line import Captured, Patch, fails, succeeds
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from test_every_command import BUDGET, INPUTS, STUDY, ZMX
@@ -26,20 +25,7 @@ from mistray.replace_file import Guard, guarding, replace_file
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "f 1 2 4\nf 5 8 6\n"
 TABLE = "wavelength_nm,angle_deg,R,T\n" + "".join(f"{nm},{deg},0.01,0.99\n" for nm in (400, 700) for deg in (0, 45))
 GLASS = "NM OWN 1 0 1.5 60\nCD 2.25 0 0 0 0 0\nLD 0.3 2.5\nIT 0.3 0.9 10\nIT 2.5 0.9 10\n"
-MESH = """ply
-format ascii 1.0
-element vertex 3
-property float x
-property float y
-property float z
-element face 1
-property list uchar int vertex_indices
-end_header
-90 0 0
-91 0 0
-90 1 0
-3 0 1 2
-"""
+MESH = vectors.text("triangle.ply")
 # Files of a system in one folder; the scene includes one, in which another is named
 SYSTEM = {
     "whole.xml": scene_text(

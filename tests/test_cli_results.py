@@ -1,7 +1,5 @@
 """What options of commands make of a result, in text, JSON and files; PSTs and searches that are saved and go on."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os
@@ -78,7 +76,6 @@ class TestObjects:
         assert "warning: the detector sees the outside with no surface in between" in told
 
 
-@pytest.mark.long
 def test_findings_of_a_study_and_the_same_pst_again(capsys: Captured, tmp_path: Path) -> None:
     few = ("--rays", "2000", "--pst-field-deg", "0:60:20", "--field-deg", "0", "20")
     out, command = tmp_path / "new" / "out", ("study", "plate_and_wall", *few)
@@ -329,7 +326,6 @@ class TestSavedRun:
                 assert path["pst"] == pytest.approx(same["pst"], rel=1e-9)
                 assert path["rays"] == same["rays"]
 
-    @pytest.mark.long
     def test_interrupted_it_says_how_to_go_on(self, capfd: Captured, tmp_path: Path) -> None:
         state, log = tmp_path / "run" / "state.npz", tmp_path / "log"
         process = self.start(state, log)
@@ -344,7 +340,6 @@ class TestSavedRun:
         assert " start rays" in line
         self.goes_on_like_one_run(capfd, state)
 
-    @pytest.mark.long
     def test_killed_it_leaves_the_last_state(self, capfd: Captured, tmp_path: Path) -> None:
         state, log = tmp_path / "state.npz", tmp_path / "log"
         process = self.start(state, log)
@@ -401,7 +396,6 @@ def test_a_search_goes_on(capsys: Captured, files: tuple[str, str, str]) -> None
     assert len((Path(out) / "history.csv").read_text().splitlines()) > 5
 
 
-@pytest.mark.long
 def test_a_time_budget(capsys: Captured, files: tuple[str, str, str]) -> None:
     """A search without an end of its own ends in time, says why, and leaves all files; later it goes on from there."""
     scene, study, out = files
@@ -491,7 +485,6 @@ def test_the_address_is_printed(capsys: Captured, tmp_path: Path) -> None:
     assert "explored_scene.xml" in fails(capsys, *QUICK, "--seconds", "1", "--out", tmp_path)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_cleanly(number: signal.Signals) -> None:
     command = [sys.executable, "-m", "mistray", *QUICK, "--json"]

@@ -1,7 +1,5 @@
 """`mistray view`: the page, other files, rays by class, walls."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import fields
 from pathlib import Path
@@ -83,7 +81,6 @@ def test_a_path_is_drawn_once_for_all_wavelengths() -> None:
     assert len(chosen_rows(traced, 100)) == len(ways)
 
 
-@pytest.mark.long
 def test_walls_are_recorded_and_painted(capsys: Captured) -> None:
     maps = ("--surface-maps", "housing*", "azimuths=8")
     code = succeeds(capsys, "view", "plate_and_wall", "--rays", 500, "--max-scatters", 0, *maps, "--out", "walls.html")

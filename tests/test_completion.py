@@ -1,7 +1,5 @@
 """`mistray completion`: what the shells propose is what the parsers take."""
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """What README.md and docs/ show works: Python runs, a page in one namespace; commands exist; links lead somewhere."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util
@@ -46,7 +44,6 @@ def parse(line: str) -> None:
         assert words[0] in ("mistray", "make", "pip", "python", "dask"), line
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_examples_run(page: Path, tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -108,7 +105,6 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert part in [re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings], target
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "line",
     [line for line in dict.fromkeys(command_lines(README) + command_lines(COMMANDS)) if line.startswith("mistray")],
@@ -124,7 +120,6 @@ def test_a_command_of_the_readme_and_of_the_list(
     assert out
 
 
-@pytest.mark.long
 def test_make_demo_writes_the_report() -> None:
     if shutil.which("make") is None or Path(sys.prefix) != ROOT / ".venv":
         pytest.skip("not run by make in its own environment")

@@ -4,8 +4,6 @@ With few rays and little time: what the commands find is tested elsewhere. A com
 a person at a browser has a part in is left out, and says why.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

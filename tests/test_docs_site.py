@@ -1,7 +1,5 @@
 """The documentation site builds without a warning, its links lead somewhere, and its search answers questions."""
 
-from __future__ import annotations
-
 import html
 import inspect
 import json
@@ -17,6 +15,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 import stubs
+import vectors
 
 from mistray.ranges import doc_of
 from mistray.toolkit.fields import flat_fields
@@ -27,49 +26,9 @@ FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update",
     "--disable-background-networking", "--disable-sync", "--virtual-time-budget=60000", "--dump-dom",
 )  # fmt: skip
-# As people type them, and the pages of which one must be the first or the second hit
-QUESTIONS = {
-    "which surfaces should I coat": ("questions/coat_first",),
-    "where does this ghost come from": ("questions/where_from",),
-    "is my baffle long enough": ("questions/baffle_depth",),
-    "what surface to polish first": ("questions/polish_or_paint",),
-    "how black must paint be": ("questions/how_black",),
-    "dust cleanliness cost": ("questions/dust",),
-    "how many rays do I need": ("questions/how_long",),
-    "noisy pst": ("questions/noisy_pst",),
-    "compare two designs": ("questions/compare_designs",),
-    "send report to customer": ("questions/hand_over", "report"),
-    "import zemax file": ("import",),
-    "read step file": ("mechanics",),
-    "sun outside field of view": ("questions/baffle_depth", "stray_metrics", "sources"),
-    "install on mac": ("windows_macos", "install"),
-    "gpu": ("speed",),
-    "what does bsdf mean": ("glossary",),
-    "own scatter model": ("extending", "notebooks/own_bsdf_plugin"),
-    "thermal background infrared": ("thermal",),
-    "export to excel csv": ("export", "questions/hand_over"),
-    "coming from tracepro": ("coming_from",),
-}
+QUESTIONS = vectors.toml("site_questions.toml")
 # The site's own worker and index, asked as its search box asks them
-DRIVER = """<!DOCTYPE html>
-<html><head><meta charset="utf-8"><title>search</title></head><body>
-<script src="assets/iframe-worker.js"></script>
-<script src="search/search_index.js"></script>
-<script>
-const worker = new Worker("%s"), questions = %s, found = {};
-let asked = 0;
-const ask = () => worker.postMessage({ type: 2, data: questions[asked] });
-worker.addEventListener("message", ({ data }) => {
-  if (data.type === 3) {
-    found[questions[asked]] = data.data.items.slice(0, 5).map((item) => item[0].location);
-    asked += 1;
-  }
-  if (asked < questions.length) ask();
-  else document.documentElement.dataset.found = JSON.stringify(found);
-});
-worker.postMessage({ type: 0, data: { config: __index.config, docs: __index.docs, options: { suggest: false } } });
-</script></body></html>
-"""
+DRIVER = vectors.text("site_search.html")
 pytestmark = pytest.mark.long
 
 

@@ -1,7 +1,5 @@
 """`mistray doctor` reports what is there, survives what is broken and says how to get what is missing."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.metadata
 import json

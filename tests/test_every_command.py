@@ -1,7 +1,5 @@
 """Every command of mistray end to end: its exit code, the numbers of `--json`, the files it writes and what it says."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from functools import reduce
@@ -29,39 +27,8 @@ STATES = {"pst_state.npz", "sensitivity_state.npz", "checkpoint.json"}  # writte
 
 ZMX = singlet_files.ZMX.replace("XYZZY 1 2 3\n", "")
 POWER_OF_LENS = (1.5168 - 1) * (0.04 - (1.5168 - 1) * 5 * 0.02**2 / 1.5168)  # of a thick lens
-BUDGET = """
-[[require]]
-metric = "path_power"
-selection = "single scatter"
-limit = 1e-4
-[[choose]]
-surfaces = ["front", "rear"]
-parameter = "rms_nm"
-best = 0.5
-worst = 8
-[traced]
-rays = 256
-max_reflections = 0
-[solver]
-seeds = 2
-iterations = 2
-"""
-STUDY = """
-[[term]]
-name = "ghosts"
-kind = "path_power"
-goal = "minimise"
-wavelength_nm = 550
-rays = 32
-[[coating]]
-name = "AR"
-surfaces = "all"
-layers = "1.38 60"
-thickness_nm = [20, 180]
-[optimizer]
-starts = 1
-steps = 1
-"""
+BUDGET = vectors.text("command_budget.toml")
+STUDY = vectors.text("command_study.toml")
 TIS = next(  # of the ABg model at normal incidence
     float(row["TIS_numeric"])
     for row in vectors.rows("abg_tis.csv")

@@ -1,7 +1,5 @@
 """A derivative of each kind, against differences of traces of the same rays and a closed form."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The machinery of `attack`: it leaves nothing out, and notices what is wrong; tests/attack runs it."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import random

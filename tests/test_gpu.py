@@ -6,8 +6,6 @@ one false alarm in 1e5 runs, were the rays independent, and none for equal rays.
 where there is no GPU, `test_another_variant` runs them with another variant of LLVM.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

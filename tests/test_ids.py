@@ -1,7 +1,5 @@
 """Ids with blanks, quotation marks, arrows: the same numbers as with plain ones, in every table and on every page."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import json
@@ -68,7 +66,6 @@ def test_paths_are_the_same(tmp_path: Path, plain: mistray.Trace, names: tuple[s
         assert ids == [row.path_id for row in plain.paths.select(given)], given
 
 
-@pytest.mark.long
 def test_commands(tmp_path: Path, monkeypatch: Patch, capsys: Any) -> None:
     names = STRANGE[0]
     monkeypatch.chdir(tmp_path)

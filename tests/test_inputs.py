@@ -1,7 +1,5 @@
 """Every reader of a user's file opens regular files only, and what makes no sense is named at once."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util
@@ -14,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import vectors
 from refusals import refused
 from test_cli_import import SEQ, ZMX
 
@@ -139,7 +138,6 @@ def patience() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@pytest.mark.long
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", READERS)
@@ -159,31 +157,7 @@ def test_what_is_no_such_file_is_named_at_once(
 OPENING = {"open", "read_text", "read_bytes", "fromfile", "memmap", "loadtxt", "genfromtxt", "read_csv", "read_parquet"}
 OPENING |= {"load_file", "parse_file", "load_scene", "parse", "iterparse", "Bitmap", "ZipFile", "File", "FileIO"}
 # What opens a file by itself, and why that is no input that has not been looked at
-ELSEWHERE = {
-    "mistray/read_file.py: os.open": "the one place",
-    "mistray/cache/fingerprint.py: path.read_bytes": "mistray's own code",
-    "mistray/cache/store.py: draft.open": "a file that is written",
-    "mistray/cli/__init__.py: open": "the null device, in place of a closed stderr",
-    "mistray/cli/__init__.py: os.open": "the null device, in place of what is closed",
-    "mistray/replace_file.py: os.open": "a folder, to sync",
-    "mistray/cli/program.py: os.open": "the null device, to write to",
-    "mistray/replace_file.py: open": "what is open already, to write to",
-    "mistray/analyses/explorer/command.py: webbrowser.open": "the browser",
-    "mistray/analyses/explorer/assets.py: read_text": "a part of mistray",
-    "mistray/toolkit/pages/render.py: read_text": "a part of mistray",
-    "mistray/toolkit/pages/parts.py: read_text": "a part of mistray",
-    "mistray/entry_points.py: open": "entry points of distributions",
-    "mistray/files/irradiance_files.py: fits.open": "bytes of read_file",
-    "mistray/files/sky_picture.py: fits.open": "bytes of read_file",
-    "mistray/files/ray_sets.py: pd.read_csv": "text of read_text",
-    "mistray/files/irradiance_files.py: openexr.File": "a file to write; after require_file",
-    "mistray/files/irradiance_files.py: draft.read_bytes": "a file that was written just now",
-    "mistray/files/arrays.py: zipfile.ZipFile": "bytes of open_input or read_file",
-    "mistray/files/arrays.py: archive.open": "an entry of those",
-    "mistray/io/cad/mesh.py: trimesh.load_scene": "bytes of read_file",
-    "mistray/io/oslo.py: parse": "optiland's reader; after require_file",
-    "mistray/scene/load.py: mi.parser.parse_file": "after check_source",
-}
+ELSEWHERE = vectors.toml("opened_elsewhere.toml")
 
 
 def test_nothing_else_opens_a_file() -> None:

@@ -1,7 +1,5 @@
 """The tables of keys of TOML files say what the fields say."""
 
-from __future__ import annotations
-
 import pytest
 from example_scripts import DOCS, script
 

@@ -1,7 +1,5 @@
 """Who may import whom: a module imports only from the layers above it, so data flows one way."""
 
-from __future__ import annotations
-
 import ast
 import graphlib
 import re

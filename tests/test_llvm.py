@@ -1,7 +1,5 @@
 """libLLVM is settled before Mitsuba is imported: which is taken, what is loaded before it, what is said of the rest."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import re

@@ -1,7 +1,5 @@
 """Python hears what the shell hears: notes of results as warnings with a code."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 import re

@@ -1,7 +1,5 @@
 """Arguments that take several ids, names or numbers take one, too."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The oracles against vectors, analytic cases, each other, and the shipped scenes."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 
@@ -12,7 +10,7 @@ from oracles import beams, closed_forms, nonsequential, scatter, scene_xml, stat
 from oracles import scatter_integrals as integrals
 from oracles.frozen_paths import Bundle, FrozenPaths, follow, mean_position, power, rms_radius
 from oracles.frozen_scene import FrozenScene, read_frozen
-from oracles.geometry import Asphere, Frustum, Plane
+from oracles.geometry import Frustum, Plane
 from oracles.layers import stack_powers
 from oracles.replay import OUTCOMES, replay
 from oracles.scatter_scenes import bsdf_xml, lenses_text, tube_text
@@ -35,66 +33,6 @@ def test_no_oracle_imports_the_program_under_test() -> None:
 
 
 class TestGeometry:
-    @pytest.mark.parametrize(
-        "surface",
-        [
-            STEEP_REAR,
-            Asphere(STEEP_REAR.curvature, STEEP_REAR.conic, STEEP_REAR.coefficients, 1.06, inner=0.5),
-            Asphere(0.0, 0.0, ((2, 0.3), (3, -0.4), (4, 0.15)), 1.5),
-            Asphere(-0.3, -1.0, ((2, -0.02),), half_width=1.2, half_height=0.7),
-        ],
-        ids=["steep", "ring", "wavy", "rectangle"],
-    )
-    def test_asphere_hit_is_the_first_crossing(self, surface: Asphere) -> None:
-        """A fine scan along each ray finds the same crossing; also for rays that start on the surface."""
-        rays = 400
-        rng = np.random.default_rng(3)
-        direction = rng.normal(size=(rays, 3))
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        leaving = np.arange(rays) % 2 == 0
-        x, y = rng.uniform(-1.5, 1.5, (2, 20 * rays))
-        on = np.flatnonzero(self.within(surface, x, y))[:rays]
-        on_surface = np.stack([x[on], y[on], surface.sag(x[on] ** 2 + y[on] ** 2)], axis=1)
-        origin = np.where(leaving[:, None], on_surface, 1.5 * rng.normal(size=(rays, 3)))
-        found = surface.first_hit(origin, direction, leaving)
-        hit = np.isfinite(found)
-        assert 0.05 < hit.mean() < 0.9
-        x, y, z = (origin[hit] + found[hit, None] * direction[hit]).T
-        assert np.abs(z - surface.sag(x * x + y * y)).max() < 1e-14
-        step = 5e-4
-        t = np.arange(20, 20000) * step
-        for i in range(rays):
-            x, y, z = origin[i][:, None] + t * direction[i][:, None]
-            sag = surface.sag(np.minimum(x * x + y * y, surface.reach**2))
-            f = np.where(self.within(surface, x, y), z - sag, np.nan)
-            crossing = np.flatnonzero((f[1:] <= 0) != (f[:-1] <= 0))
-            crossing = crossing[np.isfinite(f[crossing]) & np.isfinite(f[crossing + 1])]
-            if found[i] < t[0]:
-                continue  # closer than the scan starts
-            scanned = t[crossing[0]] if len(crossing) else np.inf
-            close = np.isfinite(found[i]) and scanned <= found[i] <= scanned + step
-            grazing = np.isfinite(found[i]) and found[i] < scanned and abs(f[np.searchsorted(t, found[i])]) < 1e-6
-            assert close or grazing or scanned == found[i] == np.inf, f"ray {i}: {found[i]} against {scanned}"
-
-    @staticmethod
-    def within(surface: Asphere, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        u = x * x + y * y
-        sides = (np.abs(x) <= surface.half_width) & (np.abs(y) <= surface.half_height)
-        return sides & (u <= surface.outer**2) & (u >= surface.inner**2)
-
-    def test_normals_are_gradients(self) -> None:
-        x, y, h = np.array([0.3, -0.9, 0.0]), np.array([0.2, 0.4, 0.0]), 1e-6
-
-        def sag(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-            return STEEP_REAR.sag(x * x + y * y)
-
-        slopes = (sag(x + h, y) - sag(x - h, y)) / (2 * h), (sag(x, y + h) - sag(x, y - h)) / (2 * h)
-        expected = np.stack([-slopes[0], -slopes[1], np.ones(3)], axis=1)
-        expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-        np.testing.assert_allclose(STEEP_REAR.normal(np.stack([x, y, sag(x, y)], axis=1)), expected, atol=1e-9)
-        rim_slope = 2 * STEEP_REAR.outer * STEEP_REAR.slope_u(np.array(STEEP_REAR.outer**2))
-        assert rim_slope == pytest.approx(2.07, abs=0.005)
-
     @pytest.mark.parametrize(
         ("frustum", "origin", "leaving", "length"),
         [
@@ -123,6 +61,19 @@ class TestGeometry:
             (Frustum(2, 1, 1, 1), [0, 1.5, 1], [0, 0, 1]),
         ):
             np.testing.assert_allclose(frustum.normal(np.array([point], dtype=float))[0], normal, atol=1e-15)
+
+    def test_normals_are_gradients(self) -> None:
+        x, y, h = np.array([0.3, -0.9, 0.0]), np.array([0.2, 0.4, 0.0]), 1e-6
+
+        def sag(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            return STEEP_REAR.sag(x * x + y * y)
+
+        slopes = (sag(x + h, y) - sag(x - h, y)) / (2 * h), (sag(x, y + h) - sag(x, y - h)) / (2 * h)
+        expected = np.stack([-slopes[0], -slopes[1], np.ones(3)], axis=1)
+        expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+        np.testing.assert_allclose(STEEP_REAR.normal(np.stack([x, y, sag(x, y)], axis=1)), expected, atol=1e-9)
+        rim_slope = 2 * STEEP_REAR.outer * STEEP_REAR.slope_u(np.array(STEEP_REAR.outer**2))
+        assert rim_slope == pytest.approx(2.07, abs=0.005)
 
 
 class TestSceneXml:
@@ -525,7 +476,6 @@ SCENES = sorted((Path(__file__).parents[1] / "scenes").glob("*/scene.xml"))
 D_LINE_NM = 587.5618
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("path", SCENES, ids=[path.parent.name for path in SCENES])
 @pytest.mark.parametrize("field_deg", [0.0, 0.4, 9.0])
 def test_energy_closes_and_media_fit(path: Path, field_deg: float) -> None:

@@ -1,7 +1,5 @@
 """The wheel, the sdist's wheel and the editable install hold the files that are in the repository, and nothing else."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import pkgutil
@@ -84,7 +82,6 @@ def test_editable_install(clone, tmp_path):
     assert mapping == {inside: clone / outside for outside, inside in SOURCES.items()}
 
 
-@pytest.mark.long
 def test_nobody_imports_the_mapped_folders_directly():
     """From the root of the repository, `import plugins` is a second copy of `mistray.plugins`."""
     wrong = []

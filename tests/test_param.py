@@ -1,7 +1,5 @@
 """Parameters of plugins, ranges of numbers, shares as texts: what they hold and say, in Python, shell and scenes."""
 
-from __future__ import annotations
-
 import argparse
 import inspect
 import math
@@ -216,7 +214,3 @@ def test_a_number_or_several() -> None:
     for wrong in ("3", [], [90.0], [[1.0, 2.0]], [None], float("nan")):
         with refused(r"^scene: field_deg is "):
             FIELD_DEG.check_each("field_deg", wrong, "scene")
-    scene = mistray.load("plate_and_wall")
-    for call in (mistray.ghosts, mistray.sweep, mistray.pst, mistray.sweeps.rank_edits):
-        with refused("field_deg is"):
-            call(scene, [])

@@ -1,7 +1,5 @@
 """The pages that scripts write are current; examples of the plugins load, and their tables tell the truth."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import re
@@ -76,7 +74,6 @@ def test_pages_are_current_and_every_plugin_has_one() -> None:
             assert markup not in text.replace("```", "")
 
 
-@pytest.mark.long
 def test_the_page_of_imported_files_is_current() -> None:
     """After a change of a reader: python docs/make_import_page.py."""
     peers.need("rayoptics")

@@ -1,7 +1,5 @@
 """Files around the program keep to what pages say: workflow, hooks, templates, addresses, deprecations."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shutil
@@ -12,13 +10,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import release_check
 import yaml
-from example_scripts import ROOT
+from example_scripts import ROOT, script
 from packaging.requirements import Requirement
 from packaging.version import Version
 
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+release_check = script("release_check", ROOT / ".ci")
 VERSION = Version(PYPROJECT["project"]["version"])
 ADDRESS = re.compile(r"[\w.+-]+@[\w-]+\.[a-z]{2,}|git(?:hub|lab)\.com/[\w.-]+/mistray\b|doi\.org/10\.\d+/zenodo")
 

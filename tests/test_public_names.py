@@ -1,7 +1,5 @@
 """Names that a Python user types: the version, and what the docstrings of functions refer to."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import re
 

@@ -1,7 +1,5 @@
 """What people read: no sentence of the pages, the help and the messages is long, and no old name stands there."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

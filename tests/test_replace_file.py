@@ -1,7 +1,5 @@
 """Files that belong together appear together, and a folder of results is the old or the new one, however a run ends."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import importlib
@@ -177,7 +175,6 @@ RUNS = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("stop", [MistrayError("no room"), KeyboardInterrupt()], ids=["error", "interrupt"])
 @pytest.mark.parametrize("command", RUNS)
 def test_a_run_that_was_saved_is_named(
@@ -354,7 +351,6 @@ def test_drafts_of_dead_runs_go_when_they_are_old(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"out", *(name for name, stays in names.items() if stays)}
 
 
-@pytest.mark.long
 def test_commands_read_the_mark(tmp_path: Path, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]) -> None:
     """A folder with a scene and a mark of a run that was killed."""
     monkeypatch.chdir(tmp_path)

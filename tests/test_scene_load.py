@@ -1,7 +1,5 @@
 """`mistray.load` and Mitsuba's own loaders: where a scene may come from, and that what comes back is whole."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

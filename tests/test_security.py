@@ -1,7 +1,5 @@
 """Opening a file runs nothing that stands in it: a payload for each way in, which would leave a mark where it ran."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import re

@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM end a command within two seconds, with one line and 130 or 143, whatever it is at."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import resource
@@ -180,7 +178,6 @@ def test_a_signal_ends_an_explosion(name: str, number: signal.Signals, tmp_path:
     assert not list(tmp_path.rglob(".mistray-*"))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("room", [200_000, 500_000])
 def test_a_full_disk_keeps_the_tables_that_fit(room: int, tmp_path: Path) -> None:
     def little_room() -> None:

@@ -3,8 +3,6 @@
 That of the package grows with the load of the machine, and is compared with that of NumPy and Mitsuba alone.
 """
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys
@@ -59,7 +57,6 @@ def test_the_list_of_commands_needs_no_request(tmp_path: Path) -> None:
     assert {name.rpartition(".")[2] for name in found if name.count(".") > 2} == {"command"}
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("byte_code")
 def test_the_package_is_fast() -> None:
     run(sys.executable, "-c", "import mistray")

@@ -1,7 +1,5 @@
 """Stubs say what the functions are when they run, and type checkers find wrong calls of users by them."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

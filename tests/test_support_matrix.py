@@ -1,7 +1,5 @@
 """What docs/support_matrix.md and README say about packages is so: their versions, and how much they take on a disk."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Closed streams, places without UTF-8 or home, no time: a line says what to do, or what was not traced."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -112,7 +110,6 @@ def test_nobody_reads_the_output() -> None:
         assert done.stderr.count("\n") == bool(told)
 
 
-@pytest.mark.long
 def test_strange_surroundings(tmp_path: Path) -> None:
     """A scene whose name is no ASCII: no UTF-8, no home for the cache of kernels, no asserts and docstrings."""
     scene, out = tmp_path / "Höhe.xml", tmp_path / "out"
@@ -185,7 +182,6 @@ def test_rows_of_a_sweep_without_time_are_not_traced(lens: Path) -> None:
         found.estimate("stray_W", field_deg=field_deg, wavelength_nm=wavelength_nm)
 
 
-@pytest.mark.long
 def test_cells_of_a_pst_without_time_are_not_traced(lens: Path, tmp_path: Path) -> None:
     scene = mistray.load(lens)
     angles = [k / 4 for k in range(200)]
@@ -213,7 +209,6 @@ def test_a_pass_that_cannot_end_early_is_not_cut_into_short_launches(lens: Path)
     assert found.value[0] > 0
 
 
-@pytest.mark.long
 def test_the_time_of_the_compilation_is_said(tmp_path: Path) -> None:
     """With real kernels: in a new home there is no cache of them, and the second time there is."""
     command = [*MISTRAY, "ghosts", "singlet_window_detector", "--rays", "100", "--seconds", "5"]

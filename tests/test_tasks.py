@@ -1,7 +1,5 @@
 """The ten tasks of docs/tasks.md run and give what the page says; what docs/coming_from.md names exists."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import inspect
@@ -130,7 +128,6 @@ def test_there_are_ten_and_each_is_short() -> None:
         assert len(code) <= 10
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("text", "facts"), list(zip(TEXTS, FACTS, strict=True)), ids=TITLES)
 def test_a_task(text: str, facts: Callable[[str], None], monkeypatch: pytest.MonkeyPatch) -> None:
     """The example in Python is run by tests/test_docs.py too; here its number is looked at."""

@@ -1,46 +1,16 @@
 """Terms of the field in the engine and the PST: private words for them do not come back."""
 
-from __future__ import annotations
-
 import io
 import re
 import tokenize
 from pathlib import Path
 
 import pytest
+import vectors
 
 ROOT = Path(__file__).parents[1] / "mistray"
 ENGINE = ("kernel", "recorders", "sampling", "execute", "gradients", "trace", "analyses/pst")
-# The term of the field, and words of identifiers, between underscores or capitals, that stand in its place
-TERMS = {
-    "pdf ratio": "odds",
-    "competing technique": "rival rivals",
-    "MIS densities": "rivalry",
-    "competing trace": "opposite",
-    "connected": "linked",
-    "connection": "link links",
-    "light vertex, connection": "joint",
-    "reference throughput": "birth",
-    "medium": "cloud",
-    "medium rays": "clouds",
-    "in-scattered": "clouded",
-    "contributes": "books booking",
-    "recorded": "booked",
-    "plays roulette": "thins",
-    "after roulette": "thinned",
-    "roulette": "thinning",
-    "direct path": "trunk",
-    "Mitsuba's own": "stock",
-    "importance": "worth",
-    "reported": "told",
-    "report, warn": "tell tells",
-    "requested": "wanted",
-    "holds": "knows",
-    "scattered, absorbed": "taken",
-    "resumes": "waits",
-    "probability": "chance chances",
-}
-PRIVATE = {word: term for term, words in TERMS.items() for word in words.split()}
+PRIVATE = {word: term for term, words in vectors.toml("terms.toml").items() for word in words.split()}
 LOCAL = {"many": "the number of what"}  # a name by itself; `as_many` and `too_many` are plain English
 # Words of comments, docstrings and messages; "by chance", "told apart" and "not worth" are plain English
 PROSE = (

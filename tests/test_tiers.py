@@ -1,7 +1,5 @@
 """The tiers of the tests: what is quick knows every room, make test all that a user has, the parts hold the rest."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

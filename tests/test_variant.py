@@ -1,7 +1,5 @@
 """The variant is one that can trace, and every plugin follows it."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -29,7 +27,6 @@ def run_python(code: str, *arguments: str, **environment: str | None) -> subproc
     )
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("before", "environment", "argument", "expected"),
     [

@@ -1,7 +1,5 @@
 """Results as text and as files, by the functions that a notebook calls; the commands write the same."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`to_xarray`: the numbers, axes, units and errors of a result, and what is said where xarray is missing."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

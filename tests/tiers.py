@@ -7,8 +7,6 @@ long tier. It is cut into parts of about equal length, one of which continuous i
 the record does not know is in `make test` if it has no mark, and in every part if it is marked `long`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

@@ -1,13 +1,21 @@
-"""Tables of numbers that tests compare with, in tests/data; the comments of each file name its source."""
-
-from __future__ import annotations
+"""Files of tests/data: texts, and tables of numbers that tests compare with, whose comments name the source."""
 
 import csv
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 DATA = Path(__file__).parent / "data"
+
+
+def text(name: str) -> str:
+    return (DATA / name).read_text(encoding="utf-8")
+
+
+def toml(name: str) -> dict[str, Any]:
+    return tomllib.loads(text(name))
 
 
 def rows(name: str) -> list[dict[str, str]]:

@@ -1,7 +1,5 @@
 """A PST that no trace made: a camera of 26 degrees half field, ghosts and scatter of three walls."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

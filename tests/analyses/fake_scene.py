@@ -1,7 +1,5 @@
 """Shapes with the attributes of the shape plugins that the layout reads."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small stand-in for `mistray.trace.Trace`: rays drawn from known discs, so that every number is known."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache

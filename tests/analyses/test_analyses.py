@@ -1,7 +1,5 @@
 """Reports of objects, of thermal emission, and of images with stray light."""
 
-from __future__ import annotations
-
 import inspect
 import io
 import json
@@ -45,7 +43,6 @@ def estimates(found: Any) -> pd.DataFrame:
     return found.estimates()
 
 
-@pytest.mark.long
 def test_text_holds_the_lists(found: Any, estimates: pd.DataFrame) -> None:
     text = output.objects_text(found, estimates, 5)
     for part in ("barrel_6_cone", f"… and {len(found.critical) - 5} more", "aperture stop: stop"):
@@ -72,7 +69,6 @@ def test_text_holds_the_lists(found: Any, estimates: pd.DataFrame) -> None:
     assert len(shown) >= min(10, len(found.common))
 
 
-@pytest.mark.long
 def test_files(found: Any, estimates: pd.DataFrame, tmp_path: Path) -> None:
     out = tmp_path / "new" / "out"
     output.write_objects(found, estimates, out, "a <camera>", "mistray objects x")
@@ -162,7 +158,6 @@ def test_thermal_text_and_pictures() -> None:
     assert [stairs.get_data().values.tolist() for stairs in axes.patches] == [[500.0, 300.0], [60.0, 60.0]]
 
 
-@pytest.mark.long
 def test_thermal_files(tmp_path: Path) -> None:
     out = tmp_path / "new" / "out"
     files = write_thermal(REPORT, out, "a & b", "mistray thermal system")
@@ -193,7 +188,6 @@ def halo(load_scene):
     return mistray.transfer(load_scene(paraboloid_text(HALO, detector=5.0)), rays=3000, pixel_mm=0.004)
 
 
-@pytest.mark.long
 def test_curves_are_those_of_the_result(halo, monkeypatch):
     (one,) = halo
     left, right = mtf_figure(one, "mirror").axes
@@ -215,7 +209,6 @@ def test_curves_are_those_of_the_result(halo, monkeypatch):
         assert right - left == pytest.approx(2e3 * one.image.largest_radius_mm, rel=2e-3)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("options", [{}, {"frequencies_per_mm": [3.0]}, {"frequencies_per_mm": [0.0]}])
 def test_no_stray_light_and_few_frequencies(load_scene, options):
     (one,) = mistray.transfer(load_scene(paraboloid_text()), rays=200, **options)
@@ -224,7 +217,6 @@ def test_no_stray_light_and_few_frequencies(load_scene, options):
         assert np.asarray(picture.convert("L")).std() > 5
 
 
-@pytest.mark.long
 def test_an_image_far_out_of_focus_has_words_instead_of_pictures():
     """Of a point 500 mm before a lens for distant objects the wavefront is steeper than any grid of the default."""
     found = mistray.transfer(mistray.load("cooke_triplet", "point:0,0,-500"), rays=1000)

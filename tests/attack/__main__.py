@@ -1,7 +1,5 @@
 """Runs the attack: ``PYTHONPATH=tests python -m attack``, some with ``--part options scenes`` or ``--every 10``."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

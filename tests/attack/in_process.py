@@ -1,7 +1,5 @@
 """Parts whose cases run one after another in a worker: options, scenes, damaged files and bombs."""
 
-from __future__ import annotations
-
 import gzip
 import random
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Parts whose cases are processes of their own: interrupted, in strange surroundings, asked too much."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -1,7 +1,5 @@
 """The attack, some of its cases or all: nothing that a user or an enemy gives ends in a traceback, a hang or a lie."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -13,7 +11,6 @@ SOME = {"options": 151, "scenes": 71, "files": 13, "surroundings": 15}
 SPLIT = {"options": 12, "scenes": 6, "files": 4}
 
 
-@pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("part", SOME)
 def test_some_cases(part: str, tmp_path: Path) -> None:

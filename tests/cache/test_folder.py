@@ -1,7 +1,5 @@
 """Where the cache is, how large it may be, and what its keys depend on."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

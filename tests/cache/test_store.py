@@ -1,7 +1,5 @@
 """The cache on disk: whole entries or none, several processes, damage, limits, disks that do not take anything."""
 
-from __future__ import annotations
-
 import errno
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Work in parts, and `mistray.distribute` with a cluster of processes; scenes on their way to another process."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import gc
@@ -43,7 +41,6 @@ def scene():
     return mistray.load(SCENE)
 
 
-@pytest.mark.long
 def test_parts_add_up_to_one_run(scene, monkeypatch):
     monkeypatch.setattr(by_parts, "LEAST_RAYS", 1 << 10)
     arguments = {"rays": 40_000, "wavelength_nm": [500.0, 600.0], "field_deg": 2.0}
@@ -110,7 +107,6 @@ def test_ghosts_keep_the_fields_that_are_finished(scene, last, fields, kept):
     assert {field: t.rays_traced for field, t in report.items()} == dict.fromkeys(kept, 2000)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("method", ["joined", "adjoint", "forward"])
 def test_pst_by_workers(method, tmp_path):
     scene = mistray.load("plate_and_wall")
@@ -147,7 +143,6 @@ def test_pst_by_workers(method, tmp_path):
         np.testing.assert_allclose(many.by_batch, one.by_batch, rtol=ROUNDING)
 
 
-@pytest.mark.long
 def test_monte_carlo_of_tolerances(scene):
     metric = metrics.path_power(scene, selection="ghost", rays=2000)
     arguments = {"keys": ["*.curvature"], "check": False, "monte_carlo": 3, "edges": False}
@@ -447,7 +442,6 @@ def alone(scene):
 # The next five use up one cluster, in this order
 
 
-@pytest.mark.long
 def test_a_worker_of_another_version_is_refused(cluster, scene, monkeypatch):
     monkeypatch.setattr("mistray.cluster.travel.surroundings", lambda: {"mistray": "9.9", "variant": "llvm_ad_rgb"})
     with (

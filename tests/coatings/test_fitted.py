@@ -1,12 +1,11 @@
 """Presets on bodies that they were not made for, against `tmm` and a plain quarter wave."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import vectors
 from command_line import run, succeeds
 from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
 from singlet_files import plano_convex
@@ -42,23 +41,7 @@ def test_on_flints(name: str, body: str) -> None:
     assert found.reached <= by_tmm(preset("mgf2_quarter_wave"), body, found.low_nm, found.high_nm) + 2e-6
 
 
-@pytest.mark.parametrize(
-    ("name", "body", "most"),
-    [
-        ("zns_mwir", "Ge", 0.039),
-        ("zns_mwir", "Si", 0.0505),
-        ("zns_lwir", "Ge", 0.029),
-        ("bbar4_mwir", "Ge", 0.0045),
-        ("bbar4_mwir", "Si", 0.002),
-        ("bbar4_mwir", "ZnSe", 0.002),
-        ("bbar4_mwir", "BD2", 0.002),
-        ("bbar4_lwir", "Ge", 0.0006),
-        ("bbar4_lwir", "Si", 0.0006),
-        ("bbar4_lwir", "ZnSe", 0.0015),
-        ("bbar4_lwir", "IG6", 0.0015),
-        ("bbar4_lwir", "CdTe", 0.0015),
-    ],
-)
+@pytest.mark.parametrize(("name", "body", "most"), vectors.toml("infrared_presets.toml")["rows"])
 def test_in_the_infrared(name: str, body: str, most: float) -> None:
     """Residual reflectance by `tmm`, in the mean over 3 to 5 or 8 to 12 µm; bare, these bodies have 17 to 36 %."""
     found = fitted_preset(name, body)

@@ -1,7 +1,5 @@
 """Coatings: bare surfaces, shares, stacks beside `tmm`, presets beside vectors, tables of both sides."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -343,27 +341,3 @@ def test_phases(read) -> None:
     assert np.degrees(at(table, 550.0, 60.0, from_front=False).phase_r[0]) == pytest.approx(170)
     # between 180 and 150 degrees lies 165, not a value on the far side of the circle
     assert np.degrees(at(table, 550.0, HALF).phase_r[0]) == pytest.approx(165)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "column wavelength_nm, angle_deg, R or R_s and R_p, T or T_s and T_p is missing"),
-        ("wavelength_nm,angle_deg,R,T_s\n", "column the partner of T_s is missing"),
-        ("wavelength_nm,angle_deg,R,R_s,R_p,T\n", "columns R and R_s are both there"),
-        ("wavelength_nm,angle_deg,R,T,note\n", "column 'note' is unknown; possible are wavelength_nm, angle_deg, R,"),
-        ("wavelength_nm,angle_deg,R,T,T\n", "column 'T' is there twice"),
-        (PLAIN.replace(".20", "n/a"), "line 4: could not convert string to float: 'n/a'; every value must be a number"),
-        (PLAIN.replace("500,60,.20,.70", "500,60,.20"), "line 4: 3 values where 4 are needed"),
-        (PLAIN.replace(".20", "nan"), "line 4: nan; every value must be a finite number"),
-        (PLAIN.replace("600,60,.40,.50\n", ""), "3 rows for 2 wavelengths and 2 angles; give every angle once at"),
-        (PLAIN.splitlines()[1], "0 rows for 0 wavelengths"),
-        (PLAIN.replace(".80", ".95"), "R + T reaches 1.05 or a value is negative"),
-        (PLAIN.replace(".80", "-.1"), "or a value is negative"),
-        (POLARISED.replace(".35,.12", ".45,.12"), "R + T reaches 1.05"),
-        (PLAIN.replace(",60,", ",95,"), "angles must lie in 0 … 90°"),
-    ],
-)
-def test_bad_files(read, text: str, words: str) -> None:
-    with refused("coating table '", words):
-        read(text)

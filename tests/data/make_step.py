@@ -6,8 +6,6 @@
 assembly in inches: one ring that stands in it twice, once turned, and a bracket that is no body of revolution.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

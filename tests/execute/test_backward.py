@@ -1,7 +1,5 @@
 """Backward traces: balance, books, passes that add up; launches of bounded time, which no number hangs on."""
 
-from __future__ import annotations
-
 import copy
 import importlib
 import os
@@ -324,7 +322,6 @@ def test_an_interrupt_keeps_all_but_a_table_that_takes_long(
         _ = partial.paths
 
 
-@pytest.mark.long
 def test_a_long_trace_names_the_limit_to_lower(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     forecast = importlib.import_module("mistray.execute.forecast")
     monkeypatch.setattr(forecast, "FIRST_LOOK", 0.0)

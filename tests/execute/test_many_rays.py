@@ -1,7 +1,5 @@
 """Start rays up to 4.29e9: no precision is lost in sums, memory does not grow, and the time is that of the device."""
 
-from __future__ import annotations
-
 import gc
 import itertools
 import json

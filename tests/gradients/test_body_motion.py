@@ -1,7 +1,5 @@
 """Bodies whose faces meet in edges that the light crosses: the sum of their faces' derivatives is that of the body."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -159,7 +157,6 @@ def test_tilt_of_the_roof() -> None:
     assert abs(about_ridge.value) < max(4 * about_ridge.se, 1e-5)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "rays", "step", "selection"),
     [
@@ -177,7 +174,6 @@ def test_against_scenes_built_again(make: Make, rays: int, step: float, selectio
     check(derivative(scene, path_power(scene, selection, rays=rays)), expected)
 
 
-@pytest.mark.long
 def test_segments_that_abut() -> None:
     """The beam lies within both: nothing changes but by what falls off."""
     scene = mirrors_side_by_side()
@@ -186,7 +182,6 @@ def test_segments_that_abut() -> None:
     assert found.se < 0.01
 
 
-@pytest.mark.long
 def test_pst_of_a_box() -> None:
     """A box between detector and sky."""
 

@@ -1,7 +1,5 @@
 """The choice of the width of zones at rims: drawn hits of a known density, and scenes whose derivatives are known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +67,6 @@ def hole() -> str:
 
 
 class TestGradient:
-    @pytest.mark.long
     def test_hole_in_a_beam(self, load_scene) -> None:
         """Errors of 12 seeds break the limit by chance once in 1000; zones of 5 % are off by 0.12, and say so."""
         scene = load_scene(hole())

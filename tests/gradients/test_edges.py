@@ -1,7 +1,5 @@
 """What a metric gains where rims and silhouettes move, and at the onset of total reflection; 1 of 1000 runs fails."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -110,7 +108,6 @@ STOPS: dict[str, tuple[list[str], dict[str, float]]] = {
 
 
 class TestClosedForms:
-    @pytest.mark.long
     @pytest.mark.parametrize("name", STOPS)
     def test_stop_in_a_beam(self, load_scene, name: str) -> None:
         shapes, expected = STOPS[name]
@@ -193,7 +190,6 @@ class TestCorners:
         check("radius", tied, np.cos(self.FIELD) * 4 * r * np.arccos(apart / (2 * r)))
         check("vane.r0", found["vane.r0"], -np.cos(self.FIELD) * 2 * np.pi * 1.0)
 
-    @pytest.mark.long
     def test_part_of_a_side(self, load_scene) -> None:
         """A half mirror stands on a part of a black square's side; both move, and only the square's width counts."""
         large = shape_xml("asphere", "large", 5.0, half_width=4.0, half_height=4.0)
@@ -211,7 +207,6 @@ class TestCorners:
         check("sides", sum(found.values()), -np.cos(self.FIELD) * 16.0)
         assert abs(sums(found["small.z"])[0][0]) > 5 * sums(found["small.z"])[1][0]
 
-    @pytest.mark.long
     def test_a_circle_that_touches_a_tube_at_a_point(self, load_scene) -> None:
         disc = placed_xml("frustum", "disc", at=(5.0, 0.0, 5.0), r0=1.0, z0=0.0, r1=5.0, z1=0.0)
         tube = shape_xml("frustum", "tube", 0.0, r0=10.0, z0=0.0, r1=10.0, z1=20.0)
@@ -219,7 +214,6 @@ class TestCorners:
         check("outer", found["disc.r1"], -10 * np.pi)
 
 
-@pytest.mark.long
 def test_the_rim_of_a_hemisphere(load_scene) -> None:
     """It stands upright there, so that no distance across grows along it: 4 standard errors, false alarm 4e-4."""
     dome = shape_xml("asphere", "dome", 5.0, HALF_PASSES, curvature=0.2, semi_diameter=5.0)
@@ -284,7 +278,6 @@ def leaving(scene: Any, keys: list[str], scatters: int, light: str) -> tuple[Par
 class TestAgainstTheLight:
     """2π sr of sky lie before a detector; π times its share is the integral of the PST over them."""
 
-    @pytest.mark.long
     def test_direct_edge_sampling(self, load_scene) -> None:
         """Black vane, one scatter event, against the integral along its rim."""
         found, *_ = leaving(load_scene(baffle_text()), ["vane.r0", "vane.z"], 1, "single_scatter")
@@ -373,7 +366,6 @@ BEAM = 5.0  # mm
 
 
 @pytest.mark.quick
-@pytest.mark.long
 def test_rod_across_a_beam(load_scene) -> None:
     """A black rod of radius 2 mm, 2.5 mm off the middle of the beam, takes a strip out of it."""
     rod = placed_xml("frustum", "rod", at=(2.5, -10.0, 10.0), facing=(0.0, 1.0, 0.0), r0=2.0, r1=2.0, z0=0.0, z1=20.0)

@@ -1,7 +1,5 @@
 """Beams that just fill a rim, and derivatives by the numbers of outlines, against closed forms."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -287,7 +285,6 @@ CORNERS_AND_SEAMS: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", [*CASES, *CORNERS_AND_SEAMS])
 def test_a_plate_takes_its_area(name: str) -> None:
     """Each number within 4 or 4.5 standard errors, which are 10 % of the largest at most: false alarms 7e-3 in all."""
@@ -303,7 +300,6 @@ def test_a_plate_takes_its_area(name: str) -> None:
         assert error < 0.1 * largest * scale * (20 if key.endswith("angle_deg") else 1), key
 
 
-@pytest.mark.long
 def test_the_error_holds_over_seeds() -> None:
     """The edge of an ellipse: z of 24 seeds has a mean square of 1, within what chi-square allows at 1e-3."""
     numbers, areas = CASES["ellipse"]

@@ -1,7 +1,5 @@
 """Derivatives of a PST by rays of both directions, of a lens that scatters in a painted tube with a vane."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi
@@ -75,7 +73,6 @@ def difference(scene: mi.Scene, key: str, step: float) -> tuple[float, float]:
     return float(slopes.mean()), float(slopes.std(ddof=1)) / BATCHES**0.5
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("key", STEPS)
 def test_against_differences(scene, key: str) -> None:
     """Within 4 errors of both, by chance once in 16 000 times, and 2 % for the curvature of zones and steps."""
@@ -85,7 +82,6 @@ def test_against_differences(scene, key: str) -> None:
     assert abs(found - expected) < 4 * np.hypot(error, own) + 0.02 * abs(expected)
 
 
-@pytest.mark.long
 def test_less_noise_than_one_direction(scene) -> None:
     """Half the error with a fourth of the start rays; the errors of a run are known to 30 %, so three runs count."""
     joined = [derivative(scene, seed=seed) for seed in (3, 4, 5)]
@@ -96,7 +92,6 @@ def test_less_noise_than_one_direction(scene) -> None:
         assert abs(found.mean() - other.mean()) < 5 * np.hypot(np.linalg.norm(own), np.linalg.norm(error)) / 3, key
 
 
-@pytest.mark.long
 def test_errors_hold(scene) -> None:
     """The spread of 24 runs is off by 50 % or -45 % once in 20 000 times, of five derivatives five times as often."""
     runs = [derivative(scene, seed=100 + k) for k in range(24)]
@@ -105,7 +100,6 @@ def test_errors_hold(scene) -> None:
         assert 0.55 < found.std(ddof=1) / np.sqrt(np.mean(errors**2)) < 1.5, key
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_any_shares_have_the_same_mean(scene, share: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a share leaves to one direction the other has: within 5 errors, by chance once in 10⁶ times."""

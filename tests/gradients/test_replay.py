@@ -151,7 +151,6 @@ def is_fragile(case: Case, path: Branches, lanes: np.ndarray) -> np.ndarray:
     return taken
 
 
-@pytest.mark.long
 def test_paths_replay_sequentially(case: Case) -> None:
     (run,) = case.t.runs
     assert {tuple(row.event_list) for row in case.t.paths} == set(case.by_path)
@@ -188,12 +187,6 @@ def test_paths_replay_sequentially(case: Case) -> None:
 
 def test_ledger_against_the_nonsequential_oracle(case: Case) -> None:
     compare_ledgers(case)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("field_deg", [5.0, 10.0, 15.0, 20.0, 25.0])
-def test_more_rays_through_the_phone_camera(field_deg: float) -> None:
-    compare_ledgers(traced(ROOT / "scenes" / "phone_camera" / "scene.xml", field_deg, 800))
 
 
 def compare_ledgers(case: Case) -> None:

@@ -1,7 +1,5 @@
 """Derivatives of scatter along a path by values, directions, normals, R and T, against closed forms in float64."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -171,7 +169,6 @@ DIRECTIONS = [pytest.param(name, False, id=f"{name}-forward") for name in FORMS]
 ]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("name", "backward"), DIRECTIONS)
 def test_flux_by_values(load_scene: Load, name: str, backward: bool) -> None:
     form = FORMS[name]

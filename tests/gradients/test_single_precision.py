@@ -1,7 +1,5 @@
 """The replay differentiates in float32: surfaces of any size, turns that change nothing, and portions of rays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any

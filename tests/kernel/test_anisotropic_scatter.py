@@ -1,8 +1,6 @@
 """Scatter that depends on how a sample lies, in a trace: within 4 standard errors (6e-5 each) and what is written at
 the test for interpolation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +88,6 @@ def small_detector(f: float, polar_deg: float, distance: float = 60.0, radius: f
 
 
 class TestClosedForms:
-    @pytest.mark.long
     def test_transmission(self, tmp_path: Path) -> None:
         """A BTDF into glass: the specular direction is the refracted one, and the angles are seen from the light."""
         rotations, angles = np.arange(0.0, 361.0, 15.0), np.array([0.0, 12.0, 24.0, 36.0])
@@ -103,7 +100,6 @@ class TestClosedForms:
         exact = small_detector(brushed.bsdf(specular, seen, axis_at(20.0), FRONT_NORMAL), 30.0)
         assert_z("BTDF", found, exact, se, k=4.0, floor=small_detector(0.015 * brushed.A, 30.0))
 
-    @pytest.mark.long
     def test_file(self, brdf: dict[str, Any]) -> None:
         """The closed form behind an Asymmetrical4D file, also on a turned plate: 1.5 % of A is interpolation."""
         rng = np.random.default_rng(4)
@@ -115,7 +111,6 @@ class TestClosedForms:
             exact = small_detector(brushed.bsdf(d * [1, 1, -1], seen, axis_at(turn + more), FRONT_NORMAL), polar)
             assert_z("odd angles", found, exact, se, k=4.0, floor=small_detector(0.015 * brushed.A, polar))
 
-    @pytest.mark.long
     @pytest.mark.parametrize("beam", [0.0, 30.0, 140.0])
     def test_absorbed(self, brdf: dict[str, Any], beam: float) -> None:
         """What the plate keeps is 1 - TIS, which changes with the azimuth of incidence; 0.6 % is interpolation."""
@@ -125,7 +120,6 @@ class TestClosedForms:
         assert e.absorbed["plate"][0] / e.launched_W == pytest.approx(1 - tis, abs=7e-3 * tis)
         assert abs(e.closure) < 1e-6
 
-    @pytest.mark.long
     def test_meridian(self, two_fold: dict[str, Any]) -> None:
         """On a turned plate the axis points away from the middle, here to a spot aside."""
         turned = two_fold | {"sample_axis": "meridian", "rotation_deg": 15.0}
@@ -137,7 +131,6 @@ class TestClosedForms:
         exact = small_detector(FLAT + TWO_FOLD * np.cos(2 * np.radians(100.0 - axis)), 40.0)
         assert_z("meridian", found, exact, se, k=4.0, floor=0.01 * exact)
 
-    @pytest.mark.long
     def test_lathe_turned_tube(self, two_fold: dict[str, Any]) -> None:
         """A tube looks alike from all sides: a beam to its wall sends the same back, whatever its azimuth."""
         tube = {"type": "frustum", "r0": 10.0, "z0": -40.0, "r1": 10.0, "z1": 40.0}
@@ -152,7 +145,6 @@ class TestClosedForms:
         assert_z("azimuths", values[1:], values[0], np.hypot(errors[1:], errors[0]), k=4.0)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("shape", "turned"),
     [

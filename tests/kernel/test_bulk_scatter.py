@@ -1,7 +1,5 @@
 """Media that absorb and scatter: Beer and Lambert's law, slabs against float64 photons, quadratures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles import bulk
@@ -26,7 +24,6 @@ def slab_text(material: str) -> str:
     )
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("albedo", "g"), [(1.0, 0.0), (1.0, 0.8), (0.7, -0.4)])
 @pytest.mark.parametrize("splitting", ["split", "one"])
 def test_slab_against_photons(load_scene, albedo: float, g: float, splitting: str) -> None:

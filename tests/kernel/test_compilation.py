@@ -1,7 +1,5 @@
 """What compiles a kernel and what does not: each row of two tables of docs/kernels.md; and twenty files one by one."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import random

@@ -1,7 +1,5 @@
 """Rings that diffract, traced: within 3 standard errors of the far field of a round aperture (2.7e-3 each)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any
@@ -138,7 +136,6 @@ class TestPst:
         closed = 0.55e-3 * far.RADIUS / (2 * math.pi**2 * far.LENGTH**2) * mean
         assert far.expected(25.0, 0.1) == pytest.approx(closed, rel=1e-4)
 
-    @pytest.mark.long
     @pytest.mark.parametrize(
         ("method", "rays", "width"),
         [("adjoint", 20_000_000, 0.25), ("adjoint", 15_000_000, 0.5), ("forward", 600_000, 0.5)],

@@ -1,7 +1,5 @@
 """Limits of paths in closed form: thresholds by kind of branch, hits, ancestry, operations; what is cut is booked."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi
@@ -178,7 +176,6 @@ class TestLongPaths:
         default = energy(scene, rays=64, max_reflections=1000)
         assert default.cut["max_events"] > found.energy.cut["max_events"] > 0
 
-    @pytest.mark.long
     def test_more_nodes_wait_than_a_word_has_bits(self, load_scene) -> None:
         """35 plates: at each of 70 surfaces a reflected child waits, and those of the last ones are 140 events long."""
         r, t = 2**-10, 1 - 2**-10  # exact in the kernel

@@ -1,7 +1,5 @@
 """Stokes vectors along skew paths, against closed forms and against field vectors in float64."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles.polarized import transport

@@ -1,7 +1,5 @@
 """Polarised sources: Mueller cascades against field vectors in float64 with amplitudes of `tmm`."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 import pytest

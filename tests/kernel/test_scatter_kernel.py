@@ -1,7 +1,5 @@
 """Scattered rays in the tree: the sampling is unbiased, modes and limits agree, and what a limit cuts is booked."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles.scatter_scenes import bsdf_xml, scattering_xml

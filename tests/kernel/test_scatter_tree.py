@@ -1,7 +1,5 @@
 """The ray tree of a scattering lens against a slow Monte Carlo in float64, path by path, and its energy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +48,6 @@ class TestAgainstMonteCarlo:
         books = scatter.trace(model, models, beam.origin, beam.direction, beam.power, 550.0, **limits)
         return request.param, books
 
-    @pytest.mark.long
     @pytest.mark.parametrize("mode", MODES)
     def test_paths_and_books(self, load_scene, oracle: tuple[str, scatter.Books], mode: str) -> None:
         name, books = oracle
@@ -123,7 +120,6 @@ SPLITTING = [
 ]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("path", "splitting"), SPLITTING)
 def test_energy_closes(path: Path, splitting: str, tmp_path: Path) -> None:
     """1e-5 in every scene with scatter on every surface, in the field and outside of it; nothing is negative."""

@@ -1,7 +1,5 @@
 """Lanes that take one start ray after the other bring what those bring that take one each; packets are sums."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

@@ -1,7 +1,5 @@
 """Zemax AGF files and a user's CSV tables: indices, transmittances, encodings, and lines that are wrong."""
 
-from __future__ import annotations
-
 import cmath
 import math
 
@@ -102,30 +100,6 @@ def test_a_glass_among_others(write):
     assert refractive_index(material, LINE_D_NM) > 1.5268
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line", "message"),
-    [
-        ("NM N-BK7 2 ", "NM N-BK7 14 ", 1, "formula '14' of glass 'N-BK7' is none of 1 … 13"),
-        ("NM N-BK7 2 517642.251 1.5168 64.17 0 1 1", "NM N-BK7", 1, "NM needs a name"),
-        ("CD 1.03961212E+00", "CD 1.0396l212E+00", 4, "'1.0396l212E\\+00' is no number"),
-        (" 1.03560653E+02 0 0 0 0", "", 4, r"5 coefficients; formula 2 \(Sellmeier 1\) has 6"),
-        ("CD ", "XX ", 1, "glass 'N-BK7' has no CD line"),
-        ("LD 0.3 2.5\n", "", 1, "glass 'N-BK7' has no LD line"),
-        ("LD 0.3 2.5", "LD 2.5 0.3", 7, "2.5 and 0.3 µm are no range of wavelengths"),
-        ("LD 0.3 2.5", "LD 0.3", 7, "1 numbers; it needs least λ, greatest λ"),
-        ("IT 0.40 0.992 25.0", "IT 0.40 0.992", 9, "2 numbers; it needs λ, internal transmittance, thickness"),
-        ("IT 0.40 0.992 25.0", "IT 0.40 1.2 25", 9, "internal transmittance 1.2 is not within 0 … 1"),
-        ("IT 0.40 0.992 25.0", "IT 0.40 0.992 0", 9, "λ = 0.4 µm and thickness = 0 mm must be greater than 0"),
-        ("IT 0.50", "NM N-BK7 2 0 1.5 60\nIT 0.50", 10, "glass 'N-BK7' is there already, on line 1"),
-    ],
-)
-def test_wrong_lines_are_named(write, old, new, line, message):
-    assert old in N_BK7
-    material = write(N_BK7.replace(old, new))
-    with refused(f"makers.agf' line {line}: {message}"):
-        complex_index(material, 450.0)
-
-
 @pytest.mark.parametrize("number", AGF_FORMULAS)
 def test_every_formula_is_read_from_a_file(write, number):
     _, count, formula = AGF_FORMULAS[number]
@@ -173,22 +147,3 @@ def test_error_of_the_interpolation_is_as_documented(write_csv, step, error):
     at = 400 + step / 2
     found = refractive_index(write_csv("wavelength_nm,n\n" + "\n".join(rows)), at)
     assert found - glass.refractive_index("N-SF6", at) == pytest.approx(error, rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("wavelength_nm,n\n", "no rows"),
-        ("wavelength,n\n400,1.5\n", "line 1: columns 'wavelength,n'; it needs wavelength_nm,n"),
-        ("wavelength_nm,n,n\n400,1.5,1\n", "line 1: columns"),
-        ("wavelength_nm,n\n400,1.5\n500,x\n", "line 3: n = 'x' is no number"),
-        ("# note\n\nwavelength_nm,n\n400,1.5,2\n", "line 4: 3 cells for 2 columns"),
-        ("wavelength_nm,n\n400,1.5\n400,1.6\n", "line 3: wavelength 400 nm is there twice"),
-        ("wavelength_nm,n\n-400,1.5\n", "line 2: wavelength_nm = -400; it must be finite and greater than 0"),
-        ("wavelength_nm,n\n400,nan\n", "line 2: n = nan"),
-        ("wavelength_nm,n,k\n400,1.5,-1e-7\n", r"line 2: k = -1e-07; it must be finite and at least 0 \(n \+ ik"),
-    ],
-)
-def test_wrong_rows_are_named(write_csv, text, message):
-    with refused(f"my glass.csv'? ?.*{message}"):
-        complex_index(write_csv(text), 450.0)

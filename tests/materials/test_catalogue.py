@@ -1,7 +1,5 @@
 """Names → pages: catalogued indices and the order of makers; the tables of docs/materials.md say what the code does."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,12 +1,11 @@
 """Dispersion formulas against the package that brings the pages, closed evaluations and printed indices."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+import vectors
 from oracles import glass
 
 from mistray.errors import MistrayError
@@ -62,30 +61,7 @@ def agf(number, c, wavelength_nm):
     return AGF_FORMULAS[number][2](c, wavelength_nm * 1e-3)
 
 
-@pytest.mark.parametrize(
-    ("number", "c", "wavelength_nm", "n", "digits"),
-    [
-        # BK7 of the old Schott catalogue; CR-39 as an ophthalmic catalogue gives it
-        (1, (2.2718929, -1.0108077e-2, 1.0592509e-2, 2.0816965e-4, -7.6472538e-6, 4.9240991e-7),
-         LINE_D_NM, 1.5168, 6e-6),
-        (2, (1.03961212, 0.00600069867, 0.231792344, 0.0200179144, 1.01046945, 103.560653), LINE_D_NM, 1.5168, 6e-6),
-        # Germanium at 4 µm (W. J. Smith, Modern Optical Engineering)
-        (3, (3.99931, 0.391707, 0.163492, -6.0e-6, 5.3e-8, 0.0), 4000.0, 4.0243, 2e-4),
-        (5, (1.471862713, 1.520790642e-2, 3.555509148e-5), LINE_D_NM, 1.498, 5e-4),
-        # Lithium niobate, ordinary ray at 1064 nm: n² = 4.9048 + 0.11768/(λ² - 0.04750) - 0.027169 λ²
-        (7, (4.9048, 0.11768, 0.04750, 0.027169), 1064.0, 2.2322, 2e-4),
-        # Quartz, ordinary ray (G. Ghosh, 1999)
-        (9, (1.28604141, 1.07044083, 0.0100585997, 1.10202242, 100.0), 589.3, 1.5442, 5e-5),
-        # TAFD30, J-LASF08A, J-SF1 and their printed nd
-        (1, (3.4419038, -0.014175245, 0.03435104, 0.0011752271, -3.9010343e-05, 3.7417054e-06), LINE_D_NM, 1.883, 6e-6),
-        (12, (3.4408629, -0.0138053657, 0.035057073, 0.000960233781, -7.6596963e-06, 2.57013206e-06, -5.63338044e-05,
-              0), LINE_D_NM, 1.883, 6e-6),
-        (10, (2.8477793, -0.0114171302, 0.0310426999, 0.00254456183, -0.000460296278, 0.000102222014, -1.01220546e-05,
-              4.62539051e-07), LINE_D_NM, 1.71736, 6e-6),
-        (13, (2.8477793, -0.0114171302, 0, 0.0310426999, 0.00254456183, -0.000460296278, 0.000102222014,
-              -1.01220546e-05, 4.62539051e-07), LINE_D_NM, 1.71736, 6e-6),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("number", "c", "wavelength_nm", "n", "digits"), vectors.toml("agf_formulas.toml")["rows"])
 def test_agf_formulas_give_printed_indices(number, c, wavelength_nm, n, digits):
     assert agf(number, c, wavelength_nm) == pytest.approx(n, abs=digits)
 

@@ -1,11 +1,10 @@
 """Materials of the infrared: indices against numbers that others print, absorption, names, and where the data end."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
 import pytest
+import vectors
 from command_line import fails, succeeds
 from refusals import refused
 from singlet_files import plano_convex
@@ -14,27 +13,7 @@ from mistray.materials import complex_index, refractive_index, source
 
 # Second pages of the database: other samples, mostly of other laboratories. There is none for IRG27. For MgF2 beyond
 # 1700 nm the one that there is differs by 1 % of n - 1 at 4 µm; for CdTe at 10 µm, by 1.2 %: unconfirmed there.
-_CRYSTRAN = "specs/crystran/optical"
-SECOND = [
-    # name, second page, wavelengths nm
-    ("Ge", "main/Ge/nk/Icenogle", (4000.0, 8000.0, 10000.0, 12000.0)),
-    ("Si", "main/Si/nk/Salzberg", (3000.0, 5000.0, 10000.0)),
-    ("CdTe", f"{_CRYSTRAN}/CdTe", (8000.0,)),
-    ("KRS-5", "other/mixed crystals/TlBr-TlI/nk/Rodney", (4000.0, 10000.0, 12000.0)),
-    ("CaF2", "main/CaF2/nk/Li", (4000.0, 8000.0)),
-    ("CaF2", f"{_CRYSTRAN}/CaF2", (8000.0,)),
-    ("BaF2", "main/BaF2/nk/Li", (5000.0, 10000.0)),
-    ("MgF2 crystal", "main/MgF2/nk/Zheng-o-21C", (1500.0,)),
-    ("sapphire", "main/Al2O3/nk/Malitson", (4000.0, 5000.0)),
-    # Glasses of one composition by two makers: their own sheets are the pages
-    ("IRG22", "vitron/IG2", (4000.0, 8000.0, 10000.0)),
-    ("IRG23", "vitron/IG3", (4000.0, 8000.0, 10000.0)),
-    ("IRG24", "vitron/IG4", (4000.0, 8000.0, 10000.0)),
-    ("IRG25", "vitron/IG5", (4000.0, 8000.0, 10000.0)),
-    ("IRG26", "vitron/IG6", (4000.0, 8000.0, 10000.0)),
-    ("BD6", "IRG26", (4000.0, 8000.0, 10000.0)),
-    ("BD-2", "ami/AMTIR-3", (4000.0, 8000.0, 10000.0)),
-]
+SECOND = vectors.toml("second_pages.toml")["rows"]
 # None of these sources states its accuracy. What is asked for is a focal length, which goes with 1/(n - 1).
 FOCAL_LENGTH = 5e-4
 

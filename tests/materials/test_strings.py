@@ -1,10 +1,7 @@
 """What a material string may be, and what is said about a wrong one."""
 
-from __future__ import annotations
-
-import math
-
 import pytest
+import vectors
 from oracles import glass
 from refusals import refused
 
@@ -76,37 +73,7 @@ def test_extrapolation_goes_on_with_the_formula_and_keeps_the_end_of_a_table():
     assert refractive_index("nd=1.5 Vd=60 extrapolate", 350.0) > refractive_index("nd=1.5 Vd=60", 400.0)
 
 
-@pytest.mark.parametrize(
-    ("text", "wavelength_nm", "message"),
-    [
-        ("bk7", 550.0, "did you mean N-BK7"),
-        ("silver", 550.0, r"did you mean Ag\?"),
-        ("main/Ag/nk/Nobody", 550.0, "page 'main/Ag/nk/Nobody' is not in the database"),
-        ("main/Ag/about", 550.0, "page 'main/Ag/about' holds no n or k"),
-        ("main/Si/nk/Daub", 1000.0, "has k only"),
-        ("unobtainium", 550.0, "use air, a number"),
-        ("0+2i", 550.0, "index is 0; it must lie"),
-        ("1.5-0.01i", 550.0, r"k is negative; .* n\+ki"),
-        ("1.5+0.01i k=0", 550.0, "k is given twice"),
-        ("N-BK7 extrapolate extrapolate", 550.0, "'extrapolate' is given twice"),
-        ("N-BK7 k=-1", 550.0, "k is -1; it must lie between 0 and 100000"),
-        ("N-BK7 k=none", 550.0, "k = 'none' is no number"),
-        ("nd=1.5 Vd=60", 250.0, "400 … 1000 nm"),
-        ("n(0)=1.5", 550.0, "wavelength 0 nm"),
-        ("n(550)=1.5 n(550)=1.6", 550.0, "is there twice"),
-        ("n(500)=1.5 n(600)=1.4", 650.0, "500 … 600 nm"),
-        ("N-BK7", 200.0, "300 … 2500 nm; use a wavelength inside"),
-        ("glass.agf", 550.0, "Write 'glass.agf:NAME'"),
-        ("nowhere/glass.csv", 550.0, "nowhere/glass.csv: No such file"),
-        ("N-BK7 extrapolate", 140.0, "no value at 140 nm"),  # n² is negative below its resonance at 141.5 nm
-        ("N-BK7 shift=more", 550.0, "shift = 'more' is no number"),
-        ("N-BK7 shift=-2", 550.0, "index -0.48.* it must be greater than 0, change the shift"),
-        ("air", math.nan, "greater than 0"),
-        ("1.5 g=0.9", 550.0, "'g=' without 'scatter='"),
-        ("1.5 scatter=much", 550.0, "scatter = 'much' is no number"),
-        ("1.5 scatter=1 g=1", 550.0, "g = 1; the mean cosine"),
-    ],
-)
+@pytest.mark.parametrize(("text", "wavelength_nm", "message"), vectors.toml("material_refusals.toml")["refused"])
 def test_errors_name_the_remedy(text, wavelength_nm, message):
     for function in (refractive_index, complex_index):
         with refused(message):

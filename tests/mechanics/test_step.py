@@ -1,7 +1,5 @@
 """STEP files: units, assemblies, complete and trimmed faces, normals, damage; and the PST of a tube from one."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import replace
@@ -334,7 +332,6 @@ def outside(tube: Mechanics, folder: Path) -> tuple[Any, ...]:
     return tube.painted({"vane*": "paint reflectance=0.1 side=back"}).structures(folder)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("changes", "kinds", "seed"), [({}, {Structure}, 2), ({"most_analytic": 0}, {MeshStructure}, 3)]
 )
@@ -346,14 +343,12 @@ def test_exact_surfaces_and_meshes(
     assert np.all(apart(pst(painted, seed=seed), typed) < 3)
 
 
-@pytest.mark.long
 def test_paint_inside_of_the_body_is_dark(typed: Any, tube: Mechanics, tmp_path: Path) -> None:
     painted = tube.painted({"vane*": "paint reflectance=0.1 side=front"}).structures(tmp_path)
     assert np.all(pst(painted, seed=5, rays=RAYS // 10).stray == 0)
     assert np.all(typed.stray > 0)
 
 
-@pytest.mark.long
 def test_the_comparison_can_fail(typed: Any, tube: Mechanics, tmp_path: Path) -> None:
     """The tube 4 mm further in front: a unit or a place that is wrong would show."""
     value, error = typed.curve("multiple_scatter")

@@ -1,7 +1,5 @@
 """Paint and spaces by name, scene files with mechanics, and the plugin `part_mesh`."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -10,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
+import vectors
 from command_line import Captured, fails, run, succeeds
 from refusals import refused
 
@@ -20,21 +19,7 @@ from mistray.prescription import Coating, MeshStructure, Scatter, Structure
 from mistray.scene import add_structures
 
 ASSEMBLY = Path(__file__).parents[1] / "data" / "assembly_inch.step"
-SCENE = """\
-<scene version="3.0.0">
-    <integrator type="straylight"/>
-    <emitter type="collimated"><float name="radius" value="2"/></emitter>
-    <!-- barrel -->
-    <bsdf type="paint" id="barrel_paint"><float name="reflectance" value="0.1"/></bsdf>
-    <bsdf type="thinfilm" id="mirror"><float name="R" value="0.9"/></bsdf>
-    <shape type="asphere" id="detector">
-        <float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="60"/></transform>
-        <bsdf type="interface"><float name="R" value="0"/></bsdf>
-        <sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor>
-    </shape>
-</scene>
-"""
+SCENE = vectors.text("structures_scene.xml")
 
 
 @pytest.fixture(scope="module")

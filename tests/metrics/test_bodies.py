@@ -1,7 +1,5 @@
 """Bodies that are moved as a whole, as if built there, and the gaps that changes open, by plain geometry."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Derivatives by geometry against the float64 oracle and differences, and what a new value compiles: nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path
@@ -11,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from frozen_cases import Case, Metrics, coated_text, compare, scene_text, step, with_shape, with_values
 from oracles.frozen_paths import Hits, power, rms_radius
 from oracles.frozen_scene import read_frozen
@@ -80,30 +79,7 @@ def solid() -> Case:
 
 
 # Two lens systems of freeforms, by the numbers of each surface's sag
-FREEFORMS: dict[str, dict[str, dict[str, float]]] = {
-    "freeforms": {
-        "biconic": {"curvature": 1 / 60, "conic": 0.3, "curvature_x": 1 / 90, "conic_x": -1.2},
-        "toroid": {"curvature": -1 / 90, "toroid_curvature": -1 / 70, "a4": 1e-6},
-        "zernike": {
-            "curvature": 1 / 80, "zernike_6": 0.02, "zernike_7": -0.01, "zernike_22": 2e-3, "zernike_radius": 13.0
-        },
-        "fringe": {"curvature": -1 / 90, "fringe_5": 0.02, "fringe_16": 4e-3, "fringe_radius": 13.0},
-        "xy": {"curvature": 1 / 80, "xy_2_1": 3e-5, "xy_0_3": -2e-5, "xy_4_2": 1e-8},
-        "chebyshev": {"chebyshev_2_0": 0.05, "chebyshev_3_2": 0.01, "chebyshev_x": 14.0, "chebyshev_y": 15.0},
-    },
-    "more freeforms": {
-        "odd": {"curvature": 1 / 60, "r3": 2e-5, "r5": 1e-8, "a4": 1e-6},
-        "cylinder": {"curvature": 0.0, "curvature_x": -1 / 90},
-        "qcon": {"curvature": 1 / 80, "conic": -0.5, "qcon_0": 0.05, "qcon_3": -0.01, "q_radius": 13.0},
-        "qbfs": {"curvature": -1 / 90, "qbfs_0": 0.05, "qbfs_2": -0.01, "q_radius": 13.0},
-        "tilted": {"slope_x": 0.05, "slope_y": -0.02, "curvature": 1 / 200},
-        "plain": {"curvature": -1 / 150},
-    },
-    "freeforms on grids": {
-        "q2d": {"curvature": 1 / 80, "conic": -0.5, "q2d_cos_1_1": 0.04, "q2d_sin_3_2": -0.01, "q_radius": 13.0},
-        "grid": {"curvature": -1 / 90, "grid_scale": 3.0, "grid_x": 0.4, "grid_y": -0.3},
-    },
-}  # fmt: skip
+FREEFORMS: dict[str, dict[str, dict[str, float]]] = vectors.toml("freeform_systems.toml")
 FIGURE_ERROR = Path(__file__).parents[1] / "data" / "figure_error.dat"
 OUTLINES = (
     {"semi_diameter": 12.0},
@@ -212,7 +188,6 @@ def kind_of(key: str) -> str:
     return "index" if name in ("n_front_shift", "n_back_shift") else name
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", KEYS)
 def test_each_parameter(cases: Callable[[str], Case], name: str) -> None:
     """Every kind of parameter and metric; a gradient that is 1 % too large fails for each of them."""
@@ -223,7 +198,6 @@ def test_each_parameter(cases: Callable[[str], Case], name: str) -> None:
     assert noticed >= {kind_of(key) for key in keys} - ({"tilt_z"} if name in ("triplet", "Offner relay") else set())
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["singlet", "double Gauss", "phone camera"])
 def test_directions(cases: Callable[[str], Case], name: str) -> None:
     """All parameters of a kind move at once, at random; the metric is a sum of moments of all paths, at random."""
@@ -350,7 +324,6 @@ def kind_by_model(key: str) -> str:
     return key if ".bsdf." in key else key.rsplit(".", 1)[-1]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", SCATTERING)
 def test_scatter_models(cases: Callable[[str], Case], name: str) -> None:
     """A gradient that is 5 % too large must fail for each kind."""
@@ -368,7 +341,6 @@ def test_what_is_left_out_is_named(cases: Callable[[str], Case]) -> None:
     assert any("scatter with the index" in text for text in found.left_out)
 
 
-@pytest.mark.long
 def test_cleanliness_level() -> None:
     """
     Dust, whose random choices change with its level: two traces with other seeds at levels 20 % apart.
@@ -535,7 +507,6 @@ CHANGES: dict[str, tuple[str, Callable[[Any], Any], list[str]]] = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("no_kernels")
 @pytest.mark.parametrize("name", CHANGES)
 def test_numbers_are_data(load_scene: Callable[[str], Any], name: str) -> None:
@@ -548,7 +519,6 @@ def test_numbers_are_data(load_scene: Callable[[str], Any], name: str) -> None:
     assert counts[2:] == [0, 0, 0], counts
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("how", [{}, {"method": "adam", "seeds": "fresh"}])
 def test_no_step_of_a_search_compiles(how: dict[str, Any]) -> None:
     """On the Cooke triplet: two terms of light at two fields, one of layers; none after the second step."""

@@ -1,7 +1,5 @@
 """Derivatives of metrics by shares, layers and indices, beside closed forms and differences, also of full traces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -115,7 +113,6 @@ class TestStatistics:
                 assert g.standard_error[key][0] > 0
                 assert abs(g.gradient[key][0] - value) < 4.5 * g.standard_error[key][0], (how, key)
 
-    @pytest.mark.long
     def test_standard_errors(self) -> None:
         """Over 40 seeds the spread is the error: χ² with 39 degrees of freedom, false-alarm probability 1e-6 each."""
         scene = mistray.load("phone_camera")
@@ -250,7 +247,6 @@ def triplet() -> Any:
     return coated(build_triplet(), "1.38 95, 2.1 120, 1.63+0.002i 80")
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", ["ghost", "ratio", "image", "one path"])
 def test_ten_random_parameters(triplet, kind) -> None:
     more = {"rays": 3000, "field_deg": (0.0, 12.0), "wavelength_nm": [480.0, 600.0], **TRACED}
@@ -264,7 +260,6 @@ def test_ten_random_parameters(triplet, kind) -> None:
     assert compare(metric, keep_coatings(triplet), 10, seed=1) < TOLERANCE
 
 
-@pytest.mark.long
 def test_ideal_coatings_elsewhere_and_a_shared_design() -> None:
     """On the lenses of a phone camera, and on all surfaces of a triplet: one key, the sum over the surfaces."""
     scene = coated(build_phone(), "1.38 95, 2.1 120, 1.63 80")
@@ -340,7 +335,6 @@ SPECIAL: dict[str, tuple[str, str, Any, tuple[str, ...]]] = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", SPECIAL)
 def test_special_places(load_scene, name: str) -> None:
     """Where tables have their special places: by layers, and by the indices on both sides of the surfaces."""
@@ -403,7 +397,6 @@ def test_against_central_differences(load_scene, case: str) -> None:
         assert found.gradient[key][0] == pytest.approx(expected, rel=1e-3, abs=1e-4 * largest), key
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("model", "key"), [(BOTH, "front.bsdf.T"), (BOTH, "rear.bsdf.R"), (DUST, "rear.bsdf.R")])
 def test_where_choices_depend_on_the_coating(load_scene, model: str, key: str) -> None:
     """Particles scatter by T, 2 R and 1 + R²; false alarm 1e-3 for the three cases."""
@@ -479,7 +472,6 @@ def off(gradient: mistray.optimize.Gradient, differences: dict[str, tuple[float,
     return found
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("edge_width", [0.1, 0.05])
 def test_geometry_and_edges(scene: Any, differences: dict[str, tuple[float, float]], edge_width: float) -> None:
     metric = path_power(scene, "all", rays=RAYS, field_deg=FIELD_DEG, **LIGHT)

@@ -1,7 +1,5 @@
 """Metrics of traces: their numbers against the tables of the traces themselves, and their coating gradients."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr
@@ -236,7 +234,6 @@ def test_equal_traces_are_made_once(scene, monkeypatch: pytest.MonkeyPatch) -> N
     assert merit.value(seed=1) != merit.value()
 
 
-@pytest.mark.long
 def test_errors_over_seeds(scene) -> None:
     """Over 40 seeds the spread is the error: χ² with 39 degrees of freedom, false-alarm probability 1e-6 each."""
     settings = {"rays": 400, "max_reflections": 2, "field_deg": FIELDS}
@@ -275,7 +272,6 @@ class TestCoatings:
     KEYS = ("front.bsdf.R", "rear.bsdf.T", "detector.bsdf.R")
     STEP = 0.002
 
-    @pytest.mark.long
     @pytest.mark.parametrize("name", [*EVERY, *FUNCTIONS])
     def test_central_differences(self, lens, name: str) -> None:
         params, fields = mi.traverse(lens), (0.0, 3.0)

@@ -1,7 +1,5 @@
 """A result beside that with one more event on each path, curves with other limits, and a term that reaches 0."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -102,7 +100,6 @@ def test_the_pst_shown_is_that_which_changes_more() -> None:
     assert next_limits(Settings(max_scatters=NO_LIMIT), rough) == {"max_reflections": 3}
 
 
-@pytest.mark.long
 def test_a_baffle_without_light_of_one_scatter() -> None:
     """From 40° the lens sees no wall that is lit: what arrives has been scattered twice at least."""
     scene = mistray.load("baffle_tube")
@@ -156,7 +153,6 @@ def scene():
     return mistray.load("plate_and_wall")
 
 
-@pytest.mark.long
 def test_each_curve_has_its_limits(scene):
     found = mistray.first_level(scene, ANGLES, rays=40_000, max_scatters=2, max_reflections=3)
     limits = {"scatter once": [1, 0], "ghosts off": [2, 0], "scatter off": [0, 3], "all": [2, 3]}
@@ -176,7 +172,6 @@ def test_each_curve_has_its_limits(scene):
     assert not np.any(found.curves["scatter off"].curve("single_scatter")[0])
 
 
-@pytest.mark.long
 def test_other_limits_and_progress(scene):
     found = mistray.first_level(scene, [0.0, 20.0], rays=1000)
     assert found.curves["scatter once"] is found.curves["ghosts off"]

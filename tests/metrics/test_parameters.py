@@ -1,7 +1,5 @@
 """The list of parameters: which there are, their kinds, ranges, tolerances; names that are mistyped."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Deterministic start rays of the sources ``collimated`` and ``point_source``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 """An anisotropic BSDF in closed form, A + B (s_x² - s_y²) + C s_x s_y + D (t_x² - t_y²) of the tangential parts t of
 the specular and s of the scattered direction in the sample's axes, and files of it in published formats."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

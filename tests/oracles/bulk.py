@@ -1,7 +1,5 @@
 """A slab that scatters: Monte Carlo in float64, photon by photon, with index 1 inside and outside."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """χ² tests of sampled directions in charts for narrow lobes: azimuth and logarithm of the distance from a centre."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

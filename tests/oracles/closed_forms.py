@@ -1,7 +1,5 @@
 """Closed forms of plates, paraxial ghosts and counts; R and T are power factors of a surface, lengths in mm."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

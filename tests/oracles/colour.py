@@ -1,7 +1,5 @@
 """CIE 1931 2° observer (CIE 15:2018, table 1) and sRGB from its own definition (IEC 61966-2-1)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .geometry import Array

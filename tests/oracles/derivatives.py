@@ -1,7 +1,5 @@
 """Central differences of real functions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

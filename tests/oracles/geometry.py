@@ -1,8 +1,6 @@
 """First hits of rays on single surfaces in their own frames, float64: quadratics, and interval subdivision with
 rigorous bounds on the slope, so that no crossing is skipped; ``leaving`` marks rays that start on the surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

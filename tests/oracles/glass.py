@@ -1,7 +1,5 @@
 """Indices of Schott's data sheets (2017), Malitson's fused silica (1965), Malitson and Dodge's sapphire (1972)."""
 
-from __future__ import annotations
-
 import math
 import re
 

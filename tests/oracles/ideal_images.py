@@ -4,8 +4,6 @@ Lengths are in mm. Sources: M. Born, E. Wolf, *Principles of Optics*, 7th ed., s
 O'Neill, "Transfer function for an annular aperture", J. Opt. Soc. Am. 46, 285 (1956).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

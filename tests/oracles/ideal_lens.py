@@ -1,7 +1,5 @@
 """A plano-hyperbolic lens of index 21 (conic -n²), all but ideal and thin, and scattered light behind and before it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """R and T of a stack by Abelès' characteristic matrices, float64 (M. Born & E. Wolf, Principles of Optics, 1.6)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from .geometry import Array

@@ -1,7 +1,5 @@
 """Mie scattering by one sphere in float64 with SciPy's spherical Bessel functions: another way than recurrences."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 

@@ -1,7 +1,5 @@
 """XML texts of tubes, vanes and walls whose critical and illuminated objects are known."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Field vectors along recorded rays, with amplitudes of `tmm` (Chipman, Lam and Young 2018, chapter 9)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Sequential replay: rays through a prescribed list of events, in float64."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

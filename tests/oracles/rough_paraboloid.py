@@ -1,7 +1,5 @@
 """A rough paraboloid that images a star on a round detector in its focus, which takes no light from the beam."""
 
-from __future__ import annotations
-
 from .scatter_scenes import beam_xml, placed_xml, scatter_scene, scattering_xml
 
 LINE = 632.8  # nm

@@ -1,7 +1,5 @@
 """Monte Carlo in float64 of surfaces that scatter, never aimed: the split tracer, with books by batch of start rays."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

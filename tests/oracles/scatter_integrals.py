@@ -1,7 +1,5 @@
 """Scattered flux by quadrature and in closed form, float64; BSDFs are functions of r = |beta - beta0|, in 1/sr."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property

@@ -1,7 +1,5 @@
 """XML texts of surfaces that scatter, of targets, and of small scenes with them."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 

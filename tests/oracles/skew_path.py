@@ -1,7 +1,5 @@
 """Scenes of planes along one ray whose planes of incidence all differ, with the ray in float64."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

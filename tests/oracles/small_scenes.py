@@ -1,7 +1,5 @@
 """XML texts of small scenes, for the oracles and for the program under test alike."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """z-tests with a stated false-alarm probability; a failure is one line that says by how much."""
 
-from __future__ import annotations
-
 from statistics import NormalDist
 
 import numpy as np

@@ -1,8 +1,6 @@
 """MTF of a lens of optiland by a sum over a fine grid: OTF(f) = ∫∫ P(s + λf/2) P*(s - λf/2) d²s / ∫∫ |P|² d²s, where
 polynomials through optiland's rays tell the amplitude, the phase and the rim at places s on the reference sphere."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """PST of a painted tube with thin vanes in float64: walks from the detector, connected to first hits of the light."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """Edge diffraction against float64 test vectors, the Airy pattern, and Sommerfeld's solution of the half plane."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

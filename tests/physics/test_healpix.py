@@ -1,7 +1,5 @@
 """HEALPix by what defines it: equal areas, rings from north to south, four parts in a row, known centres."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

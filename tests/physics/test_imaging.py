@@ -1,7 +1,5 @@
 """Pupils whose images have closed forms, and Harvey's surface transfer function against transforms and real rays."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

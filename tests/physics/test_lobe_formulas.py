@@ -1,7 +1,5 @@
 """Formulas of lobes against float64 vectors, TracePro's sheet, closed forms and quadrature, and their derivatives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from fractions import Fraction

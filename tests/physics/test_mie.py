@@ -1,7 +1,5 @@
 """Single spheres and particles of a cleanliness level against float64 vectors, Bessel functions and closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import vectors

@@ -1,7 +1,5 @@
 """Thermal radiation against float64 test vectors and scipy's quadrature; NETD against a textbook and counts."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scatter of rough surfaces against float64 vectors, SCATMECH 7 (NIST), stored and live, and Fresnel."""
 
-from __future__ import annotations
-
 import math
 
 import drjit as dr

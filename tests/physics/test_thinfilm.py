@@ -1,7 +1,5 @@
 """Stacks and their derivatives in NumPy and Dr.Jit against tables, `tmm`, closed forms and differences."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass, replace
@@ -169,7 +167,6 @@ def solve_side_by_side(library: Library) -> np.ndarray:
 
 
 class TestRandomStacks:
-    @pytest.mark.long
     @each_library
     def test_against_tmm(self, library):
         """Missing layers have no thickness. In float32 R and T alone: rounding turns the phases of r and t more."""
@@ -288,7 +285,6 @@ class TestLimits:
         np.testing.assert_allclose(T, 1, atol=1e-7)
 
     @each_library
-    @pytest.mark.long
     def test_thick_absorbing_layers(self, library):
         """A millimetre of silver, forty times: R of bulk silver, T = 0, no NaN."""
         silver = 0.055 + 3.32j

@@ -1,7 +1,5 @@
 """The interface as a Mitsuba BSDF, its delta lobes against Snell, Fresnel, tables and tmm; the beam of `collimated`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

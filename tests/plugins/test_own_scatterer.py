@@ -1,7 +1,5 @@
 """A scatter plugin that is not ours: nested, among the parameters, and refused in one line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Plugins keep Mitsuba's protocols; probes, far fields, maps and splits as sensors of a scene or beside its file."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
@@ -78,7 +76,6 @@ def run(*variants: str) -> list[str]:
     return re.findall(r"(?:llvm|cuda)_ad_\w+ \d+ [\d.]+", done.stdout)  # Mitsuba's own messages lie between
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "variant",
     ["llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "llvm_ad_spectral", "llvm_ad_spectral_polarized"],

@@ -1,7 +1,5 @@
 """Anisotropic tables as Mitsuba BSDFs: density and weights of samples, radiance under `path`, and what is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr
@@ -18,7 +16,6 @@ from mistray.errors import MistrayError
 
 SAMPLES = 200_000
 FALSE_ALARM = 1e-4  # of each χ²
-FRONT_NORMAL = np.array([0.0, 0.0, -1.0])
 T = mi.ScalarTransform4f
 
 
@@ -45,7 +42,6 @@ def interaction_of(wi: np.ndarray, count: int) -> mi.SurfaceInteraction3f:
 
 
 class TestSampling:
-    @pytest.mark.long
     @pytest.mark.parametrize(
         ("angle", "mode"), [(0.0, IMPORTANCE), (50.0, IMPORTANCE), (50.0, RADIANCE), (80.0, IMPORTANCE)]
     )
@@ -100,7 +96,6 @@ class TestRefused:
         both = surface(small | {"rotation_deg": 30.0}, second=small | {"rotation_deg": 30.0}, R=0.0, T=0.0)
         assert str(both.sample_axis) == "x turned by 30°"
 
-    @pytest.mark.long
     @pytest.mark.parametrize(
         ("shape", "message"),
         [

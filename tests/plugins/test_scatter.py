@@ -1,7 +1,5 @@
 """The scatter plugins as parts of a scene: properties, nesting, `mi.traverse`, messages, stock integrators."""
 
-from __future__ import annotations
-
 import gc
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Lobes of the scatter plugins: values and derivatives against float64, samples by χ² and by what they weigh."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +78,6 @@ def test_eval_is_the_model(name: str, event: str, tmp_path: Path) -> None:
     assert lit == (model.get("event", "both") in ("both", event))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", MODELS)
 def test_radiance_is_adjoint_to_importance(name: str) -> None:
     bsdf = surface(MODELS[name])
@@ -104,7 +101,6 @@ def moved(name: str, key: str, factor: float) -> Any:
     return surface({**model, key: {**given, **model}[key] * factor})
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("name", "key"), GRADIENTS)
 def test_derivative_of_eval(name: str, key: str) -> None:
     """∂(BSDF cos θ) against central differences of the float64 model."""
@@ -234,7 +230,6 @@ def scatter_p(
     return p_value(wo, SAMPLES, density(claimed_by, wi, ctx), charts(name, wi, event))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("name", "event", "angle", "front", "mode"), DRAWN)
 def test_chi_square(name: str, event: str, angle: float, front: bool, mode: Any) -> None:
     bsdf = surface(MODELS[name])

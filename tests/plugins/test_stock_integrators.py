@@ -1,7 +1,5 @@
 """Our shapes as Mitsuba plugins, and radiance through glass by stock integrators, as thermodynamics says."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +61,6 @@ def lens(**coating: Any) -> dict[str, Any]:
     }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("coating", [{}, {"R": 0.2, "T": 0.8}, {"R": 1.0, "T": 0.0}])
 def test_white_furnace(coating: dict[str, float]) -> None:
     """A lossless lens in even light is invisible, ray by ray: R + T = 1 leaves nothing to chance."""
@@ -96,7 +93,6 @@ def window(film: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "film", [{"preset": "bbar3"}, {"layers": "2.1+0.3i 20, 1.46 90"}, {"layers": "2.3 0.25w, 1.38 0.25w, 2.3 0.25w"}]
 )
@@ -138,7 +134,6 @@ def lit_plate(integrator: dict[str, Any], film: Any) -> mi.Scene:
     )
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", ["prb", "prb_basic", "prbvolpath", "prb_projective", "direct_projective"])
 def test_gradients_while_another_scene_lives(kind: str) -> None:
     other = scene_dicts.load(beam={"type": "collimated", "radius": 2.0}, window=wide(glass("air", "1.5")))
@@ -151,7 +146,6 @@ def test_gradients_while_another_scene_lives(kind: str) -> None:
     assert len(other.emitters()) == 1
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("key", ["plate.bsdf.abg.A", "plate.bsdf.abg.B"])
 def test_gradient_of_a_rendering(key: str) -> None:
     """`prb` differentiates by the parameters of a nested model: against central differences, same seeds."""
@@ -199,7 +193,6 @@ class TestStockSensor:
         assert_z("lamp", found, exact, error, floor=1e-3 * exact)  # the mesh is a polygon of 96 sides
         assert irradiance(64, d=detector(semi_diameter=2.0), lamp=lamp(6.0, 180.0))[0] == 0
 
-    @pytest.mark.long
     def test_a_painted_tube_under_path_and_straylight(self, tmp_path: Path) -> None:
         """The sky through a painted tube: `path` against the PST of `straylight`, integrated over the hemisphere."""
         text = painted_tube_text(3.0, 1.0, 1.0, 0.3)

@@ -1,7 +1,5 @@
 """`thinfilm` alone and nested: parameters, errors, `mi.traverse`, and what a trace sees of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

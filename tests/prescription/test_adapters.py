@@ -1,7 +1,5 @@
 """Lenses of optiland, both ways, of ray-optics, and OSLO files; other files: tests/validation/test_lens_files.py."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -270,7 +268,6 @@ def triplet() -> Any:
     return optic
 
 
-@pytest.mark.long
 def test_a_lens_there_and_back(triplet: Any) -> None:
     lens = lens_of_optiland(triplet)
     assert lens.surfaces[0].coating == Coating(R=0.02, T=0.97)

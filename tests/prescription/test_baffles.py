@@ -1,7 +1,5 @@
 """Vane tubes, spiders and Cassegrain baffles by straight float64 rays: what they shade, and what cannot be one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -119,7 +117,6 @@ def test_every_vane_is_needed(key):
         assert first_order_zones(missing, least)
 
 
-@pytest.mark.long
 def test_vanes_stand_as_far_apart_as_they_may():
     """A vane moved by 2 mm towards the optic leaves a lit and seen zone before it."""
     tube = tube_of("straight", overlap=0.0)
@@ -128,7 +125,6 @@ def test_vanes_stand_as_far_apart_as_they_may():
         assert first_order(replace(tube, vanes=(*tube.vanes[:k], moved, *tube.vanes[k + 1 :])), count=600)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("key", TUBES)
 def test_light_beyond_direct_deg_does_not_meet_the_optic(key):
     tube = tube_of(key)

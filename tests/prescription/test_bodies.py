@@ -1,7 +1,5 @@
 """Prisms, boxes, cubes and plates: closed bodies that do to light what textbooks say, and arrays."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -79,7 +77,6 @@ class TestPrism:
         assert down.power[0] == pytest.approx(np.pi * (1 - r) ** 2, rel=1e-5)
         assert t.energy.absorbed["porro_left"][0] == 0
 
-    @pytest.mark.long
     def test_closed(self) -> None:
         """Light that got into a concave body finds no gap between its faces on the way through 60 reflections."""
         corners = [(-10, -10), (10, -10), (10, 10), (3, 2), (-10, 10)]

@@ -1,7 +1,5 @@
 """From a table of surfaces to a closed system in the world."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Imported lenses as the renderer traces them, and systems whose light does not run along one axis in one sense."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

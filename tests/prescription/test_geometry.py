@@ -1,7 +1,5 @@
 """Walls, edges of lenses, barrels, frames and Fresnel lenses: closed profiles, spots, and what cannot be one."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The beams of imported lenses: wider than the pupils of all fields, and what counts as launched of them."""
 
-from __future__ import annotations
-
 import math
 
 import mitsuba as mi

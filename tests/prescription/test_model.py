@@ -1,7 +1,5 @@
 """Parts of a prescription: what they refuse, which coatings are opaque, and how shapes stand."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

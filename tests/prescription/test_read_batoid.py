@@ -1,7 +1,5 @@
 """Telescopes of batoid: figures, places, sources and baffles against its own rays."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

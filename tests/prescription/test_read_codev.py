@@ -1,7 +1,5 @@
 """CODE V files made by hand, command by command; those of other programs: tests/validation/test_lens_files.py."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -246,35 +244,6 @@ def test_what_a_file_leaves_out_is_noted(lens):
     assert found.wavelength_nm == 550
     assert found.rows[0].stop
     assert found.rows[-2].thickness == 15
-
-
-def test_errors_are_one_line(lens):
-    for text, message in (
-        ("", "no surface"),
-        (system("S 10 x"), "line 6: 'S 10 x': 'x' is no number"),
-        (system("S 10 1\nSPS QCN"), "line 7: 'SPS QCN': of special surfaces XYP, ZRN, ZFR, ODD are read"),
-        (system("S 10 1\nSPS ODD 0\nSCO AR31 1"), "SCO AR31: ODD has"),
-        (system("S 10 1\nSCO C4"), "line 7: 'SCO C4': it needs a coefficient and a value"),
-        (system("S 10 1\nXTO\nXDE 1"), "XTO that is tilted"),
-        (system("S 10 1\nS 10 1\nUDS"), "line 8: 'UDS' on surface 2: this kind of surface has no counterpart"),
-        (system("S 10 1\nCUF 0.1"), "Fresnel"),
-        (system("ZOO 3\nS 10 1\nZOO THI S1 1 2"), "line 8: 'ZOO THI S1 1 2': 2 values for 3 zoom positions"),
-        (system("S 10 1\nRDY S5 3"), "surface 5 is not there; the lens has 1 so far"),
-        (system("S7 10 1"), "there are 0 surfaces so far"),
-        ("ADE 10", "before the first surface"),
-        (system("S 10 1 SK19_Schott"), "line 6: glass 'SK19_Schott' is not in the catalogue of schott .*--glass"),
-        (system("S 10 1\nCIR -3"), "must be greater than 0"),
-        (system("S 10 1", DIM="X"), "unknown unit"),
-        (system("S 10 1", REF="4"), "REF 4 of 1 wavelengths"),
-        (system("S 10 1", YAN="0 1", YOB="0 1"), "use one kind"),
-        (system("S 10 1").replace("EPD 10", ""), "none of EPD, FNO, NA and NAO"),
-        (system("S 10 1 NBK7_SCHOTT", WL="100"), "glass 'NBK7_SCHOTT': .*100 nm is outside"),
-        (system("PRV\nPWL 500 600\n'X' 1.5\nEND\nS 10 1 'X'"), "1 indices for 2 wavelengths"),
-        (system("S -100 -50 REFL", SO="0 50", FNO="5").replace("EPD 10", ""), "image, which lies at infinity"),
-    ):
-        with refused(message) as caught:
-            lens(text)
-        assert str(caught.value).startswith("CODE V file 'lens.seq'")
 
 
 X, Y = np.random.default_rng(4).uniform(-3, 3, (2, 40))

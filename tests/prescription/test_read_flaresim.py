@@ -1,7 +1,5 @@
 """Lens files of FlareSim and prescriptions in JSON: what is read, what is assumed, and what is refused by name."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -146,7 +144,6 @@ def test_what_cannot_be_read_is_named(tmp_path):
             read_flaresim(path)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["nikkor_28mm", "no_stop_20mm", "without_its_aspheres"])
 def test_the_light_that_passes_the_stop_arrives(name):
     """95 % of it, less what bare and coated faces reflect: 4 % and 1.5 % each at most; and there are ghosts."""
@@ -232,7 +229,6 @@ def test_every_barrel_piece_is_there_once(camera):
 RAYS = 4000
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("variant", [None, "R13=5.272"])
 @pytest.mark.parametrize("cell", range(14))
 def test_every_cell_is_closed(cell, variant):

@@ -1,7 +1,5 @@
 """One tree of nodes, two forms: the dictionary and the XML file hold the same scene, with its models of scatter."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 
 import mistray
 from mistray.errors import MistrayError
@@ -119,19 +118,7 @@ LENS = Prescription(
     source=Source(radius=2.0),
 )
 SILVER = {"rms_nm": 2.0, "B_um": 100.0, "slope": 3.0, "substrate": "silver"}
-EXAMPLES = {
-    "abg": {"A": 1e-3, "B": 1e-3, "g": 2.0},
-    "edge_diffraction": {"width_mm": 0.05, "law": "heisenberg"},
-    "gaussian_lobe": {"total": 0.01, "width": 0.1},
-    "harvey_shack": {"b0": 0.1},
-    "k_correlation": SILVER | {"theory": "rayleigh_rice_vector", "substrate": "0.96+6.69i"},
-    "paint": {"reflectance": 0.04},
-    "particulate": {"coverage_percent": 0.1},
-    "phong": {"b0": 0.1, "exponent": 16.0},
-    "polynomial": {"c000": -1.0, "l10": -0.7},
-    "psd_table": {"file": "polish.csv", "theory": "rayleigh_rice_vector", "substrate": "0.96+6.69i"},
-    "tabulated": {"file": "black.bsdf", "beyond": "zero"},
-}
+EXAMPLES = vectors.toml("scatter_examples.toml")
 
 
 def test_bad_models() -> None:

@@ -1,7 +1,5 @@
 """Shipped scenes are what their prescriptions give, with the figures of their sources; an infrared camera."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from dataclasses import replace
@@ -57,7 +55,6 @@ def in_air(name, rays, field_deg, **limits):
     return beam, nonsequential.trace(model, beam.origin, beam.direction, beam.power, nm, **limits)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["cooke_triplet", "double_gauss", "phone_camera", "singlet_window_detector"])
 @pytest.mark.parametrize("field_deg", [0.0, 15.0])
 def test_light_leaves_through_the_front_only(name, field_deg):
@@ -168,7 +165,6 @@ def test_the_spot_on_axis_is_small_at_all_wavelengths_together():
     assert np.sqrt((np.concatenate(spots) ** 2).sum(axis=1).mean()) < 0.005  # asked for: 20 µm
 
 
-@pytest.mark.long
 def test_the_detector_sees_the_cold_shield_and_the_scene_alone():
     """Without reflections no ray ends at a warm wall; shares by geometry, 4 standard errors: false alarm 6e-5."""
     lens = from_zemax(LENS)

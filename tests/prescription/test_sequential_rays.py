@@ -1,7 +1,5 @@
 """Float64 rays and first orders of tables of surfaces against closed forms, Snell's law and batoid."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Near objects, polarised sources, and detectors with a quantum efficiency, as prescriptions have them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

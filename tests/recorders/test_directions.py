@@ -1,7 +1,5 @@
 """Cells of directions against float64; probes and far fields of light that passes or leaves, by closed forms."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -57,19 +55,9 @@ def test_edges() -> None:
 
 def test_bad_cells_are_one_line() -> None:
     for words, arguments in (
-        ("field_deg is empty; give at least one", {"field_deg": []}),
-        ("field_deg is nan; it must lie between -90 and 90", {"field_deg": [1.0, float("nan")]}),
         ("field_deg is .*; it must lie", {"field_deg": np.array([[1.0, 2.0], [3.0, 4.0]])}),
-        ("field_deg is -90.5; .* between -90 and 90", {"field_deg": [-90.5, 3.0]}),
-        ("field_deg is 90.5; .* between -90 and 90", {"field_deg": [3.0, 90.5]}),
         ("field_deg must ascend", {"field_deg": [2.0, 2.0]}),
-        ("cell_deg is 0; it must lie", {"cell_deg": 0.0}),
-        ("cell_deg is nan; it must lie", {"cell_deg": float("nan")}),
-        ("cell_deg is 91; .*90", {"cell_deg": 91.0}),
-        ("azimuths_deg is empty; give at least one", {"azimuths_deg": []}),
-        ("azimuths_deg is inf; it must lie", {"azimuths_deg": [float("inf")]}),
         ("is 31; .* two azimuths, 30 degrees", {"azimuths_deg": [0.0, 30.0], "azimuth_cell_deg": 31.0}),
-        ("azimuth_cell_deg is -1; it must lie", {"azimuths_deg": [0.0, 30.0], "azimuth_cell_deg": -1.0}),
     ):
         with pytest.raises(MistrayError, match=words):
             DirectionGrid.of(**{"field_deg": [1.0]} | arguments)

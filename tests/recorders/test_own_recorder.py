@@ -1,7 +1,5 @@
 """A recorder as a user writes it: a histogram of the optical path lengths of every path, in one file."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

@@ -1,7 +1,5 @@
 """Modes agree, standard errors say how far results and pixels scatter; hits on a film with a tent."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 from typing import Any
@@ -109,7 +107,6 @@ class TestStandardErrors:
                 found.setdefault(name, []).append(pair)
         return {name: np.array(pairs) for name, pairs in found.items()}
 
-    @pytest.mark.long
     def test_chi_square(self, runs: dict[str, np.ndarray]) -> None:
         """The square of t of 31 degrees of freedom has mean 1.069 and variance 2.54; joint false alarm 1e-3."""
         n = self.SEEDS
@@ -240,7 +237,6 @@ def test_rays_of_equal_weight_are_counted() -> None:
     assert not found.few_in_squares(4).any()
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("draw", "mean"), [(even, 14.0), (even, 40.0), (uneven, 2500.0)])
 def test_errors_hold(draw: object, mean: float) -> None:
     """Of pixels 1.5 % at most are off by 3 errors: of 20 images of 576, above it by chance below once in 10⁹ times."""
@@ -252,7 +248,6 @@ def test_errors_hold(draw: object, mean: float) -> None:
     assert 0.6 < np.mean(np.abs(z) < 1) < 0.8
 
 
-@pytest.mark.long
 def test_a_trace_counts_its_hits() -> None:
     beam = {"type": "collimated", "radius": 1.0, "irradiance": 2.0 / np.pi}
     detector = square(2.0, 6, z=5.0, bsdf={"type": "interface", "R": 0.25})

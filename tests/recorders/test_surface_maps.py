@@ -1,7 +1,5 @@
 """Light at surfaces: what they do with it, where it falls on walls, and parts of it; closed forms and the ledger."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 
@@ -153,7 +151,6 @@ def test_powers_are_those_of_the_ledger(name):
     assert walls.power[0] == pytest.approx(sum(row.incident_W for row in t.surfaces), rel=1e-6)
 
 
-@pytest.mark.long
 def test_standard_errors_hold_over_seeds():
     """z² of 24 cells over 24 seeds, each of a t-distribution of 31 degrees: mean 1.07 ± 0.07; fails once in 10⁶."""
     scene = scene_of(np.array([0, 0, 3.0]), tube=tube(-3.0, 9.0))
@@ -166,7 +163,6 @@ def test_standard_errors_hold_over_seeds():
     assert abs(np.mean(squares) - 31 / 29) < 5 * 0.07
 
 
-@pytest.mark.long
 def test_patterns_and_what_cannot_be_unrolled():
     scene = scene_of(
         SOURCE,
@@ -214,7 +210,6 @@ def test_a_sensor_of_a_scene_and_its_text():
     assert image.shape == (8, 8, 1)
 
 
-@pytest.mark.long
 def test_the_command_prints_draws_and_writes_them(tmp_path, capsys):
     out = tmp_path / "out"
     command = ["ghosts", "plate_and_wall", "--field-deg", "20", "--rays", "500", "--max-scatters", "0"]
@@ -293,7 +288,6 @@ def test_parts_add_up_to_what_a_recorder_sums():
 COMMAND = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet"]
 
 
-@pytest.mark.long
 def test_the_command_maps_parts_of_the_light(tmp_path, capsys):
     for wrong, word in (("goost", "ghost"), ("S(screeen)", "screen"), ("power_W > 1", "power_W")):
         assert word in fails(capsys, *COMMAND, "--maps", wrong, "--surface-maps", "screen")
@@ -385,7 +379,6 @@ def test_a_tilted_plate_and_total_reflection(polarization):
     assert row.specular_transmission[0] == 0
 
 
-@pytest.mark.long
 def test_all_surfaces_of_a_barrel_close(capsys):
     """Lenses, edges, painted walls and a hood, with all that comes back."""
     found = FluxSplit("split")
@@ -409,7 +402,6 @@ def test_all_surfaces_of_a_barrel_close(capsys):
 
 
 @pytest.mark.quick
-@pytest.mark.long
 def test_a_mesh_and_patterns():
     place = mi.ScalarTransform4d().scale(9).translate([0, 0, 2])
     paint = interface({"type": "paint", "reflectance": 0.25}, R=0.0)

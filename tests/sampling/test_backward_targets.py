@@ -1,7 +1,5 @@
 """Where a backward trace aims: the opening, the design path in reverse, and what surfaces see of the sky."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

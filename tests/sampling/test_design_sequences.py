@@ -1,7 +1,5 @@
 """What is direct light: sequences and paths of the design of scenes, and their first hits beside the oracle."""
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cones of aimed scatter beside the oracle, what targets refuse, and all kinds of rays beside unaimed light."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -132,7 +130,6 @@ def oracle_lands(images: DetectorImages, name: str, number: int, origins: np.nda
     return landed
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", [*LENS_SCENES, "phone_camera"])
 def test_targets_hold_the_light_that_reaches_the_detector(name):
     """At least 98 % of the light that lands (5 % less of diffuse light) lies within; 10 % of the aimed rays land."""

@@ -1,7 +1,5 @@
 """A source of light that a user defines in one file, as this one: a point, such as a pinhole or a lamp nearby."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Sources: the own emission of a scene, rays of files, and derivatives by every number that has them."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any
@@ -9,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from lit_detector import BLACK, RADIUS, TUBE, discs, lit, meter, square
 from oracles.statistics import assert_z
 from refusals import refused
@@ -126,7 +125,6 @@ INSTRUMENT = {
 }  # fmt: skip
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_beside_the_trace_from_the_detector(seed: int) -> None:
     """Surface by surface the irradiance that `mistray.thermal` finds, by lenses and scatter; false alarms 0.1 %."""
@@ -183,46 +181,7 @@ def scene(lamp: dict[str, Any]) -> mi.Scene:
     return mi.load_dict({"type": "scene", "detector": detector, "lamp": lamp, "tube": TUBE}, optimize=False)
 
 
-WAIST = {"waist_x": 0.2, "waist_y": 0.2, "m2_x": 2.0, "m2_y": 2.0}
-LASER = {"type": "gaussian_beam", "z": -4000.0, "wavelength_nm": 1000.0, **WAIST}
-POINT = {"type": "point_source", "z": -30.0}
-LAMP = {**POINT, "half_angle_deg": 89.0, "exponent": 4.0}
-DISC = {"type": "surface_source", "z": -15.0, "radius": 12.0}
-SCREEN = {"type": "surface_source", "z": -15.0, "half_width": 12.0, "half_height": 9.0}
-SUN = {"type": "distant_disc", "field_deg": 40.0}
-GRADIENTS: dict[str, tuple[dict[str, Any], str, float]] = {  # what, by which numbers, a step
-    "distance": ({**POINT, "half_angle_deg": 60.0}, "z", 1e-3),
-    "cone": ({**POINT, "half_angle_deg": 25.0}, "half_angle_deg", 1e-3),
-    "cone of a Lambertian point": ({**POINT, "half_angle_deg": 25.0, "exponent": 1.0}, "half_angle_deg", 1e-3),
-    "place in x": ({**POINT, "z": -15.0, "x": 6.0, "half_angle_deg": 80.0}, "x", 1e-3),
-    "place in y": ({**POINT, "z": -15.0, "x": 2.0, "y": -6.0, "half_angle_deg": 80.0}, "y", 1e-3),
-    "tilt about x": ({**LAMP, "tilt_x": 25.0, "tilt_y": 5.0}, "tilt_x", 1e-2),
-    "tilt about y": ({**LAMP, "tilt_x": 5.0, "tilt_y": -25.0}, "tilt_y", 1e-2),
-    "radius": (DISC, "radius", 1e-3),
-    "cone of a disc": ({**DISC, "radius": 6.0, "half_angle_deg": 30.0}, "half_angle_deg", 1e-3),
-    "width": (SCREEN, "half_width", 1e-2),
-    "height": (SCREEN, "half_height", 1e-2),
-    "disc in x": ({**DISC, "x": 6.0}, "x", 1e-2),
-    "disc in y": ({**DISC, "y": 6.0}, "y", 1e-2),
-    "disc in z": (DISC, "z", 1e-2),
-    "disc about x": ({**DISC, "tilt_x": 25.0, "exponent": 6.0}, "tilt_x", 1e-2),
-    "disc about y": ({**DISC, "tilt_y": 25.0, "tilt_x": 5.0, "exponent": 6.0}, "tilt_y", 1e-2),
-    "screen about y": ({**SCREEN, "tilt_y": 25.0, "exponent": 6.0}, "tilt_y", 1e-2),
-    "waist in x": (LASER, "waist_x", 1e-5),
-    "waist in y": (LASER, "waist_y", 1e-5),
-    "quality in x": (LASER, "m2_x", 1e-4),
-    "quality in y": (LASER, "m2_y", 1e-4),
-    "waist place in x": ({**LASER, "offset_x": 500.0}, "offset_x", 1e-2),
-    "waist place in y": ({**LASER, "offset_y": 500.0}, "offset_y", 1e-2),
-    "beam in x": ({**LASER, "x": 5.0}, "x", 1e-3),
-    "beam in y": ({**LASER, "y": 5.0}, "y", 1e-3),
-    "beam in z": (LASER, "z", 1e-1),
-    "beam about x": ({**LASER, "tilt_x": 0.07}, "tilt_x", 1e-4),
-    "beam about y": ({**LASER, "tilt_y": 0.07}, "tilt_y", 1e-4),
-    "direction of the sun": ({**SUN, "tilt_x": 2.0, "tilt_y": 5.0}, "tilt_x", 1e-3),
-    "direction of the sun about y": ({**SUN, "tilt_y": 20.0}, "tilt_y", 1e-3),
-    "size of the sun": ({"type": "distant_disc", "diameter_deg": 60.0}, "diameter_deg", 1e-2),
-}
+GRADIENTS: dict[str, tuple[dict[str, Any], str, float]] = vectors.toml("source_gradients.toml")
 
 
 def places_of(lamp: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -379,7 +338,6 @@ def test_zemax_file_by_hand(tmp_path: Path) -> None:
     assert read_ray_set(tmp_path / "no_unit.dat", unit="m").origins.tolist() == [[1000, 2000, 3000]]
 
 
-@pytest.mark.long
 def test_light_of_a_trace_goes_on(tmp_path: Path) -> None:
     """Rays at a plane, in a file, traced on: the image behind it is that of the whole trace. False alarms 0.1 %."""
     lamp = {"type": "surface_source", "radius": 2.0, "z": -30.0, "half_angle_deg": 20.0, "wavelength_nm": "450, 600"}
@@ -492,7 +450,6 @@ class TestTM25:
         assert (t**2).mean() == pytest.approx(1 / 6 + 1 / 4, abs=1e-3)
 
 
-GOOD = "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n"
 ONE = [[0, 0, 0, 0, 0, 1, 1]]
 NO_SUCH_TABLE = tm25([[*ONE[0], 2]], (1, 1, 1, 0, 0, 0, 0, 1), spectrum=4, tables=((500.0, 1.0),))
 
@@ -500,21 +457,10 @@ NO_SUCH_TABLE = tm25([[*ONE[0], 2]], (1, 1, 1, 0, 0, 0, 0, 1), spectrum=4, table
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("empty.csv", b""),
-        ("header.csv", GOOD),
-        ("no_flux.csv", "x_mm,y_mm,z_mm,dx,dy,dz\n0,0,0,0,0,1\n"),
-        ("inf.csv", GOOD + "0,0,0,0,0,1,inf\n"),
-        ("text.csv", GOOD + "0,0,a,0,0,1,1\n"),
-        ("negative.csv", GOOD + "0,0,0,0,0,1,-1\n"),
-        ("dark.csv", GOOD + "0,0,0,0,0,1,0\n"),
-        ("still.csv", GOOD + "0,0,0,0,0,0,1\n"),
-        ("far.csv", GOOD + "0,0,1e308,0,0,1,1\n"),
-        ("ragged.csv", GOOD + "0,0,0,0,0,1,1,1,1,1,1\n0,0\n"),
-        ("colour.csv", GOOD.replace("\n", ",wavelength_nm\n") + "0,0,0,0,0,1,1,-5\n"),
         ("cut.dat", struct.pack("<iI100s", 1010, 5, b"cut") + bytes(100)),
         ("short.dat", "3 4\n1 2 3 0 0 1 1\n"),
         ("words.dat", "hello\n"),
-        ("lamp.txt", GOOD),
+        ("lamp.txt", "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n"),
         ("none.parquet", "PAR1"),
         ("empty.tm25ray", b""),
         ("short.tm25ray", b"TM25"),

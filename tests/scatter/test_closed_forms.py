@@ -1,7 +1,5 @@
 """Lobes of all models against their equations in float64: values over the hemisphere, and totals."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Files of measured scatter: spectra of a polish, BSDFs of Speos, ABg catalogues of OpticStudio."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -9,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from command_line import fails, succeeds
 from refusals import refused
 
@@ -70,25 +69,6 @@ def test_above_the_last_frequency() -> None:
     np.testing.assert_allclose(PsdTable(*values, beyond="slope").psd(550.0)(f), [4e-8, 2.5e-9], rtol=1e-12)
     np.testing.assert_allclose(PsdTable(*values, beyond="zero").psd(550.0)(f), [4e-8, 0.0], rtol=1e-12)
     assert PsdTable(*values).lobes(2001.0, 1.0, 1.0, True)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("f,psd_um4\n1,1\n", "its columns are f, psd_um4; give frequency_1_um or frequency_1_mm, and psd_um4"),
-        ("", "its columns are missing"),
-        ("frequency_1_um,psd_um4\n1,1\n2,x\n", "line 3: could not convert"),
-        ("frequency_1_um,psd_um4\n1,1\n2\n", "line 3: 1 values where 2 are needed"),
-        ("frequency_1_um,psd_um4\n1,1\n", "1 frequencies and 1 values; give two or more"),
-        ("frequency_1_um,psd_um4\n2,1\n1,1\n", "the frequencies must be above 0 and ascend"),
-        ("frequency_1_um,psd_um4\n1,1\n2,0\n", "spectrum 0 µm⁴ at 2 1/µm; give values > 0"),
-    ],
-)
-def test_wrong_spectra(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "psd.csv"
-    path.write_text(text)
-    with refused(message, str(path)):
-        PsdTable.read(path)
 
 
 POLAR, AZIMUTH = np.arange(0.0, 90.5, 0.5), np.arange(0.0, 361.0, 30.0)
@@ -156,20 +136,7 @@ def test_wrong_speos_files(tmp_path, old, new, message):
         read_speos_bsdf(file)
 
 
-CATALOGUE = """! shop catalogue
-NAME Polish 1
-WAVE 0.6328
-0.0  2e-5  1E-6  2.0
-
-NAME LAMBERT
-ABG 0 0.1 0 0
-45 0.1 0 0
-# two angles
-name steep
-wave 0
-0 1e-4 1e-3 2
-60 2e-4 1e-3 2
-"""
+CATALOGUE = vectors.text("abg_catalogue.dat")
 
 
 @pytest.fixture
@@ -190,8 +157,13 @@ def test_entries(catalogue: Path) -> None:
     assert (model.A, model.B, model.g, model.side) == (2e-5, 1e-6, 2.0, "front")
     assert model.reference_nm == pytest.approx(632.8, rel=1e-12)
     assert abg_from_catalogue(f"{catalogue}:Lambert") == ABg(0.1, 0.0, 0.0)
-    with refused(r"which entry\? Write ABG_DATA\.DAT:NAME"):
-        abg_from_catalogue("ABG_DATA.DAT")
+    for name, words in (
+        ("ABG_DATA.DAT", "which entry? Write ABG_DATA.DAT:NAME"),
+        (f"{catalogue}:polsh 1", "no entry 'polsh 1'; did you mean 'Polish 1'"),
+        (f"{catalogue}:steep", f"{catalogue}', line 10: A, B and g of 'steep' change with the angle"),
+    ):
+        with refused("", words):
+            abg_from_catalogue(name)
 
 
 def test_in_a_scene_and_on_the_command_line(catalogue: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -207,24 +179,3 @@ def test_in_a_scene_and_on_the_command_line(catalogue: Path, capsys: pytest.Capt
     command = ("bsdf", f"{catalogue}:polish 1", "--angles-deg", 0)
     assert "0.08681" in succeeds(capsys, *command, "--wavelength-nm", 632.8)  # π A ln(1 + 1/B), percent
     assert "A given" in fails(capsys, *command, "--A", 1)
-
-
-@pytest.mark.parametrize(
-    ("text", "name", "words"),
-    [
-        (CATALOGUE, "polsh 1", "no entry 'polsh 1'; did you mean 'Polish 1'"),
-        (CATALOGUE, "steep", "line 10: A, B and g of 'steep' change with the angle"),
-        ("0 1 1 1\n", "x", "line 1: '0 1 1 1' before the first NAME"),
-        ("NAME x\n0 1 1\n", "x", "line 2, angle A B g: 3 values where 4"),
-        ("NAME x\n95 1 1 1\n", "x", "line 2: angle of incidence 95°"),
-        ("NAME x\nWAVE -1\n", "x", "line 2: wavelength -1 µm"),
-        ("NAME x\nWAVE 1\n", "x", "line 1: 'x' has no line"),
-        ("NAME x\n0 1 1 1\nNAME X\n", "x", "line 3: NAME X"),
-        ("NAME x\n0 1 0 2\n", "x", "line 1: ABg: B is 0"),
-    ],
-)
-def test_wrong_catalogues(tmp_path: Path, text: str, name: str, words: str) -> None:
-    file = tmp_path / "abg.dat"
-    file.write_text(text, encoding="utf-8")
-    with refused("", words, str(file)):
-        abg_from_catalogue(f"{file}:{name}")

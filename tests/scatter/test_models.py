@@ -1,7 +1,5 @@
 """Scatter models: what they refuse and scatter, totals over the hemisphere, scans, chances without aimed rays."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math
@@ -290,7 +288,6 @@ LOBES = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("theta_deg", [0.0, 30.0, 60.0, 85.0])
 @pytest.mark.parametrize("name", LOBES)
 def test_against_brute_quadrature(name: str, theta_deg: float) -> None:

@@ -1,7 +1,5 @@
 """Particles: lobes against float64 test vectors, their energy, and clouds that a cache keeps."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any

@@ -1,12 +1,11 @@
 """Tables of scatter: what they hold comes back, files of isotropic and turned samples, and what is wrong with one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import vectors
 from oracles import brushed
 from refusals import refused
 
@@ -171,33 +170,7 @@ def test_events_and_equality() -> None:
     assert (one, hash(one)) == (Tabulated(level()), hash(Tabulated(level())))
 
 
-LAMBERT = """# a comment
-Source  Measured
-Symmetry  PlaneSymmetrical
-SpectralContent  Monochrome
-ScatterType  BRDF
-SampleRotation  1
-0
-AngleOfIncidence  2
-0\t60
-ScatterAzimuth 3
-0 90 180
-ScatterRadial 4
-0 10 90
-150
-
-Monochrome
-DataBegin
-TIS 0.3
-0.0954929658551372 0.0954929658551372 0.0954929658551372 0
-0.0954929658551372 0.0954929658551372 0.0954929658551372 0
-0.0954929658551372 0.0954929658551372 0.0954929658551372 0
-TIS 0.3
-0.0954929658551372 0.0954929658551372 0.0954929658551372 0.0954929658551372
-0.0954929658551372 0.0954929658551372 0.0954929658551372 0
-0.0954929658551372 0.0954929658551372 0 0
-DataEnd
-"""
+LAMBERT = vectors.text("lambert.bsdf")
 DENSE = np.concatenate([[0.0], np.geomspace(0.05, 150, 60)])
 
 
@@ -238,30 +211,6 @@ class TestZemax:
         totals = [float(line.split()[1]) for line in (tmp_path / "a.bsdf").read_text().splitlines() if "TIS" in line]
         assert totals == pytest.approx([0.3, 0.3], rel=1e-3)
 
-    @pytest.mark.parametrize(
-        ("old", "new", "words"),
-        [
-            ("SampleRotation  1\n0", "SampleRotation 2\n0 90", "DataEnd after 0 of"),
-            ("PlaneSymmetrical", "Round", "line 3: Symmetry is Round; use PlaneSymmetrical or"),
-            ("SpectralContent  Monochrome", "SpectralContent XYZ", "line 4: XYZ are colours"),
-            ("ScatterType  BRDF", "ScatterType BSSRDF", "line 5: ScatterType is BSSRDF; use BRDF or BTDF"),
-            ("AngleOfIncidence  2", "AngleOfIncidence two", "line 8: 'AngleOfIncidence two'; expected"),
-            ("0 90 180", "0 ninety 180", "line 11: could not convert string to float: 'ninety'"),
-            ("Monochrome\nDataBegin", "DataBegin", "line 16: 'DataBegin'; expected Monochrome"),
-            ("0.0954929658551372 0\nTIS", "0.0954929658551372 -1\nTIS", "line 21: -1; a BSDF is not negative"),
-            ("0.0954929658551372 0\nTIS", "0.0954929658551372\nTIS", "line 22: TIS after 11 of 12 values at 0°"),
-            ("0 0\nDataEnd", "0\nDataEnd", "line 26: DataEnd after 11 of 12 values at 60°; the file is incomplete"),
-            ("0 0\nDataEnd", "0 0\n", "it ends before DataEnd; the file is incomplete"),
-            ("DataEnd", "1 1 1 1\nDataEnd", "line 26: '1 1 1 1'; expected DataEnd, there are more data than angles"),
-            ("\n150\n", "\n90\n", "polar angles do not ascend"),
-        ],
-    )
-    def test_malformed(self, tmp_path: Path, old: str, new: str, words: str) -> None:
-        assert LAMBERT.count(old) >= 1
-        (tmp_path / "bad.bsdf").write_text(LAMBERT.replace(old, new, 1))
-        with refused("", words, "bad.bsdf"):
-            read_zemax_bsdf(tmp_path / "bad.bsdf")
-
 
 class TestCsv:
     def test_round_trip_and_rows_in_any_order(self, tmp_path: Path) -> None:
@@ -274,24 +223,6 @@ class TestCsv:
         for read in (read_bsdf_csv(tmp_path / name) for name in ("a.csv", "b.csv")):
             np.testing.assert_allclose(read.values, samples.values, rtol=1e-8)
             np.testing.assert_allclose(read.polar_deg, samples.polar_deg, rtol=1e-9)
-
-    @pytest.mark.parametrize(
-        ("text", "words"),
-        [
-            ("", "its columns are missing; give theta_i_deg, theta_s_deg, phi_deg, bsdf"),
-            ("theta_i_deg,theta_s_deg,bsdf\n0,0,1\n", "its columns are theta_i_deg, theta_s_deg, bsdf; give"),
-            ("{head}0,0,0,x\n", "line 2: could not convert string to float: 'x'"),
-            ("{head}0,0,0\n", "line 2: 3 values where 4 are needed"),
-            ("{head}", "0 rows for 0 theta_i"),
-            ("{head}0,0,0,1\n0,90,0,1\n0,0,180,1\n", "3 rows for 1 theta_i × 2 theta_s × 2 phi"),
-            ("{head}0,0,0,1\n0,90,0,1\n0,0,180,1\n0,0,180,1\n", "a combination of angles is there twice"),
-            ("\xff\xfe\x00", "it is no text file"),
-        ],
-    )
-    def test_malformed(self, tmp_path: Path, text: str, words: str) -> None:
-        (tmp_path / "bad.csv").write_text(text.format(head="theta_i_deg,theta_s_deg,phi_deg,bsdf\n"), "latin-1")
-        with refused("", words, "bad.csv"):
-            read_bsdf_csv(tmp_path / "bad.csv")
 
 
 ROTATIONS, INCIDENCE = np.arange(0.0, 361.0, 15.0), np.array([0.0, 20.0, 40.0, 60.0, 80.0])

@@ -1,7 +1,5 @@
 """Overlaps are found, scenes of the infrared are evaluated there, and what is refused is told in one line."""
 
-from __future__ import annotations
-
 import math
 import time
 from pathlib import Path

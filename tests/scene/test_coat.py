@@ -1,12 +1,11 @@
 """Coatings, paint and scatter put on surfaces by patterns: what they do to light, what changes in a file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import pytest
 import tmm
+import vectors
 from command_line import Captured, fails, run, succeeds
 from oracles.small_scenes import write
 from refusals import refused
@@ -143,21 +142,7 @@ class TestPatterns:
 
 
 def test_wrong_rules(file: Path, tmp_path: Path) -> None:
-    for rules, words in (
-        ({"coatings": {"C*": "bbar3"}}, "'C\\*=bbar3' fits no surface and no part; the nearest names are"),
-        ({"coatings": {"iris*": "bbar3"}}, "'iris_front' is opaque; give an opaque coating, such as"),
-        ({"coatings": {"A*": "bbar"}}, "coating 'bbar': .*did you mean 'bbar[34]'"),
-        ({"coatings": {"A*": "MgF2"}}, "coating 'MgF2'"),
-        ({"coatings": {"A*": "R=0.9 T=0.2"}}, "R \\+ T must not exceed 1"),
-        ({"coatings": {"A*": "MgF2 1e308"}}, "coating"),
-        ({"coatings": {"A*": "missing.csv"}}, "missing.csv': No such file"),
-        ({"coatings": {"A*": ""}}, "coating ''"),
-        ({"paint": {"A*": "flat_blak"}}, "paint 'flat_blak'.*did you mean flat_black"),
-        ({"paint": {"A*": 1.5}}, "reflectance is 1.5"),
-        ({"scatter": {"A*": "harvey rms_nm=3"}}, "scatter 'harvey rms_nm=3'.*did you mean 'harvey_shack'"),
-        ({"scatter": {"A*": "harvey_shack rms=3"}}, "there is no 'rms'; did you mean 'rms_nm'"),
-        ({"scatter": {"A*": "harvey_shack rms_nm=0 rms_nm=1"}}, "rms_nm is given twice"),
-    ):
+    for rules, words in vectors.toml("refusals.toml")["rules of coat"]:
         with refused(words):
             write_coated(file, tmp_path / "new.xml", Rules(**rules))
         assert not (tmp_path / "new.xml").exists()
@@ -204,7 +189,6 @@ class TestCommand:
         names = ("direct_power_W", "direct_rms_radius_mm", "paths")
         assert [results[0][name] for name in names] == pytest.approx([results[1][name] for name in names], rel=1e-9)
 
-    @pytest.mark.long
     def test_import(self, tmp_path: Path, capsys: Captured) -> None:
         source = find("phone_camera").with_name("prescription.json")
         rules = ["--coating", "L*=bbar4", "--paint", "barrel_*=good_black_paint"]
@@ -218,48 +202,7 @@ class TestCommand:
 
 AR = Stack((Layer("1.38", 99.5), Layer("2.1", 131.25)), name="AR")
 TRIPLET = find("cooke_triplet")
-SCENE = """<?xml version="1.0" encoding="utf-8"?>
-<!-- a > b, "quoted" -->
-<scene version="3.0.0">
-    <integrator type="straylight"/>
-    <emitter type="collimated"><float name="radius" value="1"/></emitter>
-    <bsdf type="interface" id="glass">
-        <string name="back" value="1.5"/> <!-- crown -->
-        <float name="R" value="0.1"/>
-        <float name="T" value="0.9"/>
-    </bsdf>
-    <bsdf type="thinfilm" id="old">
-        <string name="preset" value="v_coat"/>
-    </bsdf>
-    <!-- the lens -->
-    <shape type="asphere" id="a">
-        <float name="semi_diameter" value="5"/>
-        <ref id="glass"/>
-    </shape>
-    <shape type="asphere" id="b">
-        <float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="2"/></transform>
-        <bsdf type="interface">
-            <string name="front" value="1.5"/>
-            <ref id="old"/>
-        </bsdf>
-    </shape>
-    <shape type="asphere" id="c"><float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="4"/></transform>
-        <bsdf type="interface"><string name="back" value="1.6"/><bsdf type="thinfilm"><string name="layers" value="1.4 100"/></bsdf></bsdf></shape>
-    <shape type="asphere" id="d"><float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="6"/></transform>
-        <bsdf type='thinfilm' id="alone"><string name="front" value="1.6"/><string name="preset" value="bbar3"/><string name="back" value="air"/></bsdf></shape>
-    <shape type="asphere" id="e"><float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="8"/></transform><bsdf type="interface"/></shape>
-    <shape type="asphere" id="detector">
-        <float name="half_width" value="5"/><float name="half_height" value="5"/>
-        <transform name="to_world"><translate z="9"/></transform>
-        <bsdf type="interface"><float name="R" value="0"/></bsdf>
-        <sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor>
-    </shape>
-</scene>
-"""  # noqa: E501
+SCENE = vectors.text("coat.xml")
 
 
 class TestWhatChanges:

@@ -1,7 +1,5 @@
 """Optics and files as a scene file names them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scene files with other values are what was given, and nothing else changes; improbable scatter is named."""
 
-from __future__ import annotations
-
 import difflib
 import subprocess
 import sys
@@ -12,6 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
 from refusals import refused
 
@@ -59,58 +58,7 @@ def test_what_is_not_given_stays_and_comes_back(tmp_path: Path) -> None:
     assert_loads(back, before)
 
 
-SCENE = """<?xml version="1.0" encoding="utf-8"?>
-<scene version="3.0.0">
-    <default name="stop" value="3"/>
-    <bsdf type="thinfilm" id="shared"><string name="preset" value="bbar3"/></bsdf>
-    <bsdf type="thinfilm" id="waves">
-        <string name="layers" value="MgF2 0.25w, 2.1 130.5"/> <!-- a comment -->
-    </bsdf>
-    <bsdf type="thinfilm" id="silver"><string name="preset" value="protected_ag"/></bsdf>
-    <bsdf type="harvey_shack" id="polish"><float name="rms_nm" value="4"/></bsdf>
-    <shape type="asphere" id="a">
-        <integer name="radius" value="40"/>
-        <float name="semi_diameter" value="5"/>
-        <bsdf type="interface"><string name="back" value="1.5"/><ref id="shared"/><ref id="polish"/></bsdf>
-    </shape>
-    <shape type="asphere" id="b">
-        <float name="curvature" value="-0.01"/> <float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="4"/></transform>
-        <bsdf type="interface">
-            <string name="front" value="1.5"/>
-            <ref id="shared"/>
-            <bsdf type="abg">
-                <float name="A" value="1e-4"/> <float name="B" value="1e-3"/> <float name="g" value="2"/>
-            </bsdf>
-            <bsdf type="abg">
-                <float name="A" value="2e-4"/> <float name="B" value="1e-3"/> <float name="g" value="2"/>
-            </bsdf>
-        </bsdf>
-    </shape>
-    <shape type="asphere" id="c"><float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="8"/></transform><bsdf type="interface"><ref id="waves"/></bsdf></shape>
-    <shape type="asphere" id="d"><float name="semi_diameter" value="5"/>
-        <transform name="to_world"><translate z="9"/></transform><bsdf type="interface"/></shape>
-    <shape type="frustum" id="stop">
-        <float name="r0" value="$stop"/> <float name="r1" value="9"/>
-        <float name="z0" value="10"/> <float name="z1" value="10"/>
-        <bsdf type="interface">
-            <float name="R" value="0.1"/>
-            <bsdf type="paint"><string name="preset" value="flat_black"/></bsdf>
-        </bsdf>
-    </shape>
-    <shape type="asphere" id="mirror"><float name="semi_diameter" value="$stop"/>
-        <transform name="to_world"><translate z="30"/></transform>
-        <bsdf type="interface"><ref id="silver"/></bsdf>
-    </shape>
-    <shape type="asphere" id="detector">
-        <float name="half_width" value="5"/><float name="half_height" value="5"/>
-        <transform name="to_world"><translate z="12"/></transform>
-        <bsdf type="interface"><float name="R" value="0"/></bsdf>
-        <sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor>
-    </shape>
-</scene>
-"""
+SCENE = vectors.text("rewrite.xml")
 
 
 def changes(before: str, after: str) -> tuple[list[str], list[str]]:
@@ -132,7 +80,6 @@ class TestText:
             '<float name="x" value="0.1"/>',
         ]
 
-    @pytest.mark.long
     @pytest.mark.parametrize(
         "values",
         [

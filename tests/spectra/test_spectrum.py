@@ -1,7 +1,5 @@
 """Spectra beside published numbers and integrals of their own; as a trace takes them from every kind of scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -83,19 +81,6 @@ def test_tables(tmp_path: Path) -> None:
     for separator in (";", "\t", " "):
         file.write_text(f"400{separator}1\r\n500{separator}2\r\n")
         assert read_table(file)[1] == pytest.approx([1, 2])
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "nm\n", "400,1\n", "400,1\n400,2\n", "500,1\n400,2\n", "400,1\n500,-1\n", "400,nan\n500,1\n",
-     "400,1,2\n500,1,2\n", "um,value\n0.4,1\n0.5,1\n", "400,0\n500,0\n", "1,1\n2,1\n", "400,1\n500,x\n",
-     "400,1e308\n500,1e308\n"],
-)  # fmt: skip
-def test_tables_that_are_none(text: str, tmp_path: Path) -> None:
-    file = tmp_path / "odd.csv"
-    file.write_text(text)
-    with refused(r"odd\.csv"):
-        read_table(file)
 
 
 FORM = {"spectrum": "d65", "band_nm": "450, 650", "bands": 3}

@@ -1,7 +1,5 @@
 """Freeforms against float64 and batoid, and surfaces that meet in a seam."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -11,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
+import vectors
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from refusals import refused
 from scipy.optimize import brentq
@@ -160,22 +159,8 @@ def test_light_the_other_way_goes_through() -> None:
         assert ids == hits
 
 
-CROSSING = {"x1": 0.0, "y1": 0.0, "x2": 4.0, "y2": 4.0, "x3": 4.0, "y3": 0.0, "x4": 0.0, "y4": 4.0}
-
-
 def test_bad_input_names_the_shape() -> None:
-    for numbers, named in (
-        ({"clip_1": "+polygon", "clip_1_x1": 0.0, "clip_1_y1": 0.0}, "polygon"),
-        ({"clip_1": "+hexagon"}, "hexagon"),
-        ({"clip_1": "-circle", "clip_1_radius": 3.0}, "bounds"),
-        ({"clip_1": "+circle", "clip_1_radius": -1.0}, "circle"),
-        ({"semi_diameter": 10.0, "zernike_4": 0.1}, "zernike_radius"),
-        ({"semi_diameter": 10.0, "curvature": 0.2}, "sag"),
-        ({"semi_diameter": 10.0, "clip_1": "+circle", "clip_1_radius": 3.0}, "semi_diameter"),
-        ({"semi_diameter": 10.0, "meets": "left"}, "left"),
-        ({"clip_1": "+polygon"} | {f"clip_1_{k}": v for k, v in CROSSING.items()}, "crosses itself"),
-        ({"semi_diameter": 20.0, "curvature": 1 / 21, "toroid_curvature": -1 / 21}, "single precision"),
-    ):
+    for numbers, named in vectors.toml("refusals.toml")["freeform"]:
         with refused("shape", named):
             scene({"type": "freeform", **numbers})
 

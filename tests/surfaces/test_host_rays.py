@@ -1,7 +1,5 @@
 """Rays on the host, many surfaces at once with boxes and trees, against one surface after the other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

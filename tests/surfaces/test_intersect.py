@@ -1,7 +1,5 @@
 """Nearest hits and normals against the oracle, and what stays where a scene is turned, moved, scaled or mirrored."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable, Iterator
@@ -279,7 +277,6 @@ def test_no_light_leaks_through_a_wall_to_a_vane(load_text: Callable[..., Any]) 
     assert not np.any((lit == "vane") & ~np.array(at_rim))
 
 
-@pytest.mark.long
 def test_grazing_rays(scene: Scene) -> None:
     """Many of them are fragile; see `test_a_shallow_double_crossing` for one that is just not."""
     hits, fragile = scene.compare(scene.grazing(8_000, seed=3))
@@ -547,7 +544,6 @@ def test_surfaces_of_all_kinds_in_a_tree_stop_the_same_light(load_scene: Load, m
         assert looped.energy.absorbed[name][0] == pytest.approx(power, abs=2e-4 * launched), name
 
 
-@pytest.mark.long
 def test_derivatives_by_rings_add_up_to_that_of_the_tube(load_scene: Load) -> None:
     """A metric of the tube's reflectance and radius: the same rays, so its derivative is the sum over the rings."""
 
@@ -560,7 +556,6 @@ def test_derivatives_by_rings_add_up_to_that_of_the_tube(load_scene: Load) -> No
     assert total(150, "bsdf.reflectance") == pytest.approx(total(1, "bsdf.reflectance"), rel=1e-5)
 
 
-@pytest.mark.long
 def test_the_kernel_does_not_grow_with_the_number_of_walls(load_scene: Load) -> None:
     """What is compiled is counted, which no cache of kernels hides; unrolled, a wall adds 110 operations."""
 

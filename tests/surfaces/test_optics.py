@@ -1,7 +1,5 @@
 """R and T in the kernel against tmm, light through bodies that absorb, and stock shapes beside analytic surfaces."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +74,6 @@ def oracle(layers: Layers, n_in: float, n_out: float, cosines: np.ndarray) -> np
     return np.array(values).T
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("seed", range(8))
 def test_random_stacks(load_scene, seed) -> None:
     rng = np.random.default_rng(seed)

@@ -1,7 +1,5 @@
 """A surface that a user defines in one file, as this one: part of a torus, the rounded lip of a baffle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +95,6 @@ def test_trace_and_ghosts() -> None:
     assert "lip (structure)" in report.table(0.0).label.tolist()
 
 
-@pytest.mark.long
 def test_pst_both_ways() -> None:
     """Three methods, each by its own rays; false alarm 4e-3 in all."""
     here = scene(scatter={"type": "abg", "A": 0.02, "B": 0.05, "g": 2.0})

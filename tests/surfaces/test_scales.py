@@ -1,7 +1,5 @@
 """One optic at scales 1e-4 … 1e4 and far from the origin: light does not scale, derivatives by their dimensions."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A scene for calls that end before they trace, and a folder with the inputs of calls."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

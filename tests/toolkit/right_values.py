@@ -1,7 +1,5 @@
 """Values that meet demands, for what a request cannot do without."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

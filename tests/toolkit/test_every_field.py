@@ -1,7 +1,5 @@
 """Wrong values of every field of every analysis, from what the fields demand: one line with name, value and remedy."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import pickle
@@ -14,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import stubs
+import vectors
 from toolkit.right_values import needed, right
 
 from mistray.analyses.coating.request import CoatingRequest
@@ -125,21 +124,7 @@ def test_odd_numbers() -> None:
         CoatingRequest(coating=None)
 
 
-@pytest.mark.parametrize(
-    ("name", "given", "told"),
-    [
-        ("mistray.analysis.ghosts", {"progress": 3}, "progress is of type int; it must be a function"),
-        ("mistray.analysis.pst", {"state": 3}, "state is of type int; it must be a path"),
-        ("mistray.analysis.study", {"name": []}, "name is of type list; it must be text"),
-        ("mistray.analysis.objects", {"source": 3}, "source is of type int; it must be a DiskSource"),
-        ("mistray.report.export_step", {"path": 3}, "path is of type int; it must be a path"),
-        ("mistray.report.view", {"trace": 3}, "trace is of type int; give what mistray.trace returned"),
-        ("mistray.optimize.sensitivity", {"metric": 3}, "metric is of type int; it must be a Metric"),
-        ("mistray.optimize.optimize", {"study": 3}, "study is of type int; give a TOML file"),
-        ("mistray.sweeps.sweep", {"scene": 3}, "scene is of type int; give a scene XML file"),
-        ("mistray.sweeps.sweep", {"configurations": 3}, "configurations: 3 is none; give a mapping"),
-    ],
-)
+@pytest.mark.parametrize(("name", "given", "told"), vectors.toml("refusals.toml")["arguments beside the fields"])
 def test_wrong_arguments_beside_the_fields(name: str, given: dict[str, Any], told: str, scene: Any) -> None:
     subject = "metric" if "metric" in inspect.signature(stubs.named(name)).parameters else "scene"
     known = {subject: scene} if "optimize." not in name else {"scene": "plate"} if subject == "scene" else {}

@@ -1,7 +1,5 @@
 """Reports as HTML and PDF: what is on their pages, files all there or none, and where headings of columns stand."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import importlib
@@ -142,7 +140,6 @@ def test_a_failure_leaves_nothing(report: GhostReport, tmp_path: Path, monkeypat
 ghosts_output = importlib.import_module("mistray.analyses.ghosts.page.output")
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("fields", [0, 2])
 def test_a_page_shows_the_fields_that_there_was_time_for(
     fields: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -199,7 +196,6 @@ def wide_table(count: int) -> Table:
     return Table(heads, [[f"detector → L1_rear, {k}", "ghost", *numbers] for k in range(count)], "t")
 
 
-@pytest.mark.long
 @pytest.mark.quick
 def test_every_part_of_the_model():
     def draw():
@@ -225,7 +221,6 @@ def test_every_part_of_the_model():
     assert all(float(size) == pytest.approx(595.28) for size in re.findall(rb"/MediaBox \[0 0 ([\d.]+)", pdf))
 
 
-@pytest.mark.long
 def test_tables_are_no_wider_than_the_page(tmp_path):
     table = wide_table(3)
     rows = [[column.head for column in table.columns], *([_cell(value) for value in row] for row in table.rows)]

@@ -1,7 +1,5 @@
 """Requests as JSON: schemas that take what requests take, and round trips."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -9,6 +7,7 @@ from typing import Any
 
 import pytest
 import stubs
+import vectors
 from refusals import refused
 from toolkit.right_values import needed
 
@@ -71,25 +70,7 @@ def test_values() -> None:
     assert mistray.ghosts.request.json_schema()["properties"]["rank"]["enum"] == ["rms", "power", "peak"]
 
 
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"nois": NOISE}, "there is no argument 'nois'; did you mean 'noise'?"),
-        ({"noise": {"pixel": 15}}, "noise: there is no argument 'pixel'; did you mean 'pixel_um'?"),
-        ({"noise": {"pixel_um": 15}}, "noise: bandwidth_hz is missing; give it: bandwidth of the noise, Hz"),
-        (
-            {"noise": {"pixel_um": 15, "bandwidth_hz": 1e4}},
-            "noise of the detector: give detectivity, quantum_efficiency or",
-        ),
-        ({"noise": {**NOISE, "pixel_um": -1}}, "noise of the detector: pixel_um is -1; it must lie between 1e-6"),
-        ({"noise": 15}, "noise is 15; it must be a DetectorNoise"),
-        ({"rays": 0}, "rays is 0; it must be a whole number between 1 and"),
-        ({"splitting": "ones"}, "splitting is 'ones'; did you mean 'one'?"),
-        ({"band_um": [3]}, "band_um has 1 number"),
-        ({"temperatures": {"L1": "cold"}}, "temperatures of 'L1' is 'cold'; it must lie"),
-        ({"temperatures": {" ": 77}}, "temperatures is {' ': 77}; give a mapping"),
-    ],
-)
+@pytest.mark.parametrize(("given", "told"), vectors.toml("refusals.toml")["arguments of thermal"])
 def test_wrong_objects(given: dict[str, Any], told: str) -> None:
     """Both the schema and the request refuse them, the latter in one line."""
     assert not takes(ThermalRequest, given)

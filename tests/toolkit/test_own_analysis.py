@@ -1,7 +1,5 @@
 """An analysis of another distribution, as docs/extending.md has it: function, command, files, completion."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

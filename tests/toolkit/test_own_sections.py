@@ -1,7 +1,5 @@
 """Sections that users add to the reports of any result."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

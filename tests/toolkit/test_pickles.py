@@ -1,7 +1,5 @@
 """Results of public functions go through a pickle: the same numbers, and what is traced again is the same."""
 
-from __future__ import annotations
-
 import pickle
 import subprocess
 import sys

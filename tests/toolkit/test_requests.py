@@ -10,6 +10,7 @@ from dataclasses import KW_ONLY, dataclass, fields, make_dataclass
 from typing import Any
 
 import pytest
+import vectors
 from refusals import refused
 
 from mistray import ranges
@@ -110,25 +111,7 @@ def test_values(scene: Any) -> None:
     assert toy(scene, names="wall", turns_deg=range(3)) == Toy(names=("wall",), turns_deg=(0.0, 1.0, 2.0))
 
 
-@pytest.mark.parametrize(
-    ("given", "named"),
-    [
-        ({"share": 2}, ("share is 2", "0 and 1")),
-        ({"waves": []}, ("waves is empty",)),
-        ({"band": (2, 1)}, ("band is 2 to 1", "lower one first")),
-        ({"band": 1}, ("band has 1 number",)),
-        ({"parts": {"wall": 3}}, ("parts of 'wall' is 3",)),
-        ({"parts": "wall"}, ("parts is 'wall'", "wall=0.5")),
-        ({"how": "fats"}, ("how is 'fats'", "fast")),
-        ({"place": (0.1,)}, ("place has 1 number", "give 2")),
-        ({"kinds": ["red", "rde"]}, ("kinds is 'rde'", "red")),
-        ({"kinds": []}, ("kinds is empty",)),
-        ({"names": ["", "wall"]}, ("names is ''", "must be text")),
-        ({"window": 3}, ("window is 3", "Filter")),
-        ({"seed": -1}, ("seed is -1",)),
-        ({"sead": 1}, ("toy", "'sead'", "seed")),
-    ],
-)
+@pytest.mark.parametrize(("given", "named"), vectors.toml("refusals.toml")["arguments of the toy"])
 def test_wrong_values(scene: Any, given: dict[str, Any], named: tuple[str, ...]) -> None:
     with refused("", *named):
         toy(scene, **given)

@@ -1,7 +1,5 @@
 """What a Python session shows of every result: one line, a summary in notebooks, a figure."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 from collections.abc import Iterator

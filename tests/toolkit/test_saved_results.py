@@ -1,7 +1,5 @@
 """Results saved to a file and loaded again, and files that are none."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Generated tubes show no first-order path, forwards and backwards; spoiled ones do: false alarms 0."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from dataclasses import replace
@@ -66,7 +64,6 @@ def test_no_light_arrives_after_one_scatter_forwards():
     assert found.stray[~outside].max() > 0
 
 
-@pytest.mark.long
 def test_no_light_arrives_after_one_scatter_backwards():
     """All angles and azimuths at once; the vane that is missing shows at the angles that light its gap."""
     options = {"rays": 100_000, "max_scatters": 1, "max_reflections": 0, "paths": False}
@@ -80,7 +77,6 @@ def test_no_light_arrives_after_one_scatter_backwards():
         assert spoiled.stray[0] > 5 * spoiled.stray_se[0], f"without vane {k}"
 
 
-@pytest.mark.long
 def test_bevels_hide_and_square_or_round_edges_do_not():
     """A rounded edge scatters in proportion to its radius; a bevel without rounding is as good as no thickness."""
     sharp = system(tube(edge=VaneEdge(thickness=0.6, bevel_deg=20.0)))
@@ -99,7 +95,6 @@ def test_bevels_hide_and_square_or_round_edges_do_not():
     assert abs(large / small - 2) < 4 * 2 * math.hypot(small_se / small, large_se / large) + 0.2
 
 
-@pytest.mark.long
 def test_four_scatters_through_two_stages():
     made = two_stage_baffle("b", optic_radius=10, z_rear=0, field_deg=5, exclusion_deg=40, depth=8, clearance=0.2)
     options = {"rays": 100_000, "max_reflections": 0, "paths": False, "cell_deg": 10.0}
@@ -111,7 +106,6 @@ def test_four_scatters_through_two_stages():
     assert pst(spoiled.to_scene(), grid, max_scatters=3, **options).value.max() > 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("name", "beyond_deg", "scatters"), [("baffle_tube", 23.5, 1), ("two_stage_baffle", 40.5, 3)])
 def test_shipped_tubes_are_dark_where_the_lens_is_not_lit(name, beyond_deg, scatters):
     """Without scatter at the lens nothing arrives after so many scatters, and something after one more or two."""
@@ -132,7 +126,6 @@ DIRECT = {"rays": 200_000, "max_scatters": 0, "max_reflections": 0}
 
 
 # Field angle beyond which nothing may meet the detector without scatter and ghosts
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "beyond_deg"),
     [("cassegrain", 0.6), ("newtonian_scatter", 2.0), ("double_gauss_barrel", 40.0), ("plate_and_wall", 43.0)],

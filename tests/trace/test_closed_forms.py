@@ -5,8 +5,6 @@ and only float32 rounding is left: 1e-6 relative, which `assert_within` takes as
 standard error is written at the test, the number is within 0.1 %.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -431,7 +429,6 @@ class TestFacingPlates:
         check("irradiance", power / 0.01, se / 0.01, expected, 2e-3, RIM)
         assert lambertian or power / sum(row.power_W for row in t.paths) == 1  # nothing but scatter gets there
 
-    @pytest.mark.long
     @pytest.mark.parametrize("incidence_deg", [0.0, 30.0, 60.0, 85.0])
     def test_total(self, load_scene: Load, incidence_deg: float) -> None:
         """The specular beam loses the TIS at its angle, to 1e-4; the scattered rays carry as much on average."""
@@ -460,7 +457,6 @@ def test_what_aimed_rays_leave_out_is_cut(load_scene: Load, splitting: str) -> N
     assert se < 1e-3 * rho
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("row", vectors.rows("is_cone_flux.csv"), ids=lambda r: "_".join(list(r.values())[:5]))
 def test_flux_into_a_cone(load_scene: Load, row: dict[str, str]) -> None:
     """A target that fills the cone gives the integral of f cos over it: to 1e-4, or 1e-3 where it holds the peak."""
@@ -500,7 +496,6 @@ def converging_text(bsdf: str, plate_z: float, theta_deg: float, half: float) ->
     ), total
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("row", vectors.rows("scatter_plate_converging.csv"))
 def test_plate_in_a_converging_beam(load_scene: Load, row: dict[str, str]) -> None:
     """The exact integral, not Peterson's formula, 20 % off; twelve nodes of the pupil and 0.04 mm cost below 3e-4."""

@@ -1,7 +1,5 @@
 """A scene whose parameters are to be differentiated traces as any other."""
 
-from __future__ import annotations
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np

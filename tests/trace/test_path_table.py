@@ -1,9 +1,8 @@
 """The path table from ledgers written down by hand: classes, ways of the light, errors of sums, and its speed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+import vectors
 from fake_ledger import (
     EDGE,
     GLASS,
@@ -38,38 +37,7 @@ def facts(*lists: str) -> list[dict]:
     return [{name: column[k] for name, column in columns.items()} for k in range(len(lists))]
 
 
-CLASSES = {
-    "direct": DIRECT,
-    "straight shot": [
-        "detector:A",
-        "L1_rear:T detector:A",
-        "primary:R L1_front:T L1_rear:T detector:A",
-        "L1_edge:I detector:A",
-        "L1_edge:R detector:A",
-        "L1_front:T L1_edge:T detector:A",
-    ],
-    "TIR": ["L1_front:I detector:A"],
-    "ghost": ["L1_front:T detector:R L1_rear:R detector:A"],
-    "structure": ["L1_front:T barrel:R detector:A"],
-    "structure+ghost": ["barrel:R L1_front:T L1_rear:R L1_front:R detector:A"],
-    "single scatter": [
-        "L1_front:t L1_rear:T detector:A",
-        "L1_front:i L1_rear:T detector:A",
-        "L1_front:T barrel:r detector:A",
-        "L1_front:T barrel:j detector:A",
-        "primary:j detector:A",
-        "primary:R L1_front:t detector:A",
-        "L1_front:I L1_rear:t detector:A",
-        "L1_front:t L1_edge:T detector:A",
-    ],
-    "multiple scatter": ["L1_front:t barrel:j detector:A", "barrel:r barrel:r barrel:j detector:A"],
-    "ghost + scatter": [
-        "L1_front:T L1_rear:R L1_front:r L1_rear:T detector:A",
-        "L1_front:t detector:R L1_rear:R detector:A",
-        "barrel:R L1_front:i L1_rear:T detector:A",
-        "barrel:r detector:R L1_rear:j detector:A",
-    ],
-}
+CLASSES = vectors.toml("path_classes.toml")
 
 
 def test_every_path_has_one_class() -> None:

@@ -1,7 +1,5 @@
 """Photometric units: 683 lm/W at 555 nm, illuminant A by colour-science, a lamp in candela, light that nobody sees."""
 
-from __future__ import annotations
-
 import json
 
 import mitsuba as mi

@@ -1,7 +1,5 @@
 """The mode of polarisation that a trace takes, and rays of coated lenses, against closed forms and field vectors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import prod
 from typing import Any
@@ -219,7 +217,6 @@ def events_of(row: Any, ray: Any, stack: tuple[tuple[complex, float], ...]) -> t
     return hits, np.cumprod(left)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("polarization", ["unpolarized", "stokes"])
 @pytest.mark.parametrize("field_deg", [0.0, 18.0])
 def test_flux_along_the_way(coated, polarization, field_deg) -> None:

@@ -1,7 +1,5 @@
 """Tables of rays at the detector, at any surface and of many paths: exactly the rays that are asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -127,7 +125,6 @@ class TestHotSpot:
 
 
 class TestSelection:
-    @pytest.mark.long
     @pytest.mark.parametrize(
         ("text", "same"),
         [
@@ -260,7 +257,6 @@ def traced() -> mistray.Trace:
     return mistray.trace(mistray.load("singlet_window_detector"), rays=60, field_deg=5.0)
 
 
-@pytest.mark.long
 def test_incident_rays_are_those_of_the_ledger(traced) -> None:
     for name in ("window_front", "barrel_1_wall", "detector"):
         (row,) = [row for row in traced.surfaces if row.id == name]
@@ -297,7 +293,6 @@ def test_a_filter_and_a_number(traced) -> None:
             traced.rays_at(where, selection)
 
 
-@pytest.mark.long
 def test_the_command_writes_rays_that_arrive(tmp_path, capsys):
     """All rays of a surface carry its incident flux, in every format; a file of them is a source of that flux."""
     out = tmp_path / "out"
@@ -331,7 +326,6 @@ def report():
     return mistray.ghosts(mistray.load("singlet_window_detector"), field_deg=[0.0, 2.0], rays=RAYS)
 
 
-@pytest.mark.long
 def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
     t = report[2.0]
     by_events = dict(zip(report.table(2.0).events, report.table(2.0).path_id, strict=True))
@@ -407,7 +401,6 @@ def hazy(load_scene):
     return mistray.trace(load_scene(plate(f"{INDEX} scatter=0.05 g=0.9")), rays=20_000, max_reflections=0)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("glass", "path", "intercept"),
     [("trace", "tTA", "RandTran"), ("trace", "iTA", "ImpTran"), ("hazy", "TtTA", "RandTran")],

@@ -1,7 +1,5 @@
 """What a trace gives back and is asked for: maps, tables, colours, several detectors, errors on enough rays."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import fields, replace
 from pathlib import Path
@@ -297,7 +295,6 @@ class TestSplitBeam:
         powers = {("back", "TA"): (1 - SPLIT) * np.pi, ("side", "RA"): SPLIT * np.pi}
         assert {(row.detector, row.path): row.power_W for row in t.paths} == pytest.approx(powers, rel=1e-6)
 
-    @pytest.mark.long
     def test_one_of_them_is_as_if_traced_alone(self, load_text) -> None:
         """Nothing is aimed here, so that the rays are the same."""
         scene, _ = load_text(split_text(R=0.4))

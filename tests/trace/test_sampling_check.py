@@ -1,7 +1,5 @@
 """The check of how scattered light was sampled: shares, limits, words."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Telescopes that batoid ships, ray by ray beside its split trace, which lets light go to a neighbour only."""
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -149,16 +147,6 @@ def _sums(rays: batoid.RayVector, flux: np.ndarray, launched: int) -> Sums:
     x, y = share @ rays.x, share @ rays.y
     rms = np.sqrt(share @ ((rays.x - x) ** 2 + (rays.y - y) ** 2))
     return Sums(len(rays), float(flux.sum()) / launched, 1e3 * float(x), 1e3 * float(y), 1e3 * float(rms))
-
-
-def differences(pairs: dict[Names, tuple[Sums, Sums]]) -> dict[str, float]:
-    both = list(pairs.values())
-    return {
-        "rays": max(abs(a.rays - b.rays) for a, b in both),
-        "flux": max(abs(a.flux / b.flux - 1) for a, b in both),
-        "centroid_mm": max(float(np.hypot(a.x_mm - b.x_mm, a.y_mm - b.y_mm)) for a, b in both),
-        "rms": max(abs(a.rms_mm / b.rms_mm - 1) for a, b in both),
-    }
 
 
 LSST = Telescope("LSST_r.yaml", 620.0)

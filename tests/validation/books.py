@@ -1,7 +1,5 @@
 """What no trace of a random system may show: NaN, negative power, open books, lost rays, glass that leaks."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The phone camera: its image beside the ``checks`` of its prescription, its ghosts beside the FRED study."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

@@ -1,19 +1,10 @@
 """Critical, illuminated and common objects of the phone camera beside Tables 7, 9 and 10 of the FRED study."""
 
-from __future__ import annotations
-
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 import vectors
-from validation.tables import markdown, number, table, write
 
 import mistray
 from mistray.analyses.objects.result import Objects
@@ -26,8 +17,6 @@ STUDY_RAYS = 1_000_000
 SOURCE = DiskSource((0.0, 0.0, -5.749), 3.083, 20.0)
 VIEW_DEG = 45.0
 BEAM_RADIUS = 1.252  # of the study's beam, about the centre of the stop
-PRODUCT_ANGLES = (4.0, 30.0)
-PRODUCTS_SHOWN = 12
 
 
 @dataclass(frozen=True)
@@ -79,26 +68,6 @@ def names(row: Row) -> str:
     return " + ".join(name for name, _ in row.here) or "–"
 
 
-def list_table(rows: Sequence[Row], which: str, found: Objects, other: Objects | None = None) -> str:
-    def cells(row: Row) -> list[str]:
-        rays, *watt = sums(found, which, row)
-        watts = [watt, *([sums(other, which, row)[1:]] if other else [])]
-        own = (number(power, se) if power else "0" for power, se in watts)
-        return [row.label, f"{row.rays}", f"{row.power:.6f}", names(row), f"{rays:.0f}", *own]
-
-    header = ["study", "study rays", "study W", "here", "rays", "W", *(["W with total reflection"] if other else [])]
-    return markdown(header, [cells(row) for row in rows])
-
-
-def beyond_table(rows: Sequence[Row], which: str, found: Objects, least: float = 1e-4) -> str:
-    known = {place for row in rows for place in row.here}
-    left = [entry for entry in getattr(found, which) if (entry.id, entry.side) not in known and entry.power > least]
-    return markdown(
-        ("object", "side", "rays", "W"),
-        [(e.id, e.side, f"{e.rays * STUDY_RAYS / found.facts['rays']:.0f}", number(e.power, e.power_se)) for e in left],
-    )
-
-
 def common_rows(found: Objects) -> list[tuple[str, str, bool, bool]]:
     """Rows of the study in one of its tables: label, here, whether common in the study and here."""
     common = {(entry.id, entry.side) for entry in found.common}
@@ -109,14 +78,6 @@ def common_rows(found: Objects) -> list[tuple[str, str, bool, bool]]:
         if own or label in COMMON:
             found_rows.append((label, names(row), label in COMMON, own))
     return found_rows
-
-
-def common_table(found: Objects) -> str:
-    lines = [(label, here, "yes" if study else "–", "yes" if own else "–")
-             for label, here, study, own in common_rows(found)]  # fmt: skip
-    known = {place for row in (*CRITICAL, *ILLUMINATED) for place in row.here}
-    lines += [("–", f"{e.id}", "–", "yes") for e in found.common if (e.id, e.side) not in known]
-    return markdown(("study", "here", "common in the study", "common here"), lines)
 
 
 def products(angle_deg: float, rays: int, trace_rays: int) -> list[dict[str, Any]]:
@@ -148,32 +109,3 @@ def products(angle_deg: float, rays: int, trace_rays: int) -> list[dict[str, Any
             }
         )
     return sorted(rows, key=lambda row: -row["traced"])
-
-
-def product_table(results: dict[float, list[dict[str, Any]]]) -> str:
-    def with_ratio(angle: float, row: dict[str, Any]) -> dict[str, Any]:
-        ratio = row["product"] / row["traced"]
-        error = ratio * np.hypot(row["product_se"] / row["product"], row["traced_se"] / row["traced"])
-        return row | {"angle": angle, "ratio": ratio, "ratio_se": error}
-
-    return table(
-        "angle ° | object | Φ W | BSDF 1/sr | GCF | product W | traced W | product / traced",
-        "{angle:g} | {id} | {flux:.4g} | {bsdf:.3g} | {gcf:.3g} | {product±product_se} | {traced±traced_se} | "
-        "{ratio±ratio_se}",
-        [with_ratio(angle, row) for angle, rows in results.items() for row in rows[:PRODUCTS_SHOWN]],
-    )
-
-
-if __name__ == "__main__":
-    found, reflected = search(), search(total_reflection=True)
-    write(
-        FILE,
-        {
-            "critical": list_table(CRITICAL, "critical", found, reflected),
-            "critical_only_here": beyond_table(CRITICAL, "critical", found),
-            "illuminated": list_table(ILLUMINATED, "illuminated", found),
-            "illuminated_only_here": beyond_table(ILLUMINATED, "illuminated", found),
-            "common": common_table(found),
-            "products": product_table({angle: products(angle, 1_000_000, 400_000) for angle in PRODUCT_ANGLES}),
-        },
-    )

@@ -1,7 +1,5 @@
 """PST of the phone camera beside that of the FRED study, whose numbers stand in the notebook."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -73,13 +71,6 @@ def watts(loaded: Any, rays: int) -> pd.DataFrame:
             rows.append((angle, name, ours, power, *watt, own.name, own.power_W, own.power_se_W))
     columns = ["angle", "name", "ours", "study", "same", "same_se", "surface", "power", "power_se"]
     return pd.DataFrame(rows, columns=columns)
-
-
-def beam_psts(loaded: Any, angles: list[int], rays: int) -> dict[int, float]:
-    beam = mistray.ghosts(loaded, field_deg=angles, rays=rays)
-    area = SIDE**2
-    sums = {angle: beam.summary(float(angle)) for angle in angles}
-    return {angle: (s.direct.power_W.value + s.stray_W.value) / ABSORBED / area for angle, s in sums.items()}
 
 
 def bends(found: Pst) -> pd.DataFrame:

@@ -1,7 +1,5 @@
 """Every printed standard error against the spread of repeated runs; as a script, with [SEEDS [WORD …]], the table."""
 
-from __future__ import annotations
-
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator

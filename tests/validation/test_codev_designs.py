@@ -1,7 +1,5 @@
 """Designs of CODE V whose images are known, in float64: an imager of Zernike mirrors, a bench of parabolas."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +43,6 @@ def wavefront_nm(lens: Sequential, field: tuple[float, float], radius: float) ->
 FIELDS = [(x, y) for x in (0.0, 5.0, 10.0, -10.0) for y in (12.0, 17.0, 22.0, 27.0, 32.0)]
 
 
-@pytest.mark.long
 def test_an_imager_of_zernike_mirrors_images_as_its_author_says() -> None:
     """His map of the whole field has 53 nm at most; polynomials in another order give thousands."""
     lens = read_codev(DATA / "offset_imager.seq")

@@ -1,7 +1,5 @@
 """Deep transmittance of a two-stage baffle against walks in float64 from its optic."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """OPD, Zernike coefficients and MTF of lenses beside optiland and an integral over its rays; OPD beside batoid."""
 
-from __future__ import annotations
-
 import batoid
 import numpy as np
 import peers

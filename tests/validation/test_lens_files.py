@@ -1,7 +1,5 @@
 """Every lens file of optiland, ray-optics and tests/data/lenses against their frozen focal lengths and rays."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import replace

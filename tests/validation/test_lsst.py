@@ -1,7 +1,5 @@
 """Rubin/LSST ray by ray against batoid; see docs/validation/lsst.md."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -22,7 +20,6 @@ def result(request):
     return request.param, LSST.compare(request.param, RAYS)
 
 
-@pytest.mark.long
 def test_every_path_of_batoid_and_no_other(result):
     """More are only those that come back to the camera by M3, which batoid's list of neighbours leaves out."""
     field, comparison = result

@@ -1,7 +1,5 @@
 """Every sample lens of optiland: it is read, closed to a system, and its rays are optiland's own."""
 
-from __future__ import annotations
-
 import inspect
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The phone camera against an independent ray trace, quadrature, and the FRED study; see docs/validation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles.statistics import assert_z, z_limit
@@ -36,7 +34,6 @@ def ghosts(scene):
     }
 
 
-@pytest.mark.long
 def test_spots_chief_rays_and_illumination(image):
     """At 17° and 18° a few rays pass the steep rim of L2_rear: the RMS depends on which of them a sample holds."""
     for row in image:
@@ -55,7 +52,6 @@ def test_spots_chief_rays_and_illumination(image):
     assert round(image[-1]["illumination"], 3) == 0.523
 
 
-@pytest.mark.long
 def test_relative_illumination_of_the_metric():
     """Against an integral over the pupil; the slope of the centroid is 0.14 % off at 15°, the chief ray 1 %."""
     scene = phone_camera.wide_open(barrel=False).to_scene()
@@ -70,7 +66,6 @@ def test_relative_illumination_of_the_metric():
         assert chief > 1.007 * exact
 
 
-@pytest.mark.long
 def test_irradiance_on_axis():
     """The published figure lies between the light that passes the stop and the whole beam; no other reading has it."""
     rows = phone_camera.on_axis(400_000)
@@ -88,7 +83,6 @@ def test_irradiance_on_axis():
     assert not [value for value in others if 128.6e3 <= value <= 128.9e3]
 
 
-@pytest.mark.long
 def test_ghosts_on_axis(ghosts):
     """The four of Table 22, the window's first, and the window with itself; out of the field it is structure."""
     names, table_22 = list(ghosts[0].surfaces[:5]), [" → ".join(ghost.surfaces) for ghost in phone_camera.REPORT[:4]]
@@ -110,7 +104,6 @@ def test_every_pair_of_surfaces_on_axis(scene):
     assert len(found) == 105
 
 
-@pytest.mark.long
 def test_the_window_pair_the_stop_and_the_radii_of_the_study(scene, ghosts):
     """The stop takes 3 % of the returning light on axis, passes a fifth of it at 5°, and nothing at 10°."""
     power = {}
@@ -131,7 +124,6 @@ def test_the_window_pair_the_stop_and_the_radii_of_the_study(scene, ghosts):
     assert not any(blur > 10 for blur in filters)
 
 
-@pytest.mark.long
 def test_pairs_of_table_22(ghosts):
     for row in phone_camera.ghost_pairs(ghosts[0]):
         assert_z(str(row["surfaces"]), row["traced"], row["quadrature"], row["traced_se"], k=4)
@@ -145,7 +137,6 @@ def test_pairs_of_table_22(ghosts):
             assert row["quadrature"] / row["unclipped"] > 2.4
 
 
-@pytest.mark.long
 def test_retro_ghosts_of_the_filter(ghosts):
     """Closed form: a beam of slope u that returns through a gap of the air-equivalent length g has the radius 2 g u."""
     surfaces = {surface.name: surface for surface in phone_camera.shipped().surfaces}
@@ -161,7 +152,6 @@ def test_retro_ghosts_of_the_filter(ghosts):
     assert list(slopes.values()) == pytest.approx([working, working], rel=0.03)
 
 
-@pytest.mark.long
 def test_the_report_holds_these_numbers(image, ghosts):
     """docs/validation/phone_camera.md against this run, within the errors of both."""
     columns = {"RMS spot µm": "rms_um", "chief ray mm": "chief_mm", "illumination": "illumination"}

@@ -1,7 +1,5 @@
 """Objects of the phone camera against the FRED study and against a trace; see docs/validation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles.statistics import z_limit

@@ -1,7 +1,5 @@
 """PST of the phone camera beside the FRED study; see docs/validation/phone_camera_pst.md."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from validation import phone_camera_objects, phone_camera_pst

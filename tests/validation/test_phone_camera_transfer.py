@@ -1,7 +1,5 @@
 """The rule of the phone camera study's Figure 36, 1 - TIS, with the TIS of its Table 13, in the traced camera."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

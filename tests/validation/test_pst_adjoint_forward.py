@@ -1,8 +1,6 @@
 """The PST backward and forward, two samplings of one integral, on nine scenes with ghosts and scatter: differences over
 their errors, a Student t of 31 degrees of freedom, as normal variables; numbers that single rays carry do not enter."""
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -123,7 +121,6 @@ def check(name: str, adjoint: Pst, forward: Pst, case: Case) -> None:
     assert probability > FALSE_ALARM, f"{name}: χ² of {len(z)} numbers has the probability {probability:.1e}; {listed}"
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CASES]
 )

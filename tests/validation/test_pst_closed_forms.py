@@ -1,8 +1,6 @@
 """PSTs by both methods against closed forms and quadrature in float64: within 5 standard errors of 32 batches, false
 alarm 2e-5 each of about 300 numbers, with errors below the limits at the tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -72,7 +70,6 @@ class TestDirect:
         check("direct", *found.curve("direct"), expected, 0.02)
         check("all light", *found.to("projected").curve(), expected / found.grid.mean_cosine, 0.02)
 
-    @pytest.mark.long
     @METHODS
     def test_phone_camera_on_axis(self, method: str) -> None:
         """Fourteen surfaces transmit 0.98 and 0.99; the stop of 0.075 mm limits the light by two shifted circles."""
@@ -126,7 +123,6 @@ class TestFirstOrderScatter:
         value, se = found.curve("single_scatter")
         check("PST", value, np.hypot(se, 1e-3 * expected), expected, 0.08)
 
-    @pytest.mark.long
     @METHODS
     @pytest.mark.parametrize("plate_z", [0.3, 50.0, 80.0])
     @pytest.mark.parametrize("bsdf", ["lambert", "ABg", "harvey"])
@@ -145,7 +141,6 @@ class TestFirstOrderScatter:
         check("PST", value, np.hypot(se, 1e-3 * expected), expected, np.array([0.3, 0.15, 0.1]))
 
 
-@pytest.mark.long
 @METHODS
 @pytest.mark.parametrize("row", vectors.rows("vgi_retro.csv"))
 def test_retro_ghost(load_scene: Load, row: dict[str, str], method: str) -> None:
@@ -174,7 +169,6 @@ def test_retro_ghost(load_scene: Load, row: dict[str, str], method: str) -> None
 
 
 class TestCavities:
-    @pytest.mark.long
     @METHODS
     @pytest.mark.parametrize("rho", [0.05, 0.5, 1.0])
     @pytest.mark.parametrize("length", [1.0, 2.0, 4.0])
@@ -192,7 +186,6 @@ class TestCavities:
         f12 = integrals.disc_to_disc(1.0, 1.0, length)
         check("direct", direct.value / np.pi, direct.se / np.pi, f12, 0.02)
 
-    @pytest.mark.long
     @METHODS
     @pytest.mark.parametrize("rho", [0.5, 0.9])
     def test_integrating_sphere(self, load_scene: Load, rho: float, method: str) -> None:
@@ -240,7 +233,6 @@ FITTED, SHEET = (
 class TestWhiteFurnace:
     """All albedos are 1 and light of radiance 1 comes in by the one opening: it is 1 everywhere, n² in glass."""
 
-    @pytest.mark.long
     @METHODS
     @pytest.mark.parametrize(
         ("text", "squared_index"),

@@ -1,7 +1,5 @@
 """Random freeforms, each from its number alone: closed books, no NaN, and the paths of a tracer in float64."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -101,7 +99,6 @@ def check(numbers: range, folder: Path) -> None:
     assert lit > 0.4 * len(numbers)
 
 
-@pytest.mark.long
 def test_some_scenes(tmp_path: Path) -> None:
     check(range(QUICK), tmp_path)
 
@@ -112,7 +109,6 @@ def test_all_scenes(tenth: int, tmp_path: Path) -> None:
     check(range(tenth * SCENES // 10, (tenth + 1) * SCENES // 10), tmp_path)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("number", range(BY_ORACLE))
 def test_paths_of_a_tracer_in_float64(number: int, tmp_path: Path) -> None:
     """The same ledger from the same start rays, but for rays that a move by 20 nm sends another way."""

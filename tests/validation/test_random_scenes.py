@@ -1,8 +1,6 @@
 """A thousand random systems (``python tests/random_scenes.py NUMBER FOLDER``): no NaN, closed books, the oracle's
 paths; scenes with a fault stay in the test's temporary folder."""
 
-from __future__ import annotations
-
 import dataclasses
 import faulthandler
 import re
@@ -164,7 +162,6 @@ def check(structure: int, count: int, folder: Path) -> Outcome:
     return outcome
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("structure", QUICK)
 def test_some_random_scenes(structure: int, tmp_path: Path) -> None:
     assert check(structure, QUICK[structure], tmp_path).lit >= QUICK[structure] / 4

@@ -1,7 +1,5 @@
 """Printed standard errors are those of repeated runs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -62,7 +60,6 @@ QUICK = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", QUICK)
 def test_errors_of_a_trace(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Twenty runs of start rays that send sixteen others into the pixels, and of many paths; false alarm 1e-3."""

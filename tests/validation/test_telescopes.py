@@ -1,7 +1,5 @@
 """Three telescopes ray by ray against batoid; see docs/validation/telescopes.md."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from pathlib import Path
@@ -35,7 +33,6 @@ CASES = [(name, field) for name, (_, fields) in TELESCOPES.items() for field in 
 FAINT = 1e-6  # of the star
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("name", "field_deg"), CASES)
 def test_same_rays(name: str, field_deg: float) -> None:
     telescope = TELESCOPES[name][0]
@@ -66,7 +63,6 @@ STRICT_MM, VIGNETTING = 1e-3, 2e-3
 SHARES = {"donsoptikz1": ()}
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["rubin", *(file.stem for file in FILES if file.stem not in LEFT_OUT)])
 def test_every_telescope_images_as_in_batoid(name: str) -> None:
     file = next(file for file in FILES if file.stem == ("Rubin_v3.14_r" if name == "rubin" else name))
@@ -92,7 +88,6 @@ def test_every_telescope_images_as_in_batoid(name: str) -> None:
         assert (image.x_mm, image.y_mm) == pytest.approx((np.mean(x), np.mean(y)), abs=2e-3)
 
 
-@pytest.mark.long
 def test_the_projector_loses_what_its_flat_has_no_mirror_for() -> None:
     file = next(file for file in FILES if file.stem == "CBP")
     t = mistray.trace(

@@ -1,7 +1,5 @@
 """The webinar's Cooke triplet: bare, and with a three-layer coating on every lens surface."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

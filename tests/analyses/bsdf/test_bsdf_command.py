@@ -1,7 +1,5 @@
 """`mistray bsdf`: the numbers that it prints are those of the models."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

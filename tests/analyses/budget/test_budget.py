@@ -1,7 +1,5 @@
 """Budgets of scatter: the least cost against Lagrange multipliers by hand and enumeration, and what cannot be met."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from typing import Any
@@ -9,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import scene_text, shape_xml, write
 
@@ -83,7 +82,6 @@ def by_hand(parts: np.ndarray, limit: float) -> np.ndarray:
     return shape * np.sqrt(limit / np.sum(parts * shape**2))
 
 
-@pytest.mark.long
 def test_two_surfaces(source: Path, parts: np.ndarray, limit: float, tmp_path: Path) -> None:
     """To 1 %: what is scattered twice, and the light that scatter takes from the beam, are of second order."""
     result = budget(source, study(limit))
@@ -139,28 +137,9 @@ def test_what_cannot_be_met(source: Path, limit: float) -> None:
 
 
 RMS = {"surfaces": "front", "parameter": "rms_nm"}
-LEVEL = {"surfaces": "a", "parameter": "level"}
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"require": []}, r"require is missing; add at least one section \[\[require\]\]"),
-        ({"chose": []}, "chose is unknown; did you mean 'choose'"),
-        ({"require": [{"metric": "pst_bond", "limit": 1}]}, "did you mean 'pst_band'"),
-        ({"require": [{"metric": "pst_band", "limit": 1.0}]}, "low_deg is missing; the metric 'pst_band' needs"),
-        ({"require": [{"metric": "path_power", "limit": -1}]}, "limit is -1; it must lie between 1e-30"),
-        ({"choose": [RMS | {"parameter": "rms"}]}, "did you mean 'rms_nm'"),
-        ({"choose": [RMS | {"surfaces": []}]}, "give ids of shapes or patterns"),
-        ({"choose": [RMS | {"best": 3, "worst": 2}]}, "less than the worst"),
-        ({"choose": [LEVEL | {"values": [2, 1], "costs": [1, 1]}]}, "ascending numbers"),
-        ({"choose": [LEVEL | {"values": [1, 2], "costs": [1, 2]}]}, "must not cost more"),
-        ({"choose": [LEVEL | {"values": [1, 2], "costs": [1]}]}, "has 1 entries for 2"),
-        ({"choose": [LEVEL | {"values": [1, 2]}]}, "costs is missing"),
-        ({"traced": {"rays": 0}}, "traced.rays is 0; it must be a whole number between 1"),
-        ({"solver": {"seeds": 1}}, "seeds is 1; it must be a whole number between 2"),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), vectors.toml("refusals.toml")["budget"])
 def test_bad_files(change: dict[str, Any], words: str) -> None:
     with pytest.raises(MistrayError, match=words):
         read_budget(study(1.0) | change)

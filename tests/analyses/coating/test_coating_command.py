@@ -1,7 +1,5 @@
 """`mistray coating`: the numbers that it prints are those of the coatings."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A headless Chromium that is driven by the DevTools protocol over a pipe, in real time."""
 
-from __future__ import annotations
-
 import json
 import os
 import select

@@ -1,7 +1,5 @@
 """A scene that is traced in a moment, explored."""
 
-from __future__ import annotations
-
 import pytest
 
 from mistray.analyses.explorer.explorer import Explorer

@@ -1,7 +1,5 @@
 """The explorer used in a real browser: ten steps of somebody who plays with a lens, and twenty moves that are timed."""
 
-from __future__ import annotations
-
 import json
 import random
 import threading
@@ -11,6 +9,7 @@ from pathlib import Path
 from statistics import median
 
 import pytest
+import vectors
 from analyses.explorer.chromium import CHROMIUM, page
 
 from mistray.analyses.explorer.explorer import Explorer
@@ -23,20 +22,7 @@ pytestmark = [
 ]
 ROOT = "document.querySelector('.mistray-explorer')"
 # Turns a control and comes back when the page has been drawn anew: milliseconds
-TURN = """
-(async (name, value) => {
-  const root = document.querySelector(".mistray-explorer"), input = root.querySelector(`[name="${name}"]`);
-  const began = performance.now();
-  const drawn = new Promise((done) => {
-    const watch = new MutationObserver(() => { watch.disconnect(); done(); });
-    watch.observe(root, { attributes: true, attributeFilter: ["data-answers"] });
-  });
-  input.value = value;
-  input.dispatchEvent(new Event(input.tagName === "SELECT" ? "change" : "input"));
-  await drawn;
-  return performance.now() - began;
-})(%s, %s)
-"""
+TURN = vectors.text("browser_turn.js")
 MOVES = 20
 BARS_S = 0.1, 5.0  # from the slider to the page, and to the trace; twice that where another test runs beside this one
 

@@ -1,7 +1,5 @@
 """What the explorer says at once agrees with what a trace of the same state finds, in the coatings that are put on."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -135,7 +133,6 @@ def test_impossible_values_are_refused_and_nothing_moves(at_start):
     assert explorer.state[name] == before
 
 
-@pytest.mark.long
 def test_scatter_models_are_followed_ray_by_ray():
     """Roughness of mirrors; paint of a wall that the detector sees; particles by the area that they cover."""
     for scene, field, name, factor in (
@@ -152,7 +149,6 @@ def test_scatter_models_are_followed_ray_by_ray():
         assert estimate["stray_W"][0] == pytest.approx(traced["stray_W"][0], rel=0.06), name
 
 
-@pytest.mark.long
 def test_a_shape_is_followed_to_first_order():
     """Bending a lens moves light past its rims: derivative times way, and the trace beside it."""
     explorer = Explorer("lens_and_window", field_deg=[2.0], control=["L1_front.curvature"], rays=20_000)

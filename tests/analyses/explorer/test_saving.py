@@ -1,7 +1,5 @@
 """What Save writes is a scene and a study of the state that is shown; no file is lost."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -84,7 +82,6 @@ def test_names_of_any_kind(saving, tmp_path):
     assert "窓 [1]" in other.save_study().read_text(encoding="utf-8")
 
 
-@pytest.mark.long
 def test_the_study_runs_on_both_scenes(saving, capsys):
     saving.move({"coating window": "bare"})
     with pytest.raises(mistray.MistrayError, match="control"):

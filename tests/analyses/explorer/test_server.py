@@ -1,7 +1,5 @@
 """The page is served to who knows the address, on this machine, and to nobody else."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import socket

@@ -1,41 +1,18 @@
 """The widget answers as the page does, by messages, and shows itself in Jupyter."""
 
-from __future__ import annotations
-
 import builtins
 import json
 import time
 
 import pytest
+import vectors
 from analyses.explorer.chromium import CHROMIUM, page
 
 from mistray.analyses.explorer.server import serving
 
 pytest.importorskip("anywidget", reason="no anywidget; pip install 'mistray[widget]'")
 # A model as anywidget hands it over, whose messages go to the server of the page
-MODEL = """
-(async () => {
-  const { default: widget } = await import(location.href + "explore.js");
-  const listeners = new Set();
-  const model = {
-    on: (name, listener) => listeners.add(listener),
-    off: (name, listener) => listeners.delete(listener),
-    send: async ({ id, ...asked }) => {
-      const body = JSON.stringify(asked), headers = { "Content-Type": "application/json" };
-      const reply = await fetch("call", { method: "POST", headers, body }), found = await reply.json();
-      for (const listener of listeners) {
-        listener({ id: "of another place", found: {} });
-        listener(reply.ok ? { id, found } : { id, error: found.error });
-      }
-    },
-  };
-  const el = document.body.appendChild(document.createElement("div"));
-  window.leave = await widget.render({ model, el });
-  window.tell = (view) => listeners.forEach((listener) => listener({ view }));
-  window.shown = el.firstChild;
-  window.listeners = listeners;
-})()
-"""
+MODEL = vectors.text("widget_model.js")
 
 
 @pytest.fixture
@@ -99,7 +76,6 @@ def test_the_explorer_shows_itself(at_start, monkeypatch):
     assert "mistray[widget]" in at_start._repr_mimebundle_()["text/plain"]
 
 
-@pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the widget; install chromium")
 def test_the_front_end_speaks_with_a_model(at_start, tmp_path):
     with serving(at_start) as server, page(tmp_path / "profile") as shown:

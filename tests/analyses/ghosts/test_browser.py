@@ -1,7 +1,5 @@
 """Every control of a report in a browser: headless Chromium opens the pages and uses them."""
 
-from __future__ import annotations
-
 import base64
 import re
 from collections.abc import Callable, Iterator
@@ -10,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import vectors
 from analyses.explorer.chromium import CHROMIUM, Page, page
 from analyses.fake_pst import fake_pst
 from analyses.fake_trace import ghosts_of, trace_at
@@ -26,90 +25,9 @@ pytestmark = [
     pytest.mark.long,
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open a report; install chromium"),
 ]
-HELPERS = """
-const pause = () => new Promise((done) => setTimeout(done, 50));
-const press = (target, key, more) =>
-  target.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, ...more }));
-// Controls by their kind, so that one of many alike stands for all of them
-const CONTROLS = "button, select, input, summary, th[tabindex], canvas[tabindex], div[tabindex]";
-const kind = (control) => [control.localName, control.type, control.name, control.className].filter(Boolean).join(" ");
-const used = new Set();
-for (const name of ["click", "keydown", "input", "change", "submit", "reset", "pointerdown"])
-  document.addEventListener(name, ({ target }) => {
-    const control = target.closest && target.closest(CONTROLS);
-    if (control) used.add(kind(control));
-    if (name === "submit") target.querySelectorAll("input, [type=submit]").forEach((one) => used.add(kind(one)));
-  }, true);
-const unused = () => [...new Set([...document.querySelectorAll(CONTROLS)].map(kind))].filter((name) => !used.has(name));
-// A head of each kind sorts its column up and down; a word that no row has hides all rows; what is folded opens
-function tables() {
-  const value = (cell) => (cell.dataset.v === undefined || cell.dataset.v === "" ? NaN : Number(cell.dataset.v));
-  const sorted = {}, seen = new Set();
-  for (const head of document.querySelectorAll("table th[tabindex]")) {
-    const rows = [...head.closest("table").tBodies[0].rows];
-    if (seen.has(head.className) || rows.length < 2) continue;
-    seen.add(head.className);
-    const place = [...head.parentNode.cells].indexOf(head);
-    const column = () => [...head.closest("table").tBodies[0].rows].map((row) => value(row.cells[place]));
-    const rises = (all, sign) => all.every((v, k) => !k || Number.isNaN(v) || !(sign * v < sign * all[k - 1]));
-    press(head, "Enter");
-    const up = rises(column(), 1), told = head.getAttribute("aria-sort");
-    head.click();
-    sorted[head.className] = [up, told, rises(column(), -1), head.getAttribute("aria-sort")];
-  }
-  const filter = document.querySelector("input.filter"), table = document.getElementById(filter.dataset.table);
-  const shown = () => [...table.tBodies[0].rows].filter((row) => !row.hidden).length;
-  const type = (words) => { filter.value = words; filter.dispatchEvent(new Event("input")); return shown(); };
-  const filtered = [type("no such word"), type(""), table.tBodies[0].rows.length];
-  const folded = document.querySelector("details"), before = folded.open;
-  folded.querySelector("summary").click();
-  const opens = folded.open !== before;
-  folded.querySelector("summary").click();
-  return { sorted, filtered, opens };
-}
-function values() {
-  const plot = document.querySelector("div.hover"), svg = plot.querySelector("svg"), tip = plot.querySelector(".tip");
-  const told = [], tell = () => told.push(tip.hidden || tip.querySelector("caption").textContent);
-  tell();
-  press(plot, "ArrowRight"); tell();
-  press(plot, "ArrowRight"); tell();
-  const box = svg.getBoundingClientRect();
-  svg.dispatchEvent(new PointerEvent("pointermove", { clientX: box.right, clientY: box.top + 50 })); tell();
-  press(plot, "Escape"); tell();
-  return told;
-}
-"""
+HELPERS = vectors.text("browser_helpers.js")
 # The panel of the first field; a box is drawn by the pointer or entered by its edges
-PANEL = """
-const panel = document.querySelector("div.explorer"), canvas = panel.querySelector("canvas");
-const table = document.getElementById(panel.dataset.table), which = panel.querySelector("select.which");
-const folded = panel.closest("details"), fields = panel.querySelector("form").elements;
-const pick = [...table.querySelectorAll("button.pick")].find((button) => button.dataset.path === "1");
-const rows = () => [...table.tBodies[0].rows].filter((row) => !row.hidden);
-const ids = () => rows().map((row) => row.querySelector("button.pick").dataset.path);
-const inBox = () => rows().map((row) => Number(row.querySelector("td.inbox").dataset.v));
-const boxed = () => table.classList.contains("boxed"), told = (part) => panel.querySelector(part).textContent;
-const label = () => canvas.getAttribute("aria-label");
-const choose = (value) => { which.value = value; which.dispatchEvent(new Event("change")); return pause(); };
-const click = (control) => { panel.querySelector(control).click(); return pause(); };
-const light = () => {
-  const copy = document.createElement("canvas");
-  [copy.width, copy.height] = [canvas.width, canvas.height];
-  const pen = copy.getContext("2d", { willReadFrequently: true });
-  pen.drawImage(canvas, 0, 0);
-  const { data } = pen.getImageData(0, 0, canvas.width, canvas.height);
-  let sum = 0; for (let k = 0; k < data.length; k += 4) sum += data[k]; return sum; };
-const drag = (kind, x, y) => {
-  const frame = canvas.getBoundingClientRect(), width = frame.width - 52 - 74, height = frame.height - 8 - 36;
-  const wide = Math.min(width, height * 4 / 3);
-  canvas.dispatchEvent(new PointerEvent(kind, { pointerId: 1, button: 0, bubbles: true,
-    clientX: frame.left + 52 + x * wide, clientY: frame.top + 8 + (1 - y) * wide * 3 / 4 })); };
-const enter = (...values) => {
-  ["x0", "x1", "y0", "y1"].forEach((name, k) => { fields[name].value = values[k]; });
-  panel.querySelector("form").requestSubmit();
-  return pause(); };
-canvas.setPointerCapture = () => {};  // there is no pointer behind the events
-"""
+PANEL = vectors.text("browser_panel.js")
 UNFOLDED = """for (const one of document.querySelectorAll("details.field, details.chapter")) one.open = true;
 document.querySelector("div.explorer")?.scrollIntoView()"""
 READY = 'document.querySelector("div.explorer.ready") || !document.querySelector("div.explorer")'

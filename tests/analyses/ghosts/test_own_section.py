@@ -1,7 +1,5 @@
 """A section of one's own in the report of a ghost analysis: this file is all that a user writes."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -71,7 +69,6 @@ def report() -> GhostReport:
     return mistray.ghosts(mistray.load("plate"), field_deg=[0.0, 5.0], rays=2000, seed=1)
 
 
-@pytest.mark.long
 def test_the_section_is_on_the_page_and_among_the_tables(section: Any, report: GhostReport, tmp_path: Path) -> None:
     files = {file.name for file in write_all(report, tmp_path / "out", "plate")}
     assert "ghost_surfaces.csv" in files
@@ -104,7 +101,6 @@ def test_the_command_has_it_too(section: Any, capsys: Captured) -> None:
     assert found["light"]["largest"] > found["light"]["smallest"] == 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["", "paths"])
 def test_a_table_needs_a_file_name_of_its_own(report: GhostReport, tmp_path: Path, name: str) -> None:
     def section(_: GhostReport) -> Section:

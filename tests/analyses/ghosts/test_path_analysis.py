@@ -1,7 +1,5 @@
 """Paths with their lengths, objects and sort keys, under other names; scattered light and ranks in tables and pages."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -74,7 +72,6 @@ def test_lengths_in_closed_form(ring: Any) -> None:
     assert 0 <= diffracted.opl_mm - table.opl_mm[straight] < 0.1
 
 
-@pytest.mark.long
 def test_the_mean_is_that_of_all_rays(lenses: Any) -> None:
     """A false alarm in one of 370 for each path; the seed is fixed."""
     found = path_analysis(lenses).set_index("path_id")
@@ -103,7 +100,6 @@ def test_the_mean_is_that_of_all_rays(lenses: Any) -> None:
             path_analysis(lenses, key, share)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("key", SORT_KEYS)
 def test_seven_keys(lenses: Any, ring: Any, key: str) -> None:
     for trace in (lenses, ring):
@@ -177,7 +173,6 @@ def test_optical_spaces(load_scene: Any, lenses: Any) -> None:
             lenses.paths.by_way(aliases)
 
 
-@pytest.mark.long
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["ghosts", "singlet_window_detector", "--field-deg", "2", "--rays", "400", "--alias", "L1*=lens",
              "--path-analysis", "objects", "--least-share", "0.05", "--quiet"]  # fmt: skip
@@ -210,7 +205,6 @@ def last_turn(row: Any) -> str:
     return turns[-1] if turns else "-"
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("by", ["scatter", "split"])
 def test_every_path_is_in_one_cell(report: GhostReport, by: str) -> None:
     t, table = report[FIELD], report.stray_levels(FIELD, by)
@@ -234,7 +228,6 @@ def test_every_path_is_in_one_cell(report: GhostReport, by: str) -> None:
     assert [float(word) for word in words] == [pytest.approx(stray.value, rel=0.01), pytest.approx(stray.se, rel=0.06)]
 
 
-@pytest.mark.long
 def test_it_is_in_the_tables(report: GhostReport) -> None:
     table = csv_tables(report)["stray_levels.csv"]
     sums = table.groupby("by").power_W.sum()
@@ -244,7 +237,6 @@ def test_it_is_in_the_tables(report: GhostReport) -> None:
         report.stray_levels(FIELD, "ghost")
 
 
-@pytest.mark.long
 def test_levels_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["ghosts", "singlet_window_detector", "--field-deg", "0", "2", "--rays", "800", "--quiet"]
     text = "G(window*) & rays > 5"
@@ -396,7 +388,6 @@ def label(scattering, events):
     return table.label[table.events == events].item()
 
 
-@pytest.mark.long
 @by_rank
 def test_text(rank):
     scattering = ranked_report(rank)
@@ -418,7 +409,6 @@ def test_text(rank):
     assert ("peak_W_mm2" in table) == ("rank_peak" in table) == (rank == "peak")
 
 
-@pytest.mark.long
 @by_rank
 def test_layout_and_report(rank):
     scattering = ranked_report(rank)

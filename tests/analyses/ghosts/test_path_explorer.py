@@ -1,7 +1,5 @@
 """The panel of a field: what the page holds of its paths, and the scripts that work with it."""
 
-from __future__ import annotations
-
 import base64
 import importlib
 import io
@@ -88,7 +86,6 @@ def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
 
 
 @needs_node
-@pytest.mark.long
 def test_box_names_the_paths_that_the_table_leaves_out(monkeypatch):
     """A table of the worst path alone: in half of the detector the others have the power of their points there."""
     fields = importlib.import_module("mistray.analyses.ghosts.page.fields")

@@ -201,7 +201,6 @@ def test_zones_are_drawn():
         assert r0 + (r1 - r0) * (vane.z - z0) / (z1 - z0) == pytest.approx(vane.radius)
 
 
-@pytest.mark.long
 def test_two_stages_and_a_cassegrain_are_drawn():
     baffle = two_stage_baffle("b", optic_radius=10, z_rear=0, field_deg=5, exclusion_deg=40, depth=8)
     drawn = zones(baffle_figure(baffle, exclusion_deg=40), ORANGE)
@@ -314,7 +313,6 @@ def test_one_row_for_each_kind_of_surface() -> None:
 ODD_NAMES = (r"$\frac{", r"a$b_{$", r"$x^2_1$", r"\$", "_^\\", '<i>"q"&</script>')
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ODD_NAMES)
 @pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
 def test_any_name_can_stand_anywhere(name: str, kind: str) -> None:
@@ -409,7 +407,6 @@ def test_observer_is_the_published_one():
     np.testing.assert_allclose(oracle.chromaticity(xyz(np.ones(471), wavelengths)), [1 / 3, 1 / 3], atol=1e-4)
 
 
-@pytest.mark.long
 def test_the_colour_package_leaves_numpy_s_printing_alone():
     """It would cut the numbers of every CSV file that pandas writes afterwards to twelve digits."""
     code = (

@@ -1,7 +1,5 @@
 """What a ghost analysis comes to: the worst paths, the surface to change first, several wavelengths, Airy discs."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from dataclasses import replace
@@ -81,7 +79,6 @@ def test_a_field_without_stray_light_is_left_with_none():
         assert {field: left.value for field, left in found.left_W.items()} == pytest.approx({0.0: 1e-4, 20.0: 1e-4})
 
 
-@pytest.mark.long
 def test_light_that_passes_where_the_image_does_not():
     """The phone camera at 20°: light through the bevel of L3 is half of the stray light, docs/validation."""
     report = mistray.ghosts(mistray.load("phone_camera"), field_deg=[20.0], rays=4000)
@@ -216,7 +213,6 @@ def test_what_is_told(traced):
     assert brightest_field(report) == worst[0].field_deg
 
 
-@pytest.mark.long
 def test_more_rays_are_those_of_a_trace_of_so_many():
     scene = mistray.load("phone_camera")
     report = mistray.ghosts(scene, 10.0, rays=2000, seed=3)
@@ -266,7 +262,6 @@ def ghost_of(report):
     return row
 
 
-@pytest.mark.long
 def test_each_line_is_the_trace_at_its_wavelength(scene, report):
     """Powers by their share, centroids and radii unchanged; 3 lines × 3 numbers, false alarm 1e-6."""
     spectrum = report.spectrum(0.0, ghost_of(report).path_id)
@@ -284,7 +279,6 @@ def test_each_line_is_the_trace_at_its_wavelength(scene, report):
     assert_z("line of a polychromatic trace", got, expected, error, false_alarm=1e-6, names=names)
 
 
-@pytest.mark.long
 def test_the_ghost_of_all_lines_is_their_sum(report):
     ghost = ghost_of(report)
     image, _ = report[0.0].irradiance_of(ghost.path_ids)
@@ -310,7 +304,6 @@ def test_the_ghost_of_all_lines_is_their_sum(report):
     assert launched == pytest.approx(math.pi * 5.0**2, rel=1e-6)
 
 
-@pytest.mark.long
 def test_standard_errors_of_the_ghost_of_all_lines(scene):
     """40 seeds: Σz² against the common mean is χ² with 39 degrees of freedom; within 9.5 … 100, false alarm 1e-6."""
     rows = [ghost_of(analyse(scene, seed=seed)) for seed in range(40)]
@@ -527,7 +520,6 @@ def aperture(half: float, inner: float) -> float:
     return float(INDEX * np.sqrt(2 * np.sum(weight * sine) / 2))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("half", "inner"), [(1.5, 0.0), (4.0, 2.0)])
 def test_airy_radius_of_a_perfect_focus_in_glass(load_scene, half: float, inner: float) -> None:
     """The aperture is n sin u in the glass, within 4 errors (false alarm 6e-5 each) of below 3 %; P/(π r²) follows."""
@@ -563,7 +555,6 @@ def test_only_radii_below_the_floor_of_a_known_cone_have_one() -> None:
     assert row.airy_irradiance_se_W_mm2 == pytest.approx(math.hypot(0.05, 0.04) * row.airy_irradiance_W_mm2)
 
 
-@pytest.mark.long
 def test_where_it_is_told() -> None:
     report = mistray.ghosts(mistray.load("phone_camera"), [10.0], rays=50_000, contested_rays=0, seed=2)
     listed = report.with_airy(10.0, report.listed(10.0, 4))

@@ -1,7 +1,5 @@
 """The merit, its worst field and wavelength, and derivatives by reflectances, against formulas and differences."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -221,7 +219,6 @@ class TestMerit:
         assert merit.broken(found["terms"]) == ("transmission",)
         assert merit.least == pytest.approx(1.5 * math.log(1e-15))
 
-    @pytest.mark.long
     @pytest.mark.parametrize("method", ["lbfgsb", "sqp"])
     def test_slope_against_differences(self, plate: Path, method: str) -> None:
         """Of coatings, terms of layers and an ideal R on a log scale; all at once, or term by term; with one seed."""
@@ -323,7 +320,6 @@ def test_value(scene: Any, goal: str) -> None:
     assert extreme * 6 ** min(sign / NORM, 0) <= found <= extreme * 6 ** max(sign / NORM, 0)
 
 
-@pytest.mark.long
 def test_gradient(scene: Any) -> None:
     """Against four-point central differences with the same rays."""
     params = mi.traverse(scene)
@@ -414,7 +410,6 @@ def test_what_makes_no_sense(changes: dict[str, Any], words: str) -> None:
         read_study({"term": [one], "coating": [coating]})
 
 
-@pytest.mark.long
 def test_a_study_says_what_got_worse_and_can_prevent_it() -> None:
     """A coating made for 650 nm spoils 450 nm, and the result says so; made for the worst of both, it does not."""
     study: dict[str, Any] = {

@@ -1,7 +1,5 @@
 """Optimisations: closed-form optima, bounds, starts, methods, checkpoints, files and tables, and other seeds."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path
@@ -12,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
+import vectors
 from oracles.small_scenes import plates_text, write
 
 import mistray
@@ -134,7 +133,6 @@ class TestSearch:
         assert set(result.parameters) == {"p0_front.bsdf.R", "p0_rear.bsdf.R"}
         assert result.comparison.of("path_power").ratio == pytest.approx(2500, rel=1e-4)
 
-    @pytest.mark.long
     def test_several_starts_leave_a_local_minimum(self, plate: Path) -> None:
         """Three quarter waves are a minimum too, a worse one over a band: from there only other starts lead away."""
         band = [450, 550, 650]
@@ -267,19 +265,7 @@ class TestOwnTerm:
         assert [step.x for step in ended.steps] == [step.x for step in result.steps[:2]]
 
 
-STUDY: dict[str, Any] = {
-    "trace": {"wavelength_nm": [500, 600], "field_deg": [0, 2], "rays": 32},
-    "term": [
-        {"name": "ghosts", "kind": "path_power", "goal": "minimise"},
-        {"name": "price", "kind": "total_thickness", "goal": "at_most", "limit_of_start": 1.5},
-    ],
-    "coating": [
-        {"name": "front", "surfaces": ["p0_front"], "layers": "1.38 60, 2.0 30", "thickness_nm": [20, 180]},
-        {"name": "rear", "surfaces": ["p0_rear"], "layers": "1.38 60", "thickness_nm": [20, 70]},
-    ],
-    "variable": [{"name": "n", "parameters": ["front.n_shift[0]", "rear.n_shift"], "low": -0.01, "high": 0.03}],
-    "optimizer": {"starts": 2, "steps": 6},
-}
+STUDY: dict[str, Any] = vectors.toml("plate_study.toml")
 
 
 @pytest.fixture(scope="module")
@@ -294,7 +280,6 @@ def out(result: Optimization, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.long
 def test_tables(result: Optimization, out: Path) -> None:
     rows = pd.read_csv(out / "terms.csv")
     assert len(rows) == len(result.comparison.rows) == 1 + 2 + 2 + 4 + 1
@@ -503,7 +488,6 @@ def compared(folder: Path, seed: int) -> Any:
     return compare(*levels).total
 
 
-@pytest.mark.long
 def test_errors(tmp_path: Path) -> None:
     """Two sets of eight seeds agree within five errors of their difference, and common rays sharpen the ratio.
 

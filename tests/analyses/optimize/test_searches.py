@@ -1,7 +1,5 @@
 """Searches on functions whose minima are known, start designs, variables, and what is refused."""
 
-from __future__ import annotations
-
 import sys
 import time
 from dataclasses import replace
@@ -12,6 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from refusals import refused
 
 import mistray
@@ -386,9 +385,6 @@ def variables(*sections: dict[str, Any], coatings: dict[str, str] | None = None,
     return find_variables(read_study(content), VALUES, known(), coatings or {})
 
 
-VANE = "vane_1.r0"
-
-
 def test_shares_of_the_way() -> None:
     """Linear, and by ratios; dx/dy by a central difference; a plugin may refuse what lies beyond the ends."""
     found = variables({"parameters": "vane_1.r0", "low": 10, "high": 14})
@@ -486,31 +482,7 @@ def test_what_belongs_together_in_a_scene() -> None:
         keys("L2_rear.bsdf.n_front_shift")
 
 
-@pytest.mark.parametrize(
-    ("sections", "message"),
-    [
-        ([{"parameters": "vane_1.r1"}], r"variable\[1\]\.parameters: .*'vane_1\.r1'.*vane_1\.r0"),
-        ([{"parameters": "van_*.r0"}], r"variable\[1\]\.parameters: .*'van_\*\.r0'"),
-        ([{"parameters": "AR.thickness_nm[3]"}], r"'AR\.thickness_nm' has no entry 3; its entries are 0 to 2"),
-        ([{"parameters": VANE, "low": 12}], r"low … high is 12 … 100 mm, but vane_1\.r0\[0\] starts with 11; widen"),
-        (
-            [{"parameters": {"key": "lens_rear.curvature", "factor": -1}, "low": 0.03, "high": 0.1}],
-            r"lens_rear\.curvature\[0\] starts with -0\.02, over its factor 0\.02; widen",
-        ),
-        ([{"parameters": VANE, "low": -5}], r"-5 … 100 mm, but vane_1\.r0\[0\] lies between 0 and 1000; narrow"),
-        ([{"parameters": [VANE, "AR.thickness_nm"]}], "have the units mm, nm; give each unit a variable"),
-        (
-            [{"parameters": "vane_*.r0", "low": 11, "high": 14}],
-            r"its parameters start from 11 to 14, as far apart as low and high; .* or set each = true",
-        ),
-        ([{"parameters": "window.z", "low": 1e-3, "scale": "log"}], r"window\.z\[0\] starts with 0; widen the bounds"),
-        (
-            [{"parameters": VANE}, {"parameters": "vane_*.r0", "name": "vanes"}],
-            r"'vane_1\.r0' and 'vanes' both move vane_1\.r0\[0\]",
-        ),
-        ([{"parameters": f"vane_{k}.r0", "name": "x"} for k in (1, 2)], "two variables are called 'x'"),
-    ],
-)
+@pytest.mark.parametrize(("sections", "message"), vectors.toml("search_refusals.toml")["refused"])
 def test_refusals(sections: list[dict[str, Any]], message: str) -> None:
     with refused(f"^study 'study': .*{message}"):
         variables(*sections)

@@ -1,7 +1,5 @@
 """Studies: what they say, and one clear line for everything that is wrong."""
 
-from __future__ import annotations
-
 import copy
 import re
 import tomllib
@@ -9,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import vectors
 from refusals import refused
 
 import mistray
@@ -20,24 +19,7 @@ from mistray.optimize import Metric, Moved, Optimizer, path_power, read_study
 pytestmark = pytest.mark.quick
 
 ROOT = Path(__file__).parents[3]
-GOOD: dict[str, Any] = {
-    "trace": {"field_deg": [0, 10], "wavelength_nm": [500, 600], "weights": [1, 3], "rays": 100},
-    "term": [
-        {"name": "ghosts", "kind": "path_power", "goal": "minimise", "selection": "ghost"},
-        {"kind": "transmission", "goal": "at_least", "limit": 0.9, "rays": 50},
-        {"kind": "pst_band", "goal": "at_most", "limit_of_start": 0.5, "low_deg": 20, "high_deg": 80},
-        {"kind": "layer_minimum", "goal": "at_least", "limit": 10, "coatings": ["a"]},
-    ],
-    "coating": [
-        {"name": "a", "surfaces": ["L1_front"], "layers": "MgF2 0.25w", "thickness_nm": [20, 200]},
-        {"name": "b", "surfaces": ["L2_front"], "preset": "bbar3", "thickness_nm": [[1, 200], [2, 201], [3, 202]]},
-    ],
-    "variable": [
-        {"name": "vanes", "parameters": ["vane_*.r0", {"key": "edge.r0", "factor": -1}], "low": 5, "high": 9},
-        {"parameters": "paint.A", "low": 1e-4, "high": 1e-2, "scale": "log"},
-    ],
-    "optimizer": {"steps": 5},
-}
+GOOD: dict[str, Any] = vectors.toml("good_study.toml")
 
 
 LIGHT = {"term": [{"kind": "path_power", "goal": "minimise"}]}
@@ -162,69 +144,11 @@ class TestReading:
 
 
 class TestRefusals:
-    @pytest.mark.parametrize(
-        ("place", "value", "message"),
-        [
-            ("optimiser", {}, "optimiser is unknown; did you mean 'optimizer'?"),
-            ("optimizer", 3, r"optimizer is 3; write a section \[optimizer\]"),
-            ("term", [], r"term is missing, or all are about layers alone; add a section \[\[term\]\] about light"),
-            ("term", {"a": 1}, r"term is no list of sections; write each one as \[\[term\]\]"),
-            ("term.0.kind", "path_pwer", r"term\[1\]\.kind is 'path_pwer'; did you mean 'path_power'\?"),
-            ("term.0.kind", None, r"term\[1\]\.kind is missing; choose from path_power, ghost_to_signal"),
-            ("term.0.weight", 0, r"term\[1\]\.weight is 0; it must lie between 1e-30"),
-            ("term.0.limit", 1, r"term\[1\]\.limit has no meaning with goal = \"minimise\"; remove it"),
-            ("term.1.limit", None, r"term\[2\]\.limit is missing; with goal = \"at_least\" give limit or"),
-            ("term.1.limit_of_start", 1, r"term\[2\]\.limit_of_start is one limit too many; with goal"),
-            ("term.1.floor_of_start", 0.1, r"term\[2\]\.floor_of_start has no meaning with goal = \"at_least\""),
-            ("term.2.low_deg", None, r"term\[3\]\.low_deg is missing; kind = 'pst_band' needs it"),
-            ("term.2.low_deg", 80, r"term\[3\]\.\(kind 'pst_band'\): band from 80 to 80°"),
-            ("term.2.low_deg", "x", r"term\[3\]\.\(kind 'pst_band'\): its arguments do not fit: "),
-            ("term.3.coatings", ["c"], r"term\[4\]\.coatings names 'c'; choose from a, b"),
-            ("term.3.coatings", "a", r"term\[4\]\.coatings is 'a'; give a list of names"),
-            ("term.3.rays", 9, r"term\[4\]\.rays is unknown"),
-            ("term.1.name", "ghosts", r"term\.name 'ghosts' is given twice"),
-            ("trace.seed", 3, "trace\\.seed is unknown"),
-            ("trace.rays", 0, r"trace\.rays is 0; it must be a whole number between 1"),
-            ("term.2.method", "joined", r"term\[3\]\.method is unknown"),
-            ("term.2.cell_deg", 0, r"term\[3\]\.cell_deg is 0; it must lie between 1e-6"),
-            ("trace.field_deg", [0, 90], "is 90; it must lie between -90 and 90 degrees, both excluded"),
-            ("trace.field_deg", ["x"], r"trace\.field_deg is \['x'\]; give a number or a list"),
-            ("trace.field_deg", [float("nan")], "the numbers must be finite"),
-            ("trace.wavelength_nm", [500, 500], "give numbers in nm, each once"),
-            ("trace.wavelength_nm", {"start": 450, "stop": 500}, r"trace\.wavelength_nm has no step"),
-            ("trace.wavelength_nm", {"start": 500, "stop": 450, "step": 5}, "stop must not be below start"),
-            ("trace.weights", [1.0], r"trace\.weights has 1 entries for 2 wavelength_nm"),
-            ("trace.weights", [1, 0], r"trace\.weights is \[1\.0, 0\.0\]; weights are greater than 0"),
-            ("coating.0.name", "", r"coating\[1\]\.name is ''"),
-            ("coating.0.surfaces", None, r"coating\[1\]\.surfaces is None; give a list of shape ids"),
-            ("coating.0.surfaces", ["x", "x"], r"coating\[1\]\.surfaces is \['x', 'x'\]; name every surface once"),
-            ("coating.0.layers", None, r"coating\[1\] has no start design; give layers or preset"),
-            ("coating.0.preset", "bbar3", r"coating\[1\] has layers and preset; give layers or preset"),
-            ("coating.0.layers", "MgF2", r"coating\[1\]\.layers: .*has no material and thickness"),
-            ("coating.1.first", "back", r"coating\[2\]\.first stands beside a preset"),
-            ("coating.1.preset", "bbar9", r"coating\[2\]\.preset: coating preset 'bbar9' is unknown"),
-            ("coating.1.preset", "protected_al", r"coating\[2\]\.preset is 'protected_al', a mirror"),
-            ("coating.0.design_nm", 0, r"coating\[1\]\.design_nm is 0"),
-            ("coating.0.thickness_nm", None, r"coating\[1\]\.thickness_nm is missing; give it: least and greatest"),
-            ("coating.0.thickness_nm", [-5, 200], "low must be at least 0 and less than high"),
-            ("coating.0.thickness_nm", [120, 200], r"but layer 1 \(MgF2\) starts with 99\.\d+ nm; widen the bounds"),
-            ("coating.1.thickness_nm", [[1, 200], [1, 200]], "has 2 pairs for 3 layers"),
-            ("variable.0.parameters", [], r"variable\[1\]\.parameters is empty; give keys or patterns"),
-            ("variable.0.parameters", [3], r"variable\[1\]\.parameters has the entry 3; give text, or"),
-            ("variable.0.parameters", [{"key": "x", "factor": 0}], r"parameters\.factor is 0; the parameter would not"),
-            ("variable.0.parameters", [{"factor": 2}], r"variable\[1\]\.parameters\.key is missing; it must be text"),
-            ("variable.0.high", 4, r"variable\[1\]\.low is 5 and high is 4; low must be less than high"),
-            ("variable.0.scale", "log", r"variable\[1\]\.parameters has a factor; with scale = \"log\""),
-            ("variable.1.low", 0, r"variable\[2\]\.low is 0; with scale = \"log\" it must be greater than 0"),
-            ("variable.0.each", 1, r"variable\[1\]\.each is 1; it must be true or false"),
-            ("optimizer.seeds", "fresh", r"optimizer\.seeds is .fresh., which method = \"sqp\" cannot work with"),
-            ("optimizer.decay", 0.9, r"optimizer\.decay has no meaning with method = \"sqp\"; remove it"),
-            ("optimizer.seed", True, r"optimizer\.seed is True; it must be a whole number"),
-        ],
-    )
-    def test_one_line_with_key_and_remedy(self, place: str, value: Any, message: str) -> None:
+    @pytest.mark.parametrize("row", vectors.toml("study_refusals.toml")["refused"], ids=repr)
+    def test_one_line_with_key_and_remedy(self, row: list[Any]) -> None:
+        place, *value, message = row
         with refused(f"^study: .*{message}"):
-            read_study(changed(place, value))
+            read_study(changed(place, *value or [None]))
 
     def test_files_and_what_may_not_change(self, tmp_path: Path) -> None:
         study, file = changed("term", GOOD["term"][:1]), tmp_path / "study.toml"

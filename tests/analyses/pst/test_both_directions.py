@@ -1,7 +1,5 @@
 """PST by both directions at once: a pilot, errors that hold, weight windows, deep baffles, weights that add to one."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import itertools
@@ -118,7 +116,6 @@ def z_of(found: Pst, value: float, se: float) -> float:
 SINGLET_45 = 3.3668e-6, 0.0324e-6
 
 
-@pytest.mark.long
 def test_errors_at_a_fixed_number_of_rays_have_seen_the_rare_paths() -> None:
     """Light by way of the tube, 15 % of all, was missed by half of the runs; t of 32 batches: false alarm 0.1 %."""
     scene = singlet()
@@ -239,7 +236,6 @@ def view_of_disc(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(0.5 * (1 - (100 + r2 - 25) / np.sqrt((100 + r2 + 25) ** 2 - 4 * 25 * r2)))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("wrong", [False, True])
 def test_odds_that_are_wrong_by_a_tenth_show(monkeypatch: pytest.MonkeyPatch, wrong: bool) -> None:
     """ρ <cos θ> F of the disc, within 4 errors (false alarm 6e-5); beyond 5 if one direction has wrong odds."""
@@ -326,7 +322,6 @@ def test_variances_of_rounds_count_by_their_rays() -> None:
     assert list(plan.beside(1000, 500).sharing.rays) == [0.5, 0.25, 1.0, 1.0]
 
 
-@pytest.mark.long
 def test_the_time_is_estimated_before_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first report says how long the run takes, within a factor of 3 on any machine; a long one warns."""
     reports: list[PstProgress] = []
@@ -403,7 +398,6 @@ def test_the_kernel_reads_what_the_pilot_has_written() -> None:
     assert np.array_equal(here.weight, everywhere.weight)
 
 
-@pytest.mark.long
 def test_a_tube_with_windows_that_know_nothing() -> None:
     tube = replace(TUBE, length=40.0, vanes=(20.0,), hole=7.0)
     exact, exact_se = tube.pst(35.0, 45.0, 400_000, seed=1)
@@ -425,7 +419,6 @@ def painted(tmp_path: Path, reflectance: float) -> mi.Scene:
     return mistray.load(file)
 
 
-@pytest.mark.long
 def test_two_stage_baffle_to_1e_13(tmp_path: Path) -> None:
     """Light that is scattered five times, beside a float64 walk with splitting; half the reflectance leaves 1/32 of it.
 
@@ -455,7 +448,6 @@ def plan(windows: np.ndarray | None) -> Plan:
     )  # fmt: skip
 
 
-@pytest.mark.long
 def test_deep_tube() -> None:
     """Light that is scattered three times between vanes, which either direction alone finds by luck."""
     angles = [45.0, 60.0, 75.0]
@@ -481,7 +473,6 @@ def test_errors_hold_over_sixty_seeds() -> None:
     assert np.count_nonzero(np.abs(z) > 3) <= 2
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("linked", [1e-2, 1.0, 100.0])
 def test_any_weight_of_connections_has_the_same_mean(linked: float) -> None:
     """At a glass plate before a screen: refraction, reflections that are parallel, lobes of polish."""
@@ -502,7 +493,6 @@ def test_weights_of_both_directions_and_of_connections_add_up() -> None:
     assert abs(value - exact) < 4 * np.hypot(se, exact_se)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("wrong", [False, True])
 def test_densities_that_are_wrong_by_a_tenth_show(monkeypatch: pytest.MonkeyPatch, wrong: bool) -> None:
     """``wrong``: rays take connections for a tenth more than there are; beyond 5 errors then."""
@@ -549,7 +539,6 @@ def between_walls() -> str:
     )
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("splitting", "rays"), [("split", (400_000, 600_000)), ("one", (2_500_000, 3_000_000))])
 def test_ghosts_before_and_after_scatter(
     load_scene: Callable[[str], Any], splitting: str, rays: tuple[int, int]

@@ -1,7 +1,5 @@
 """A known PST: its saved state, paths, causes, breaks, and tables, pictures and files that say what it holds."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -178,7 +176,6 @@ def test_causes_add_up_and_are_named():
     assert at_30.percent_of_stray.sum() < 100
 
 
-@pytest.mark.long
 def test_the_main_cause_brings_most_of_the_light_of_a_uniform_sky():
     pst = fake_pst()
     light: dict[str, dict[float, float]] = {}
@@ -366,7 +363,6 @@ def test_curve_shows_every_class_with_its_error(mapped: Pst) -> None:
     np.testing.assert_allclose(bar[:, 1], [value[2] - se[2], value[2] + se[2]])
 
 
-@pytest.mark.long
 def test_dark_angles_and_deep_curves() -> None:
     """Angles without light are marked at the bottom; ten decades between the field and 80° are within the axis."""
     above = pst_curve(fake_pst(dark_from_deg=55)).axes[0]
@@ -407,7 +403,6 @@ def test_causes_are_stacked_shares_and_irradiance_a_log_map(mapped: Pst) -> None
     assert texts(pst_irradiance(several, 60.0, 90.0).axes[0]) == ["no light"]
 
 
-@pytest.mark.long
 def test_map_shows_the_cells_where_they_are(mapped: Pst) -> None:
     around = fake_pst(field_deg=(10, 20, 40), azimuths_deg=(0, 90, 200))
     panels = [axes for axes in pst_map(around).axes if axes.name == "polar"]

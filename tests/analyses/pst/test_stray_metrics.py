@@ -1,7 +1,5 @@
 """Metrics of PSTs beside the table of a PST and differences, and stray light of fields from classes of directions."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -176,7 +174,6 @@ class TestErrors:
         weight = np.broadcast_to(share, (*grid.shape, batches)).copy() if forward else share
         return Pst(grid, truth[..., None] * (1 + noise), weight, method="forward" if forward else "adjoint")
 
-    @pytest.mark.long
     @pytest.mark.parametrize("forward", [False, True])
     def test_sum_and_quotient(self, forward: bool) -> None:
         rng, results = np.random.default_rng(7), []
@@ -498,7 +495,6 @@ TRACED = {"rays": 20_000, "max_scatters": 1}
 
 
 class TestMetrics:
-    @pytest.mark.long
     def test_against_the_curve(self, scene) -> None:
         angles = (0.0, 20.0, 40.0)
         pst = mistray.pst(scene, angles, paths=False, **TRACED)

@@ -1,7 +1,5 @@
 """Changes that lower a metric: closed forms of the linear model, bounds, noise, and a search by brute force."""
 
-from __future__ import annotations
-
 import math
 
 import mitsuba as mi

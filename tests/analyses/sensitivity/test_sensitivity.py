@@ -1,7 +1,5 @@
 """Sensitivity tables and linear propagation: closed forms, differences with the same rays, groups, bad input."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time
@@ -184,10 +182,7 @@ def test_a_table_has_all(plate: Any, table: Any) -> None:
     [
         ({"keys": ["p0_front.bsdf.S"]}, r"no parameter 'p0_front\.bsdf\.S' with a derivative; did you mean"),
         ({"keys": []}, "there is no parameter to differentiate by"),
-        ({"factor": 0.5}, "factor is 0.5; it must lie between 1 and 1e6"),
-        ({"reach": 0.0}, "reach is 0; it must lie"),
         ({"monte_carlo": 1}, "monte_carlo is 1; give the number of perturbed systems"),
-        ({"tolerances": {"*.R": -1.0}}, r"tolerances of '\*\.R' is -1; it must lie between 1e-30"),
         ({"together": ["p0_*"], "keys": None}, "parameters of several kinds"),
         ({"together": ["p0_*.R", "p0_front.bsdf.R"]}, "put it into one of them"),
         ({"together": ["detector.z"]}, "holds none of the parameters that were chosen"),

@@ -1,7 +1,5 @@
 """Sweeps and the cache: what is found again, what is not, and what happens when the disk does not play along."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil
@@ -143,7 +141,6 @@ class TestReuse:
         assert mistray.sweep(lens, cache=kept, **ASKED).reused == 2
 
 
-@pytest.mark.long
 def test_whatever_a_number_depends_on_makes_another_key(lens: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def key(place: tuple[str, float] | None = None, field_deg: float = 0.0, nm: float = 500.0,
             azimuth_deg: float | None = None, **settings: Any) -> str:  # fmt: skip

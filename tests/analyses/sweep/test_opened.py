@@ -1,7 +1,5 @@
 """Edits that open a gap between a diffusing sheet and the tube behind it: named, measured, and no gain."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

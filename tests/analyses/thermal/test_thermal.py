@@ -3,8 +3,6 @@
 A number from a trace must lie within 4 standard errors of the exact one: false-alarm probability 6e-5 each.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from itertools import pairwise
@@ -431,13 +429,8 @@ class TestWavelengths:
         report = thermal(scene, 293.0, BAND, wavelengths_um=2.0, rays=1000, aim="none")
         assert "outside of the band" in report.notes[-1]
         scene = load(detector_xml(), placed_xml("asphere", "window", at=(0, 0, -5), semi_diameter=1.0))
-        for arguments, words in (
-            ({"temperature_K": -3.0}, "temperature_K is -3; it must lie between 0 and 1e6 K"),
-            ({"band_um": (12.0, 8.0)}, "band_um is 12 to 8; give the lower"),
-            ({"wavelengths_um": [9.0, 8.0]}, "give one or more in ascending order"),
-        ):
-            with pytest.raises(MistrayError, match=words):
-                thermal(scene, rays=1000, aim="none", **arguments)
+        with pytest.raises(MistrayError, match="give one or more in ascending order"):
+            thermal(scene, wavelengths_um=[9.0, 8.0], rays=1000, aim="none")
         for values, words in (
             ({}, "give detectivity, quantum_efficiency or both"),
             ({"quantum_efficiency": 1.2}, "quantum_efficiency is 1.2"),

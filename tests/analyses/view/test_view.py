@@ -1,7 +1,5 @@
 """The 3-D view, the layout, surfaces that they cut open, and files of rays: all is what was traced."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re
@@ -367,7 +365,6 @@ def traced(triplet):
     return mistray.trace(triplet, rays=2_000, field_deg=10.0, max_reflections=2, max_scatters=0)
 
 
-@pytest.mark.long
 def test_every_hit_lies_on_the_surface_that_its_event_names(triplet, traced):
     seen = mistray.view(triplet, traced, paths=3, rays=4)
     surfaces = {shape.id(): shape for shape in triplet.shapes()}
@@ -389,7 +386,6 @@ def test_every_hit_lies_on_the_surface_that_its_event_names(triplet, traced):
         assert ray.flux_W[0] == pytest.approx(traced.energy.launched_W / 2_000)
 
 
-@pytest.mark.long
 def test_a_page_of_many_surfaces_is_small(triplet, traced):
     seen = mistray.view(mistray.load("phone_camera"))
     assert len(seen.surfaces) > 60
@@ -405,7 +401,6 @@ def walls():
     return scene, mistray.trace(scene, rays=3000, field_deg=20.0, max_reflections=1, max_scatters=1)
 
 
-@pytest.mark.long
 def test_walls_are_coloured_by_the_irradiance_of_their_cells(walls):
     scene, traced = walls
     seen = mistray.view(scene, traced, paths=1, rays=1, cut_deg=None)

@@ -1,7 +1,5 @@
 """A scene with the surfaces of the fake traces, of every kind of shape that is drawn, and rays through it."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,22 +1,31 @@
-"""Writes the tables of docs/validation: ``python tests/validation/write_docs.py [phone_camera] [lsst] …``."""
+"""Writes the tables of docs/validation, of all its pages or of some.
+
+    PYTHONPATH=tests python docs/make_validation_tables.py [phone_camera] [phone_camera_objects] [lsst] …
+
+Tables stand between comments with their names. Tests in `tests/validation` compare them with smaller runs.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
+import numpy as np
 from validation import phone_camera
-from validation.tables import number, table, write
+from validation.tables import DOCS
+
+import mistray
 
 if TYPE_CHECKING:
     import pandas as pd
     from validation.beside_batoid import Comparison, Names, Sums
+    from validation.phone_camera_objects import Row as StudyRow
+
+    from mistray.analyses.objects.result import Objects
 
 IMAGE_RAYS = 40_000
 ON_AXIS_RAYS = 4_000_000
@@ -29,22 +38,76 @@ PST_BEAM_FIELDS_DEG = [10, 20, 30, 40]
 PST_STRAY = ("straight_shot", "ghost", "single_scatter")
 LSST_RAYS = 100_000
 LSST_FIELDS_DEG = (0.0, 1.0, 1.4, 1.6, 1.75)
+PRODUCT_ANGLES, PRODUCTS_SHOWN = (4.0, 30.0), 12
 Row = dict[str, Any]
 
 
-def in_kilowatts(rows: list[dict[Any, Any]]) -> list[dict[Any, Any]]:
+def number(value: float, se: float | None = None, digits: int = 4) -> str:
+    """A number with four digits; with a standard error, two digits of that and as many decimals of the value."""
+    if not math.isfinite(value):
+        return "–"
+    if se is None:
+        text = f"{value:.{digits}g}"
+        return f"{value:,.0f}" if "e+" in text else text
+    if se == 0 or not math.isfinite(se):
+        return number(value)
+    decimals = 1 - int(f"{se:.1e}".partition("e")[2])
+    if abs(value) < 1e-3 or abs(value) >= 1e6:
+        exponent = math.floor(math.log10(abs(value)))
+        scale, places = 10.0**exponent, max(decimals + exponent, 0)
+        return f"({value / scale:.{places}f} ± {se / scale:.{places}f})e{exponent}"
+    decimals = max(decimals, 0)
+    return f"{value:.{decimals}f} ± {se:.{decimals}f}"
+
+
+def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    cells = [list(header), *[list(row) for row in rows]]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+
+    def line(row: Sequence[str]) -> str:
+        return "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |"
+
+    return "\n".join([line(cells[0]), "|" + "|".join("-" * (w + 2) for w in widths) + "|", *map(line, cells[1:])])
+
+
+class _Cells(dict[str, Any]):
+    """Values of a row; "a±b" is the number a with the standard error b."""
+
+    def __missing__(self, key: str) -> str:
+        value, se = key.split("±")
+        return number(self[value], self[se])
+
+
+def table(header: str, cells: str, rows: Iterable[Mapping[str, Any]]) -> str:
+    """A Markdown table of headings and formats of a row's values, parted by " | "; {a±b} is a number with its error."""
+    return _markdown(header.split(" | "), [cells.format_map(_Cells(row)).split(" | ") for row in rows])
+
+
+def write(file: str, tables: dict[str, str]) -> None:
+    """Put each table between its markers ``<!-- name -->`` and ``<!-- end -->``; every marker must have its table."""
+    path = DOCS / file
+    text = path.read_text(encoding="utf-8")
+    names = re.findall(r"<!-- (\w+) -->\n", text)
+    if set(names) - {"end"} != set(tables):
+        raise ValueError(f"{path}: it has places for {sorted(set(names) - {'end'})}, not for {sorted(tables)}")
+    for name, table in tables.items():
+        text = re.sub(rf"(<!-- {name} -->\n).*?(<!-- end -->)", rf"\g<1>\n{table}\n\n\g<2>", text, flags=re.DOTALL)
+    path.write_text(text, encoding="utf-8")
+
+
+def _in_kilowatts(rows: list[dict[Any, Any]]) -> list[dict[Any, Any]]:
     others = ("limit", "reading", "radius_mm", "wavelength_nm", "rms_um")
     return [{key: value if key in others else value / 1e3 for key, value in row.items()} for row in rows]
 
 
-def readings_table(rows: list[dict[Any, Any]]) -> str:
+def _readings_table(rows: list[dict[Any, Any]]) -> str:
     columns = [key for key in rows[0] if key != "reading"]
     header = " | ".join(["reading of the study", *(f"{radius:.5f} mm, {nm:.2f} nm" for radius, nm in columns)])
     named = [{"reading": row["reading"]} | {f"c{k}": row[key] for k, key in enumerate(columns)} for row in rows]
     return table(header, " | ".join(["{reading}", *(f"{{c{k}:.2f}}" for k in range(len(columns)))]), named)
 
 
-def ghost_rows(tables: dict[float, pd.DataFrame], three: dict[float, pd.DataFrame]) -> str:
+def _ghost_rows(tables: dict[float, pd.DataFrame], three: dict[float, pd.DataFrame]) -> str:
     def own(row: Any) -> str:
         return number(row.rms_irradiance_W_mm2, row.rms_irradiance_se_W_mm2)
 
@@ -69,7 +132,7 @@ def ghost_rows(tables: dict[float, pd.DataFrame], three: dict[float, pd.DataFram
     )
 
 
-def write_phone_camera() -> None:
+def _write_phone_camera() -> None:
     scene = phone_camera.shipped().to_scene()
     tables = {
         field: phone_camera.ghost_table(scene, field, GHOST_RAYS.get(field, FAR_GHOST_RAYS))
@@ -80,7 +143,7 @@ def write_phone_camera() -> None:
         for field in phone_camera.THREE_REFLECTIONS
     }
     limits = {"stop": "stop", "beam": "source, no stop"}
-    on_axis = [row | {"limit": limits[row["limit"]]} for row in in_kilowatts(phone_camera.on_axis(ON_AXIS_RAYS))]
+    on_axis = [row | {"limit": limits[row["limit"]]} for row in _in_kilowatts(phone_camera.on_axis(ON_AXIS_RAYS))]
     radii = phone_camera.implied_radii(tables)
     image = table(
         "field ° | RMS spot µm | same rays, float64 | evenly sampled | figure | chief ray mm | figure mm | passed | "
@@ -100,14 +163,14 @@ def write_phone_camera() -> None:
                 "{traced±traced_se} | {study_se:.1f} | {million_se:.2f}",
                 on_axis,
             ),
-            "readings": readings_table(in_kilowatts(phone_camera.readings())),
+            "readings": _readings_table(_in_kilowatts(phone_camera.readings())),
             "pairs": table(
                 "ghost | RMS radius µm | ray tree | quadrature | quadrature, no stop | ± of 10⁴ rays | study",
                 "{surfaces} | {rms_um:.2f} | {traced±traced_se} | {quadrature:.4f} | {unclipped:.4f} | {study_se:.2g} "
                 "| {study:.4f}",
                 phone_camera.ghost_pairs(tables[0]),
             ),
-            "ghosts": ghost_rows(tables, three),
+            "ghosts": _ghost_rows(tables, three),
             "radii": table(
                 "field ° | ghost | power mW | RMS radius µm | study implies µm | difference in quadrature µm",
                 "{field_deg:g} | {surfaces} | {power_mW:.3f} | {rms_um:.1f} | {study_rms_um:.1f} | {blur}",
@@ -117,7 +180,82 @@ def write_phone_camera() -> None:
     )
 
 
-def write_phone_camera_pst() -> None:
+def _list_table(rows: Sequence[StudyRow], which: str, found: Objects, other: Objects | None = None) -> str:
+    from validation import phone_camera_objects as camera
+
+    def cells(row: StudyRow) -> list[str]:
+        rays, *watt = camera.sums(found, which, row)
+        watts = [watt, *([camera.sums(other, which, row)[1:]] if other else [])]
+        own = (number(power, se) if power else "0" for power, se in watts)
+        return [row.label, f"{row.rays}", f"{row.power:.6f}", camera.names(row), f"{rays:.0f}", *own]
+
+    header = ["study", "study rays", "study W", "here", "rays", "W", *(["W with total reflection"] if other else [])]
+    return _markdown(header, [cells(row) for row in rows])
+
+
+def _beyond_table(rows: Sequence[StudyRow], which: str, found: Objects, least: float = 1e-4) -> str:
+    from validation import phone_camera_objects as camera
+
+    known = {place for row in rows for place in row.here}
+    scale = camera.STUDY_RAYS / found.facts["rays"]
+    left = [entry for entry in getattr(found, which) if (entry.id, entry.side) not in known and entry.power > least]
+    return _markdown(
+        ("object", "side", "rays", "W"),
+        [(e.id, e.side, f"{scale * e.rays:.0f}", number(e.power, e.power_se)) for e in left],
+    )
+
+
+def _common_table(found: Objects) -> str:
+    from validation import phone_camera_objects as camera
+
+    lines = [(label, here, "yes" if study else "–", "yes" if own else "–")
+             for label, here, study, own in camera.common_rows(found)]  # fmt: skip
+    known = {place for row in (*camera.CRITICAL, *camera.ILLUMINATED) for place in row.here}
+    lines += [("–", f"{e.id}", "–", "yes") for e in found.common if (e.id, e.side) not in known]
+    return _markdown(("study", "here", "common in the study", "common here"), lines)
+
+
+def _product_table(results: dict[float, list[dict[str, Any]]]) -> str:
+    def with_ratio(angle: float, row: dict[str, Any]) -> dict[str, Any]:
+        ratio = row["product"] / row["traced"]
+        error = ratio * np.hypot(row["product_se"] / row["product"], row["traced_se"] / row["traced"])
+        return row | {"angle": angle, "ratio": ratio, "ratio_se": error}
+
+    return table(
+        "angle ° | object | Φ W | BSDF 1/sr | GCF | product W | traced W | product / traced",
+        "{angle:g} | {id} | {flux:.4g} | {bsdf:.3g} | {gcf:.3g} | {product±product_se} | {traced±traced_se} | "
+        "{ratio±ratio_se}",
+        [with_ratio(angle, row) for angle, rows in results.items() for row in rows[:PRODUCTS_SHOWN]],
+    )
+
+
+def _write_phone_camera_objects() -> None:
+    from validation import phone_camera_objects as camera
+
+    found, reflected = camera.search(), camera.search(total_reflection=True)
+    write(
+        camera.FILE,
+        {
+            "critical": _list_table(camera.CRITICAL, "critical", found, reflected),
+            "critical_only_here": _beyond_table(camera.CRITICAL, "critical", found),
+            "illuminated": _list_table(camera.ILLUMINATED, "illuminated", found),
+            "illuminated_only_here": _beyond_table(camera.ILLUMINATED, "illuminated", found),
+            "common": _common_table(found),
+            "products": _product_table({angle: camera.products(angle, 1_000_000, 400_000) for angle in PRODUCT_ANGLES}),
+        },
+    )
+
+
+def _beam_psts(loaded: Any, angles: list[int], rays: int) -> dict[int, float]:
+    from validation.phone_camera_pst import ABSORBED, SIDE
+
+    beam = mistray.ghosts(loaded, field_deg=angles, rays=rays)
+    area = SIDE**2
+    sums = {angle: beam.summary(float(angle)) for angle in angles}
+    return {angle: (s.direct.power_W.value + s.stray_W.value) / ABSORBED / area for angle, s in sums.items()}
+
+
+def _write_phone_camera_pst() -> None:
     from validation import phone_camera_pst as camera
 
     scene = camera.scene()
@@ -137,7 +275,7 @@ def write_phone_camera_pst() -> None:
         if angle % 4 == 0 or angle in implied.index
     ]
     watts = camera.watts(scene, PST_BEAM_RAYS).to_dict("records")
-    beam = camera.beam_psts(scene, PST_BEAM_FIELDS_DEG, PST_BEAM_RAYS)
+    beam = _beam_psts(scene, PST_BEAM_FIELDS_DEG, PST_BEAM_RAYS)
     write(
         "phone_camera_pst.md",
         {
@@ -172,8 +310,18 @@ def write_phone_camera_pst() -> None:
     )
 
 
-def write_lsst() -> None:
-    from validation.beside_batoid import LSST, differences
+def _differences(pairs: dict[Names, tuple[Sums, Sums]]) -> dict[str, float]:
+    both = list(pairs.values())
+    return {
+        "rays": max(abs(a.rays - b.rays) for a, b in both),
+        "flux": max(abs(a.flux / b.flux - 1) for a, b in both),
+        "centroid_mm": max(float(np.hypot(a.x_mm - b.x_mm, a.y_mm - b.y_mm)) for a, b in both),
+        "rms": max(abs(a.rms_mm / b.rms_mm - 1) for a, b in both),
+    }
+
+
+def _write_lsst() -> None:
+    from validation.beside_batoid import LSST
 
     results = {field: LSST.compare(field, LSST_RAYS) for field in LSST_FIELDS_DEG}
     fields: list[Row] = []
@@ -186,7 +334,7 @@ def write_lsst() -> None:
                     {"field": field, "kind": kind, "found": len(pairs), "missing": len(result.missing)}
                     | {"vignetted": sum(a.rays < 0.95 * most for a, _ in pairs.values())}
                     | {"permille": sum(1e3 * a.flux for a, _ in pairs.values())}
-                    | differences(pairs)
+                    | _differences(pairs)
                 )
 
     def turns(pairs: list[tuple[Names, tuple[Sums, Sums]]]) -> str:
@@ -222,8 +370,7 @@ def write_lsst() -> None:
     )
 
 
-def write_telescopes() -> None:
-    from validation.beside_batoid import differences
+def _write_telescopes() -> None:
     from validation.test_telescopes import FAINT, RAYS, TELESCOPES
 
     rows: list[Row] = []
@@ -237,7 +384,7 @@ def write_telescopes() -> None:
             whole = {names: pair for names, pair in ghosts.items() if not given_up.get(names)}
             rows.append(
                 {"file": telescope.file, "field": field, "ghosts": len(ghosts), **_spots(result)}
-                | {"flux": differences(whole)["flux"], "left": len(ghosts) - len(whole)}
+                | {"flux": _differences(whole)["flux"], "left": len(ghosts) - len(whole)}
                 | {"more": sum(a.rays - b.rays for a, b in more.values()), "given_up": sum(given_up.values())}
             )
     found = table(
@@ -255,10 +402,11 @@ def _spots(result: Comparison) -> dict[str, float]:
 
 
 REPORTS: dict[str, Callable[[], None]] = {
-    "phone_camera": write_phone_camera,
-    "phone_camera_pst": write_phone_camera_pst,
-    "lsst": write_lsst,
-    "telescopes": write_telescopes,
+    "phone_camera": _write_phone_camera,
+    "phone_camera_objects": _write_phone_camera_objects,
+    "phone_camera_pst": _write_phone_camera_pst,
+    "lsst": _write_lsst,
+    "telescopes": _write_telescopes,
 }
 
 if __name__ == "__main__":

@@ -4,8 +4,6 @@ Builds the wheel and the source distribution into out/release, installs the whee
 the files that others read by their schemas. The tools come from the environment that runs this.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys
