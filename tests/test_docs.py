@@ -98,6 +98,17 @@ def test_commands_exist() -> None:
             parse(wrong)
 
 
+@pytest.mark.parametrize("page", [README, *ALL_PAGES], ids=lambda page: page.stem)
+def test_commands_of_a_page_do_not_stop_each_other(page: Path) -> None:
+    """Typed one after the other: none stops at the files of one before, and no file of TOML is missing."""
+    lines = [shlex.split(line, comments=True) for line in command_lines(page)]
+    folders = [words[words.index("--out") + 1] for words in lines if "--out" in words and "--resume" not in words]
+    assert sorted(set(folders)) == sorted(folders)
+    prose = SHELL.sub("", page.read_text(encoding="utf-8"))
+    tomls = {word for words in lines for word in words if word.endswith(".toml") and not (ROOT / word).is_file()}
+    assert [name for name in tomls if f"`{name}`" not in prose] == []
+
+
 @pytest.mark.parametrize("page", [*ALL_PAGES, *AROUND, README], ids=lambda page: page.stem)
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:|#)([^)]+)", page.read_text(encoding="utf-8")):
