@@ -35,6 +35,7 @@ CLAIMS = {
         stray, field = (result.comparison.of(name) for name in ("stray 20-80", "in field"))
         assert stray.ratio - 4.5 * stray.ratio_se > 10
         assert result.next_orders[0].taken
+        assert rows["first search"].ratio < 1  # brighter than the construction, as the text says
         assert rows["from the construction on"].ratio - 4.5 * rows["from the construction on"].ratio_se > 1
         assert light["from the construction on"].ratio + 4.5 * light["from the construction on"].ratio_se <= 1 / 0.99
         assert field.ratio + 4.5 * field.ratio_se <= 1 / 0.99
