@@ -57,6 +57,16 @@ CLAIMS = {
         assert abs(beam.scatter_surfaces(4.0).set_index("surface").power_W["window_front"] / 0.00512 - 1) < 0.2
         assert [angle for angle, rays in counts.items() if rays == 10**6][:4] == [10, 20, 30, 40]
     """,
+    "phone_camera_mitigation": """
+        assert not any(found.gaps.values())
+        assert abs(image / most - 1) < 1e-3
+        beyond = [f"{angle}°" for angle in (20, 30, 45)]
+        coating, its_error = (table.loc["lenses R 2 to 0.25 %", beyond] for table in (ratios, errors))
+        assert (coating - 4.5 * its_error > 1).all() and (coating - 4.5 * its_error < most).all()
+        assert ratios.loc["lenses R 2 to 0.25 %", "4°"] + 4.5 * errors.loc["lenses R 2 to 0.25 %", "4°"] < 0.7
+        assert ratios.loc["black bevels", "20°"] < 0.4 and ratios.loc["matt walls of 1 %", "30°"] < 0.08
+        assert (ratios.loc["bevels, walls, cylinders, clean", beyond] < 0.08).all()
+    """,
     "first_ghost_table": """
         assert len(table) == 7 and (table.order == 2).sum() == 6 and table.kind[0] == "direct"
         assert abs(t.energy.closure) < 1e-5
