@@ -20,6 +20,9 @@ CLAIMS = {
         spot = result.comparison.of("spot")
         assert 0.98 < spot.ratio < 1 / 0.98 and result.comparison.of("ghost").ratio > 10
         assert np.nanmin(radii[:, 1]) < 0.1 < 0.3 < np.nanmax(radii[:, 1])
+        assert np.nanmin(radii[:, 2]) < 0.15 < 0.3 < np.nanmax(radii[:, 2])
+        foci = [shifts[np.nanargmin(radii[:, column])] for column in (1, 2)]
+        assert abs(optimum - np.mean(foci)) < 0.2 * abs(foci[0] - foci[1])
     """,
     "fit_pst": """
         assert found.covers(TRUTH) and 1e-3 < found.probability
