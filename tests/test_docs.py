@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 from command_line import Patch, run
+from example_scripts import script
 
 from mistray.cli import program
 from mistray.errors import MistrayError
@@ -117,6 +118,15 @@ def test_links_lead_somewhere(page: Path) -> None:
         if part and page == README:
             headings = re.findall(r"(?m)^#+ (.+)$", (ROOT / name).read_text(encoding="utf-8"))
             assert part in [re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings], target
+
+
+def test_every_picture_is_shown_and_every_drawn_one_is_there(monkeypatch: Patch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "site"))
+    drawn = script("page_pictures", ROOT / "docs" / "site").PICTURES
+    there = {file.name for file in (ROOT / "docs" / "images").glob("*.*")}
+    assert {f"{name}.png" for name in drawn} <= there
+    text = "".join(page.read_text(encoding="utf-8") for page in (README, *ALL_PAGES))
+    assert [name for name in sorted(there) if f"images/{name})" not in text] == []
 
 
 @pytest.mark.long
