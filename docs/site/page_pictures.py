@@ -24,6 +24,7 @@ from make_pictures import save_small
 from matplotlib.figure import Figure
 
 import mistray
+from mistray.prescription import Prescription
 from mistray.report import layout_figure
 from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILION
 
@@ -104,6 +105,21 @@ def cube() -> Figure:
     """Section of the beam-splitter cube behind a plate with a hole."""
     made = shown("bodies")
     return layout_figure(made["scene"], made["t"])
+
+
+def fold() -> Figure:
+    """Section of the fold mirror whose path is declared."""
+    made = shown("design_path")
+    scene = Prescription(
+        name="fold", surfaces=(made["fold"],), detector=made["camera"], source=made["source"]
+    ).to_scene()
+    return layout_figure(scene, made["t"])
+
+
+def tube() -> Figure:
+    """Section of a tube from a CAD file before a plate."""
+    scene = shown("mechanics", 1)["scene"]
+    return layout_figure(scene, mistray.trace(scene, rays=500, max_reflections=0))
 
 
 def diffraction() -> Figure:
@@ -318,6 +334,8 @@ PICTURES: dict[str, Callable[[], Figure | bytes]] = {
     "detectors_beam_splitter": beam_splitter,
     "detectors_probes": probes,
     "bodies_cube": cube,
+    "design_path_fold": fold,
+    "mechanics_tube": tube,
     "diffraction_ring": diffraction,
     "freeform_terms": freeform_terms,
     "sources_kinds": sources,
