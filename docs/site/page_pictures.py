@@ -49,7 +49,7 @@ def phone_camera_mitigation() -> Figure:
     }
     rows = {row["change"]: row for row in read("phone_camera_mitigation.md", "changes")}
     angles = [column.rstrip("°") for column in next(iter(rows.values())) if column.endswith("°")]
-    figure = Figure(figsize=(9, 4.6), layout="constrained")
+    figure = Figure(figsize=(6.8, 5.2), layout="constrained")
     axes = figure.subplots()
     for name, (colour, marker) in shown.items():
         found = [value(rows[name][f"{angle}°"]) for angle in angles]
@@ -60,7 +60,7 @@ def phone_camera_mitigation() -> Figure:
     axes.set_yticks([0.02, 0.05, 0.1, 0.2, 0.5, 1, 2], ["0.02", "0.05", "0.1", "0.2", "0.5", "1", "2"])
     axes.grid(axis="y", color="0.9")
     axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside right upper", frameon=False, fontsize=9)
+    figure.legend(loc="outside lower center", frameon=False, ncols=2)
     return figure
 
 

@@ -33,6 +33,7 @@ def ratios(found: PstSweep) -> list[dict[str, Any]]:
         for angle in ANGLES_DEG:
             stray = found.changed(name, angle)
             row |= {f"at{angle}": stray.ratio, f"at{angle}_se": stray.ratio_se}
+            row[f"text{angle}"] = _text(stray.ratio, stray.ratio_se)
         rows.append(row)
     return rows
 
@@ -48,6 +49,13 @@ def start(found: PstSweep) -> list[dict[str, Any]]:
         row = {"angle": angle, "pst": value[k], "pst_se": se[k]}
         rows.append(row | {"path": _short(first), "share": first.percent_of_stray})
     return rows
+
+
+def _text(value: float, se: float) -> str:
+    """A number with one digit of its standard error, or two if the first is 1: so that many fit in a line."""
+    digits = f"{se:.1e}"
+    decimals = -int(digits.partition("e")[2]) + (digits[0] == "1")
+    return f"{value:.{decimals}f} ± {se:.{decimals}f}"
 
 
 def _short(path: Any) -> str:

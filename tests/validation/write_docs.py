@@ -188,7 +188,7 @@ def write_phone_camera_mitigation() -> None:
             ),
             "changes": table(
                 " | ".join(["change", "image", *(f"{angle}°" for angle in angles)]),
-                " | ".join(["{change}", "{image:.3f}", *(f"{{at{angle}±at{angle}_se}}" for angle in angles)]),
+                " | ".join(["{change}", "{image:.3f}", *(f"{{text{angle}}}" for angle in angles)]),
                 changed.ratios(found),
             ),
         },
