@@ -35,6 +35,7 @@ THREE_REFLECTION_RAYS = 1_000_000
 TOP = 4
 PST_RAYS, PST_BEAM_RAYS = 1_000_000, 50_000
 PST_BEAM_FIELDS_DEG = [10, 20, 30, 40]
+MITIGATION_RAYS = 20_000
 PST_STRAY = ("straight_shot", "ghost", "single_scatter")
 LSST_RAYS = 100_000
 LSST_FIELDS_DEG = (0.0, 1.0, 1.4, 1.6, 1.75)
@@ -320,6 +321,28 @@ def _differences(pairs: dict[Names, tuple[Sums, Sums]]) -> dict[str, float]:
     }
 
 
+def _write_phone_camera_mitigation() -> None:
+    from validation import phone_camera_mitigation as changed
+
+    found = changed.swept(MITIGATION_RAYS)
+    angles = changed.ANGLES_DEG
+    write(
+        "phone_camera_mitigation.md",
+        {
+            "start": table(
+                "angle ° | stray PST | strongest path | % of the stray light",
+                "{angle:g} | {pst±pst_se} | {path} | {share:.0f}",
+                changed.start(found),
+            ),
+            "changes": table(
+                " | ".join(["change", "image", *(f"{angle}°" for angle in angles)]),
+                " | ".join(["{change}", "{image:.3f}", *(f"{{text{angle}}}" for angle in angles)]),
+                changed.ratios(found),
+            ),
+        },
+    )
+
+
 def _write_lsst() -> None:
     from validation.beside_batoid import LSST
 
@@ -405,6 +428,7 @@ REPORTS: dict[str, Callable[[], None]] = {
     "phone_camera": _write_phone_camera,
     "phone_camera_objects": _write_phone_camera_objects,
     "phone_camera_pst": _write_phone_camera_pst,
+    "phone_camera_mitigation": _write_phone_camera_mitigation,
     "lsst": _write_lsst,
     "telescopes": _write_telescopes,
 }

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from command_line import Patch, run
+from example_scripts import script
 
 from mistray.cli import program
 from mistray.errors import MistrayError
@@ -95,6 +96,17 @@ def test_commands_exist() -> None:
             parse(wrong)
 
 
+@pytest.mark.parametrize("page", [README, *ALL_PAGES], ids=lambda page: page.stem)
+def test_commands_of_a_page_do_not_stop_each_other(page: Path) -> None:
+    """Typed one after the other: none stops at the files of one before, and no file of TOML is missing."""
+    lines = [shlex.split(line, comments=True) for line in command_lines(page)]
+    folders = [words[words.index("--out") + 1] for words in lines if "--out" in words and "--resume" not in words]
+    assert sorted(set(folders)) == sorted(folders)
+    prose = SHELL.sub("", page.read_text(encoding="utf-8"))
+    tomls = {word for words in lines for word in words if word.endswith(".toml") and not (ROOT / word).is_file()}
+    assert [name for name in tomls if f"`{name}`" not in prose] == []
+
+
 @pytest.mark.parametrize("page", [*ALL_PAGES, *AROUND, README], ids=lambda page: page.stem)
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:|#)([^)]+)", page.read_text(encoding="utf-8")):
@@ -103,6 +115,15 @@ def test_links_lead_somewhere(page: Path) -> None:
         if part and page == README:
             headings = re.findall(r"(?m)^#+ (.+)$", (ROOT / name).read_text(encoding="utf-8"))
             assert part in [re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings], target
+
+
+def test_every_picture_is_shown_and_every_drawn_one_is_there(monkeypatch: Patch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "site"))
+    drawn = script("page_pictures", ROOT / "docs" / "site").PICTURES
+    there = {file.name for file in (ROOT / "docs" / "images").glob("*.*")}
+    assert {f"{name}.png" for name in drawn} <= there
+    text = "".join(page.read_text(encoding="utf-8") for page in (README, *ALL_PAGES))
+    assert [name for name in sorted(there) if f"images/{name})" not in text] == []
 
 
 @pytest.mark.parametrize(

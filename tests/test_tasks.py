@@ -155,26 +155,39 @@ FREE = {"scene", "params", "metric", "t", "optic", "model"}  # arguments that th
 SETTINGS = {setting.name for setting in fields(Settings)}
 
 
-def rows() -> Iterator[list[str]]:
+def rows(heading: str) -> Iterator[list[str]]:
+    """Cells of the tables whose first column has a heading."""
+    table = ""
     for line in COMING_FROM.splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split(" | ")] if line.startswith("| ") else []
-        if cells and cells[0] != "task":
-            yield [cell.strip("| ") for cell in cells]
+        cells = [cell.strip("| ") for cell in line.strip("|").split(" | ")] if line.startswith("| ") else []
+        if cells and cells[0] in ("task", "word"):
+            table = cells[0]
+        elif cells and table == heading:
+            yield cells
 
 
-ROWS = list(rows())
+TASKS, WORDS = list(rows("task")), list(rows("word"))
+ROWS = TASKS + WORDS
 SPANS = [span for row in ROWS for span in re.findall(r"`([^`]+)`", re.sub(r"\[`\w+`\]\([^)]*\)", "", row[-1]))]
 COMMANDS = [span for span in SPANS if re.match(r"mistray \w", span)]
 CALLS = [span for span in SPANS if re.match(r"(mistray|t|report|p|system)\.", span)]
 
 
 def test_the_tables_are_whole_and_every_task_has_something_here() -> None:
-    assert len(ROWS) > 30
-    assert all(len(row) == 5 and all(row) for row in ROWS)
-    assert len({row[0] for row in ROWS}) == len(ROWS)
-    for row in ROWS:
+    assert len(TASKS) > 30
+    assert len(WORDS) > 70
+    assert all(len(row) == 5 and all(row) for row in TASKS)
+    assert all(len(row) == 3 and all(row) for row in WORDS)
+    assert len({row[0] for row in TASKS}) == len(TASKS)
+    for row in TASKS:
         assert "`" in row[-1] or "](" in row[-1], row[0]
-    assert set(SPANS) - set(COMMANDS) - set(CALLS) <= {"front", "back"}, "neither a command nor a call"
+    assert set(SPANS) - set(COMMANDS) - set(CALLS) <= {"front", "back", "Prescription"}, "neither a command nor a call"
+
+
+def test_every_program_of_the_title_has_its_words() -> None:
+    title = COMING_FROM.partition("\n")[0]
+    for program_ in re.findall(r"ASAP|FRED|TracePro|OpticStudio", title):
+        assert f"## The words of {program_}\n" in COMING_FROM
 
 
 @pytest.mark.parametrize("line", COMMANDS)

@@ -60,5 +60,6 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Formulas as MathML, and nothing that was meant for Git alone."""
+    """Formulas as MathML, numbers with their errors on one line, and nothing that was meant for Git alone."""
+    html = re.sub(r"(?<=\d) ± (?=\d)", "\u00a0±\u00a0", html)
     return with_formulas(re.sub(r"<!-- .*? -->\n?", "", html))

@@ -46,15 +46,14 @@ def draw_notebook(name: str) -> bytes:
     return base64.b64decode(figures[-1])
 
 
-def write(name: str, png: bytes) -> None:
-    """Write a picture as wide as the gallery needs, with few colours."""
+def save_small(file: Path, png: bytes, width: int = WIDTH) -> None:
+    """Write a picture, at most so many pixels wide, with few colours."""
     image = Image.open(io.BytesIO(png)).convert("RGBA")
     on_white = Image.new("RGBA", image.size, "white")
     on_white.alpha_composite(image)
     small = on_white.convert("RGB")
-    if small.width > WIDTH:
-        small = small.resize((WIDTH, round(small.height * WIDTH / small.width)), Image.Resampling.LANCZOS)
-    file = picture_file(name)
+    if small.width > width:
+        small = small.resize((width, round(small.height * width / small.width)), Image.Resampling.LANCZOS)
     file.parent.mkdir(exist_ok=True)
     small.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE).save(file, optimize=True)
     print(file.relative_to(ROOT), file.stat().st_size, "bytes", flush=True)
@@ -67,7 +66,7 @@ def main() -> int:
     if unknown := set(names) - set(drawn):
         raise SystemExit(f"{', '.join(sorted(unknown))}: neither a scene nor a notebook")
     for name in names:
-        write(name, drawn[name](name))
+        save_small(picture_file(name), drawn[name](name))
     return 0
 
 

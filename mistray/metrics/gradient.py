@@ -216,7 +216,7 @@ class Gradient(
 LEFT_OUT = "branches below flux_threshold and children of R = 0 or T = 0, which the trace does not follow"
 NO_EDGES = "what rays gain and lose at rims and silhouettes (edges=False)"
 ONSET = (
-    "silhouettes of surfaces with tabled coatings, and the onset of total reflection at them, where R and T can jump"
+    "silhouettes of surfaces with tabulated coatings, and the onset of total reflection at them, where R and T can jump"
 )
 INDEX_OF_SCATTER = "the change of what surfaces scatter with the index of the materials beside them"
 

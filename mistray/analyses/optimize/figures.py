@@ -53,14 +53,18 @@ def search_figure(result: Optimization, title: str = "") -> Figure:
     middle.set_ylabel("terms of the best search\nover those of the given start")
     if all(np.min(line.get_ydata()) > 0 for line in middle.lines):
         middle.set_yscale("log")
-    right.set_ylabel("|d merit / d share of the bounds|")
+    right.set_ylabel("length of the gradient")
     if any(step.gradient_norm > 0 for step in result.steps):
         right.set_yscale("log")
     for axes in (left, middle, right):
         _frame(axes, "evaluations", legend=axes is not right)
     fixed = result.study.optimizer.seeds == "fixed"
     rays = "all points trace the same rays" if fixed else "every point has its own rays"
-    how = f"error bars: one standard error; {rays}"
+    how = (
+        "merit: sum of the terms to be lowered, as logarithms, and of penalties of limits; gradient: of the merit, "
+        "by shares of the way between the bounds\n"
+        f"error bars: one standard error, long where few heavy rays carry a term; {rays}"
+    )
     return figure.headed(title, small_print=how) if title else figure.small_print(how)
 
 

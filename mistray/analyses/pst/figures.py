@@ -135,7 +135,8 @@ def pst_causes(pst: Pst, title: str = "") -> Figure:
         axes.axvline(edge, color="white", lw=1.6)
         axes.axvline(edge, color=BLACK, lw=0.8, ls=(0, (5, 3)), label="edge of the field")
     if parts:
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", fontsize=8, frameon=False)
+        handles, labels = axes.get_legend_handles_labels()  # lines first, then bars from the bottom up
+        figure.legend(handles[::-1], labels[::-1], loc="outside right upper", fontsize=8, frameon=False)
     return figure.small_print(
         "stray light: all but the direct image; white: paths that the table of paths does not hold", right=True
     )
