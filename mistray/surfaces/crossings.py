@@ -33,7 +33,7 @@ ROW = (
 @dataclass
 class Numbers:
     """
-    Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers. Bounds include the overlap.
+    Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers. Bounds include the overlap with neighbours.
 
     Attributes
     ----------
@@ -126,13 +126,17 @@ def _values(surface: TracedSurface) -> dict[str, Any]:
 
 
 def turned(turn: Sequence[mi.Float], v: mi.Vector3f) -> mi.Vector3f:
-    """Return a vector of the scene in the frame whose axes are the columns of a matrix, given row by row."""
+    """
+    Rotate a vector of the scene into a local frame.
+
+    `turn` has the nine elements of a matrix whose columns are the frame's axes.
+    """
     return mi.Vector3f(*(turn[k] * v.x + turn[3 + k] * v.y + turn[6 + k] * v.z for k in range(3)))
 
 
 @dataclass
 class AxisRay:
-    """Ray in the frame of an axis, with products that all surfaces on the axis share; lengths in mm."""
+    """Ray in the frame of a surface axis, with products that all surfaces on the axis share; lengths in mm."""
 
     ox: mi.Float
     oy: mi.Float
@@ -172,7 +176,7 @@ class AxisRay:
 
 
 def _inside(ray: AxisRay, t: mi.Float, p: SagSurface, n: Numbers) -> mi.Bool:
-    """Whether the ray's point at the distance t, mm, lies within the aperture."""
+    """Return a mask of rays whose point at the distance t, mm, lies within the surface's aperture."""
     x, y = ray.lateral(t)
     if not p.outer:
         return (dr.abs(x) <= n.half_width) & (dr.abs(y) <= n.half_height)
@@ -197,7 +201,11 @@ def _of_conic(ray: AxisRay, n: Numbers) -> tuple[mi.Float, mi.Float, mi.Float]:
 
 
 def _two_roots(a: mi.Float, b: mi.Float, c: mi.Float, own: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Bool]:
-    """Return the roots of a t² + 2 b t + c = 0, and whether they are real; with `own` one root is 0."""
+    """
+    Return the roots of a t² + 2 b t + c = 0, and a mask of real ones.
+
+    Where `own` is True one root is exactly 0.
+    """
     c = dr.select(own, 0, c)
     discriminant = dr.fma(b, b, -a * c)
     q = -(b + dr.mulsign(dr.sqrt(larger(discriminant, 0)), b))
@@ -224,12 +232,11 @@ def conic_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.
 
 def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple[mi.Float, mi.Bool]:
     """
-    Return the distance, mm, at which a ray hits an asphere close to its conic, and whether it is unsafe.
+    Return the distance, mm, at which a ray hits an asphere close to its conic, and a mask of unsafe rays.
 
-    One or two Newton steps lead there from the conic's hit; the distance is infinite without a hit.
-
-    A ray is unsafe if it meets the conic twice within the aperture, nearly touches it, or could come back to the
-    surface that it leaves. It is unsafe, too, if the steps do not converge. Unsafe rays need the full search.
+    One or two Newton steps lead there from the conic's hit; the distance is infinite without a hit. A ray is unsafe if
+    it meets the conic twice within the aperture, nearly touches it, or could come back to the surface that it leaves.
+    It is unsafe, too, if the steps do not converge. Unsafe rays need the full search.
     """
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
     a, b, g = _of_conic(ray, n)
@@ -280,9 +287,10 @@ def stretch(
     ray: AxisRay, oz: mi.Float, outer2: mi.Float, z_low: mi.Float, z_high: mi.Float
 ) -> tuple[mi.Float, mi.Float]:
     """
-    Return the distances, mm, at which a ray enters and leaves a cylinder cut off by a slab.
+    Return the distances, mm, at which a ray enters and leaves a cylinder about z with flat ends.
 
-    `oz` is the ray's height at its origin, mm. If the end is not beyond the start, the ray misses the cylinder.
+    `oz` is the ray's height at its origin, mm. If the second is not greater than the first, the ray misses the
+    cylinder.
     """
     discriminant = dr.fma(ray.od, ray.od, -ray.dd * (ray.oo - outer2))
     root, inv = dr.sqrt(larger(discriminant, 0)), dr.rcp(ray.dd)

@@ -186,7 +186,7 @@ class PathRow:
 
 
 class LocatedPaths(NamedTuple):
-    """Paths of one run: their `path_id` and their places in its ledger, (n,) int each."""
+    """Paths of one run: for each its `path_id` in the table and its index in the run's ledger, (n,) int each."""
 
     run: Run
     ids: np.ndarray
@@ -199,22 +199,26 @@ class LocatedPaths(NamedTuple):
 
     @property
     def keys(self) -> np.ndarray:
-        """Keys of the paths, (n,) uint64, see `mistray.recorders.path_key`."""
+        """Hash keys of the paths, (n,) uint64; see `mistray.recorders.path_key`."""
         return np.asarray(self.run.paths.keys[self.places])
 
     @property
     def sums(self) -> np.ndarray:
-        """Sums of the paths by batch, (n, BATCHES, SUMS), in units of a start ray, see `mistray.recorders.ledger`."""
+        """
+        Flux sums of the paths by batch of start rays, (n, BATCHES, SUMS), in units of a start ray.
+
+        See `mistray.recorders.ledger`.
+        """
         return np.asarray(self.run.paths.sums[self.places])
 
     @property
     def events(self) -> Events:
-        """Event lists of the paths."""
+        """Event lists of the paths, in the order of `ids`."""
         paths = self.run.paths
         return Events.of(self.run.table, self.run.design, paths.events[self.places], paths.lengths[self.places])
 
     def ids_of(self, keys: np.ndarray) -> np.ndarray:
-        """Return the `path_id` of each path that is given by its key, (n,) uint64."""
+        """Return the `path_id` for each of the path keys, (n,) uint64."""
         order = np.argsort(self.keys)
         return self.ids[order][np.searchsorted(self.keys[order], keys)]
 
@@ -255,7 +259,7 @@ class PathTable(
         self.runs, self._run, self._place = list(runs), run, place
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of paths, the power of the stray ones, W, and the strongest path."""
+        """Return the number of paths, the stray power (W) and the name of the strongest path, by label."""
         found: dict[str, KeyNumber] = {"paths": len(self), "stray [W]": self.stray_W}
         return found | ({"strongest": self[0].label} if len(self) else {})
 
@@ -284,7 +288,7 @@ class PathTable(
         return (PathRow(*values) for values in zip(*columns, strict=True))
 
     def located(self, path_ids: int | Iterable[int] | None = None) -> list[LocatedPaths]:
-        """Return the paths of these ids (None: all) for each run; raise `MistrayError` for an unknown id."""
+        """Return, for each run, its paths among the given ids (None: all); raise `MistrayError` for an unknown id."""
         ids = np.arange(len(self)) if path_ids is None else np.array(several(path_ids), dtype=np.int64)
         for path_id in ids[(ids < 0) | (ids >= len(self))]:
             raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
@@ -332,7 +336,7 @@ class PathTable(
 
     def chosen(self, requested: PathFilter, by_ray: frozenset[str] = frozenset()) -> list[LocatedPaths]:
         """
-        Return the paths that a filter may select, run by run.
+        Return, for each run, the paths that a filter may select.
 
         Parameters
         ----------
@@ -354,7 +358,7 @@ class PathTable(
         return self.located(np.concatenate([own.ids[here] for own, here in zip(of_runs, held, strict=True)]))
 
     def column(self, name: str) -> np.ndarray:
-        """Return an attribute of `PathRow` for all paths, (p,)."""
+        """Return one column of the table, an attribute of `PathRow` for all paths, (p,)."""
         return self._columns[name]
 
     def power(self, path_ids: int | Sequence[int] | np.ndarray) -> tuple[float, float]:
@@ -368,19 +372,21 @@ class PathTable(
         return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
-        """Return the ids of the direct paths, or of all others, (n,) int; at one wavelength, nm, or at all."""
+        """
+        Return the ids of the direct paths, or of all stray ones, (n,) int, optionally at one wavelength (nm) only.
+        """
         chosen = (self._columns["kind"] == DIRECT) == direct
         if wavelength_nm is not None:
             chosen &= self._columns["wavelength_nm"] == wavelength_nm
         return np.flatnonzero(chosen)
 
     def light(self, path_ids: int | Sequence[int] | np.ndarray) -> Sampled:
-        """Return the total power of some paths, W, with its noise by batch, which correlates it to other numbers."""
+        """Return the total power of some paths, W, with its noise by batch, which keeps correlations of errors."""
         return self._numbers.light[np.atleast_1d(np.asarray(path_ids, dtype=np.int64))].total()
 
     @property
     def stray_W(self) -> Estimate:
-        """Power of all paths but the direct ones, W."""
+        """Total power of all stray paths on the detectors, W, with its standard error."""
         return Estimate(*self.light(self.ids(direct=False)).whole)
 
     def numbers(self, groups: Sequence[Sequence[int]]) -> PathNumbers:
@@ -410,7 +416,11 @@ class PathTable(
         return PathNumbers.joined([alone[counts == 1], *parts])[order]
 
     def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> HitSums:
-        """Return the sums of a run over groups of paths; `group` is ascending and has the group of each path."""
+        """
+        Return the flux sums of one run added up by group of paths.
+
+        `group` is ascending, the group number of each of `ids`.
+        """
         one, here = self.runs[run], self._run[ids] == run
         sums = np.zeros((int(group[-1]) + 1, *one.paths.sums.shape[1:]))
         np.add.at(sums, group[here], one.paths.sums[self._place[ids[here]]])
@@ -464,7 +474,7 @@ class PathTable(
 
     def by_way(self, aliases: Mapping[str, str] | str | None = None) -> pd.DataFrame:
         """
-        Return the table with randomly scattered and aimed rays merged: one row for each sequence of events.
+        Return the table with ordinary and aimed scatter merged: one row for each sequence of events.
 
         Parameters
         ----------
@@ -487,11 +497,11 @@ class PathTable(
 
     @cached_property
     def _by_way(self) -> pd.DataFrame:
-        """Table of `by_way` without aliases, which several parts of a report read."""
+        """Return `by_way` without aliases, cached because several parts of a report read it."""
         return self._merged(None)
 
     def _merged(self, aliases: Mapping[str, str] | str | None) -> pd.DataFrame:
-        """Return the table of `by_way`."""
+        """Compute the table of `by_way` for given aliases."""
         table = {name: column.copy() for name, column in self._columns.items()}
         for name, text in (("events", way_text), ("path", way_letters)):
             table[name][:] = text(table[name])
@@ -555,7 +565,7 @@ class PathTable(
 
 
 def _frame(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
-    """Return columns of a path table as a DataFrame; text has the type that pandas infers from strings."""
+    """Return columns of a path table as a DataFrame; text columns get the string type of pandas."""
     import pandas as pd
 
     text = {name: column.tolist() for name, column in columns.items() if column.dtype == object}
@@ -563,7 +573,7 @@ def _frame(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
 
 
 def path_table(runs: Sequence[Run]) -> PathTable:
-    """Return the table of the paths of runs with a ledger to their detectors; paths without a hit are left out."""
+    """Return the table of the paths that reach the detectors, from runs traced with a ledger."""
     parts, places, numbers = [], [], []
     for run in runs:
         place = np.flatnonzero(run.paths.sums[:, :, RAYS].any(axis=1))
