@@ -89,7 +89,7 @@ def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
-    """Return the integral over the unit disc, (m,), of a profile about points at distance sin θ from its centre."""
+    """Return the integral over the unit disc, (m,), of a profile about points at a distance sin θ from its centre."""
     b = np.sqrt(np.maximum(0.0, 1 - cosine * cosine))
     # 1 - b without cancellation at grazing incidence
     low = np.maximum(cosine * cosine / (1 + b), 1e-12)

@@ -292,7 +292,11 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
 
 
 def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
-    """True if a term misses its goal more than before in a row, by more than `far` standard errors."""
+    """
+    True if a term has become worse in a row, by more than `far` standard errors.
+
+    It has grown, left its tolerance, or broken a limit that held before.
+    """
     margin = far * row.ratio_se
     if term.goal == "minimise":
         return row.ratio + margin < 1 and row.ratio * (1 + WORTH_TELLING) < 1
