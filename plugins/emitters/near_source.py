@@ -96,7 +96,7 @@ class NearSource(LightSource):
     def local(
         self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, mi.Float64]
     ) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return rays in its own frame, see `LightSource.rays_from`; origins in mm, with z = 0."""
+        """Return ray origins, mm, with z = 0, and directions in the source's own frame, see `LightSource.rays_from`."""
         raise NotImplementedError
 
     def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:

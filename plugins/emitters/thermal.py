@@ -91,7 +91,7 @@ class Thermal(LightSource):
         return ByName(TEMPERATURE_K, "detector=77").check("temperature", kelvins, self.owner)
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
-        """Return wavelengths of the parts of the band, weighted by the blackbody spectrum of the warmest surface."""
+        """Return the wavelengths of the band's parts, nm, with weights by the warmest surface's blackbody spectrum."""
         if given := [key for key in ("power", *LIGHT) if key in props and key not in BAND]:
             self._fail(
                 f"{given[0]} is given; the scene's own emission takes temperature_K, parts, band_nm and bands alone"
