@@ -109,7 +109,7 @@ def first_order(scene: Any, path: DesignPath) -> FirstOrder:
 
 
 def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
-    """Return the focal lengths, mm, in two sections, and the mean distance of the foci from the last surface, mm."""
+    """Return focal lengths, mm, in two sections, and the mean distance of the foci behind the last surface, mm."""
     first = path.steps[0]
     frame = across(first.before)
     points = np.array([step.point for step in path.steps])
