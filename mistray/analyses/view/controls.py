@@ -123,7 +123,7 @@ def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
 
 
 def shown_box(surfaces: Sequence[OpenSurface], lines: Sequence[RayLine], cut: CutPlane | None) -> Box:
-    """Return the two corners, mm, of the shown volume: surfaces, rays in the removed half, and beginnings of beams."""
+    """Return the two corners, mm, of the shown volume: surfaces, rays in the removed half, and starts of beams."""
     points = np.concatenate([surface.vertices for surface in surfaces]).astype(np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
@@ -206,7 +206,11 @@ def add_buttons(
     meshes = list(range(len(shown)))
 
     def seen(key: str) -> list[bool]:
-        """Return for each mesh whether it is shown: surfaces first, then cells, which can replace them."""
+        """
+        Return for each mesh True if it is shown with the colours `key`.
+
+        Surfaces come first, then cells of wall maps, which replace them.
+        """
         cells = key == IRRADIANCE
         return [not (cells and surface.name in walls) for surface in shown] + [cells] * len(walls)
 
