@@ -26,7 +26,9 @@ class Light:
     @classmethod
     def of(cls, arguments: Mapping[str, Any]) -> Light:
         """
-        Return the light given by keyword arguments of a call; arguments that are no attributes of `Light` are ignored.
+        Return the light given by keyword arguments of a call.
+
+        Arguments that are no attributes of `Light` are ignored.
         """
         known = {f.name for f in fields(cls)}
         return cls(**{name: value for name, value in arguments.items() if name in known})

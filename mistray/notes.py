@@ -18,9 +18,7 @@ T = TypeVar("T")
 
 
 class Code(StrEnum):
-    """
-    Codes of notes on results and of the warnings made from them; docs/warnings.md explains each one and its remedy.
-    """
+    """Codes of notes on results and of the warnings made from them; docs/warnings.md explains each and its remedy."""
 
     CUT = "cut"
     MEDIUM = "medium"

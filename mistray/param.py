@@ -97,9 +97,7 @@ class Param(Demand):
         return self.values.check(name, value, owner)
 
     def field(self, default: Any = MISSING, doc: str = "", kw_only: Any = MISSING) -> Any:
-        """
-        Return a dataclass field for this parameter, see `Demand.field`; `default` also becomes the parameter's default.
-        """
+        """Return a dataclass field for this parameter, see `Demand.field`; `default` is also that of the parameter."""
         own = self if default is MISSING else replace(self, default=default)
         return Demand.field(own, default, doc, kw_only)
 

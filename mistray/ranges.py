@@ -38,9 +38,7 @@ class Demand:
         raise NotImplementedError
 
     def check_all(self, owner: str, /, **values: Any) -> None:
-        """
-        Raise `MistrayError` if any of the keyword values is not allowed, see `Range.check`; None is always allowed.
-        """
+        """Raise `MistrayError` if a keyword value is not allowed, see `Range.check`; None is always allowed."""
         for name, value in values.items():
             if value is not None:
                 self.check(name, value, owner)

@@ -24,7 +24,9 @@ INTERRUPTED = 130  # exit status of a command that a signal has ended; from outs
 
 def heard() -> list[signal.Signals]:
     """
-    Return the signals that end a command; those ignored from the start, as Ctrl-C in a background job, stay ignored.
+    Return the signals that end a command.
+
+    Those ignored from the start, as Ctrl-C in a background job, stay ignored.
     """
     return [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
 

@@ -235,9 +235,7 @@ class AllCells:
                 )
 
     def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:
-        """
-        Trace the ray trees of given start rays at wavelength number `band` into a recorder, with or without scatter.
-        """
+        """Trace ray trees of start rays at wavelength number `band` into a recorder, with or without scatter."""
         trace = self._trace
         scene, settings = trace.forward_scene(band), trace.settings
         if not scatter:

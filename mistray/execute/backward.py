@@ -270,9 +270,7 @@ class BackwardTrace(GridTrace):
         trace_whole(scene, start, self.settings, recorders)
 
     def split_scene(self, number: int) -> KernelScene:
-        """
-        Return the kernel's scene for backward rays of wavelength `number`, with weight windows from a pilot if any.
-        """
+        """Return the kernel's scene for backward rays of wavelength `number`, with weight windows from any pilot."""
         band = self.bands[number]
         # Light that a medium scatters branches with the probability of the surface behind it, whose weight window does
         # not account for the importance of the medium
@@ -358,9 +356,7 @@ class BackwardTrace(GridTrace):
         return KernelScene(band.table, band.scattering, self.intersector, self._probabilities, backward=True)
 
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
-        """
-        Trace ray trees of wavelength `number` into recorders, with weight windows but without MIS against forward rays.
-        """
+        """Trace ray trees of wavelength `number` into recorders, with weight windows, without MIS of forward rays."""
         trace_whole(self.split_scene(number), start, self.settings, recorders)
 
     @contextlib.contextmanager
@@ -396,7 +392,9 @@ class BackwardTrace(GridTrace):
 
     def paths(self) -> PathsByCell | None:
         """
-        Return the paths so far with sums by cell, events in order from the detector; None without a table of paths.
+        Return the paths so far with sums by cell, events in order from the detector.
+
+        The result is None without a table of paths.
         """
         return None if self._path_sums is None else self.sums.paths + self._path_sums.read()
 

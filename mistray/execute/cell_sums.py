@@ -1,6 +1,4 @@
-"""
-Sums of light by cell of a grid of directions, by forward or by backward rays, which are added, saved and continued.
-"""
+"""Sums of light by cell of a grid of directions, by forward or backward rays, which are added, saved, continued."""
 
 from __future__ import annotations
 
@@ -75,9 +73,7 @@ class CellSums(Sums):
         return np.stack([of_ray * weight, of_ray**2 * np.maximum(squares - weight**2 / rays, 0)])
 
     def found(self, unit: np.ndarray, paths: PathsByCell) -> FoundByCell:
-        """
-        Return the paths, PST_normal per unit weight of a start ray, (c,), and numbers of start rays, (c,), by cell.
-        """
+        """Return paths, PST_normal per unit weight of a start ray, (c,), and numbers of start rays, (c,), by cell."""
         rays = np.broadcast_to(self.rays.sum(axis=-1), unit.shape)
         return paths, self.of_ray(unit).ravel(), rays.ravel()
 
@@ -89,7 +85,9 @@ class CellSums(Sums):
 
     def continued(self, saved: Mapping[str, np.ndarray], passes: int, seconds: float) -> Self:
         """
-        Return sums restored from saved `arrays`; this object, still without rays, gives shapes and missing arrays.
+        Return sums restored from saved `arrays`.
+
+        This object, still without rays, gives shapes and missing arrays.
         """
         own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
         # Arrays that are missing are at zero

@@ -30,7 +30,9 @@ class StoredScene:
 
     def load(self) -> mi.Scene:
         """
-        Load a new scene from the source and set the stored numbers; raise `MistrayError` if that is impossible here.
+        Load a new scene from the source and set the stored numbers.
+
+        Raise `MistrayError` if that is impossible here.
         """
         scene = self.source.load()
         put_numbers(scene, self.numbers)

@@ -354,9 +354,7 @@ class Run:
         return run
 
     def stand_for(self, parts: Sequence[Part]) -> Run:
-        """
-        Return the run as if the given parts were all of it: the flux of a start ray, W, is raised to keep the total.
-        """
+        """Return the run as if given parts were all of it: the flux of a start ray, W, is raised to keep the total."""
         return replace(self, parts=tuple(parts), unit=self.source.power / max(float(self.started.sum()), 1.0))
 
     @property

@@ -60,7 +60,9 @@ class WavelengthChoice:
 
     def notes(self, instead: str = "their light is traced at the nearest") -> list[Note]:
         """
-        Return a note that lists the omitted wavelengths, nm, and ends with the text `instead`; [] if all are traced.
+        Return a note that lists the omitted wavelengths, nm, and ends with the text `instead`.
+
+        The result is [] if all are traced.
         """
         if not self.left_out_nm:
             return []

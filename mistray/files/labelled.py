@@ -90,9 +90,7 @@ def dataset(
 
 
 def pixel_coordinates(extent_mm: tuple[float, float, float, float], shape: tuple[int, int]) -> dict[str, Labelled]:
-    """
-    Return coordinates x and y of pixel centres, mm, by name, from edges (x0, x1, y0, y1), mm, and (rows, columns).
-    """
+    """Return coordinates x and y of pixel centres, mm, by name, from edges x0, x1, y0, y1, mm, and (rows, columns)."""
     x0, x1, y0, y1 = extent_mm
     rows, columns = shape
 

@@ -109,9 +109,7 @@ class RaySet:
         object.__setattr__(self, "directions", unit)
 
     def _refuse(self, bad: np.ndarray, key: str, remedy: str) -> None:
-        """
-        Raise `MistrayError` if some rays are `bad`; the message shows the first of them, counted from 1, and its `key`.
-        """
+        """Raise `MistrayError` if some rays are `bad`; the message shows the first, counted from 1, and its `key`."""
         if bad.any():
             first = int(np.argmax(bad))
             value = ", ".join(f"{v:g}" for v in np.atleast_1d(getattr(self, key)[first]))

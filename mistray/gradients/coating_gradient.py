@@ -164,9 +164,7 @@ def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray,
 
 
 def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...]) -> tuple[np.ndarray, list[_Side]]:
-    """
-    Return zeros for derivatives of table rows, (names · L, u, 3), and the sides of incidence whose results fill them.
-    """
+    """Return zeros for derivatives of table rows, (names · L, u, 3), and the sides of incidence that fill them."""
     _, last, _, total_last = (int(v) for v in optics.host_places[surface])
     refraction = last + 1
     n_front, n_back = optics.complex_indices[surface]
@@ -201,9 +199,7 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
 def _tangents(
     sides: Sequence[_Side], parts: tuple[int, ...], wavelength_nm: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """
-    Return derivatives of mean R and T by the same parameters of each layer, for coatings with equal numbers of layers.
-    """
+    """Return derivatives of mean R and T by one kind of parameter of each layer, for coatings of as many layers."""
     layers = len(sides[0].indices)
     blocks = len(parts) * layers
     # One lane for each row and each parameter of a side

@@ -153,9 +153,7 @@ class RimRecorder(Recorder):
         dr.eval(self.columns, self.axis, self.before)
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """
-        Allocate arrays by depth in each lane: slot of a recorded hit, and the contribution to the metric before it.
-        """
+        """Allocate arrays by depth in each lane: slot of a recorded hit, contribution to the metric before it."""
         memory[RIMS] = dr.alloc_local(mi.UInt32, max_events), dr.alloc_local(mi.Float64, max_events)
 
     def visit(self, visit: Visit, memory: Memory) -> None:

@@ -46,7 +46,9 @@ class Ends:
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
         """
-        Return, for each ray, the index (below BATCHES) of the sum that its derivatives enter; by default its batch.
+        Return, for each ray, the index (below BATCHES) of the sum that its derivatives enter.
+
+        By default this is the number of its batch.
         """
         return rays.batch
 

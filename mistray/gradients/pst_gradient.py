@@ -1,6 +1,5 @@
 """
-Derivatives of a metric of a point source transmittance (PST): its rays are traced again, recorded, sorted and replayed
-by passes.
+Derivatives of a metric of a point source transmittance (PST), from rays that are traced again and replayed.
 
 Where forward and backward rays share the paths by MIS, they share the derivatives, too. There are two kinds:
 

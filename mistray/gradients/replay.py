@@ -115,9 +115,7 @@ def replay_rays(
     def differentiate(
         k: mi.UInt32, node: Node, active: mi.Bool, gain: Callable[[ReplayedEvent, mi.Float], Any]
     ) -> tuple[Node, mi.Vector3f, mi.Vector3f, Any]:
-        """
-        Return the event before event k, and `gain` with its derivatives by origin and direction of the segment between.
-        """
+        """Return the event before event k, and `gain` with its derivatives by origin and direction of the segment."""
         first = k == 0
         before = rays.node(dr.maximum(k, 1) - 1, active & ~first)
         origin = dr.select(first, vector(rays.o), vector(before.p))

@@ -121,7 +121,9 @@ class ScatterReplay(Scattering):
 
     def log_kept(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
         """
-        Return ln of the fraction of R or T that stays in the specular beam; 0 if the lane is inactive or nothing stays.
+        Return ln of the fraction of R or T that stays in the specular beam.
+
+        The result is 0 if the lane is inactive or nothing stays.
         """
         transmission, reflection, _, _ = self._all_shares(event, active)
         kept = dr.select(event.reflect, reflection.kept, transmission.kept)

@@ -1,6 +1,4 @@
-"""
-Derivatives of a metric with respect to data that the kernel reads: coating rows, geometry, indices, scatter tables.
-"""
+"""Derivatives of a metric by data that the kernel reads: coating rows, geometry, indices, scatter tables."""
 
 from __future__ import annotations
 
@@ -95,9 +93,7 @@ class Derivatives:
 
     @classmethod
     def stacked(cls, parts: Sequence[Derivatives]) -> Derivatives:
-        """
-        Return derivatives by geometry, indices and sources, stacked along a new first axis with one entry per part.
-        """
+        """Return derivatives by geometry, indices and sources, stacked along a new first axis, one entry per part."""
         columns = ([getattr(part, name) for part in parts] for name in ("geometry", "indices"))
         geometry, indices = (np.stack(arrays) if arrays and arrays[0] is not None else None for arrays in columns)
         sources = zip(*(part.sources for part in parts), strict=True)

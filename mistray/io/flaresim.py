@@ -435,9 +435,7 @@ def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _clipped(lens: Sequential, start: Array, heading: Array) -> tuple[Array, Array]:
-    """
-    Trace rays through a lens; return positions (mm) and directions, NaN at the image for rays that an aperture blocks.
-    """
+    """Trace rays through a lens; return positions (mm) and directions, NaN at the image for blocked rays."""
     hits, along = trace(lens, start, heading)
     for row, place in zip(lens.rows, hits, strict=True):
         through = passes(row, place)

@@ -239,9 +239,7 @@ def _chebyshev(g: Any) -> dict[str, Any]:
 
 
 def _zernike(g: Any) -> dict[str, Any]:
-    """
-    Return optiland's Zernike terms, of any ordering and norm, as entries of `Row.sag`, mm, found by comparing values.
-    """
+    """Return optiland's Zernike terms, in any order and norm, as `Row.sag`, mm, found by comparing values."""
     radius = _float(g.norm_radius)
     orders = {noll_orders(j): j for j in range(1, LAST_STANDARD + 1)}
     found: dict[str, float] = {}

@@ -57,9 +57,7 @@ def to_sequential(prescription: Prescription) -> Sequential:
 
 @dataclass
 class _Walk:
-    """
-    Builder of a table that follows the light through a prescription, with the present frame, direction and material.
-    """
+    """Builder of a table that follows light through a prescription, with present frame, direction and material."""
 
     prescription: Prescription
 

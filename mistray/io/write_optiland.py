@@ -119,9 +119,7 @@ def _aperture(what: str, row: Row) -> Any:
 
 
 def _medium(lens: Sequential, material: str, media: dict[str, Any]) -> Any:
-    """
-    Return an optiland material: its own if its index agrees at all wavelengths, else a table of mistray's indices.
-    """
+    """Return an optiland material: its own if its index agrees at all wavelengths, else a table of mistray's values."""
     if material not in media:
         media[material] = _new_medium(lens, material)
     return media[material]

@@ -53,9 +53,7 @@ class BranchLimits:
         self._record(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """
-        Return the throughput absorbed at hits (0 where a limit cuts it) and a mask of the hits that a detector counts.
-        """
+        """Return the throughput absorbed at hits (0 where a limit cuts it) and a mask of hits that detectors count."""
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
             return mi.Float(0), mi.Bool(False)

@@ -339,9 +339,7 @@ def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i:
 
 
 def _place(table: SurfaceTable, s: mi.UInt32, at: _Incidence, active: mi.Bool) -> Place:
-    """
-    Return the fractional row of the angle of incidence in each surface's coating table, see `mistray.surfaces.optics`.
-    """
+    """Return the fractional row of the incidence angle in surfaces' coating tables, see `mistray.surfaces.optics`."""
     places = dr.gather(mi.Vector4u, table.optics.places, s, active)
     # The smaller cosine is that in the rarer medium: in it R and T are smooth from either side
     x = dr.select(at.tir, total_variable(at.sin2_t, at.eta, at.cos_i), smaller(at.cos_i, at.cos_t))

@@ -113,9 +113,7 @@ class Launches:
 
     @staticmethod
     def _next(left: int, most: int) -> int:
-        """
-        Return the number of rays of the next launch, about `most` or fewer, so that `left` rays are divided equally.
-        """
+        """Return the number of rays of the next launch, about `most` or fewer, such that `left` divides equally."""
         return left if left <= STRETCH * most else math.ceil(left / math.ceil(left / most))
 
     def time(self, lanes: int, work: Callable[[], object]) -> None:

@@ -158,9 +158,7 @@ class LightVertices:
         return active & (mi.UInt32(row.w) == s) & (apart < self._slack)
 
     def comes_from(self, number: mi.UInt32, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """
-        Return a mask of connected rays that leave within a cell and retrace the incident path of their light vertex.
-        """
+        """Return a mask of connected rays that leave in a cell and retrace the incident path of their light vertex."""
 
         # The key of the path from the start to the light vertex: from the last event back to the first scatter event
         def back(k: mi.UInt32, key: mi.UInt64, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt64, mi.Bool]:

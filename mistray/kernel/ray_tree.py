@@ -210,9 +210,7 @@ class _Tree:
     # ---- the loop
 
     def walk(self, state: State) -> None:
-        """
-        Visit the nodes of all ray trees, starting from the given loop variables, and collect the recorders' results.
-        """
+        """Visit the nodes of all ray trees, starting from given loop variables, and collect recorders' results."""
         if LaneRows.pay(self.scene.table):
             self.rows = LaneRows(self.scene.table, self.n)
         # Variables that keep their values in this scene are none of the loop. These change in all, kept or not

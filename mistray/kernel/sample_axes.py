@@ -32,9 +32,7 @@ NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incid
 
 
 def axis_row(axis: str, rotation_deg: float) -> np.ndarray:
-    """
-    Encode the direction of a surface's sample axis, (4,) float64: cosine and sine of its rotation, 0, index in `AXES`.
-    """
+    """Return a surface's sample axis as (4,) numbers: cosine and sine of its rotation, 0, index in `AXES`."""
     turn = np.radians(rotation_deg)
     return np.array([np.cos(turn), np.sin(turn), 0.0, float(AXES.index(axis))])
 
@@ -103,9 +101,7 @@ class SurfaceFrames:
         return tangent_axis(row, normal, q, self._any_meridian)
 
     def at(self, s: mi.UInt32, normal: mi.Vector3f, q: mi.Vector3f, active: mi.Bool) -> mi.Vector3f:
-        """
-        Return the sample's x axis at a point q, mm, in the surface's frame, as a unit vector in the scene's frame.
-        """
+        """Return the sample's x axis at a point q, mm, in the surface's frame, as unit vector in the scene's frame."""
         frame = self._table.frame(s, active)
         return frame.outward(self.local(s, frame.inward(normal), q, active))
 

@@ -236,9 +236,7 @@ class ScatterShares:
         self.any, self.bulk = tables.any, tables.bulk
 
     def budget(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> ScatterBudget:
-        """
-        Return the fractions of flux that hits of surfaces s scatter and absorb, and the numbers of scattered rays.
-        """
+        """Return the fractions of flux that hits of surfaces s scatter and absorb, and numbers of scattered rays."""
         # Row of the side: first rows of its totals in transmission and reflection, and its numbers of aimed rays
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
         plan = dr.gather(mi.Vector4u, self.tables.sides, side, active)
@@ -271,7 +269,9 @@ class ScatterShares:
 
     def _x_axis(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> mi.Vector3f | None:
         """
-        Return the sample's x axis at each hit, a unit vector in the scene's frame; None if all samples are isotropic.
+        Return the sample's x axis at each hit, a unit vector in the scene's frame.
+
+        The result is None if all samples are isotropic.
         """
         if self.tables.frames is None:
             return None

@@ -444,9 +444,7 @@ class ScatterTables:
         return found
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
-        """
-        Return a row of total scatter: lost specular fraction, and scattered fraction as three polynomial coefficients.
-        """
+        """Return a row of total scatter: lost specular fraction, scattered fraction as three coefficients."""
         return dr.gather(mi.Vector4f, self.totals, row, active)
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:

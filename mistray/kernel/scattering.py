@@ -239,9 +239,7 @@ class Scattering(ScatterShares):
     def _case(
         self, case: mi.UInt32, s: mi.UInt32, it: Interaction, d: mi.Vector3f, reflect: mi.Bool
     ) -> tuple[mi.Vector4u, list[dict[str, Any]], LobeFrame]:
-        """
-        Return the table row of a scatter case, its lobes, and their shading frame, for a ray that arrives along d.
-        """
+        """Return the table row of a scatter case, its lobes and their shading frame, for a ray that arrives along d."""
         x = dr.select(reflect, it.R, self._transmittance(it))
         scale = dr.select(reflect, 1, it.eta) if self.tables.backward else mi.Float(1)
         # Lobes are centred on the specular direction on the side that the ray leaves to
@@ -369,9 +367,7 @@ class Scattering(ScatterShares):
         return lobes
 
     def _centre(self, words: mi.Vector2u, frame: LobeFrame) -> mi.Vector3f:
-        """
-        Return the unit vector about which a lobe is centred: the specular direction, the backward one, or the normal.
-        """
+        """Return the unit vector at a lobe's centre: the specular direction, the backward one, or the normal."""
         # The specular direction, the one of arrival (retro-reflection) or the normal
         centre = frame.specular
         if self.tables.flags & RETRO:
@@ -438,9 +434,7 @@ class Scattering(ScatterShares):
         cos_s: mi.Float,
         frame: LobeFrame,
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """
-        Return scattered flux per sr and incident flux, its derivative by R or T, and the pdf of random rays, 1/sr.
-        """
+        """Return scattered flux per sr and incident flux, its derivative by R or T, and pdf of random rays, 1/sr."""
         outward, cos_i, scale = frame.outward, frame.cos_i, frame.scale
         flux, slope, density = mi.Float(0), mi.Float(0), mi.Float(0)
         for lobe in lobes:

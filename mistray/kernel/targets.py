@@ -128,9 +128,7 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """
-        Return whether any ray aimed from points (n, 3), mm, goes against its normal, and whether any goes along it.
-        """
+        """Return whether any ray aimed from points (n, 3), mm, goes against its normal, and if any goes along it."""
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
@@ -179,9 +177,7 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """
-        Return whether any ray aimed from points (n, 3), mm, goes against its normal, and whether any goes along it.
-        """
+        """Return whether any ray aimed from points (n, 3), mm, goes against its normal, and if any goes along it."""
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
@@ -321,9 +317,7 @@ class AimSet:
 
     @classmethod
     def of(cls, targets: Sequence[AnyTarget], rays: int, weights: Sequence[float] | None = None) -> AimSet:
-        """
-        Return a set of targets with `rays` aimed rays per hit, shared in proportion to `weights` (default: equal).
-        """
+        """Return a set of targets with `rays` aimed rays per hit, shared in proportion to `weights` or equally."""
         # By default each target gets as many rays as the others, whatever its size
         parts = np.ones(len(targets)) if weights is None else np.asarray(weights, dtype=np.float64)
         shares = (parts / parts.sum()).tolist()

@@ -257,7 +257,9 @@ def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
 
 def _known(spec: Spec) -> str:
     """
-    Return the wavelength ranges in which n is known, as text such as "400 … 700 nm"; overlapping ranges are joined.
+    Return the wavelength ranges in which n is known, as text such as "400 … 700 nm".
+
+    Overlapping ranges are joined.
     """
     ends: list[list[float]] = []
     for low, high in sorted(found.n.range_nm for found in _materials(spec) if found.n.range_nm is not None):

@@ -45,9 +45,7 @@ class IndexSamples:
 
 @dataclass(frozen=True)
 class UserFile:
-    """
-    File with n and k of a material: CSV table (`entry` is None), AGF file or Zemax coating file, with the entry's name.
-    """
+    """File with n and k of a material: CSV table (no `entry`), or an entry of an AGF or Zemax coating file."""
 
     path: str
     entry: str | None

@@ -111,9 +111,7 @@ class Gradient(
 
     @property
     def edge_check(self) -> dict[str, np.ndarray]:
-        """
-        Change of the derivatives if zones at rims have half the width, (entries,), by key, in the derivative's unit.
-        """
+        """Change of derivatives if zones at rims have half the width, (entries,), by key, in the derivative's unit."""
         return {key: errors.check[self.edge_number] for key, errors in self._at_rims.items()}
 
     @property

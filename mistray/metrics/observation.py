@@ -212,9 +212,7 @@ class Observation:
         return smooth_maximum(self.map(selection), norm)
 
     def chosen(self, selection: Selection) -> np.ndarray:
-        """
-        Return the row indices of selected paths in the path table, (n,) int, ascending; see `power` for selections.
-        """
+        """Return the row indices of selected paths in the path table, (n,), ascending; see `power` for selections."""
         if callable(selection):
             return np.array([k for k, row in enumerate(self._rows) if selection(row)], dtype=np.int64)
         held = [own.ids for text in texts_of(selection) for own in self.trace.paths.chosen(PathFilter(text))]
@@ -226,9 +224,7 @@ class Observation:
         return np.array(way_text(row.events for row in self._rows), dtype=object)
 
     def _sums_of(self, groups: Sequence[Sequence[int] | np.ndarray]) -> tuple[mi.Float64, ...]:
-        """
-        Return sums of flux (W) and its moments by x, y (W mm) and x² + y² (W mm²), (groups,) each, over groups of rows.
-        """
+        """Return sums of flux (W) and moments by x, y (W mm) and x² + y² (W mm²), (groups,) each, by group of rows."""
         key = tuple(tuple(int(k) for k in group) for group in groups)
         if key not in self._sums:
             totals = [self._moments_of_rows[list(group)].sum(axis=0) for group in key]

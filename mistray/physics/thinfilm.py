@@ -182,9 +182,7 @@ def _solve(
     wavelength_nm: Any,
     cos_incident: Any,
 ) -> tuple[Arithmetic, tuple[_Fields, _Fields]]:
-    """
-    Return the array functions, and for s and p the front fields of a stack that sends a unit wave out at the back.
-    """
+    """Return the array functions, and for s and p the front fields of a stack that sends a unit wave out behind."""
     if len(n_layers) != len(d_nm):
         raise MistrayError(f"stack: {len(n_layers)} indices and {len(d_nm)} thicknesses; give one of each per layer")
     ops = arithmetic(n_incident, *n_layers, *d_nm, n_substrate, wavelength_nm, cos_incident)

@@ -80,9 +80,7 @@ def _scatter(model: Scatter) -> _Node:
 
 
 def _stated(part: Any, *names: str) -> dict[str, Value]:
-    """
-    Return those of the named attributes of a part that differ from their defaults, by name, in the order of `names`.
-    """
+    """Return those of a part's named attributes that differ from their defaults, by name, in the order of `names`."""
     defaults = {known.name: known.default for known in fields(part)}
     found = {name: getattr(part, name) for name in names if name in defaults}
     return {

@@ -135,9 +135,7 @@ class BranchRecorder(Recorder):
         self.write(visit, chosen & visit.counted, weight, place=visit.position)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """
-        Record rays that leave the scene after at least one event with a gain (contribution to the metric) other than 0.
-        """
+        """Record rays that leave the scene after an event, with a gain (contribution to the metric) other than 0."""
         if self.light is not None and not self.light.incident and departure.node is not None:
             gained = self.light.gain(departure)
             self.write(departure, departure.active & (gained != 0), gained, departure.heading)

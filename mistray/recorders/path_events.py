@@ -54,9 +54,7 @@ STRAY_KINDS = (
 
 
 def way(events: np.ndarray) -> np.ndarray:
-    """
-    Return event lists, (p, k), with aimed scatter replaced by random scatter, as both sample the same physical path.
-    """
+    """Return event lists, (p, k), with aimed scatter replaced by random scatter, as both sample one physical path."""
     events = events.copy()
     for aimed, random in _SAMPLED_ALIKE.items():
         events[kind_of(events) == aimed] -= np.uint32(aimed - random)
@@ -276,7 +274,9 @@ class Events:
     @property
     def reflected(self) -> np.ndarray:
         """
-        Mask of stray specular reflections, (p, k) bool; total ones and those at mirrors or of the design are excluded.
+        Mask of stray specular reflections, (p, k) bool.
+
+        Total ones and those at mirrors or of the design are excluded.
         """
         return self.happens(REFLECTED) & ~self.at(MIRROR) & ~self.as_designed
 
@@ -310,9 +310,7 @@ class Events:
 
 
 def event_keys(events: Iterable[str]) -> list[str]:
-    """
-    Return a hash of each event list, ten hexadecimal digits, the same in any scene and for random or aimed scatter.
-    """
+    """Return a hash of each event list, ten hexadecimal digits, equal in all scenes and for random or aimed scatter."""
     return [hashlib.blake2b(text.encode(), digest_size=5).hexdigest() for text in way_text(events)]
 
 

@@ -125,9 +125,7 @@ def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 
 
 def joined_lists(*lists: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """
-    Return the union of several sets of event lists, (p, k), their lengths, (p,), and the row in it of each given list.
-    """
+    """Return the union of sets of event lists, (p, k), their lengths, (p,), and the row in it of each given list."""
     longest = max(events.shape[1] for events, _ in lists)
     events = np.concatenate([np.pad(one, ((0, 0), (0, longest - one.shape[1]))) for one, _ in lists])
     lengths = np.concatenate([own for _, own in lists])

@@ -350,9 +350,7 @@ class Recorder:
         """Record lost flux (or a count) in one of the first `LANE_REASONS` channels of `mistray.recorders.tallies`."""
 
     def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        """
-        Record cut flux, in units of a start ray's, in a loss channel from `LANE_REASONS` on; most traces need none.
-        """
+        """Record cut flux, in units of a start ray's, in a loss channel from `LANE_REASONS` on; few traces need one."""
 
     def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
         """Record the flux absorbed in a medium, in units of a start ray's flux."""

@@ -126,9 +126,7 @@ class Sampled:
 
 
 def _alike(*numbers: Sampled) -> list[Sampled]:
-    """
-    Return estimates with their noise merged to the same number of groups of batches, so that they can be combined.
-    """
+    """Return estimates with their noise merged to the same number of groups of batches, so as to combine them."""
     count = min(one.apart.shape[-1] for one in numbers)
     return [one if one.apart.shape[-1] == count else one.grouped(count) for one in numbers]
 

@@ -98,9 +98,7 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
 
 @share(SEARCH_SHARE)
 def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
-    """
-    Return the targets of backward rays, one aimed ray per set, and the fractions of rays by which surfaces see the sky.
-    """
+    """Return the targets of backward rays, one aimed ray per set, and for surfaces the fraction of rays to the sky."""
     # Opening of the system
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
@@ -178,9 +176,7 @@ def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
 def _lambertian_rays(
     table: SurfaceTable, surfaces: list[int], count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return `count` Lambertian rays per side of each surface, front first: origins, mm, and directions, (s, 2, n, 3).
-    """
+    """Return `count` Lambertian rays per side of each surface, front first: origins, mm, directions, (s, 2, n, 3)."""
     o, d = (np.zeros((len(surfaces), 2, count, 3)) for _ in range(2))
     for row, surface in enumerate(surfaces):
         o[row], normals = surface_points(table, surface, count, rng)
@@ -192,9 +188,7 @@ def _lambertian_rays(
 def _sky_shares(
     table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator
 ) -> dict[Side, float]:
-    """
-    Return, for each side of surfaces, the fraction of Lambertian rays that leave the scene backward without a hit.
-    """
+    """Return for each side of surfaces the fraction of Lambertian rays that leave the scene backward without a hit."""
     probes = fewer_rays(SKY_PROBES)
     o, d = _lambertian_rays(table, surfaces, probes, rng)
     last = np.repeat(surfaces, 2 * probes)

@@ -71,9 +71,7 @@ class Beam(SceneSource):
         return Emission(origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
-        """
-        Return rays along the outline of the beam and of its dark centre: origins, mm, and directions, (count, 3) each.
-        """
+        """Return rays along the outline of beam and dark centre: origins, mm, and directions, (count, 3) each."""
         sample = mi.Point2f(*(upload(mi.Float, v) for v in perimeter(count, within)))
         outer = np.array(self.emitter.positions(sample), dtype=np.float64)
         hole = 0.0 if self.emitter.rectangular else self.emitter.size[1] * (1 + within)

@@ -249,9 +249,7 @@ def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneS
 
 
 def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneSource, int]]:
-    """
-    Yield a source with numbers of probe rays to try: first all of its light, then its light aimed at optical surfaces.
-    """
+    """Yield a source with numbers of probe rays to try: first all its light, then that aimed at optical surfaces."""
     # All of it, with few probes and with many
     yield source, PROBES
     yield source, MANY_PROBES

@@ -162,9 +162,7 @@ class DetectorImages:
     def _landing_rays(
         self, number: int, wide: Target, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator
     ) -> _Rays:
-        """
-        Return sampled rays that reach the detector; half were aimed at `wide`, half left as from a Lambertian surface.
-        """
+        """Return sampled rays that reach the detector; half aimed at `wide`, half left as from a Lambertian surface."""
         to_image = np.arange(len(points)) % 2 == 0
         aimed = (wide.points(rng.random((len(points), 2))) - points) * (-1 if wide.reverse else 1)
         d = np.where(to_image[:, None], aimed, normals + sphere_points(rng, len(points)))

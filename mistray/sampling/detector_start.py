@@ -346,9 +346,7 @@ class DetectorStart:
         return found
 
     def _polar_frame(self, x: mi.Float, y: mi.Float, outward: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """
-        Return unit vectors normal to `outward`: radial (away from the detector's centre) and tangential, at x, y in mm.
-        """
+        """Return unit vectors normal to `outward`, radial (from the detector's centre) and tangential, at x, y, mm."""
         r2 = dr.fma(x, x, y * y)
         scale, off_axis = dr.rsqrt(dr.maximum(r2, AXIS)), r2 > AXIS
         radial = dr.select(off_axis, x * scale, 1) * self._axes[0] + dr.select(off_axis, y * scale, 0) * self._axes[1]
@@ -386,9 +384,7 @@ class DetectorStart:
         return disk.x * scale, disk.y * scale
 
     def _planar_guided(self, u: mi.Float, v: mi.Float) -> tuple[mi.Float, mi.Float]:
-        """
-        Return positions on the projected detector, mm, whose coordinates in a start map (see `place`) are u and v.
-        """
+        """Return positions on the projected detector, mm, with coordinates u and v in a start map (see `place`)."""
         if not self._round:
             return self._planar(u, v)
         inner2, outer2 = self._radii2

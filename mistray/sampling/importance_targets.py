@@ -211,9 +211,7 @@ def automatic_targets(
 def _seen_targets(
     table: SurfaceTable, images: DetectorImages | None, surfaces: Sequence[int], rng: np.random.Generator
 ) -> dict[Side, list[Target]]:
-    """
-    Return, for each side of surfaces, the targets visible from it: the detector, and lenses and mirrors of the path.
-    """
+    """Return, for each side of surfaces, the targets visible from it: detector, lenses and mirrors of the path."""
     if not surfaces:
         return {}
     # Test all views at once

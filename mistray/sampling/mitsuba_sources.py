@@ -95,17 +95,13 @@ def _value(params: Any, key: str, owner: str) -> float:
 
 
 def _point(params: Any, owner: str) -> dict[str, Any]:
-    """
-    Return the parameters of a ``point_source`` that replaces Mitsuba's ``point``; intensity in W/sr, position in mm.
-    """
+    """Return the parameters of a ``point_source`` that replaces Mitsuba's ``point``; intensity, W/sr, position, mm."""
     place = dict(zip("xyz", np.array(params["position"], dtype=np.float64).ravel().tolist(), strict=True))
     return {"type": "point_source", **place, "intensity": _value(params, "intensity", owner)}
 
 
 def _spot(params: Any, owner: str) -> dict[str, Any]:
-    """
-    Return the parameters of a ``point_source`` that replaces Mitsuba's ``spot``, with the same intensity profile, W/sr.
-    """
+    """Return the parameters of a ``point_source`` that replaces Mitsuba's ``spot``, with equal intensities, W/sr."""
     cutoff, beam = (float(np.array(params[key]).ravel()[0]) for key in ("cutoff_angle", "beam_width"))
     if not np.allclose(np.array(params["texture.value"]), 1.0):
         raise MistrayError(f"{owner}: it has a texture; leave it out")

@@ -64,9 +64,7 @@ def scene_targets(table: SurfaceTable, scene: mi.Scene) -> dict[int, dict[Place,
 
 
 def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool = False) -> list[int]:
-    """
-    Return the numbers of the surfaces whose ids match a target's patterns, or, with `one`, the surface of its entity.
-    """
+    """Return the numbers of the surfaces whose ids match a target's patterns, or, with `one`, that of its entity."""
     # A dict keeps the order of the patterns, and each surface once
     numbers: dict[int, None] = {}
     for pattern in patterns:

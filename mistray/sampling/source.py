@@ -184,9 +184,7 @@ class SceneSource(ABC):
         return o, d
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """
-        Return derivatives of ray origins, mm, and directions by parameter `name`, one of `moving`, in the world frame.
-        """
+        """Return derivatives of ray origins, mm, and directions by parameter `name` of `moving`, in the world."""
         raise NotImplementedError
 
     @property
@@ -201,9 +199,7 @@ class SceneSource(ABC):
 
     @property
     def stokes(self) -> tuple[float, float, float] | None:
-        """
-        Normalised Stokes vector (s1, s2, s3) of the source's light, see `mistray.physics.polarization.state`, or None.
-        """
+        """Normalised Stokes vector (s1, s2, s3) of the source, see `mistray.physics.polarization.state`, or None."""
         return getattr(self.emitter, "stokes", None)
 
     def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
@@ -239,9 +235,7 @@ class SceneSource(ABC):
         return o, np.tile(self.direction, (len(o), 1))
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
-        """
-        Return a copy that sends more rays to an aperture, or to its part `lit`; the default returns the source itself.
-        """
+        """Return a copy that sends more rays to an aperture, or to its part `lit`; by default the source itself."""
         return self
 
     def unaimed(self) -> SceneSource:
@@ -383,9 +377,7 @@ class EmittedRays(PluginRays):
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """
-        Return derivatives of ray origins, mm, and directions by parameter `name`, one of `moving`, in the world frame.
-        """
+        """Return derivatives of ray origins, mm, and directions by parameter `name` of `moving`, in the world."""
         axes = [mi.Vector3d(*axis.tolist()) for axis in self._axes]
         away = o - mi.Vector3d(*self.pivot.tolist())
         local = [mi.Vector3d(*(dr.dot(vector, axis) for axis in axes)) for vector in (away, d)]
@@ -414,9 +406,7 @@ class EmittedRays(PluginRays):
 
     @cached_property
     def _targets(self) -> list[Sphere]:
-        """
-        Spheres at which rays are aimed, among lit part, aperture and scene: those that the source lights from outside.
-        """
+        """Spheres at which rays are aimed: of lit part, aperture and scene those that the source lies outside of."""
         if not self.aims or not self.aimed:
             return []
         o, _ = self._rays(mi.Point2d(0.5), mi.Point2d(0.5), mi.PCG32(size=1))

@@ -122,9 +122,7 @@ class HarveyShack(Placement):
         return (Lobe(event, lambda r: harvey_shack.bsdf(r, b0, knee, self.s), shares=self.shares),)
 
     def advice(self) -> str | None:
-        """
-        Return advice as text if l is not in 1e-4 … 1e-2, s not in -3.5 … -0.5 (FRED), or the total unusual; else None.
-        """
+        """Return advice as text if l is not in 1e-4 … 1e-2, s not in -3.5 … -0.5 (FRED), or the total is odd."""
         usual = within(self.l, 1e-4, 1e-2) and -3.5 <= self.s <= -0.5
         text = f"l {self.l:g} and s {self.s:g} are outside of what is usual: l 1e-4 … 1e-2, s -3.5 … -0.5"
         total = 0.0 if self.b0 is None else float(harvey_shack.tis(self.b0, self.l, self.s))

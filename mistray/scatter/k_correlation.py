@@ -117,7 +117,9 @@ class KCorrelation(RoughSurface):
 
     def _full(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
         """
-        Return the lobe of the full (not first-order) Harvey-Shack theory; its `ratio` is relative to normal incidence.
+        Return the lobe of the full (not first-order) Harvey-Shack theory.
+
+        Its `ratio` is relative to normal incidence.
         """
         rms_um, wavelength_um = self.rms_nm * 1e-3, wavelength_nm * 1e-3
         step, reflected = index_step(event, n_in, n_out), event == "reflection"

@@ -131,9 +131,7 @@ class RatioTable:
 
 
 def _cell(place: float, nodes: int) -> tuple[int, float]:
-    """
-    Return the node below a position in 0 … 1 on an axis of `nodes` equally spaced nodes, and the fraction beyond it.
-    """
+    """Return the node below a position in 0 … 1 on an axis of `nodes` evenly spaced nodes, and the part beyond it."""
     place = place * (nodes - 1)
     low = min(int(place), nodes - 2)
     return low, place - low

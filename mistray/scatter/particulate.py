@@ -211,9 +211,7 @@ def _refracted(cloud: Cloud, angle: np.ndarray, ratio: float) -> np.ndarray:
 
 
 def _backward(cloud: Cloud, deflection: np.ndarray) -> np.ndarray:
-    """
-    Return the fraction of light scattered per solid angle, 1/sr, at deflections in rad; 0 below `LEAST_DEFLECTION`.
-    """
+    """Return the fraction of light scattered per solid angle, 1/sr, at deflections, rad; 0 below `LEAST_DEFLECTION`."""
     return np.asarray(np.where(deflection >= LEAST_DEFLECTION, cloud.f(deflection), 0.0))
 
 

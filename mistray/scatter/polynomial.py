@@ -139,9 +139,7 @@ class Polynomial(Placement):
         return RatioTable(np.ascontiguousarray(self._tabled(NODES)[1]), R_MIN, "angular")
 
     def _tabled(self, nodes: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return the BSDF, 1/sr, and its ratio to `carrier` on grids of `nodes` in specular angle, log r and azimuth ψ.
-        """
+        """Return the BSDF, 1/sr, and its ratio to `carrier` on grids `nodes` of specular angle, log r and azimuth ψ."""
         named = dict(self.coefficients)
         sine, r = np.sin(np.linspace(0, np.pi / 2, nodes[0])), np.geomspace(R_MIN, 2, nodes[1])
         sine, r, psi = np.ix_(sine, r, np.linspace(0, np.pi, nodes[2]))

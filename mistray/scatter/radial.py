@@ -119,9 +119,7 @@ def _table(log2_values: bytes) -> RadialTable:
 
 
 def _alias_table(shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return Walker's alias table of a discrete distribution, (n,): the probability to keep each cell, and its alias.
-    """
+    """Return Walker's alias table of a discrete distribution, (n,): probability to keep each cell, and its alias."""
     count = len(shares)
     scaled = shares * count
     probability, alias = np.ones(count), np.arange(count)

@@ -76,9 +76,7 @@ def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) ->
 
 
 def _incidence(cosine: np.ndarray, sine_ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return the cosines of incidence and of the specular direction at nodes of the latter, both held above `GRAZING`.
-    """
+    """Return the cosines of incidence and of the specular direction at nodes of the latter, both above `GRAZING`."""
     cosine = np.maximum(cosine, GRAZING)
     cos_i = np.sqrt(np.maximum(GRAZING**2, 1 - sine_ratio**2 * (1 - cosine * cosine)))
     return cos_i, np.sqrt(np.maximum(GRAZING**2, 1 - (1 - cos_i * cos_i) / sine_ratio**2))

@@ -86,7 +86,9 @@ def _first_strange(numbers: np.ndarray) -> str:
 
 def require_scene(scene: Any, function: str) -> None:
     """
-    Raise `MistrayError` if an argument is not a loaded scene, for example its name; `function` is for the message.
+    Raise `MistrayError` if an argument is not a loaded scene, for example its name.
+
+    `function` is for the message.
     """
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"{function}() got {type(scene).__name__}; load the scene first: mistray.load(path)")
@@ -232,9 +234,7 @@ def _check_materials(axis: _Axis) -> None:
 
 
 def _check_ends(axis: _Axis, around: Mapping[float, str]) -> None:
-    """
-    Raise `MistrayError` if light along the axis would start and end in glass, as when a lens has its faces swapped.
-    """
+    """Raise `MistrayError` if light along the axis would start and end in glass, as in a lens with swapped faces."""
     passed = [item for item in axis.placed if item.inner == 0 and not item.shape.bsdf().opaque]
     if len(passed) < 2 or not around:
         return

@@ -1,6 +1,4 @@
-"""
-Description of where a scene came from, from which another process can load it: its text and the files that it names.
-"""
+"""Description of where a scene came from, from which another process can load it: its text and files named there."""
 
 from __future__ import annotations
 

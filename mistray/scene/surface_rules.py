@@ -244,9 +244,7 @@ class Painter:
         return able
 
     def _on_body(self, coating: Coating | None, face: Face, rule: str) -> Coating | None:
-        """
-        Return a coating preset as layers fitted to the substrate of a surface in air; any other coating unchanged.
-        """
+        """Return a coating preset as layers fitted to the substrate of a surface in air; other coatings unchanged."""
         body = face.back if is_gas(face.front) else face.front
         if coating is None or coating.preset is None or coating.opaque or face.cemented or is_gas(body):
             return coating
@@ -293,7 +291,9 @@ class Painter:
 
     def _named(self, item: Any) -> Any:
         """
-        Return a coating or model under a name not yet in use; one without a name is not shared and stays as it is.
+        Return a coating or model under a name not yet in use.
+
+        One without a name is not shared and stays as it is.
         """
         if item is None or item.name is None:
             return item

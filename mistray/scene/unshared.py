@@ -87,9 +87,7 @@ def _scatters(file: SceneFile, element: Element) -> bool:
 
 
 def _references(file: SceneFile, within: str) -> Iterator[Element]:
-    """
-    Yield references to shared scatter models directly within elements with tag `within`: shapes, or BSDFs in shapes.
-    """
+    """Yield references to shared scatter models directly in elements with tag `within`: shapes or BSDFs in them."""
     shared = _shared(file)
     for element in file.root.walk():
         if element.tag == "ref" and element.values.get("id") in shared and element.parent is not None:

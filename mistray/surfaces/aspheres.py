@@ -69,8 +69,9 @@ class AsphereSearch:
 
         def choose(best: mi.Float, searched: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
             """
-            Return the index and bit of the next asphere to search, and a mask of rays with one entered before the best
-            hit (mm).
+            Return the index and bit of the next asphere to search, and a mask of rays that have one.
+
+            It is the nearest not yet searched that a ray enters before its best hit, mm.
             """
             nearest, number, bit = mi.Float(best), mi.UInt32(0), mi.UInt32(0)
             for k, (piece, entry) in enumerate(zip(self.pieces, entries, strict=True)):

@@ -33,9 +33,7 @@ TINY = 1e-150  # least direction cosine; a ray with a smaller one counts as para
 
 
 def local(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Transform points, mm, and directions, (n, 3) each, from the world into the vertex frame of an analytic surface.
-    """
+    """Transform points, mm, and directions, (n, 3) each, from world to vertex frame of an analytic surface."""
     return _place(table, surface, o), d @ table.rotations[surface]
 
 
@@ -65,7 +63,9 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
 
 def inside(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
     """
-    Return a mask of world points (n, 3), mm, on an analytic surface's sheet, that lie within its bounds; False for NaN.
+    Return a mask of world points (n, 3), mm, on an analytic surface's sheet, that lie within its bounds.
+
+    The result is False for NaN.
     """
     with np.errstate(invalid="ignore"):
         return table.pieces[surface].inside(_place(table, surface, p))
@@ -247,7 +247,9 @@ class HostSurfaces:
 
     def _inward(self, v: np.ndarray, members: np.ndarray) -> np.ndarray:
         """
-        Rotate world vectors, (n, 3), into the frame of one surface each; `members` are the numbers of the surfaces.
+        Rotate world vectors, (n, 3), into the frame of one surface each.
+
+        `members` are the numbers of the surfaces.
         """
         return np.einsum("ij,ijk->ik", v, self._rotations[members]) if self._rotated else v
 

@@ -260,9 +260,7 @@ def _z_at(o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Float:
 
 
 def _reaches(ray: AxisRay, best: mi.Float, z_low: mi.Float, z_high: mi.Float) -> mi.Bool:
-    """
-    Return a mask of rays that, up to the distance `best`, pass between the planes at `z_low` and `z_high`; all in mm.
-    """
+    """Return a mask of rays that, up to the distance `best`, pass between planes at `z_low` and `z_high`; in mm."""
     far = dr.fma(smaller(best, FAR), ray.dz, ray.oz)
     forward = ray.dz >= 0
     return (dr.select(forward, far, ray.oz) >= z_low) & (dr.select(forward, ray.oz, far) <= z_high)

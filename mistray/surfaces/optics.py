@@ -260,9 +260,7 @@ def unpolarized_shares(
 
 
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """
-    Sample a function on enough uniform nodes of 0 … 1 for linear interpolation; return the values and an error bound.
-    """
+    """Sample a function at uniform nodes of 0 … 1, enough to interpolate linearly; return values and error bound."""
     intervals = FIRST_INTERVALS
     # All of the first levels in one call, which costs as much as a thousand values
     known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))
@@ -469,9 +467,7 @@ class Optics:
         dr.eval(self.extinction, self.albedo, self.asymmetry, self.media_n)
 
     def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
-        """
-        Return the complex refractive indices in front of and behind a surface; 1 for opaque ones, except multilayers.
-        """
+        """Return complex refractive indices before and behind a surface; 1 for opaque ones, except multilayers."""
         if bsdf.opaque and not isinstance(bsdf.coating, Stack):
             return 1 + 0j, 1 + 0j
         with errors_of(f"surface '{name}'"):
@@ -479,9 +475,7 @@ class Optics:
         return complex(front), complex(back)
 
     def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[Note]]:
-        """
-        Return a mask of the sides of surfaces where no light travels, (s, 2) bool, and notes for the user about them.
-        """
+        """Return a mask of the sides of surfaces where no light travels, (s, 2), and notes about them for the user."""
         n = np.array(self.complex_indices)
         if not n.imag.any():
             return np.zeros(n.shape, dtype=bool), []

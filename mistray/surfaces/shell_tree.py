@@ -199,9 +199,7 @@ def many(pieces: Sequence[TracedSurface]) -> list[int]:
 
 
 def _around(shells: np.ndarray) -> np.ndarray:
-    """
-    Return the smallest shell that holds the given shells, (n, 4): least and greatest z, least and greatest radius, mm.
-    """
+    """Return the smallest shell that holds the given shells, (n, 4): least and greatest z and radius, mm."""
     low, high = shells.min(axis=0), shells.max(axis=0)
     return np.array([low[0], high[1], low[2], high[3]])
 
@@ -213,9 +211,7 @@ def _halves(middles: np.ndarray) -> list[np.ndarray]:
 
 
 def _meets(rays: np.ndarray, shell: np.ndarray) -> np.ndarray:
-    """
-    Return a mask of rays (6, n) that meet a shell about the z axis, neither passing beside it nor through its hole.
-    """
+    """Return a mask of rays (6, n) that meet a shell about the z axis: pass neither beside it nor through its hole."""
     x, y, z, dx, dy, dz = rays
     low, high, inner2, outer2 = shell
     with np.errstate(all="ignore"):

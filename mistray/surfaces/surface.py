@@ -205,7 +205,9 @@ class TracedSurface(ABC):
 
     def inside(self, q: np.ndarray) -> np.ndarray:
         """
-        Return a mask of points (n, 3) of the surface's sheet that lie within its bounds, (n,) bool; False for NaN.
+        Return a mask of points (n, 3) of the surface's sheet that lie within its bounds, (n,) bool.
+
+        The result is False for NaN.
         """
         assert self.bounds is not None
         return within_bounds(self.bounds, q)
@@ -347,7 +349,9 @@ def quadric_crossings(quadric: Sequence[Any], sheet: Any, o: np.ndarray, d: np.n
 
 def within_bounds(bounds: Sequence[Any], q: np.ndarray) -> np.ndarray:
     """
-    Return a mask of points (n, 3), mm, of a surface's sheet that lie within its `Bounds`, (n,) bool; False for NaN.
+    Return a mask of points (n, 3), mm, of a surface's sheet that lie within its `Bounds`, (n,) bool.
+
+    The result is False for NaN.
     """
     (_, low2, high2, half_x, half_y, low_z, high_z), (x, y, z) = bounds, q.T
     r2 = x**2 + y**2

@@ -320,9 +320,7 @@ class SurfaceTable:
         self.rotation = upload(mi.Float, np.concatenate([self.rotations, np.zeros((self.count, 3, 1))], axis=2))
 
     def _stock(self, shapes: list[Any]) -> None:
-        """
-        Build a Mitsuba scene of the shapes that are not analytic, and the table from its shapes to surface numbers.
-        """
+        """Build a Mitsuba scene of shapes that are not analytic, and the table from its shapes to surface numbers."""
         self.mitsuba_scene, self.free_space = None, None
         if not shapes:
             return

@@ -143,9 +143,7 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
 
 
 def _refuse_alone(request: Any, field: dataclasses.Field[Any], value: Any, options: Mapping[str, Any]) -> None:
-    """
-    Raise `MistrayError` if an option is given without another one that it needs, see `mistray.toolkit.fields.field`.
-    """
+    """Raise `MistrayError` if an option is given without one that it needs, see `mistray.toolkit.fields.field`."""
     needs = field.metadata.get(NEEDS)
     if needs and value is not False:
         needed = option_of(request.__dataclass_fields__[needs])
@@ -155,7 +153,9 @@ def _refuse_alone(request: Any, field: dataclasses.Field[Any], value: Any, optio
 
 def _object_of(nested: Nested, options: Mapping[str, Any]) -> Any:
     """
-    Return the nested object whose fields are given as options; None if none is, `MistrayError` if some are missing.
+    Return the nested object whose fields are given as options.
+
+    The result is None if none is given. Raise `MistrayError` if some are missing.
     """
     fields = dataclasses.fields(nested.kind)
     given = {field.name: value for field in fields if (value := options.get(field.name)) is not None}

@@ -114,7 +114,9 @@ class FieldSubset(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
         """
-        Return the given values by name, without None; raise `MistrayError` for an unknown name or a value out of range.
+        Return the given values by name, without None.
+
+        Raise `MistrayError` for an unknown name or a value out of range.
         """
         OfType(Mapping, self.demand).check(name, value, owner)
         unknown = next((key for key in value if key not in self.names), None)

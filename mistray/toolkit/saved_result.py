@@ -117,7 +117,9 @@ def _told(path: str | Path) -> Iterator[None]:
 
 def _encoded(value: Any, arrays: list[np.ndarray]) -> Any:
     """
-    Return a value in JSON form, its arrays moved to the list `arrays`; raise `_NotSaved` for values that are no data.
+    Return a value in JSON form, its arrays moved to the list `arrays`.
+
+    Raise `_NotSaved` for values that are no data.
     """
 
     def inside(item: Any) -> Any:

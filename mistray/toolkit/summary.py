@@ -127,7 +127,9 @@ def _function(result: Result, what: str) -> Any:
 
 def plotted(result: Result, title: str = "") -> Axes | tuple[Axes, ...]:
     """
-    Draw the figure of a result with pyplot, and return the axes of its panels; raise `MistrayError` if it has none.
+    Draw the figure of a result with pyplot, and return the axes of its panels.
+
+    Raise `MistrayError` if it has none.
     """
     if not has_figure(result):
         raise MistrayError(f"{type(result).__name__} has no figure; use its numbers, see help({type(result).__name__})")

@@ -82,7 +82,9 @@ class TomlSection:
 
     def fail(self, key: str, text: str) -> MistrayError:
         """
-        Return the error for a key of this table (to be raised by the caller); an empty key means the table itself.
+        Return the error for a key of this table (to be raised by the caller).
+
+        An empty key means the table itself.
         """
         return MistrayError(f"{self.title}: {f'{self.place}{key}'.rstrip('.')} {text}")
 
@@ -95,7 +97,9 @@ class TomlSection:
 
     def table(self, key: str) -> TomlSection:
         """
-        Return the inner table at a key, empty if the key is missing; raise `MistrayError` if the value is no table.
+        Return the inner table at a key, empty if the key is missing.
+
+        Raise `MistrayError` if the value is no table.
         """
         value = self.content.get(key, {})
         if not isinstance(value, Mapping):
@@ -104,7 +108,9 @@ class TomlSection:
 
     def tables(self, key: str) -> list[TomlSection]:
         """
-        Return the list of tables at a key, empty if the key is missing; raise `MistrayError` if it is no such list.
+        Return the list of tables at a key, empty if the key is missing.
+
+        Raise `MistrayError` if it is no such list.
         """
         value = self.content.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):

@@ -299,9 +299,7 @@ class _Tree:
                 break
 
     def scatter(self) -> Branches:
-        """
-        Return scattered rays from hits sampled in proportion to their scattered flux, and empty the list of such hits.
-        """
+        """Return scattered rays from hits sampled in proportion to scattered flux, and empty the list of hits."""
         flux = np.concatenate([lit.flux for lit in self.dim])
         lit, self.dim = self.dim, []
         edges = np.cumsum(np.maximum(flux, 0))
@@ -457,9 +455,7 @@ class _Tree:
         )
 
     def _directions(self, o: Floats, outward: Floats, aim: AimSet | None) -> tuple[Floats, Floats]:
-        """
-        Sample scattered rays at origins (mm) with outward normals: unit directions, (n, 3), and their pdf, (n,), 1/sr.
-        """
+        """Return sampled scattered rays at origins (mm), with outward normals: directions, (n, 3), pdf, (n,), 1/sr."""
         flat = [target for target in aim.targets if isinstance(target, Target)] if aim is not None else []
         if not flat:
             d = lambertian_directions(outward, self._rng)
@@ -522,9 +518,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _turned(b: Branches, normal: Floats) -> Branches:
-    """
-    Return the branches with Stokes vectors rotated so that their axes are perpendicular to the planes of incidence.
-    """
+    """Return branches with Stokes vectors rotated so that their axes are perpendicular to planes of incidence."""
     s = _cross(b.d, normal)
     size = np.sqrt(np.einsum("ij,ij->i", s, s))[:, None]
     s = np.where(size**2 > NORMAL_INCIDENCE, s / np.maximum(size, 1e-30), b.axis)
@@ -547,9 +541,7 @@ def _child(light: Floats, X: Floats) -> Floats:
 
 
 class _Coatings:
-    """
-    R and T of every surface for s and p, from Fresnel's equations or from coating tables over the angle of incidence.
-    """
+    """R and T of every surface for s and p, from Fresnel's equations or coating tables over angle of incidence."""
 
     def __init__(self, optics: Optics) -> None:
         self._indices = optics.host_indices

@@ -77,9 +77,7 @@ def _ends(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) -> list[Ray]:
-    """
-    Return at least `n` rays of a run that reach the named places and pass the filter, by tracing ever more start rays.
-    """
+    """Return at least `n` rays of a run that reach named places and pass the filter, by tracing more and more rays."""
     check_where(words)
     departs = any(word in (ESCAPED, RETURNED) for word in words)
     chosen = np.zeros(run.table.count, dtype=bool) if departs else _chosen(run, words)

@@ -16,18 +16,14 @@ SURFACE_COLUMNS = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")
 
 
 class Bounds(NamedTuple):
-    """
-    Lower and upper bound of a filter as row masks, (n,) each: it certainly holds, or may hold depending on the ray.
-    """
+    """Bounds of a filter as masks of rows, (n,): rows that pass for certain, and rows of which rays may pass."""
 
     certain: np.ndarray
     possible: np.ndarray
 
 
 def exactly(held: np.ndarray) -> Bounds:
-    """
-    Return `held`, a mask of rows, (n,), as both bounds, for a filter whose result does not vary among rays of a path.
-    """
+    """Return `held`, a mask of rows, (n,), as both bounds, for a filter that treats all rays of a path alike."""
     return Bounds(held, held)
 
 
@@ -92,9 +88,7 @@ def unknown_name(name: str, ids: Sequence[str], parts: Sequence[str]) -> str:
 
 
 def like_pattern(name: str) -> Callable[[str], bool]:
-    """
-    Return a function that tests whether a text matches `name`, in which * stands for any text and ? for one character.
-    """
+    """Return a function that tests whether a text matches `name`, where * stands for any text, ? for a character."""
     # Not `fnmatch`, in which square brackets would be classes of letters
     pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
     return lambda text: pattern.fullmatch(text) is not None

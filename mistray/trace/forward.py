@@ -192,7 +192,9 @@ def _traced(
     result: Callable[..., Trace],
 ) -> Trace:
     """
-    Trace planned runs in this process or on workers; if interrupted, keep the finished part as a partial `result`.
+    Trace planned runs in this process or on workers.
+
+    If interrupted, keep the finished part as a partial `result`.
     """
     workers = current_workers()
     if workers is None:
@@ -255,9 +257,7 @@ def _timed(scene: mi.Scene, settings: Settings, light: Light, rays: int, **lines
 
 
 def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> float | None:
-    """
-    Return the field angle, degrees, given as an angle or as an image height `field_mm`; None keeps that of the sources.
-    """
+    """Return the field angle, degrees, given as angle or as image height `field_mm`; None keeps that of sources."""
     if field_mm is None:
         return field_deg
     if field_deg is not None:

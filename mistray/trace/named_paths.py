@@ -127,7 +127,9 @@ def read_name(text: str) -> Kind | Whole | Named | None:
 
 def read_events(text: str) -> Whole | Named | None:
     """
-    Parse a list of events: one exact path if it ends at a detector, else all paths of that name; None for other text.
+    Parse a list of events: one exact path if it ends at a detector, else all paths of that name.
+
+    The result is None for other text.
     """
     text = text.strip()
     if not (":" in text and all(_EVENT.fullmatch(word) for word in _name_words(text))):
@@ -196,9 +198,7 @@ def _all_known(pieces: Sequence[str], rows: Rows) -> bool:
 
 
 def _check_pieces(pieces: Sequence[str], between: str, rows: Rows) -> None:
-    """
-    Raise `UnknownError` if the pieces of a name, joined by `between` as needed, are not all ids of surfaces or media.
-    """
+    """Raise `UnknownError` unless all pieces of a name, some joined by `between`, are ids of surfaces or media."""
     while pieces:
         # The longest known id first
         for count in range(len(pieces), 0, -1):

@@ -372,9 +372,7 @@ class PathTable(
         return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
-        """
-        Return the ids of the direct paths, or of all stray ones, (n,) int, optionally at one wavelength (nm) only.
-        """
+        """Return the ids of direct paths, or of all stray ones, (n,), optionally at one wavelength (nm) only."""
         chosen = (self._columns["kind"] == DIRECT) == direct
         if wavelength_nm is not None:
             chosen &= self._columns["wavelength_nm"] == wavelength_nm

@@ -188,7 +188,9 @@ def worst_note(
     message: Message, values: Sequence[float], limit: float, worst: Callable[..., float] = max
 ) -> list[tuple[list[int], Note]]:
     """
-    Return a note with the worst value beyond `limit`, and the indices of the traces beyond it; empty if there are none.
+    Return a note with the worst value beyond `limit`, and the indices of the traces beyond it.
+
+    The result is empty if there are none.
     """
     at = [k for k, value in enumerate(values) if (value > limit if worst is max else value < limit)]
     return [(at, message.note(value=worst(values[k] for k in at), limit=limit))] if at else []
@@ -246,9 +248,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _rows(trace: Trace) -> tuple[AimedRow, ...]:
-    """
-    Return a judgement of each surface or medium that aims rays: their number and the share that reached the detector.
-    """
+    """Return a judgement of each surface or medium that aims rays: their number and the share that arrived."""
     return tuple(
         AimedRow(
             entry.id,

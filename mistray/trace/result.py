@@ -1,6 +1,4 @@
-"""
-Result of a forward trace: irradiance, paths and energy ledger, and further tables and maps by tracing the rays again.
-"""
+"""Result of a forward trace: irradiance, paths, energy ledger, and more tables and maps by tracing its rays again."""
 
 from __future__ import annotations
 

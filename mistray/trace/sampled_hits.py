@@ -182,7 +182,9 @@ class LightCone(NamedTuple):
 
 def light_cones(paths: PathTable, path_ids: Sequence[int]) -> dict[int, LightCone]:
     """
-    Return the cone of directions of each path at the detector, by path id; paths of fewer than two rays are left out.
+    Return the cone of directions of each path at the detector, by path id.
+
+    Paths of fewer than two rays are left out.
     """
     found: dict[int, LightCone] = {}
     for own in paths.located(path_ids):

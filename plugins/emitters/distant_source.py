@@ -45,14 +45,14 @@ class DistantSource(LightSource):
 
     def power(self, field_deg: float | None = None) -> float:
         """
-        Return the flux through a disc of 1 mm² across the light, W; in a scene it is scaled with the scene's size.
+        Return the flux through a disc of 1 mm² across the light, W.
+
+        In a scene it is scaled with the scene's size.
         """
         return self.irradiance
 
     def directions(self, sample: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
-        """
-        Map points of the unit square to unit directions of equal flux, in the source's frame, whose z is its axis.
-        """
+        """Map points of the unit square to unit directions of equal flux, in the source's frame with z as its axis."""
         raise NotImplementedError
 
     def direction_motion(self, name: str, d: mi.Vector3d) -> mi.Vector3d:

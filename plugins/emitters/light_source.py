@@ -247,7 +247,9 @@ class LightSource(mi.Emitter):
 
     def field_of(self, height_mm: float) -> float:
         """
-        Return the field angle, degrees, for an object height, mm; raise `MistrayError` if there is no object plane.
+        Return the field angle, degrees, for an object height, mm.
+
+        Raise `MistrayError` if there is no object plane.
         """
         raise MistrayError(f"{self.owner}: its light comes from infinity; give its field in degrees")
 
@@ -350,7 +352,9 @@ class LightSource(mi.Emitter):
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
         """
-        Return no light to integrators that look for the source from a surface point; subclasses may override this.
+        Return no light to integrators that look for the source from a surface point.
+
+        Subclasses may override this.
         """
         return dr.zeros(mi.DirectionSample3f, dr.width(it)), mi.Spectrum(0)
 
@@ -376,9 +380,7 @@ class LightSource(mi.Emitter):
 
 
 def tilted_axes(n: Mapping[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d]:
-    """
-    Return the axes of a frame tilted by ``tilt_x`` and ``tilt_y`` (degrees), the columns of Rx(tilt_x) Ry(tilt_y).
-    """
+    """Return axes of a frame tilted by ``tilt_x`` and ``tilt_y`` (degrees), the columns of Rx(tilt_x) Ry(tilt_y)."""
     (sx, cx), (sy, cy) = (dr.sincos(dr.deg2rad(mi.Float64(n[key]))) for key in ("tilt_x", "tilt_y"))
     return mi.Vector3d(cy, sx * sy, -cx * sy), mi.Vector3d(0, cx, sx), mi.Vector3d(sy, -sx * cy, cx * cy)
 

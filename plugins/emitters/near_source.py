@@ -100,9 +100,7 @@ class NearSource(LightSource):
         raise NotImplementedError
 
     def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """
-        Return derivatives of ray origins, mm, with z = 0, and directions, in the source's frame, by parameter `name`.
-        """
+        """Return derivatives of ray origins, mm, z = 0, and directions in the source's frame by parameter `name`."""
         raise NotImplementedError
 
     def rays_from(

@@ -88,9 +88,7 @@ class StrayLight(mi.CppADIntegrator):
         self.edge_width: float | None = take(self, props, "edge_width")
 
     def _settings(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
-        """
-        Return the integrator's settings with ``spp``, which sets the number of rays, and ``seed``, which is added.
-        """
+        """Return the integrator's settings with ``spp``, which sets the number of rays, and ``seed`` added."""
         size = sensor.film().size()
         rays = spp * int(size[0]) * int(size[1]) if spp else self.settings.rays
         own = self.settings.resolved(scene)

@@ -70,9 +70,7 @@ def run_coating(request: CoatingRequest) -> CoatingResult:
 
 
 def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
-    """
-    Return mean reflectances of a scene's coatings, by default from 400 to 700 nm or over the band of infrared light.
-    """
+    """Return mean reflectances of a scene's coatings, by default from 400 to 700 nm or over an infrared band."""
     light = next((getattr(emitter, "wavelengths_nm", ()) for emitter in scene.emitters()), ())
     invisible = len(light) > 1 and min(light) > VISIBLE_TO_NM
     full, means = _lit(request, (min(light), max(light)) if invisible else VISIBLE_NM), []

@@ -109,9 +109,7 @@ class Control:
 
     @property
     def way(self) -> str:
-        """
-        Return how estimates treat a change: "exact", "held rays" (traced ones), "first order" or "grid" (of fields).
-        """
+        """Return how estimates treat a change: "exact", "held rays" (traced), "first order", "grid" (of fields)."""
         if self.kind in (COATING, LAYERS):
             return "exact"
         if self.kind == NUMBER:

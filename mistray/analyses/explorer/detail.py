@@ -100,7 +100,9 @@ def _remedies(
     row: int,
 ) -> list[dict[str, Any]]:
     """
-    Return, for each part where the path turns, the coating that leaves the least stray light; the best part is first.
+    Return, for each part where the path turns, the coating that leaves the least stray light.
+
+    The best part is first.
     """
     here = {**state, **({"field": of.state["field"]} if "field" in state else {})}
     found = []

@@ -140,9 +140,7 @@ class Explorer:
     # -- what answers at once --------------------------------------------------------------------------------------
 
     def page(self) -> dict[str, Any]:
-        """
-        Return the page's constant data as JSON values: title, number of rays, fields, controls, section of the system.
-        """
+        """Return the page's constant data as JSON values: title, number of rays, fields, controls, section."""
         name = self.path.parent.name if self.path.name == "scene.xml" else self.path.stem
         return {
             "title": name,
@@ -540,9 +538,7 @@ def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:
 
 
 def _shapes(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
-    """
-    Return the control values that change the rays of a trace: field, wavelength, and shapes that estimates follow.
-    """
+    """Return the control values that change the rays of a trace: field, wavelength, shapes that estimates follow."""
     return {
         name: value
         for name, value in of.state.items()

@@ -96,9 +96,7 @@ class FieldBeam:
         return solids, sides
 
     def _cap(self, file: StepFile, k: int, stretch: _Stretch, end: int, outwards: bool) -> int:
-        """
-        Add the end face of a beam section at place `k` to the file, facing outwards or not; return its entity number.
-        """
+        """Add the end face of a beam section at place `k` to the file, facing outwards or not. Return its number."""
         rings = self.caps[k]
         normal = polygon_normal(rings[:, -1])
         away = (rings - self.middle[k]) @ normal
@@ -126,7 +124,9 @@ class FieldBeam:
 
 class _Stretch:
     """
-    Section of a beam between two rims, (n, 3), mm, each, one of which may be a point; its side is a ruled surface.
+    Section of a beam between two rims, (n, 3), mm, each, one of which may be a point.
+
+    Its side is a ruled surface.
     """
 
     def __init__(self, file: StepFile, rims: tuple[Array, Array], smooth: bool) -> None:
@@ -252,18 +252,14 @@ class BeamFinder:
         return FieldBeam(field_deg, *_with_foci(places, points[:, 0], caps), smooth, error)
 
     def _at_rim(self, outermost: _Rim, bundle: PointBundle, turns: Array, between: Array) -> tuple[Array, Array]:
-        """
-        Return points, mm, of the middle ray with the rim rays at `turns`, (p, 1 + n, 3), and of rim rays at `between`.
-        """
+        """Return points, mm, of middle ray and rim rays at `turns`, (p, 1 + n, 3), and of rim rays at `between`."""
         others = outermost.at(between)
         rim = outermost.at(turns)
         points = self._follow(bundle, np.concatenate([rim.mean(axis=0)[None], rim, others]))
         return points[:, : len(rim) + 1], points[:, len(rim) + 1 :]
 
     def _follow(self, bundle: PointBundle, x: Array) -> Array:
-        """
-        Return the points of rays at the start and at all surfaces, (p, n, 3), mm, from entrance coordinates (n, 2).
-        """
+        """Return points of rays at the start and at all surfaces, (p, n, 3), mm, from entrance coordinates (n, 2)."""
         o, d = bundle.rays(x)
         points = [o]
         for step in self.path.steps:
@@ -288,9 +284,7 @@ class BeamFinder:
 
 
 def _off(rim: Array, between: Array) -> float:
-    """
-    Return the largest distance, mm, between the smooth rim curve through (n, 3) points and the rays half-way between.
-    """
+    """Return the largest distance, mm, between the rim curve through (n, 3) points and the rays half-way between."""
     poles, knots = _round(rim, True)
     half = (np.arange(len(rim)) + 0.5) / len(rim)
     return float(np.linalg.norm(BSpline(knots, poles, 3)(half) - between, axis=1).max())

@@ -343,7 +343,9 @@ def _closed(rings: Sequence[Ring]) -> tuple[list[list[Profile]], list[Ring]]:
 
 def _components(numbers: npt.NDArray[np.int_]) -> Iterator[list[int]]:
     """
-    Yield groups of profiles connected at their ends, as lists of indices; `numbers` holds the ends' point numbers.
+    Yield groups of profiles connected at their ends, as lists of indices.
+
+    `numbers` holds the ends' point numbers.
     """
     left = set(range(len(numbers)))
     while left:

@@ -84,9 +84,7 @@ class Turner:
         return file.face(profile.name, surface, along, [file.loop([edge for edge in loop if edge[0]])])
 
     def _surface(self, profile: Profile) -> tuple[int, int, bool]:
-        """
-        Add surface and curve of a profile; return their entity numbers, and whether the surface normal leaves the body.
-        """
+        """Add surface and curve of a profile; return their numbers, and whether the normal leaves the body."""
         file, (r0, z0), (r1, z1) = self.file, profile.start, profile.end
         if profile.kind == "line":
             curve = file.line(self.place(profile.start), self.place(profile.end))
@@ -298,9 +296,7 @@ class Patch:
         )
 
     def _loop(self, file: StepFile, figure: OutlineFigure, outer: bool) -> int:
-        """
-        Add the border of a figure, counter-clockwise about the normal if it is the outer one; return its entity number.
-        """
+        """Add the border of a figure, counter-clockwise about the normal if it is outermost; return its number."""
         pieces: list[Callable[[Array], Array]] = []
         if figure.kind in ("circle", "ellipse"):
             pieces.append(partial(round_border, figure))

@@ -63,9 +63,7 @@ class StepExport(Result):
     notes: tuple[str, ...]
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """
-        Return the file name, the number of products of each kind, and the largest error of surfaces (mm), by label.
-        """
+        """Return the file name, numbers of products by kind, and the largest error of surfaces (mm), by label."""
         counts = {name: len(getattr(self, name)) for name in ("solids", "sheets", "beams", "paths")}
         return {"file": self.path.name, **counts, "error [mm]": self.error_mm}
 

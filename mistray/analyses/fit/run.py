@@ -157,9 +157,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def standard_error(self) -> np.ndarray:
-        """
-        Standard errors, (k,), in the parameters' units, without regard to bounds; infinite at 0 if `power` exceeds 1.
-        """
+        """Standard errors, (k,), in the parameters' units, bounds ignored; infinite at 0 if `power` exceeds 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.sqrt(np.diag(self.covariance)) / _stretch(self.value, self.power))
 

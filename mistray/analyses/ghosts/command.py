@@ -225,7 +225,9 @@ def _write_unfinished(error: UnfinishedError, shown: GhostTables, options: Optio
 
 def _write_tables(report: Any, shown: GhostTables, options: Options) -> list[Path]:
     """
-    Write the finished tables and return their paths; irradiance maps are left out, as they take as long as a trace.
+    Write the finished tables and return their paths.
+
+    Irradiance maps are left out, as they take as long as a trace.
     """
     from mistray.analyses.ghosts.result import GhostReport
     from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables

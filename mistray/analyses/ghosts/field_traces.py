@@ -136,9 +136,7 @@ class FieldTraces:
 
 
 def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> PolarizationChoice:
-    """
-    Return the polarisation mode for the traces of several fields, one for all; see `mistray.trace.polarization_choice`.
-    """
+    """Return one polarisation mode for the traces of several fields, see `mistray.trace.polarization_choice`."""
     given = arguments.get("polarization")
     if isinstance(given, PolarizationChoice):
         return given

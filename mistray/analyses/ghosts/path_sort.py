@@ -49,9 +49,7 @@ class SortedPath:
 
     @property
     def intercepts(self) -> str:
-        """
-        Return the types of a path's events with their counts, in order of first occurrence: "(4 SpecTran)(2 SpecRefl)".
-        """
+        """Return the types of a path's events with counts, in order of first occurrence: "(4 SpecTran)(2 SpecRefl)"."""
         counts = Counter(kind for kind, _, _ in self.events if kind not in ENDS)
         return "".join(f"({count} {kind})" for kind, count in counts.items()) or "(none)"
 

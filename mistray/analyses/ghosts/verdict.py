@@ -197,9 +197,7 @@ def _design_events(report: GhostReport) -> set[str]:
 
 
 def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.DataFrame:
-    """
-    Return a row per interaction of a stray path with a surface: surface, deed (reflects, …), row of its path, power_W.
-    """
+    """Return a row per event of a stray path at a surface: surface, deed (reflects, …), row of its path, power_W."""
     found = []
     for number, (text, power) in enumerate(zip(way_text(rows.events), rows.power_W, strict=True)):
         for word in event_words(text):

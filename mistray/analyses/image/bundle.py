@@ -52,17 +52,13 @@ class PointBundle:
         return self.origin + x[:, :1] * self.u + x[:, 1:] * self.v, np.tile(self.axis, (len(x), 1))
 
     def density(self, x: Array) -> Array:
-        """
-        Return the relative flux per area of the ray coordinates (n, 2), (n,), for a uniform beam or an isotropic point.
-        """
+        """Return relative flux per area of the ray coordinates (n, 2), (n,), for a uniform beam or isotropic point."""
         if not self.near:
             return np.ones(len(x))
         return np.asarray((1 + (x**2).sum(axis=1)) ** -1.5)
 
     def shifted(self, shift: Array) -> PointBundle:
-        """
-        Return the rays of a neighbouring object point: shifted by (3,), mm, if near, else turned by (3,) tangents.
-        """
+        """Return rays of a neighbouring object point: shifted by (3,), mm, if near, else turned by (3,) tangents."""
         if self.near:
             return replace(self, origin=self.origin + shift)
         axis = self.axis + shift

@@ -104,9 +104,7 @@ def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False)
 
 def stop_crossing(path: DesignPath, o: Array, d: Array, place: int, at_surface: bool, centre: Array,
                   normal: Array) -> Array:  # fmt: skip
-    """
-    Return the points, (n, 3), mm, where rays cross the stop's plane before step `place`, or meet that step's surface.
-    """
+    """Return the points, (n, 3), mm, where rays cross the stop's plane before step `place`, or meet its surface."""
     for step in path.steps[:place]:
         p, along = path.meet(step, o, d)
         o, d = p, path.leave(step, d, along)

@@ -41,9 +41,7 @@ def frequencies_of(found: ImageQuality, shown: ImageTables) -> Sequence[float]:
 
 
 def quality_table(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> Table:
-    """
-    Return the table of main results, a row per field: spot, wavefront, Strehl ratio, MTF, illumination, distortion.
-    """
+    """Return the table of main results by field: spot, wavefront, Strehl ratio, MTF, illumination, distortion."""
     frequencies = frequencies_of(found, shown)
     heads = columns(
         "<field", "image x, y [mm]", "rms spot [µm]", "rms OPD [waves]", "Strehl",

@@ -258,9 +258,7 @@ def _shares(
     moved = np.random.default_rng(0).random((len(x), 2))
 
     def look(cells: npt.NDArray[np.intp], count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """
-        Return offsets of test rays from the cells' centres, (m, count, 2), and a mask of rays that pass, (m, count).
-        """
+        """Return offsets of test rays from cell centres, (m, count, 2), and a mask of rays that pass, (m, count)."""
         at = step * ((_net(count) + moved[cells, None]) % 1 - 0.5)
         moves = np.swapaxes(np.linalg.solve(slopes[cells], np.swapaxes(at, 1, 2)), 1, 2)
         rays = bundle.rays((x[cells, None] + moves).reshape(-1, 2))

@@ -40,9 +40,7 @@ Progress = Callable[[float, float], None]
 
 @dataclass(frozen=True)
 class _System:
-    """
-    Scene prepared for image quality: design path at each wavelength, aperture stop, and on-axis exit pupil, (3,), mm.
-    """
+    """Scene prepared for image quality: design path at each wavelength, aperture stop, on-axis exit pupil, (3,), mm."""
 
     scene: Any
     paths: list[DesignPath]

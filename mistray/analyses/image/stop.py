@@ -71,9 +71,7 @@ def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Regio
 
 
 def _cells(middle: Array, half: float, count: int) -> tuple[Array, float]:
-    """
-    Return the centres of count × count cells of a square with half side `half`, (count², 2), and the side of a cell.
-    """
+    """Return centres of count × count cells of a square with half side `half`, (count², 2), and the side of a cell."""
     axis = half * ((2 * np.arange(count) + 1) / count - 1)
     return middle + np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2), 2 * half / count
 

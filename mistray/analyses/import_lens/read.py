@@ -200,7 +200,9 @@ def _lit(prescription: Prescription, request: LensRequest) -> Prescription:
 
 def _record(built: Built) -> dict[str, Any]:
     """
-    Return first-order data and notes of a sequential lens as values for JSON, lengths in mm; infinite ones are null.
+    Return first-order data and notes of a sequential lens as values for JSON, lengths in mm.
+
+    Infinite ones are null.
     """
     lens, data = built.lens, built.first_order
     return {

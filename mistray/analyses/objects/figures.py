@@ -115,9 +115,7 @@ def _names(
 
 
 def spread(wanted: Sequence[float], low: float, high: float, most: int) -> list[float]:
-    """
-    Return label positions close to the ascending `wanted` ones, within limits and at least 1/`most` of the range apart.
-    """
+    """Return label positions close to the ascending `wanted` ones, at least 1/`most` of the range apart."""
     apart = (high - low) / most
     places: list[float] = []
     for place in wanted:

@@ -251,7 +251,9 @@ class Places:
 
     def _limit(self, ends: _FanEnds, ray: int) -> ApertureStop | None:
         """
-        Return the stop that blocks ray number `ray`, the first outside the beam; None if it just misses the detector.
+        Return the stop that blocks ray number `ray`, the first outside the beam.
+
+        The result is None if it just misses the detector.
         """
         assert self.path is not None
         gap, surface = int(ends.reached[ray]), int(ends.surface[ray])

@@ -70,9 +70,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
     unpolarized: list[Note]
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """
-        Return the numbers of critical, illuminated and common objects, and the name of the aperture stop, by label.
-        """
+        """Return numbers of critical, illuminated and common objects, and the name of the aperture stop, by label."""
         counts = {name: len(getattr(self, name)) for name in ("critical", "illuminated", "common")}
         return {**counts, "stop": self.stop or "not found"}
 
@@ -83,9 +81,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @functools.cached_property
     def illuminated(self) -> list[SceneObject]:
-        """
-        Illuminated objects: surfaces that light from outside reaches, without the optics, by mean over source angles.
-        """
+        """Illuminated objects, without optics: surfaces that light from outside reaches, by mean over source angles."""
         return self._strongest(1)
 
     def _strongest(self, which: int) -> list[SceneObject]:

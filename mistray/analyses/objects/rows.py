@@ -28,9 +28,7 @@ class _Placed:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneObject(_Placed):
-    """
-    Surface or one side of it, with the rays and flux (W per W launched) that reach it from the detector or outside.
-    """
+    """Surface or one side of it, with the rays and flux (W per W launched) that reach it from detector or outside."""
 
     rays: int = column("Rays that meet it")
     power: float = column("Their flux, W for each W that starts", head=f"power [{POWER_UNIT}]")
@@ -108,9 +106,7 @@ class StraightShot:
 
 @dataclass(frozen=True, kw_only=True)
 class ScatterEstimate:
-    """
-    Estimated flux, W, that an object scatters to the detector: Φ · BSDF · π · GCF, the geometric configuration factor.
-    """
+    """Flux, W, that an object scatters to the detector: Φ · BSDF · π · GCF, the geometric configuration factor."""
 
     angle_deg: float = column(
         "Angle of the source, degrees; NaN for the mean over a cone or a disc", head="angle [deg]", digits="g"

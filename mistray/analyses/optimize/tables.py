@@ -199,7 +199,9 @@ def step_text(step: Step, start: Start) -> str:
 
 def edge_lines(result: Optimization) -> list[str]:
     """
-    Return a line on the widths of smoothing zones at rims, as fractions of their radii; empty if light met no rim.
+    Return a line on the widths of smoothing zones at rims, as fractions of their radii.
+
+    The result is empty if light met no rim.
     """
     if not result.edge_widths:
         return []

@@ -267,7 +267,9 @@ class BackwardRun:
 
     def _worst(self, up_to_deg: float | None) -> float:
         """
-        Return the largest relative standard error of lit cells up to a field angle, degrees; infinite if none is lit.
+        Return the largest relative standard error of lit cells up to a field angle, degrees.
+
+        The result is infinite if none is lit.
         """
         value, se = (part[cells_up_to(self._trace.grid, up_to_deg)] for part in self._pst().map())
         lit = value > 0

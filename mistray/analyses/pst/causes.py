@@ -52,9 +52,7 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
 
 
 def _summed(rows: pd.DataFrame, by: str, columns: Iterable[str] = ("pst", "pst_se")) -> pd.DataFrame:
-    """
-    Return rows merged by column `by`, strongest first: the columns in `SUMS` are added, others are of the first row.
-    """
+    """Return rows merged by column `by`, strongest first: columns in `SUMS` are added, others from the first row."""
     how = {name: "sum" if name in SUMS else "first" for name in columns}
     rows = rows.assign(pst_se=rows.pst_se**2).groupby(by, sort=False, as_index=False).agg(how)
     rows["pst_se"] = np.sqrt(rows.pst_se)

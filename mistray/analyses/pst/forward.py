@@ -167,9 +167,7 @@ class CellRounds:
         return self.trace.kernel_arrays()
 
     def trace_cells(self, cells: Sequence[int]) -> None:
-        """
-        Trace the cells with these indices until each has the requested error or all of its rays, or the time is up.
-        """
+        """Trace the cells with these indices until each has the requested error or all its rays, or the time is up."""
         light = self.light
         going = np.isin(np.arange(len(self._open)), cells)
         goal, number = np.where(going, self._first, light.rays), 0

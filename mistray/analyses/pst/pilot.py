@@ -293,9 +293,7 @@ class Pilot:
         return _rounded(np.stack([inverse_upper, np.where(squares > 0, np.maximum(most, inverse_upper), 0)]))
 
     def _note_path_classes(self, samples: Samples) -> None:
-        """
-        Store this round's samples for the MIS weights of path classes; only the last `REMEMBERED` rounds are kept.
-        """
+        """Store this round's samples for the MIS weights of path classes; the last `REMEMBERED` rounds are kept."""
         cell, kind, mis = samples.cell, samples.kind, np.clip(samples.forward, SMALLEST_MIS, 1 - SMALLEST_MIS)
         # Density ratio of forward to backward rays, if each cell had as many forward as there are backward rays
         forward = self._sharing.rays[cell]

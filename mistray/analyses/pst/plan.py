@@ -61,9 +61,7 @@ class Plan:
         return int(np.ceil(np.max(self.variance[counts] / requested)))
 
     def beside(self, needed: int, rays: int) -> Plan:
-        """
-        Return a plan for `rays` backward rays whose forward rays are no more than `needed` backward rays call for.
-        """
+        """Return a plan for `rays` backward rays whose forward rays are no more than `needed` backward rays need."""
         sharing = self.sharing
         return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
 

@@ -75,9 +75,7 @@ def largest_share(pst: Pst) -> np.ndarray:
 
 
 def path_frame(pst: Pst) -> pd.DataFrame:
-    """
-    Return a DataFrame of all paths of all cells: angle_deg, azimuth_deg, rank (1: strongest), then as in `Pst.paths`.
-    """
+    """Return a DataFrame of the paths of cells: angle_deg, azimuth_deg, rank (1: strongest), then as in `Pst.paths`."""
     parts = []
     for angle in pst.field_deg:
         for azimuth in pst.grid.azimuths_deg:

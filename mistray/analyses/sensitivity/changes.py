@@ -72,7 +72,9 @@ class Ranges:
     @property
     def gain(self) -> np.ndarray:
         """
-        Change of ln(metric) when each parameter is at its better bound, ≤ 0, (n,); 0 if the slope is not significant.
+        Change of ln(metric) when each parameter is at its better bound, ≤ 0, (n,).
+
+        The value is 0 if the slope is not significant.
         """
         room = np.where(self.slope > 0, self.value - self.low, self.high - self.value)
         known = np.abs(self.slope) > SIGNIFICANT * self.slope_se

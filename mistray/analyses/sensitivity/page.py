@@ -134,9 +134,7 @@ def spread_lines(result: Sensitivity) -> list[str]:
 
 
 def draws_lines(draws: Draws) -> list[str]:
-    """
-    Return lines of text on the Monte Carlo of perturbed systems: spread of ln(metric), %, and metric over nominal.
-    """
+    """Return lines of text on a Monte Carlo of perturbed systems: spread of ln(metric), %, and metric over nominal."""
     percentiles = ", ".join(f"{p:g} %: {with_error(draws.percentile(p))}" for p in PERCENTILES)
     return [
         f"{len(draws.ratios)} perturbed systems: standard deviation of ln(metric) "

@@ -110,9 +110,7 @@ class Sensitivity(Result, table=".page:ranking_table", figure=".figures:ranking_
     facts: dict[str, Any] = field(default_factory=dict)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """
-        Return the metric's value, the number of parameters, and the metric's spread by all tolerances in %, by label.
-        """
+        """Return the metric, the number of parameters, and the metric's spread by all tolerances in %, by label."""
         unit = f" [{self.unit}]" if self.unit else ""
         spread = self.spread.deviation.times(100)
         return {f"{self.name}{unit}": self.value, "parameters": len(self.rows), "spread [%]": spread}

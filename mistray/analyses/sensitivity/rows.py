@@ -141,9 +141,7 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
 
 
 def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
-    """
-    Return the table line that covers each position parameter of mechanical parts, such as a displaced body, by key.
-    """
+    """Return the table line that covers each position parameter of mechanical parts, by parameter key."""
     rigid = structure(scene)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     optics = {getattr(shape, "part", None) for shape in shapes.values() if shape.id() not in rigid}

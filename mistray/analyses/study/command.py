@@ -81,9 +81,7 @@ def run(options: Options) -> int:
 
 @contextlib.contextmanager
 def bar(options: Options) -> Iterator[Callable[[int, str, float], None] | None]:
-    """
-    Show a progress bar of the study's steps on a terminal; yield the callback that moves it, or None without a bar.
-    """
+    """Show a progress bar of the study's steps on a terminal; yield the callback that moves it, or None."""
     with options.bar("{desc}: {percentage:3.0f}% |{bar}| {elapsed}", what="study") as shown:
 
         def draw(step: int, what: str, share: float) -> None:

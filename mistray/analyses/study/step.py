@@ -31,7 +31,9 @@ def count_of(number: int, what: str) -> str:
 
 def gathered(column: str, tables: Iterable[tuple[float, pd.DataFrame]]) -> pd.DataFrame:
     """
-    Return tables by angle, degrees, joined into one with the angle as first column `column`; empty ones are left out.
+    Return tables by angle, degrees, joined into one with the angle as first column `column`.
+
+    Empty ones are left out.
     """
     parts = [table.assign(**{column: float(angle)})[[column, *table]] for angle, table in tables]
     return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)

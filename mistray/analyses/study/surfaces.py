@@ -23,8 +23,7 @@ FAR_SIZES = 1e3  # distance of a target, in units of the system's size, from whi
 
 def coatings_and_scatter(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
     """
-    Return step 6: reflectance, transmittance, absorptance, scatter models and total integrated scatter (TIS) of every
-    surface, at normal incidence.
+    Return step 6: R, T, absorptance, scatter models and total integrated scatter of surfaces at normal incidence.
 
     The tables are those of `surface_optics`.
     """
@@ -180,9 +179,7 @@ def _sampling_facts(check: SamplingCheck, probe: Trace) -> tuple[Fact, ...]:
 
 
 def _aimed(check: SamplingCheck) -> pd.DataFrame:
-    """
-    Return the number of aimed rays by surface and the percentage that arrives, as DataFrame, largest number first.
-    """
+    """Return the number of aimed rays by surface and the percentage that arrives, as DataFrame, by number."""
     rows = [(row.surface, row.aimed, 100 * row.share_landed, row.low) for row in check.rows]
     frame = pd.DataFrame(rows, columns=["surface", "aimed", "landed_percent", "low"])
     return frame.sort_values("aimed", ascending=False, kind="stable", ignore_index=True)

@@ -86,9 +86,7 @@ def edit_ranking_figure(found: EditRanking, title: str = "") -> Figure:
 
 
 def _scale_ratios(axes: Axes, ratios: Sequence[float]) -> None:
-    """
-    Make the axis of ratios logarithmic if they span a decade; otherwise widen it about 1, so that noise stays small.
-    """
+    """Make the axis of ratios logarithmic if they span a decade, else widen it about 1, so that noise stays small."""
     low, high = min(ratios), max(ratios)
     if low > 0 and high / low > DECADE:
         axes.set_yscale("log")

@@ -57,9 +57,7 @@ class Original:
 
 
 def move(scene: mi.Scene, one: Configuration) -> Resolved:
-    """
-    Set the values of a configuration in a loaded scene, check for overlaps, and return it resolved to parameter keys.
-    """
+    """Set the values of a configuration in a loaded scene, check for overlaps, return it resolved to parameter keys."""
     params = mi.traverse(scene)
     (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
     assign(params, resolved.values)

@@ -97,9 +97,7 @@ class PstSweep(Result, table=".edit_tables:pst_sweep_table", figure=".edit_figur
         self.field_deg = next(iter(found.values())).field_deg
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """
-        Return the number of angles, and each configuration's ratio of stray PST after over before at the last one.
-        """
+        """Return the number of angles, and for each configuration the stray PST at the last one, after over before."""
         found: dict[str, KeyNumber] = {"angles": len(self.field_deg)}
         for name in self.configurations[1:]:
             change = self.changed(name, float(self.field_deg[-1]))

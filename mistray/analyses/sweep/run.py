@@ -226,7 +226,9 @@ def _angles(
 
 def _part(progress: Progress | None, done: int, rows: int) -> Callable[[int, int], None] | None:
     """
-    Return a progress callback for one trace, which reports it as part of the whole sweep; None without `progress`.
+    Return a progress callback for one trace, which reports it as part of the whole sweep.
+
+    The result is None without `progress`.
     """
     if progress is None:
         return None

@@ -172,9 +172,7 @@ def traced_wavelengths(
 
 
 def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
-    """
-    Return wavelengths, µm, within a band at which material and coating data are tabulated, and those of an even grid.
-    """
+    """Return wavelengths, µm, within a band at which material and coating data are tabulated, and an even grid."""
     found = [np.linspace(*band_um, EVEN_NODES)]
     for bsdf in bsdfs:
         if not bsdf.opaque or isinstance(bsdf.coating, Stack):

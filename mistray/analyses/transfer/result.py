@@ -134,9 +134,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return AZIMUTHS.index(azimuth)
 
     def _waves(self, kind: int, azimuth: str, line: float | None = None) -> _Complex:
-        """
-        Return the Fourier sums of a light class about the origin, W, (m,), complex with batch deviations for errors.
-        """
+        """Return Fourier sums of a light class about the origin, W, (m,), complex with batch deviations for errors."""
         n, m = self._number(azimuth), len(self.frequencies_per_mm)
         part = slice(n * m, (n + 1) * m)
         real, imaginary = (found[part] for found in self.spread.waves(kind, line))

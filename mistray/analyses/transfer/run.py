@@ -223,9 +223,7 @@ def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: fl
 def _frequencies(
     quality: ImageQuality, extent: tuple[float, float, float, float], given: Sequence[float] | None
 ) -> np.ndarray:
-    """
-    Return the spatial frequencies of the transfer functions, 1/mm: the given ones, or a default set up to the cut-off.
-    """
+    """Return the spatial frequencies of the transfer functions, 1/mm: those given, or a set up to the cut-off."""
     if given is not None:
         return np.array(given)
     cut = max(image.cut_off_per_mm(azimuth) for image in quality for azimuth in AZIMUTHS)

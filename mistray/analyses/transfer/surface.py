@@ -231,13 +231,9 @@ class _Rings:
         return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))
 
     def beside(self, specular: float, highest: float, lag: Array) -> Array:
-        """
-        Return the transform, at lags in µm, of a specular share plus the rings, whose highest frequency is in 1/µm.
-        """
+        """Return the transform at lags, µm, of a specular share and the rings, whose highest frequency is in 1/µm."""
         return specular + (1 - specular) * self.transform(highest * np.asarray(lag))
 
     def of_phase(self, variance: float, highest: float, lag: Array) -> Array:
-        """
-        Return the transfer function at lags, µm, of a random phase with this variance (rad²) and the rings as spectrum.
-        """
+        """Return the transfer function at lags, µm, of a random phase with a variance, rad², and spectrum `rings`."""
         return formulas.surface_transfer(self.transform(highest * np.asarray(lag)), variance)

@@ -193,9 +193,7 @@ class MarginalRays:
         return lit
 
     def _after(self, rays: MarginalBundle, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return unit directions of rays behind the surface where they are, (n, 3), and a mask of those that end there.
-        """
+        """Return unit directions of rays behind the surface where they are, (n, 3), and a mask of rays that end."""
         after, _ = onward(self.table, rays.last, rays.d, normal)
         detects = (self.table.optics.host_words[rays.last] & DETECTOR) != 0
         return after, detects | ~np.isfinite(after[:, 0])

@@ -100,9 +100,7 @@ class BatoidLight:
         return np.array(points), arrives, interfaces, np.array(free)
 
     def beam_radius(self, interface: Any) -> float:
-        """
-        Return the largest distance of rays from the middle of an interface, m, at all passes, with the margin `MARGIN`.
-        """
+        """Return the largest distance, m, of rays from the middle of an interface, all passes, with margin `MARGIN`."""
         return (1 + MARGIN) * self.beam_ring(interface)[1]
 
     def beam_ring(self, interface: Any) -> tuple[float, float]:
@@ -126,9 +124,7 @@ class BatoidLight:
         return -1 if float(np.nanmean(before)) > 0 else 1
 
     def shaded(self, interface: Any, rings: Rings) -> float:
-        """
-        Return the fraction of unblocked rays that centred rings (radii in m) cover when they first meet an interface.
-        """
+        """Return the fraction of unblocked rays that centred rings (radii, m) cover at an interface's first pass."""
         number = self._turn(interface)
         at = _local(interface, self._points[number][self._free[number]])
         radius = np.hypot(at[:, 0], at[:, 1])

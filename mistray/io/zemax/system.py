@@ -256,9 +256,7 @@ def _nm(line: ZemaxLine, um: float) -> float:
 
 
 def _field_angles(head: ZemaxLine, azimuth: float, elevation: float) -> tuple[float, float]:
-    """
-    Return field angles in x and y, degrees, whose tangents are those of the direction, from theodolite angles, degrees.
-    """
+    """Return field angles in x and y, degrees, whose tangents give the direction, from theodolite angles, degrees."""
     if max(abs(azimuth), abs(elevation)) >= 90:
         raise head.error(f"field of theodolite angles {azimuth:g}, {elevation:g} degrees; both must be within ±90")
     cosine = math.cos(math.radians(azimuth))

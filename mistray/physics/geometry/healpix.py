@@ -64,9 +64,7 @@ def _nested(
     lines: tuple[np.ndarray, np.ndarray],
     cap: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """
-    Return pixel numbers in the nested scheme, in the shape of `z`, from the pixels' rows in both diagonal directions.
-    """
+    """Return pixel numbers in the nested scheme, in the shape of `z`, from rows of pixels in both diagonals."""
     (rising, falling), (quarter, up, down) = lines, cap
     first, second = rising // side, falling // side
     face = np.where(first == second, first % 4 + 4, np.where(first < second, first % 4, second % 4 + 8))

@@ -73,7 +73,9 @@ def length_power(name: str) -> int | None:
 
 def _numbered(name: str) -> tuple[str, int, int | None] | None:
     """
-    Return the family and the one or two orders in a coefficient's name, such as ("xy", 2, 1); None for other names.
+    Return the family and the one or two orders in a coefficient's name, such as ("xy", 2, 1).
+
+    The result is None for other names.
     """
     match = _NUMBERED.fullmatch(name)
     if match is None:

@@ -62,10 +62,10 @@ def seen_zones(tube: BaffleTube) -> tuple[Zone, ...]:
 
 def first_order_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
     """
-    Return zones of the wall, (first z, last z) in mm, that are both lit and seen, so that light reaches the optic by
-    one scatter.
+    Return zones of the wall, (first z, last z) in mm, that are both lit and seen.
 
-    Parameters are those of `lit_zones`. A tube made by `vane_tube` has no such zones beyond its own exclusion angle.
+    From there light reaches the optic by one scatter. Parameters are those of `lit_zones`. A tube made by `vane_tube`
+    has no such zones beyond its own exclusion angle.
     """
     both = [(max(a[0], b[0]), min(a[1], b[1])) for a in lit_zones(tube, exclusion_deg) for b in seen_zones(tube)]
     return tuple(zone for zone in both if zone[0] < zone[1])

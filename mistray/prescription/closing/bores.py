@@ -57,7 +57,9 @@ class _Body:
 
     def reached(self, shape: Surface | Structure, z: float) -> float:
         """
-        Return the largest radius, mm, at which a shape with its vertex at z, mm, lies in the glass; 0 if it does not.
+        Return the largest radius, mm, at which a shape with its vertex at z, mm, lies in the glass.
+
+        The result is 0 if it does not.
         """
         r, heights = _profile(shape)
         own = np.minimum(r, self.radius)
@@ -154,9 +156,7 @@ class _Standing:
         self.low, self.high = heights.min(axis=1, initial=np.inf), heights.max(axis=1, initial=-np.inf)
 
     def inside(self, body: _Body) -> dict[str, float]:
-        """
-        Return the shapes on a body's axis that lie in its glass, by name, with the largest radius at which they do, mm.
-        """
+        """Return the shapes on a body's axis that lie in its glass, by name, with the largest radius there, mm."""
         frame = body.lower.to_world()
         low, high = body.extent
         z = (self.frames[:, :3, 3] - frame[:3, 3]) @ frame[:3, 2]
@@ -171,9 +171,7 @@ class _Standing:
 
 
 def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, str]]:
-    """
-    Return the parts of the beam that cross a lens body out of sequence: radius (mm), target row, share of the light.
-    """
+    """Return the parts of the beam that cross a lens body out of sequence: radius (mm), target row, light share."""
     if not any(row.mirror for row in table.lens.rows):
         return []
     frame = body.lower.to_world()

@@ -68,7 +68,9 @@ def cut_holes(table: OpticalSurfaces) -> None:
 
 def beam_shares(table: OpticalSurfaces) -> np.ndarray:
     """
-    Return the fraction of the light at the image that each ray of the beam carries, (n,); 0 for rays that miss it.
+    Return the fraction of the light at the image that each ray of the beam carries, (n,).
+
+    The result is 0 for rays that miss it.
     """
     weights = np.where(np.isfinite(table.beam[-1, :, 0]), table.rays.weights, 0.0)
     return np.asarray(weights / (weights.sum() or 1.0))

@@ -290,9 +290,7 @@ class OpticalSurfaces:
         return list(pairwise([0, *(k + 1 for k in met)]))
 
     def _stopped(self, beam: np.ndarray) -> np.ndarray:
-        """
-        Return beam positions, mm, with NaN after a stated aperture blocks a ray; unchanged if all would be blocked.
-        """
+        """Return beam positions, mm, with NaN after a stated aperture blocks a ray; unchanged if all are blocked."""
         result = beam.copy()
         for k, (row, frame) in enumerate(zip(self.lens.rows, self.frames, strict=True)):
             if row.kind != "coordinate_break":

@@ -153,9 +153,7 @@ def build(
 def _structured(
     table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, float] | None
 ) -> Built:
-    """
-    Complete the surfaces by mechanical parts, source and detector (optional half sizes, mm); return the closed system.
-    """
+    """Add mechanical parts, source and detector (optional half sizes, mm) to surfaces; return the closed system."""
     lens, surfaces = table.lens, table.surfaces
     detector = _detector(table, detector_half)
     items: list[Item] = []
@@ -221,9 +219,7 @@ def _stop(table: OpticalSurfaces, k: int) -> StopPlane:
 
 
 def _plates(table: OpticalSurfaces, k: int, widest: float) -> list[Surface | Structure]:
-    """
-    Return opaque faces for the stated apertures of row `k` outside its surface's clip, up to the radius `widest`, mm.
-    """
+    """Return opaque faces for stated apertures of row `k` outside its surface's clip, up to the radius `widest`, mm."""
     row = table.lens.rows[k]
     if row.kind == "coordinate_break":
         return []

@@ -333,11 +333,10 @@ def _aimed_at_stop(
     lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float], target: Array, start: Array
 ) -> tuple[Array, bool]:
     """
-    Return points in the entrance pupil, (n, 2), mm, whose rays meet the stop at `target`, (n, 2), mm, by Newton's
-    method.
+    Return points in the entrance pupil, mm, whose rays meet the stop at `target`, (n, 2), mm, by Newton's method.
 
-    The iteration begins at `start`, (n, 2), mm. Returns the points and whether all converged. If not, points hold their
-    last iterate, NaN where the ray does not reach the stop.
+    The iteration begins at `start`, (n, 2), mm. Returns the points, (n, 2), and whether all converged. If not, points
+    hold their last iterate, NaN where the ray does not reach the stop.
     """
     stop, unit = stop_place(lens), data.epd / 2
     ahead = lens.with_rows([*lens.rows[: stop + 1], Row(0, kind="image")])  # what lies behind the stop aims no ray

@@ -67,9 +67,7 @@ class DesignStep:
 
 @dataclass(frozen=True)
 class _Hits:
-    """
-    Hits of probe rays at one step: ray numbers, surfaces, reflected or not, points (mm), unit normals, directions.
-    """
+    """Hits of probe rays at one step: ray numbers, surfaces, reflected or not, points (mm), normals, directions."""
 
     lane: np.ndarray
     surface: np.ndarray
@@ -172,9 +170,7 @@ class Probes:
 
 
 def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """
-    Return a mask of hits at beam splitters: coated surfaces with R and T of at least `SPLITS` at that angle, (n,).
-    """
+    """Return a mask of hits at beam splitters, (n,): coated surfaces with R and T at least `SPLITS` at that angle."""
     found = np.zeros(len(surface), dtype=bool)
     optics = table.optics
     along = np.einsum("ij,ij->i", d, normal)

@@ -1,6 +1,4 @@
-"""
-Plane waves from all cells of a grid of directions, on the device: start rays from places in a cell and the inverse.
-"""
+"""Plane waves from all cells of a grid of directions, on the device: start rays from places in a cell, and inverse."""
 
 from __future__ import annotations
 

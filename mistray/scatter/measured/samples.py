@@ -188,9 +188,7 @@ class BsdfSamples:
         return np.degrees(np.arctan2(np.hypot(x, y), z)), np.where(azimuth < 0, azimuth + 360, azimuth)
 
     def above(self, cosine_corrected: bool) -> np.ndarray:
-        """
-        Return a mask of grid directions above the horizon, (a, b, c); without cosine correction those on it count.
-        """
+        """Return a mask of grid directions above the horizon, (a, b, c); without cosine correction those on it, too."""
         return np.asarray(self.directions()[..., 2] > (HORIZON if cosine_corrected else -HORIZON))
 
     def bsdf(self, cosine_corrected: bool) -> np.ndarray:

@@ -184,9 +184,7 @@ class Tabulated(Placement):
 
     @cached_property
     def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Nodes of the radial profile, (k,) each: ln r, and ln f, f in 1/sr, as mean over azimuth, incidence and rotation.
-        """
+        """Nodes of the radial profile, (k,): ln r, and ln f, f in 1/sr, mean over azimuth, incidence and rotation."""
         used = self._above & (self._distances > SMALLEST_R) & (self._grid > 0)
         bins = np.floor(np.log2(np.maximum(self._distances, SMALLEST_R)) * BINS_PER_OCTAVE).astype(int)
         one_of_any = bins[np.any(used, axis=0)]
@@ -204,9 +202,7 @@ class Tabulated(Placement):
         return centres, np.mean(curves, axis=0)
 
     def _carrier(self, r: np.ndarray) -> np.ndarray:
-        """
-        Return the radial profile, 1/sr, at distances r: a power law between nodes, constant before and after them.
-        """
+        """Return the radial profile, 1/sr, at distances r: a power law between nodes, constant outside them."""
         log_r, log_f = self._nodes
         with np.errstate(divide="ignore"):
             return np.asarray(np.exp(np.interp(np.log(r), log_r, log_f)))
@@ -235,9 +231,7 @@ class Tabulated(Placement):
         return RatioTable(self._over_incidence(planes, INCIDENCE_NODES), self._r_min, axes, fixed=True)
 
     def _turned(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """
-        Return the ratio of an anisotropic table to the radial profile, in the frame where it varies less with rotation.
-        """
+        """Return the ratio of an anisotropic table to the radial profile, in the frame with less change by rotation."""
         second, angle = self._second_nodes(axes, TURNED_R_NODES), np.linspace(0, 2 * np.pi, TURNED_PSI_NODES)
         rotations = np.radians(self.samples.rotation_deg)
 
@@ -263,9 +257,7 @@ class Tabulated(Placement):
         return max(SMALLEST_R, 0.5 * float(np.min(self._distances[self._above & (self._distances > SMALLEST_R)])))
 
     def _second_nodes(self, axes: str, count: int) -> np.ndarray:
-        """
-        Return `count` nodes of r, spaced logarithmically up to 2, for axes "radial", else nodes of cos θs in 0 … 1.
-        """
+        """Return `count` nodes of r, logarithmic up to 2, for axes "radial", else nodes of cos θs in 0 … 1."""
         return np.geomspace(self._r_min, 2, count) if axes == "radial" else np.linspace(0, 1, COS_NODES)
 
     def _planes(

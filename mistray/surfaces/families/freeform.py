@@ -251,9 +251,7 @@ class Freeform(TracedSurface):
 
 
 def _least_half(figure: OutlineFigure) -> float:
-    """
-    Return half the smallest width of a figure, mm; of a polygon, a quarter of the shorter side of its bounding box.
-    """
+    """Return half the smallest width of a figure, mm; of a polygon, a quarter of the shorter side of its box."""
     if figure.kind == "polygon":
         return 0.25 * float(np.ptp(figure.corners, axis=0).min())
     return min(figure.sizes)

@@ -246,9 +246,7 @@ class LocalSag:
 
 
 def _probe(n: Mapping[str, Any], size: float) -> dict[str, Any]:
-    """
-    Return a sag's parameters, changed slightly so that none is 0 and no curvatures agree, to find its general form.
-    """
+    """Return a sag's parameters, changed slightly so that none is 0 and curvatures differ, to find its general form."""
     twofold = "curvature_x" in n or "toroid_curvature" in n
     found: dict[str, Any] = {}
     for k, (name, value) in enumerate(n.items()):

@@ -62,9 +62,7 @@ class ImplicitNumbers:
 
     @classmethod
     def of(cls, surface: ImplicitSurface) -> ImplicitNumbers:
-        """
-        Return the parameters of a surface as opaque Dr.Jit variables, so that kernels do not depend on their values.
-        """
+        """Return the parameters of a surface as opaque Dr.Jit variables, so that kernels do not hold their values."""
         more, (low, high) = surface.overlap, surface.z_range
         along = [more * surface.rim_stretch(surface.rim_point(rim)) for rim in (LOW, HIGH)]
         bounds = (

@@ -50,9 +50,7 @@ FORMATS = (".svg", ".pdf", ".eps", ".png")
 
 
 class Drawn(NamedTuple):
-    """
-    Path to draw: its rays (mm), colour and label, and the numbers of points where rays are reflected or scattered.
-    """
+    """Path to draw: its rays (mm), colour and label, and numbers of points where rays are reflected or scattered."""
 
     rays: list[Polyline]
     colour: str

@@ -74,8 +74,7 @@ class RayLine:
 
 def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None = None) -> list[PathRow]:
     """
-    Return the `count` strongest rows of the path table, or requested ones. These are given by id, or by a name or
-    filter that selects several.
+    Return the `count` strongest rows of the path table, or those requested by id, by name or by filter.
 
     A path at several wavelengths counts once, with its strongest row: the rays of the others would lie on its own.
 

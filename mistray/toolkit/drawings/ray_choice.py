@@ -15,9 +15,7 @@ BACKWARD = "backward"  # rays from the detector
 
 
 class ChosenRow(Demand):
-    """
-    Condition on a value that selects rows of the path table: a number for one, a name or a filter for all that fit.
-    """
+    """Condition on a value that selects rows of the path table: a number for one, a name or filter for all that fit."""
 
     demand = ROWS.demand
     metavar = "ID"

@@ -1,5 +1,5 @@
-"""Embedding of numbers and pictures in an HTML file: maps with 16 bits per pixel, small PNG files, and JSON for
-scripts.
+"""
+Embedding of numbers and pictures in an HTML file: maps with 16 bits per pixel, PNG files, and JSON for scripts.
 
 A power P in W is stored as the whole number c of steps of 1/600 decade above 1e-100 W, c = round(600 (100 + log10 P)).
 0 means no power. This covers 1e-100 … 1e9 W with an error of at most 0.2 %. Of all numbers of a page together the high

@@ -134,9 +134,7 @@ class Table(PagePart):
     kind: ClassVar[str] = "table"
 
     def rows_in_text(self, most: int | None = None) -> list[Sequence[Value]]:
-        """
-        Return the rows printed as text: at most `most`, or the table's own number, and one row that sums up the rest.
-        """
+        """Return the rows printed as text: at most `most`, or the table's own number, and one for the rest."""
         most = self.most if most is None else most
         rows = list(self.rows if most is None else self.rows[:most])
         return [*rows, self.rest] if len(self.rows) > len(rows) and self.rest else rows

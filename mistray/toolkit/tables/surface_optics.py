@@ -183,9 +183,7 @@ def model_words(item: Any) -> str:
 
 
 def _treatments(frame: pd.DataFrame) -> pd.DataFrame:
-    """
-    Return a DataFrame of groups of surfaces with equal coating, scatter, R, T and absorption, the largest group first.
-    """
+    """Return a DataFrame of groups of surfaces with equal coating, scatter, R, T and absorption, by size."""
     numbers = ["R_percent", "T_percent", *TIS, "A_percent"]
     keys = ["role", "side", "coating", "scatter", *numbers]
     rounded = frame.assign(**{name: frame[name].round(SAME_DIGITS) for name in numbers})

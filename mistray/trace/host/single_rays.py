@@ -237,9 +237,7 @@ class ChainTracer:
     def _child(
         self, it: Interaction, s: mi.UInt32, R: mi.Float, T: mi.Float, rng: np.random.Generator, n: int, active: mi.Bool
     ) -> tuple[mi.Bool, mi.Bool, mi.Float]:
-        """
-        Return masks of rays that are transmitted and that are reflected, and the fraction of the flux that each keeps.
-        """
+        """Return masks of transmitted rays and of reflected ones, and the fraction of the flux that each keeps."""
         opaque = (it.word & OPAQUE) != 0
         mirror = ((it.word & MIRROR) != 0) | dr.gather(mi.Bool, self.mirrors, s, active)
         total, by_mirror, other, onwards = (mi.Bool(letter in self.allowed) for letter in "IMRT")

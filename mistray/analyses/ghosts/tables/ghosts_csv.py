@@ -23,9 +23,7 @@ from mistray.trace import Trace
 
 
 def path_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """
-    Return a DataFrame of all paths of all fields, with the columns of `GhostReport.with_airy`, ``path_ids`` as text.
-    """
+    """Return a DataFrame of the paths of all fields, with columns of `GhostReport.with_airy`, ``path_ids`` as text."""
     return _of_fields(report, lambda field: report.with_airy(field, report.table(field, per_wavelength)))
 
 

@@ -72,8 +72,8 @@ def marked(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def of_fields(field_deg: Iterable[float], table_of: Callable[[float], Table]) -> Table:
-    """Return tables of several fields, made by `table_of`, as one table, with the field angle, degrees, in the first
-    column.
+    """
+    Return tables of several fields, made by `table_of`, as one with the field angle, degrees, first.
 
     Each keeps its row limit for text.
     """

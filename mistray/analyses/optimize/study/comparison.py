@@ -255,7 +255,9 @@ def try_terms(study: DesignStudy, scene: Any) -> None:
 
 def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
     """
-    Return the comparison of two steps of a search, from its own seed, before verification; standard errors are NaN.
+    Return the comparison of two steps of a search, from its own seed, before verification.
+
+    Standard errors are NaN.
     """
     rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:

@@ -219,7 +219,9 @@ class Merit:
 
     def _checked(self, every: Mapping[str, Any], x: np.ndarray) -> dict[str, float]:
         """
-        Return the values of the terms, in their units, at variables `x`; raise `MistrayError` if they give no merit.
+        Return the values of the terms, in their units, at variables `x`.
+
+        Raise `MistrayError` if they give no merit.
         """
         values = {t.name: float(dr.detach(mi.Float64(every[t.name]))[0]) for t in self.study.terms}
         check(self.study.terms, values, self.start or values, f"study '{self.study.name}'", self._point(x))

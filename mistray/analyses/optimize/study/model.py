@@ -259,7 +259,9 @@ class DesignStudy:
     @property
     def fingerprint(self) -> str:
         """
-        Return a hash of all settings that must agree to resume a search; name and length of the search may differ.
+        Return a hash of all settings that must agree to resume a search.
+
+        Name and length of the search may differ.
         """
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))

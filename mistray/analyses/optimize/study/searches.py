@@ -43,7 +43,9 @@ class Problem(Protocol):
 
     def pieces(self, at: Evaluation) -> Pieces | None:
         """
-        Return the smooth part and the penalties of the merit at an evaluation; None if the method needs only the merit.
+        Return the smooth part and the penalties of the merit at an evaluation.
+
+        The result is None if the method needs only the merit.
         """
 
     def broken(self, values: dict[str, float]) -> tuple[str, ...]:

@@ -132,9 +132,7 @@ class State:
 
     @property
     def edge_widths(self) -> dict[str, float]:
-        """
-        Return the width of the boundary zones at rims, relative to the rims' radii, by name of the differentiated term.
-        """
+        """Return the width of boundary zones at rims, relative to their radii, by name of the differentiated term."""
         found: dict[str, float] = {}
         for evaluations in self.evaluations:
             for evaluation in evaluations:

@@ -113,9 +113,7 @@ class Variable:
 
     @property
     def targets(self) -> tuple[VariablePlace | Motion, ...]:
-        """
-        Return everything that the variable changes: entries of parameters, then displacements and tilts of bodies.
-        """
+        """Return all that the variable changes: entries of parameters, then displacements and tilts of bodies."""
         return (*self.places, *self.motions)
 
     def value(self, y: float) -> float:
@@ -192,7 +190,9 @@ class Variables:
 
     def parameters(self, x: Sequence[float] | np.ndarray) -> dict[str, np.ndarray]:
         """
-        Return the values of the changed parameters, (entries,) float64, by key; other entries are as in the scene.
+        Return the values of the changed parameters, (entries,) float64, by key.
+
+        Other entries are as in the scene.
         """
         result = {key: value.copy() for key, value in self._given.items()}
         for variable, value in zip(self.variables, x, strict=True):

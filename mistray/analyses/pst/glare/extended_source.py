@@ -296,10 +296,10 @@ def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndar
 
 def _quadrature(breaks: tuple[float, ...], more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return nodes in field angle, rad, and quadrature weights that include sin θ. Panels end at the breaks of the source
-    and at `more`.
+    Return nodes in field angle, rad, and quadrature weights that include sin θ.
 
-    Gauss-Legendre in t, θ = a + (b - a)(1 - cos t)/2, which removes the square roots at the limb of a disc.
+    Panels end at the breaks of the source and at `more`. Gauss-Legendre in t, θ = a + (b - a)(1 - cos t)/2, which
+    removes the square roots at the limb of a disc.
     """
     cuts = np.unique(np.concatenate([breaks, more[(more > breaks[0]) & (more < breaks[-1])]]))
     parts = np.maximum(np.ceil(np.degrees(np.diff(cuts)) / PANEL_DEG).astype(int), 1)

@@ -86,8 +86,7 @@ def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", cl
 
 def image_throughput(pst: Pst) -> StrayMetric:
     """
-    Return the irradiance of the direct image per radiance of a uniform scene, sr, which is the integral of the direct
-    PST_n over solid angle.
+    Return the irradiance of the direct image per radiance of a uniform scene, sr: ∫ PST_n dΩ of direct light.
 
     For an ideal system it is T π / (4 F² + 1). It is the mean over the detector, so that it includes vignetting.
     """
