@@ -209,8 +209,9 @@ def _halved(
     at: np.ndarray, inside: np.ndarray, brought: np.ndarray, halvings: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Halve the tree nodes of one depth by the mean of two shares: that of the light, and that of least variance. With
-    uniform density in either half, the variance is least at densities proportional to √⟨E[F²]⟩, the mean over the
+    Halve the tree nodes of one depth, by the mean of two shares: that of the light, and that of least variance.
+
+    With uniform density in either half, the variance is least at densities proportional to √⟨E[F²]⟩, the mean over the
     half (A. Rath et al., Variance-aware path guiding, ACM Trans. Graph. 39, 151 (2020)). Halves in which light is not
     yet resolved get more rays by this than by their light.
 
