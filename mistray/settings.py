@@ -1,4 +1,4 @@
-"""Settings of a trace and their defaults, shared by the function, the integrator plugin and the command line."""
+"""Settings of a trace and their defaults, shared by `mistray.trace`, the integrator plugin and the command line."""
 
 from __future__ import annotations
 

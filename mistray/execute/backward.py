@@ -383,7 +383,11 @@ class BackwardTrace(GridTrace):
         return DirectionRecorder(self.grid, self.design_keys, mis, paths, pixels, derivative)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
-        """Return Lambertian start rays at the detector, for wavelength `number` in pass `done` of `rays` rays."""
+        """
+        Return Lambertian start rays at the detector for wavelength `number` in a pass of `rays` rays.
+
+        `rays` counts all wavelengths; `done` is the number of earlier passes.
+        """
         one = self.bands[number]
         lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
         seed = self.settings.seed + 0x9E3779B9 * (number + len(self.bands) * done)

@@ -72,7 +72,7 @@ class Forecast:
 
 
 def _remedy(run: Run, segments: float) -> str:
-    """Return the advice of the warning: which setting to change, with its present value."""
+    """Return advice for a trace that takes long: which setting to change, with its present value."""
     settings = run.settings
     if segments < LARGE_TREE:
         return f"lower rays ({run.rays:.3g})"

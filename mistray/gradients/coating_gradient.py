@@ -199,7 +199,11 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
 def _tangents(
     sides: Sequence[_Side], parts: tuple[int, ...], wavelength_nm: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return derivatives of mean R and T by one kind of parameter of each layer, for coatings of as many layers."""
+    """
+    Return derivatives of mean R and T of all `sides` by one kind of parameter of every layer.
+
+    The coatings have equally many layers.
+    """
     layers = len(sides[0].indices)
     blocks = len(parts) * layers
     # One lane for each row and each parameter of a side

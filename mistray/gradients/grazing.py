@@ -38,7 +38,11 @@ FLAT = 1e-6  # curvature along the ray in units of that of the aperture, below w
 
 
 def grazing_kernel(delta: Any, width: Any) -> Any:
-    """Return the one-sided boundary kernel k of this module, 1/Δ, at a distance Δ from a jump; 0 beyond its width."""
+    """
+    Return the one-sided boundary kernel k, in the inverse unit of Δ, at a distance Δ from a jump.
+
+    It is 0 beyond its width.
+    """
     return dr.select(delta < width, (9 - 12 * dr.sqrt(delta / width)) / width, 0)
 
 

@@ -1,8 +1,8 @@
 """
-Chain rule between surface properties as traced and the parameters of plugins.
+Chain rule between the surface properties that a trace uses and the parameters of plugins.
 
-The reverse mode takes derivatives of a metric by these numbers to derivatives by parameters. The forward mode takes
-rates of parameters to rates of the numbers.
+The reverse mode converts derivatives of a metric by surface properties to derivatives by parameters. The forward mode
+converts rates of change of parameters to those of surface properties.
 """
 
 from __future__ import annotations

@@ -143,7 +143,7 @@ class ScatterReplay(Scattering):
 
     def _all_shares(self, event: ScatterEvent, active: mi.Bool) -> tuple[Shares, Shares, Shares, Shares]:
         """
-        Return the scattering shares of an event.
+        Return the fractions of R and T that stay specular and that are scattered at an event.
 
         Returns
         -------

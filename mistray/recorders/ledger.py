@@ -232,7 +232,7 @@ class Ledger(Recorder):
         """
         Return the slot of each path key, claiming one for a new key.
 
-        A mask of keys with a slot; and a mask of new keys.
+        A mask of keys that have a slot, and one of new keys, come with it.
         """
         start = mi.UInt32(key >> 32) & self.mask
         return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)

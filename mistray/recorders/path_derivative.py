@@ -61,7 +61,11 @@ class PathDerivative:
         return cls(keys[order], slots[order], coefficients[order], maps[order])
 
     def of(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return coefficients, (n, MOMENTS), and map numbers, (n,), of path keys, (n,); 0 and -1 for unknown keys."""
+        """
+        Return the coefficients, (n, MOMENTS), and map numbers, (n,), that give the derivative for path keys, (n,).
+
+        They are 0 and -1 for unknown keys.
+        """
         found, maps = np.zeros((len(keys), MOMENTS)), np.full(len(keys), -1)
         if len(self.keys):
             # Keys above the largest one would be found behind the end

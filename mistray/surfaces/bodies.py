@@ -42,7 +42,7 @@ class Bodies:
         """
         Return the least distances along the normals to the next surface in front and behind, (2,), mm.
 
-        Infinite if none.
+        They are infinite if there is none.
         """
         if surface not in self._thickness:
             points, normal = self._points(surface)

@@ -173,7 +173,7 @@ class TracedSurface(ABC):
         """
         Half width and half height (mm) of a rectangular aperture, else inner radius squared (mm²) and 0.
 
-        With the overlap.
+        The overlap with neighbours is included.
         """
         return 0.0, 0.0
 

@@ -118,7 +118,7 @@ def polygon_normal(corners: Array) -> Array:
 
 
 def polygon_plane(file: StepFile, corners: Array) -> int:
-    """Add the plane of a polygon with corners (n, 3), mm, and return its number."""
+    """Add the plane of a polygon with corners, (n, 3), mm, to the file; return its entity number."""
     along = corners[1] - corners[0]
     return file.plane(file.placement(corners[0], polygon_normal(corners), along / np.linalg.norm(along)))
 

@@ -84,7 +84,7 @@ def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
 
 
 def ranked_light(found: EditRanking) -> str:
-    """Return one line with the PST of the ranked light at each field angle."""
+    """Return a line of text with the PST, at each field angle, of the class of light that the ranking is about."""
     pst = ", ".join(f"{with_error(at)} at {angle:g} deg" for angle, at in zip(found.field_deg, found.pst, strict=True))
     return f"PST of the {found.light} light: {pst}"
 

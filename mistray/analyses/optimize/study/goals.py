@@ -42,7 +42,7 @@ def holds(term: Term, value: float, start: float) -> bool:
 
 
 def residual(term: Term, start: float) -> tuple[float, float]:
-    """Return the value v at which a term's residual r is 0, and dr/dv; not for the goal "minimise"."""
+    """Return the value of a term at which its residual r is 0, in its unit, and dr/dv; not for the goal "minimise"."""
     limit = limit_of(term, start)
     if limit is None:
         return start, 1 / (term.tolerance * abs(start))
