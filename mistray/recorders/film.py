@@ -182,7 +182,7 @@ class Pixels(Sampled):
 
     @property
     def none(self) -> Pixels:
-        """Dark image of equal size, with zero noise."""
+        """Dark image of the same size, with zero noise."""
         return Pixels(*map(np.zeros_like, (self.value, self.apart, self.weights)))
 
     def __add__(self, other: Sampled) -> Pixels:

@@ -34,7 +34,7 @@ _APERTURES = ("ENPD", "FNUM", "OBNA")
 
 def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     """
-    Put the numbers of a configuration into the lines of the system and the surfaces.
+    Write the numbers of a configuration into the lines of the system and the surfaces.
 
     Parameters
     ----------

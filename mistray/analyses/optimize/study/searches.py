@@ -58,7 +58,7 @@ class Ended(Exception):
 
 class Searches:
     """
-    The searches from all starts, which share one problem and one state.
+    Searches for the least merit from all starts, which share one problem and one state.
 
     Every evaluation is kept. After an interruption each search begins again from its start, and the kept evaluations
     take the place of new ones. All methods are deterministic, so it returns to where it was and continues from there.
@@ -201,7 +201,7 @@ class Searches:
             self.progress(self.steps[-1], self.state.starts[start])
 
     def _search(self, start: int) -> None:
-        """Search from start number `start`, and store the reason why the search ended."""
+        """Minimise the merit from start number `start`, and store the reason why the search ended."""
         kept = self.state.evaluations[start]
         asked = 0
         merits = [kept[0].merit]
