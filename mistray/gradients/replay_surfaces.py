@@ -382,11 +382,7 @@ class ReplaySurfaces:
         return dr.select(cosine > 0, front, back), dr.select(cosine > 0, back, front)
 
     def numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
-        """
-        Return shape parameters of the surfaces s by name, such as curvature (1/mm).
-
-        `still` leaves out derivatives.
-        """
+        """Return shape parameters of surfaces s by name, such as curvature, 1/mm; if `still`, without derivatives."""
         rows = self._still if still else self._shape
         return self._named(rows.read(s, batch, active), rows, s, active)
 

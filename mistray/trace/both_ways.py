@@ -400,11 +400,7 @@ class _Tree:
         normal: Floats,
         sent: dict[str, tuple[Floats, Floats]],
     ) -> None:
-        """
-        Record the branches that meet scattering surfaces.
-
-        `sent` maps an event to R or T and the Stokes vectors of its children.
-        """
+        """Record branches that meet scattering surfaces; `sent` maps events to R or T and children's Stokes vectors."""
         for (number, side, event), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side) & ~b.scattered)
             reflects = event == "reflection"
@@ -417,11 +413,7 @@ class _Tree:
             self.dim.append(_Lit(case, b.take(here), outward, X[here].mean(axis=1), own))
 
     def _rays(self, lit: _Lit, chosen: Whole, weight: Floats) -> Branches:
-        """
-        Return one scattered ray per chosen hit, aimed at a target if the case has one, else Lambertian.
-
-        `weight` scales its flux.
-        """
+        """Return one scattered ray per chosen hit, with the factor `weight`, to a target if any, else Lambertian."""
         case, b, outward = lit.case, lit.branches.take(chosen), lit.outward[chosen]
         to_back = case.from_front == (case.event == "transmission")
         d, per_sr = self._directions(b.o, outward, self._aims.get((case.surface, to_back)))
@@ -475,11 +467,7 @@ class _Tree:
 
 
 def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[Arrivals]:
-    """
-    Group branches that reached the detector by their events; return the flux of each path, W.
-
-    `unit` is the flux of a start ray, W.
-    """
+    """Return the flux of each path to the detector, W, from branches; `unit` is the flux of a start ray, W."""
     paths, number = np.unique(end.codes, axis=0, return_inverse=True)
     number = number.ravel()
     found = []

@@ -204,11 +204,7 @@ class LocatedPaths(NamedTuple):
 
     @property
     def sums(self) -> np.ndarray:
-        """
-        Flux sums of the paths by batch of start rays, (n, BATCHES, SUMS), in units of a start ray.
-
-        See `mistray.recorders.ledger`.
-        """
+        """Flux sums of the paths by batch, (n, BATCHES, SUMS), in start rays' flux, see `mistray.recorders.ledger`."""
         return np.asarray(self.run.paths.sums[self.places])
 
     @property
