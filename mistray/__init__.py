@@ -18,7 +18,7 @@ from mistray.supervisor import hold
 
 
 def _is_command() -> bool:
-    """Whether this process runs the command, as a script called ``mistray`` or as ``python -m mistray``."""
+    """True if this process runs the ``mistray`` command, as a script or as ``python -m mistray``."""
     # What the interpreter was given, up to the program; while a package is imported for -m, sys.argv[0] is "-m"
     words = sys.orig_argv[: len(sys.orig_argv) - len(sys.argv) + 1]
     return bool(words) and os.path.splitext(os.path.basename(words[-1]))[0] == "mistray"

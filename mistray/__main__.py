@@ -1,4 +1,4 @@
-"""The command ``mistray``, which is the same as ``python -m mistray``."""
+"""Entry point of ``python -m mistray``, which runs the ``mistray`` command."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from typing import Any
 
 
 class _LazyPackage(ModuleType):
-    """A package with a table that maps its public names to their modules."""
+    """Module type of a package that imports a public name from its module at first use."""
 
     _homes: Mapping[str, str]
 

@@ -36,7 +36,7 @@ _CODE = bytes.fromhex(
 
 
 def on_linux_x86_64() -> bool:
-    """Whether this is a 64-bit Python on Linux and an x86-64 processor, for which there are wheels of libLLVM."""
+    """True if this is a 64-bit Python on Linux and an x86-64 processor, for which there are wheels of libLLVM."""
     return sys.platform == "linux" and platform.machine() == "x86_64" and sys.maxsize > 1 << 32
 
 
@@ -120,12 +120,12 @@ def _aligned(offset: int) -> int:
 
 
 def _definition(number: int, name_at: int, name: str, to_next: int) -> bytes:
-    """Definition of a version, which for the first is that of the file, and the place of its name."""
+    """Return an ELF version definition; the first defines the file itself. `name_at` and `to_next` are byte offsets."""
     return struct.pack("<4H3I2I", 1, int(number == 1), number, 1, _hash(name), 20, to_next, name_at, 0)
 
 
 def _hash(name: str) -> int:
-    """Hash of a name in the ELF format."""
+    """Return the System V ABI hash of a symbol name."""
     value = 0
     for letter in name.encode():
         value = (value << 4) + letter

@@ -36,7 +36,7 @@ _IN_WHEEL = re.compile(r"(libunwind|libc\+\+abi|libc\+\+|libLLVM)\.so\.\d.*")
 
 @dataclass(frozen=True)
 class Llvm:
-    """A libLLVM that Dr.Jit can use: `path`, `version` (major, minor, patch), and libraries to load before it."""
+    """libLLVM that Dr.Jit can use: its `path`, `version` (major, minor, patch), and libraries to load before it."""
 
     path: str
     version: tuple[int, ...]
@@ -122,9 +122,9 @@ def search_llvm() -> tuple[Llvm | None, list[str]]:
 @functools.cache
 def _wheel() -> tuple[str, ...] | None:
     """
-    Libraries of the wheel in the order of loading, libLLVM last; None if it is not installed, () if it has none.
+    Return the libraries of the LLVM wheel in order of loading, libLLVM last; None if not installed, () if it has none.
 
-    They are looked up in what pip has recorded, because they lie in another folder for each kind of install.
+    They are looked up in the files that pip recorded, because their folder differs among kinds of install.
     """
     listed = f"{WHEEL.replace('-', '_')}-*.dist-info"
     if not any(glob.glob(listed, root_dir=folder) for folder in sys.path):
@@ -146,13 +146,17 @@ def _wheel() -> tuple[str, ...] | None:
 
 
 def _needs(path: str) -> tuple[str, ...]:
-    """Libraries to load before a libLLVM: it finds those of its wheel only when Python has started once after pip."""
+    """
+    Return the libraries to load before a libLLVM.
+
+    That of the wheel finds its own only once Python has started again after pip.
+    """
     wheel = _wheel()
     return wheel[:-1] if wheel and os.path.realpath(path) == wheel[-1] else ()
 
 
 def _libraries() -> list[str]:
-    """Paths of all libLLVM files on this machine, with links resolved, each once."""
+    """Return the paths of all libLLVM files on this machine, links resolved, without duplicates."""
     listed = []
     if sys.platform.startswith("linux"):
         listed = re.findall(r"=> (.*libLLVM.*)", _linker_cache())
@@ -185,14 +189,18 @@ def _linker_cache() -> str:
 
 
 def _named_version(path: str) -> tuple[int, ...] | None:
-    """Version in the name of a file or of its folder; None if there is none."""
+    """Return the LLVM version in the name of a file or its folder, as a tuple; None if there is none."""
     folder, name = os.path.split(os.path.realpath(path))
     found = _VERSION_IN_NAME.match(name) or _VERSION_IN_FOLDER.search(folder + "/")
     return tuple(int(number) for number in found[1].split(".")) if found else None
 
 
 def _loaded_version(path: str) -> tuple[int, int, int] | None:
-    """Version reported by a library itself; None below LLVM 16, which cannot report it. Raises OSError."""
+    """
+    Load a libLLVM and return the version it reports; None below LLVM 16, which cannot report it.
+
+    Raise OSError if it does not load.
+    """
     needs = _needs(path)
     if needs:
         provide_libatomic()

@@ -116,7 +116,7 @@ def reading_threads() -> Iterator[None]:
 
 
 def on_gpu() -> bool:
-    """Whether the active variant traces on a GPU."""
+    """True if the active Mitsuba variant traces on a GPU (CUDA)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -124,7 +124,7 @@ def on_gpu() -> bool:
 
 
 def lanes_of_threads() -> int:
-    """Number of lanes of a launch that Dr.Jit spreads over all CPU threads."""
+    """Return the smallest number of rays in a kernel launch that gives work to all CPU threads."""
     import drjit as dr
 
     return dr.thread_count() * LANES_OF_THREAD
@@ -148,7 +148,7 @@ def plugin_modules() -> list[str]:
 
 
 def plugins_of_others() -> dict[str, bool]:
-    """Full names of the modules of plugins that other packages have, and whether the user named them."""
+    """Return module names of plugins from other packages, mapped to True if the user named the module explicitly."""
     given = _given_plugins()
     return {value: value in given for value in (*(value for _, value in points_of(PLUGIN_ROOT)), *given)}
 
@@ -212,7 +212,11 @@ def _register_for(variant: str) -> None:
 
 
 def _import_of_others(others: Mapping[str, bool]) -> None:
-    """Import `plugins_of_others`; leave out an installed one that cannot be imported, and raise for a named one."""
+    """
+    Import the modules of `plugins_of_others`.
+
+    Warn if an installed one fails; raise if one that the user named fails.
+    """
     for name, is_given in others.items():
         try:
             importlib.import_module(name)
@@ -236,7 +240,7 @@ def _require_jit(variant: str) -> None:
 
 
 def _require_backend(variant: str) -> None:
-    """Raise `MistrayError` if the backend of a variant is missing, or if its LLVM would abort the process."""
+    """Raise `MistrayError` if the backend of a variant is missing, or if its LLVM version would abort the process."""
     import drjit as dr
 
     if variant.startswith("llvm_"):

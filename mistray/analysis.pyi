@@ -1,4 +1,4 @@
-"""Names of analyses, re-exported: ghosts, point source transmittance, objects, thermal emission, whole studies."""
+"""Public names of the analyses, re-exported: ghosts, point source transmittance, thermal emission, whole studies."""
 
 # Written by tests/stubs.py from what the functions are when they run
 

@@ -17,7 +17,7 @@ def points_of(group: str) -> list[tuple[str, str]]:
 
 
 def _names(folder: str, group: str) -> bool:
-    """Return whether a package in a folder on the import path declares entry points of a group."""
+    """True if a package installed in a folder of the import path declares entry points of a group."""
     with contextlib.suppress(OSError):
         for entry in os.scandir(folder or os.curdir):
             if entry.name.endswith((".dist-info", ".egg-info")):

@@ -26,14 +26,14 @@ class MistrayError(ValueError):
 
 
 class UnknownKeyError(MistrayError, KeyError):
-    """Error for a missing key of a mapping; as it is a KeyError, ``in`` gives False and ``get`` its default."""
+    """Raised for a missing key of a mapping; as it is also a KeyError, ``in`` gives False and ``get`` its default."""
 
     __str__ = Exception.__str__  # KeyError puts its message in quotes
 
 
 class MistrayWarning(UserWarning):
     r"""
-    Warning about a result or its input, in one line: a note, or an improbable number.
+    Warning about a result or its input, one line of text: a note on the result, or an implausible number.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def one_line(message: object) -> str:
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
-    """Return the end of a message: the intended word for a wrong one, as a question, or a list of all choices."""
+    """Return the end of an error message: the choice most similar to `word` as a question, or else all choices."""
     import difflib
 
     words = list(choices)

@@ -1,4 +1,4 @@
-"""A number with its standard error."""
+"""Monte Carlo estimates: numbers with their standard errors."""
 
 from __future__ import annotations
 
@@ -30,14 +30,15 @@ class Estimate(NamedTuple):
     se: float
 
     def times(self, factor: float) -> Estimate:
-        """Return the product with a number that has no error."""
+        """Return the estimate multiplied by an exact number; its standard error scales too."""
         return Estimate(factor * self.value, factor * self.se)
 
     def over(self, other: Estimate) -> Estimate:
         """
-        Return the quotient with relative errors added in quadrature; NaN if ``other`` is 0 or not finite.
+        Return the quotient of two estimates; relative errors add in quadrature.
 
-        This holds for independent runs. It is an approximation for numbers of one run, which share start rays.
+        It is NaN if ``other`` is 0 or not finite. This holds for independent runs. It is an approximation for numbers
+        of one run, which share start rays.
         """
         if other.value == 0 or not math.isfinite(other.value):
             return UNKNOWN

@@ -43,27 +43,27 @@ EVENT_LETTERS = "".join(LETTERS.values())
 
 
 def place_of(event: Any) -> Any:
-    """Return the numbers of the surfaces or media of events."""
+    """Return the number of the surface or medium of each event code."""
     return event >> EVENT_BITS
 
 
 def kind_of(event: Any) -> Any:
-    """Return the numbers of the kinds of events."""
+    """Return the number of the interaction (such as reflection) of each event code; see `EventKind`."""
     return event & EVENT_MASK
 
 
 def stays(event: Any) -> Any:
-    """Whether light stays on the side of incidence after events: reflected, totally or not, or scattered back."""
+    """True where light stays on the side of incidence: reflected, totally reflected or scattered back."""
     what = kind_of(event)
     specular = (what < FIRST_SCATTERED) & (what != TRANSMITTED)
     return specular | ((what >= FIRST_SCATTERED) & ((what & 1) != 0))
 
 
 def event_of(place: Any, kind: Any) -> Any:
-    """Return event codes from numbers of places and numbers of kinds."""
+    """Return event codes made of the numbers of surfaces or media and of kinds of interaction."""
     return (place << EVENT_BITS) | kind
 
 
 def event_text(event: int, ids: Sequence[str]) -> str:
-    """Return the text of an event, such as ``L1_front:T``; `ids` are the ids of the places."""
+    """Return the text of an event, such as ``L1_front:T``; `ids` are the ids of surfaces and media by number."""
     return f"{ids[place_of(event)]}:{LETTERS[kind_of(event)]}"

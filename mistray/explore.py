@@ -1,4 +1,4 @@
-"""Name of the live explorer, re-exported."""
+"""Public name of the live explorer, re-exported."""
 
 from mistray._lazy import lazy_package
 

@@ -1,4 +1,4 @@
-"""Name of the live explorer, re-exported."""
+"""Public name of the live explorer, re-exported."""
 
 # Written by tests/stubs.py from what the functions are when they run
 

@@ -25,13 +25,13 @@ def event_words(text: str) -> list[str]:
 
 
 def fits(name: str, pattern: str) -> bool:
-    """Whether a name equals a pattern literally, brackets included, or matches it with the wildcards of `fnmatch`."""
+    """True if a name equals a pattern literally, brackets included, or matches it with the wildcards of `fnmatch`."""
     return name == pattern or fnmatchcase(name, pattern)
 
 
 def hidden(text: str, breaks: str = "") -> str:
     """
-    Return the first character of a text that is invisible, or that reverses, breaks or controls its line.
+    Return the first character of a text that is invisible, or that controls or reverses its line; "" if none.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def check_id(name: str, what: str = "object") -> None:
 
 
 def check_written_id(name: str, what: str = "object") -> None:
-    """Raise as `check_id` does, or if an id for a scene file contains ``$``, which marks a parameter there."""
+    """Raise as `check_id` does, or if an id for a scene file contains ``$``, which marks a parameter in such files."""
     check_id(name, what)
     if "$" in name:
         raise MistrayError(f"{what} {name!a}: its name holds $, by which scene files know parameters; rename it")

@@ -43,13 +43,13 @@ def note(*_: Any) -> None:
 
 
 def requested() -> bool:
-    """Whether a signal has come since the handler was installed."""
+    """True if a signal (Ctrl-C or SIGTERM) has arrived since the handler was installed or `forget` was called."""
     return _count > 0
 
 
 def check() -> None:
     """
-    Raise a dropped interrupt again; do nothing within `later`, whose block polls by itself.
+    Raise a recorded interrupt that got lost; do nothing within `later`, whose block polls by itself.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Refusal of unknown keyword arguments, with one line that names the nearest known one."""
+"""Decorator that rejects unknown keyword arguments, with a one-line error that suggests the nearest known argument."""
 
 from __future__ import annotations
 

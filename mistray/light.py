@@ -1,4 +1,4 @@
-"""Light of a trace and the detector that records it, which determine a trace beside its settings."""
+"""Light of a trace and its detector: what determines a trace besides its settings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, TEXT, WAVELENGTHS_NM, WEIGHTS
 
 @dataclass(frozen=True)
 class Light:
-    """Light of a trace and the detector that records it; a field that is None takes the scene's value."""
+    """Field direction and wavelengths of a trace, and the detector that records it; None takes the scene's value."""
 
     field_deg: float | None = FIELD_DEG.field(
         None, "field angle, degrees; traces over a grid of directions do not read it"
@@ -25,7 +25,11 @@ class Light:
 
     @classmethod
     def of(cls, arguments: Mapping[str, Any]) -> Light:
-        """Return the light given by keyword arguments of a call; arguments that are no fields are ignored."""
+        """
+        Return the light given by keyword arguments of a call.
+
+        Arguments that are no attributes of `Light` are ignored.
+        """
         known = {f.name for f in fields(cls)}
         return cls(**{name: value for name, value in arguments.items() if name in known})
 

@@ -31,7 +31,7 @@ CUTS = {
 
 
 class Message(Enum):
-    """Template of a note: its code, and a text with placeholders for facts."""
+    """Template of a note on a result: its code, and a text with placeholders for numbers and names."""
 
     # Light that was not followed
     CUT = Code.CUT, "up to {share:.1e} of the launched flux was {what}"
@@ -182,11 +182,15 @@ class Message(Enum):
     NO_PATH = Code.NO_PATH, "no light of this trace goes by '{name}'{near}"
 
     def note(self, warns: bool = True, /, **facts: Any) -> Note:
-        """Return the note with `facts` in place of placeholders; `warns`: whether it is also raised as a warning."""
+        """
+        Return the note with its placeholders filled in by `facts`.
+
+        `warns`: True if it is also raised as a warning.
+        """
         code, text = self.value
         return Note(text.format(**facts), code, warns)
 
 
 def fewer_rays(rays: float, planned: float, more: str = "") -> Note:
-    """Return the note that a result has fewer rays than planned; `more` is appended to the text."""
+    """Return the note that a result has `rays` instead of `planned` start rays; `more` is appended to its text."""
     return Message.FEWER_RAYS.note(rays=rays, planned=planned, more=more)

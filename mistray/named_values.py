@@ -65,7 +65,7 @@ def finite_of(text: str) -> float | None:
 
 
 def as_number(text: str, name: str, owner: str) -> float:
-    """Parse the number of a name; raise `MistrayError` if it is none."""
+    """Parse a text as a number; raise `MistrayError`, with its name and owner in the message, if it is not one."""
     number = number_of(text)
     if number is None:
         raise MistrayError(f"{owner}: {name} is '{text}'; give a number")

@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class Code(StrEnum):
-    """Code of a note and of its warning, by subject; docs/warnings.md explains each one and its remedy."""
+    """Codes of notes on results and of the warnings made from them; docs/warnings.md explains each and its remedy."""
 
     CUT = "cut"
     MEDIUM = "medium"
@@ -48,7 +48,7 @@ class Code(StrEnum):
 
 class Note(str):
     """
-    One line that the reader of a result must know.
+    One line of text on the reliability or limits of a result, with a code.
 
     Parameters
     ----------
@@ -71,11 +71,11 @@ class Note(str):
         return note
 
     def __getnewargs__(self) -> tuple[str, Code, bool]:  # type: ignore[override]
-        """Return the arguments from which copies and other processes create the note."""
+        """Return the constructor arguments for copying and pickling."""
         return str(self), self.code, self.warns
 
     def beside(self, words: str) -> Note:
-        """Return a copy of the note that begins with a prefix, such as the field angle that it concerns."""
+        """Return a copy of the note with a prefix, such as the field angle that it concerns."""
         return Note(f"{words}: {self}", self.code, self.warns)
 
 
@@ -84,7 +84,7 @@ _quiet: ContextVar[bool] = ContextVar("quiet", default=False)
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Raise no warnings for notes of results within a block; the caller prints them, or they concern an inner step."""
+    """Suppress warnings for notes of results within a block, because the caller prints them or the step is internal."""
     before = _quiet.set(True)
     try:
         yield
@@ -115,7 +115,7 @@ def warns(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _level_of_caller() -> int:
-    """Return the ``stacklevel`` of the line that called a decorated function."""
+    """Return the ``stacklevel`` for `warnings.warn` that points to the line which called a decorated function."""
     level, frame = 2, sys._getframe(2)
     while frame.f_globals.get("__name__") == "mistray.known_arguments" and frame.f_back is not None:
         level, frame = level + 1, frame.f_back

@@ -1,4 +1,4 @@
-"""Names of metrics, gradients, tolerances and design, re-exported."""
+"""Public names of metrics, gradients, tolerances and design, re-exported."""
 
 from mistray._lazy import lazy_package
 

@@ -1,4 +1,4 @@
-"""Names of metrics, gradients, tolerances and design, re-exported."""
+"""Public names of metrics, gradients, tolerances and design, re-exported."""
 
 # Written by tests/stubs.py from what the functions are when they run
 

@@ -1,4 +1,4 @@
-"""Parameters of plugins and of scatter models, each stated once: for scenes, derivatives, messages and manuals."""
+"""Parameters of plugins and scatter models, each declared once for scenes, derivatives, messages and manuals."""
 
 from __future__ import annotations
 
@@ -78,26 +78,26 @@ class Param(Demand):
 
     @property
     def moves(self) -> bool:
-        """Whether the parameter is a number with respect to which a trace has derivatives."""
+        """True if the parameter is a number for which a trace can compute derivatives."""
         return self.differentiable and isinstance(self.values, Range)
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Smallest and largest allowed value of a number; infinite where the range has no physical bound."""
+        """Lower and upper limit of a number in the parameter's unit; infinite if there is no physical bound."""
         assert isinstance(self.values, Range)
         low, high = self.values.low, self.values.high
         return -math.inf if low <= -UNBOUNDED else low, math.inf if high >= UNBOUNDED else high
 
     def usual_tolerance(self, value: float) -> float:
-        """Return the usual tolerance ± of a parameter with this nominal value, in the unit of the parameter."""
+        """Return the usual tolerance (±) for a nominal value, in the unit of the parameter."""
         return self.tolerance * abs(value) or AT_ZERO if self.absolute is None else self.absolute
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the value; raise `MistrayError` if it is not allowed, see `Range.check`."""
+        """Return the value if it is allowed; otherwise raise `MistrayError`, see `Range.check`."""
         return self.values.check(name, value, owner)
 
     def field(self, default: Any = MISSING, doc: str = "", kw_only: Any = MISSING) -> Any:
-        """Make a dataclass field, see `Demand.field`; the field's default becomes that of the parameter."""
+        """Return a dataclass field for this parameter, see `Demand.field`; `default` is also that of the parameter."""
         own = self if default is MISSING else replace(self, default=default)
         return Demand.field(own, default, doc, kw_only)
 
@@ -126,7 +126,7 @@ class Param(Demand):
         return self.default
 
     def typed(self, value: Any, name: str, owner: str) -> Any:
-        """Return a property of a scene converted to its type: a checked number, flag or word, else a text."""
+        """Return a scene property converted to the parameter's type: a checked number, flag or word, else a text."""
         if isinstance(self.values, Range):
             if isinstance(value, bool | str) or (value != value and self.allowed == "±"):
                 whole = "whole " if self.values.whole else ""
@@ -139,7 +139,7 @@ class Param(Demand):
 
     @property
     def allowed(self) -> str:
-        """Allowed values, for a cell of a table; "" if its type says it."""
+        """Allowed values as text for a table cell; empty if the type says it all."""
         if self.within or isinstance(self.values, Words):
             return self.within or ", ".join(self.values.choices)  # type: ignore[attr-defined]
         if not isinstance(self.values, Range):
@@ -151,7 +151,7 @@ class Param(Demand):
 
     @property
     def usual(self) -> str:
-        """Default, for a cell of a table."""
+        """Default value as text for a table cell; "none" if there is none."""
         if self.otherwise or self.default in (None, ""):
             return self.otherwise or "none"
         if isinstance(self.default, tuple):
@@ -168,7 +168,7 @@ def fixed(unit: str, values: Demand, doc: str, default: Any = REQUIRED, **more: 
 
 def params_of(model: Any, last: Container[str] = ()) -> dict[str, Param]:
     """
-    Return the parameters of a dataclass by name: those of its fields, and those of its class attribute ``also``.
+    Return the parameters of a dataclass by name, from its fields and its class attribute ``also``.
 
     A field with a demand of another kind has the unit 1 if it is a number, else the type "string". Fields named in
     `last` come after all others.
@@ -188,11 +188,7 @@ def params_of(model: Any, last: Container[str] = ()) -> dict[str, Param]:
 
 
 def grouped(parameters: Mapping[str, Param]) -> list[tuple[list[str], Param]]:
-    """
-    Group consecutive parameters that are equal.
-
-    Return the names of each group with the parameter that they share.
-    """
+    """Group consecutive parameters with equal definitions; return pairs of their names and the shared definition."""
     groups: list[tuple[list[str], Param]] = []
     for name, param in parameters.items():
         if groups and groups[-1][1] == param:
@@ -203,12 +199,12 @@ def grouped(parameters: Mapping[str, Param]) -> list[tuple[list[str], Param]]:
 
 
 def title_of(names: Sequence[str]) -> str:
-    """Return names in one cell of a table: "r0, r1", or "a4 … a20"."""
+    """Return parameter names joined for one table cell: "r0, r1", or "a4 … a20" for four or more."""
     return ", ".join(names) if len(names) < 4 else f"{names[0]} … {names[-1]}"
 
 
 def documented(plugin: type) -> type:
-    """Complete the docstring of a plugin class by its parameters, for `help`; a decorator."""
+    """Decorate a plugin class: insert the list of its parameters into its docstring, for `help`."""
     lines = []
     for names, param in grouped(plugin.properties):  # type: ignore[attr-defined]
         usual = param.usual if param.usual == REQUIRED.value else f"default {param.usual}"

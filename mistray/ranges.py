@@ -23,7 +23,7 @@ _KEY, _DOC = "range", "doc"
 
 
 def several(given: Any) -> list[Any]:
-    """Return the items of an argument that takes one of them or several; a text is one."""
+    """Return an argument as a list: the items of a sequence, or the single value (text included) alone."""
     one = isinstance(given, str) or not isinstance(given, Iterable) or getattr(given, "ndim", 1) == 0
     return [given] if one else list(given)
 
@@ -34,11 +34,11 @@ class Demand:
     demand: str
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the value; raise `MistrayError` if it is not allowed, see `Range.check`."""
+        """Return the value if it is allowed; otherwise raise `MistrayError`, see `Range.check`."""
         raise NotImplementedError
 
     def check_all(self, owner: str, /, **values: Any) -> None:
-        """Raise `MistrayError` if a value, given by its name, is not allowed, see `Range.check`; None always is."""
+        """Raise `MistrayError` if a keyword value is not allowed, see `Range.check`; None is always allowed."""
         for name, value in values.items():
             if value is not None:
                 self.check(name, value, owner)
@@ -87,7 +87,7 @@ class Range(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that a number must meet, such as "must lie between 0 and 90 degrees"."""
+        """Condition that a number must meet, as text, such as "must lie between 0 and 90 degrees"."""
         ends = {(True, True): ", both excluded", (True, False): f", {number_text(self.low)} excluded",
                 (False, True): f", {number_text(self.high)} excluded"}.get((self.above, self.below), "")  # fmt: skip
         unit = f" {self.unit}" if self.unit else ""
@@ -152,7 +152,7 @@ class Range(Demand):
         return [float(self.check(name, number, owner)) for number in numbers]
 
     def __call__(self, text: str) -> Any:
-        """Parse a text from the command line as a number in the range."""
+        """Parse a command-line text as a number in the range; raise an `argparse` error if it is none."""
         number = math.nan
         with contextlib.suppress(ValueError):
             number = float(text)
@@ -179,11 +179,11 @@ class Words(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that a text must meet, such as "must be one of a, b"."""
+        """Condition that a text must meet, as text, such as "must be one of a, b"."""
         return f"must be one of {', '.join(self.choices)}"
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the text; raise `MistrayError` if it is none of the choices, see `Range.check`."""
+        """Return the text if it is one of the choices; otherwise raise `MistrayError`, see `Range.check`."""
         if not isinstance(value, str) or value not in self.choices:
             raise MistrayError(f"{_titled(name, owner)} is {value!r}; {nearest(str(value), self.choices)}")
         return value
@@ -206,7 +206,7 @@ class OfType(Demand):
     demand: str
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the value; raise `MistrayError` if it has another type or is an empty text, see `Range.check`."""
+        """Return the value; raise `MistrayError` if it is of another type or an empty text, see `Range.check`."""
         value = _of_python(value) if self.kind is bool else value
         if not isinstance(value, self.kind) or value == "":
             raise MistrayError(f"{_titled(name, owner)} is {value!r}; it {self.demand}")
@@ -228,7 +228,7 @@ class OfRange(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each number must meet, in words."""
+        """Condition that each number must meet, as text for messages."""
         return self.of.demand
 
 
@@ -255,7 +255,11 @@ class Each(OfRange):
 
 @dataclass(frozen=True)
 class Ascending(Each):
-    """Condition on numbers that are then sorted, each once; the command line also takes ranges first:last:step."""
+    """
+    Condition on numbers, which are sorted and freed of duplicates.
+
+    The command line also takes ranges first:last:step.
+    """
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
         """Return the numbers in ascending order without duplicates; raise `MistrayError` as `Each.check` does."""
@@ -295,7 +299,7 @@ class ByName(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each value must meet."""
+        """Condition that each value of the mapping must meet, as text for messages."""
         return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
@@ -307,22 +311,22 @@ class ByName(Demand):
 
 
 def _of_python(value: Any) -> Any:
-    """Return a number or a flag of NumPy as one of Python, any other value as it is."""
+    """Return a NumPy scalar as a Python number or bool; any other value unchanged."""
     return value.item() if type(value).__module__ == "numpy" and not getattr(value, "ndim", 1) else value
 
 
 def _titled(name: str, owner: str) -> str:
-    """Return the beginning of a message: the owner of a value, if there is one, and the name of the value."""
+    """Return the start of an error message: ``owner: name``, or the name alone."""
     return f"{owner}: {name}" if owner else name
 
 
 def demand_of(field: dataclasses.Field[Any]) -> Demand | None:
-    """Return the condition on a field of a dataclass; None if it has none."""
+    """Return the condition declared for a dataclass field; None if there is none."""
     return field.metadata.get(_KEY)
 
 
 def type_of(declared: Any) -> str:
-    """Return the name of a type annotation, which is given as a text or a type."""
+    """Return the name of a type annotation, given as text or as a type."""
     return declared if isinstance(declared, str) else getattr(declared, "__name__", str(declared))
 
 
@@ -360,7 +364,7 @@ def check_fields(settings: Any, owner: str = "") -> None:
 
 
 def number_text(value: float) -> str:
-    """Format a number for people: 4294967295, 1e30, 1e-6."""
+    """Format a number as short text without padding of its exponent, such as 4294967295, 1e30 or 1e-6."""
     short = f"{value:g}"
     return re.sub(r"e\+?(-?)0*", r"e\1", short if float(short) == value else f"{value:.10g}")
 

@@ -30,7 +30,7 @@ _records: list[dict[str, None]] = []
 
 @contextlib.contextmanager
 def recording(record: dict[str, None]) -> Iterator[None]:
-    """Collect the real paths of all inputs that a block opens, as keys of `record`."""
+    """Record all input files opened within a block: their real paths become keys of `record`."""
     _records.append(record)
     try:
         yield

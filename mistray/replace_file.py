@@ -40,7 +40,7 @@ collected: dict[str, dict[str, bytes]] = {}  # real path of a folder → its fil
 
 
 def draft_name() -> str:
-    """Return a unique name for a draft of this process."""
+    """Return a unique file name for a draft, with the number of this process."""
     return f".mistray-{os.getpid()}-{os.urandom(4).hex()}"
 
 
@@ -91,7 +91,7 @@ def sweep_drafts(place: Path) -> None:
 
 
 def _runs(process: str | None) -> bool:
-    """Whether the process with this number is alive; False if no number is known."""
+    """True if the process with this number is alive; False if no number is given."""
     if process is None or os.name != "posix":
         return False
     try:
@@ -147,7 +147,7 @@ class Guard:
     _written: set[str] = field(default_factory=set)
 
     def was_read(self, path: str | Path) -> bool:
-        """Whether the block has read a file; links and other spellings of its name count too."""
+        """True if the block has read a file, under any spelling of its name or through links."""
         return any(_same(path, source) for source in list(self.read))
 
     def refuse_read(self) -> None:
@@ -187,18 +187,22 @@ class Guard:
 
 
 def is_input(path: str | Path) -> bool:
-    """Whether the block of a guard has read a file; False if there is no guard."""
+    """True if an active guard's block has read a file; False without a guard."""
     return any(guard.was_read(path) for guard in _guards)
 
 
 def refuse_read() -> None:
-    """Call `Guard.refuse_read` of all active guards, so that a long computation does not end in a refused output."""
+    """
+    Raise `MistrayError` if a file that a guarded block is to replace has been read.
+
+    So a long computation does not end in a refused output.
+    """
     for guard in _guards:
         guard.refuse_read()
 
 
 def _is_dangling(path: str | Path) -> bool:
-    """Whether a path is a link to a missing file."""
+    """True if a path is a symbolic link to a missing file."""
     return os.path.islink(path) and not os.path.exists(path)
 
 
@@ -210,7 +214,7 @@ def _same(path: str | Path, other: str | Path) -> bool:
 
 
 def opened(path: str | Path) -> int | None:
-    """File descriptor that a path such as /dev/stdout names; None for other paths."""
+    """Return the file descriptor that a path such as /dev/stdout stands for; None for other paths."""
     match = _OPEN.fullmatch(os.path.normpath(path))
     if match is None:
         return None
@@ -232,7 +236,7 @@ def guarding(guard: Guard) -> Iterator[None]:
 
 
 def claim_files(paths: Iterable[str | Path]) -> None:
-    """Check several files against the guard, if there is one, before the first of them is written."""
+    """Check that the active guard, if any, permits writing these files, before the first of them is written."""
     if _guards:
         _guards[-1].claim(paths)
 
@@ -334,7 +338,7 @@ def rename_drafts(files: Mapping[Path, bytes], what: str = "file", obsolete: Col
 
 @contextlib.contextmanager
 def telling(path: Path, what: str) -> Iterator[None]:
-    """Turn errors of writing a file within a block into a `MistrayError` of one line."""
+    """Turn an OSError from writing a file within a block into a one-line `MistrayError`."""
     try:
         yield
     except BrokenPipeError:  # the reader, such as head, has seen enough
@@ -430,7 +434,7 @@ def incomplete_bytes(sets: Mapping[str, Collection[str]]) -> bytes:
 
 
 def _mark(folder: Path, sets: Mapping[str, Collection[str]]) -> None:
-    """Write, update or remove the file `incomplete`, and wait until the disk has it."""
+    """Write, update or remove the file `incomplete` of a folder and wait until it is on the disk."""
     path = folder / INCOMPLETE
     if path.exists() and not incomplete_sets(folder):
         raise MistrayError(f"file '{path}' is none of mistray, which needs its name; rename it")
@@ -449,7 +453,7 @@ def _mark(folder: Path, sets: Mapping[str, Collection[str]]) -> None:
 
 
 def _write_on(path: Path, data: bytes) -> None:
-    """Write to a device, a pipe or an open file, after flushing printed output."""
+    """Write bytes to a device, a pipe or an open file, after flushing what has been printed."""
     number = opened(path)
     if number is None:
         path.write_bytes(data)

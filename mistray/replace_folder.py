@@ -46,7 +46,7 @@ _LIST = re.compile(rb"<!-- files of this report: (.*?) -->", re.DOTALL)
 
 
 class _Impossible(Exception):
-    """Exception for a folder that cannot be exchanged, so that its files are replaced one by one."""
+    """Raised if a folder cannot be exchanged as a whole, so that its files are replaced one by one."""
 
 
 @contextlib.contextmanager
@@ -81,7 +81,7 @@ def replacing_folder(folder: str | Path) -> Iterator[None]:
 
 
 def _replace(target: Path, files: dict[str, bytes]) -> None:
-    """Replace the files of a folder by an exchange, else one by one."""
+    """Replace files of a folder by exchanging the whole folder if possible, else one by one."""
     sweep_drafts(target)
     page = next((name for name in reversed(files) if name.endswith(PAGE)), None)
     gone: set[str] = set()
@@ -100,7 +100,7 @@ def _replace(target: Path, files: dict[str, bytes]) -> None:
 
 
 def _exchange(target: Path, files: Mapping[str, bytes], gone: set[str]) -> None:
-    """Replace a folder in one system call; raise `_Impossible`, with nothing changed, if that is not possible."""
+    """Replace a folder in one system call. Raise `_Impossible`, with nothing changed, if that is not possible."""
     old = os.path.lexists(target)
     move: Callable[[Path, Path], None] = os.rename
     if old:
@@ -176,7 +176,7 @@ def _exchanger() -> Callable[[Path, Path], None]:
 
 
 def _bring_late(old: Path, new: Path, own: set[str]) -> None:
-    """Carry over files that another process has put into the old folder while the new one was made."""
+    """Move files that another process added to the old folder meanwhile into the new one."""
     for entry in list(os.scandir(old)):
         with contextlib.suppress(OSError):
             place = new / entry.name
@@ -186,7 +186,7 @@ def _bring_late(old: Path, new: Path, own: set[str]) -> None:
 
 
 def _obsolete(folder: Path, page: str) -> set[str]:
-    """Names of files that the previous run of a page wrote and nobody changed, and of files in an incomplete set."""
+    """Return names of unchanged files that the previous run of a page wrote, and of files in an incomplete set."""
     found = {*incomplete_sets(folder).get(page, ())} - {page}
     with contextlib.suppress(ValueError, AttributeError, RecursionError):  # a page of somebody else
         lists = _LIST.findall(read_file(folder / page, own=True))

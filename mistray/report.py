@@ -1,4 +1,4 @@
-"""Names of reports, pictures and files of results, re-exported."""
+"""Public names for reports, pictures and files of results, re-exported."""
 
 from mistray._lazy import lazy_package
 

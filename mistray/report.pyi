@@ -1,4 +1,4 @@
-"""Names of reports, pictures and files of results, re-exported."""
+"""Public names for reports, pictures and files of results, re-exported."""
 
 # Written by tests/stubs.py from what the functions are when they run
 

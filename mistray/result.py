@@ -1,4 +1,4 @@
-"""Base of results: one line as text, a table and a picture in notebooks, and a plot."""
+"""Base class of results: text on one line, a table and a picture in notebooks, and a plot."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Result:
         cls.shown_by = cls.shown_by | {what: resolve_name(name, package) for what, name in given.items() if name}
 
     def of_scene(self, name: str) -> Self:
-        """Take over the name of the scene, and return the result."""
+        """Store the name of the scene in the result and return the result."""
         object.__setattr__(self, "scene_name", name)  # many are frozen
         return self
 
@@ -59,7 +59,7 @@ class Result:
         return one_line(self)
 
     def _repr_html_(self) -> str:
-        """Return key numbers, the first rows of the table, and the figure, for notebooks."""
+        """Return an HTML summary for notebooks: key numbers, the first rows of the table, and the figure."""
         from mistray.toolkit.summary import html_summary
 
         return html_summary(self)

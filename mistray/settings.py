@@ -1,4 +1,4 @@
-"""Settings of a trace and their defaults, shared by the function, the integrator plugin and the command line."""
+"""Settings of a trace and their defaults, shared by `mistray.trace`, the integrator plugin and the command line."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ class RayControl(Demand):
 
 
 class ByBranch(Demand):
-    """Condition on numbers by branch, in any form that `Settings.cut_below` allows."""
+    """Condition on a set of flux thresholds, one per kind of branch, in any form that `Settings.cut_below` allows."""
 
     demand = f"must be numbers for {', '.join(BRANCHES)}, as in 'R=1e-6, t=1e-9'"
     metavar = "LIST"
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the smallest fluxes of branches, a tuple in the order of `BRANCHES`; relative or in W, as given."""
+        """Return flux thresholds as a tuple in the order of `BRANCHES`, relative to a start ray or in W, as given."""
         given = value
         letters = ", ".join(BRANCHES)
         if isinstance(given, str):
@@ -91,7 +91,7 @@ NOTHING_CUT = (0.0,) * len(BRANCHES)
 @dataclass(frozen=True)
 class Settings:
     """
-    Settings of a trace.
+    Settings of a trace: numbers of rays, limits of the ray tree, sampling and polarisation.
 
     Attributes
     ----------
@@ -273,12 +273,12 @@ class Settings:
 
     @property
     def allowed(self) -> str:
-        """Letters of the allowed interactions, see `ray_control`."""
+        """Letters of the interactions (such as reflection) that rays may undergo, see `ray_control`."""
         return RAY_CONTROLS.get(self.ray_control, self.ray_control)
 
     @property
     def limits_consecutive(self) -> bool:
-        """Whether `max_consecutive` can end a ray before `max_events` does."""
+        """True if `max_consecutive` can end a ray before `max_events` does."""
         return self.max_consecutive < self.max_events
 
     @property
@@ -288,7 +288,7 @@ class Settings:
 
     @property
     def stokes(self) -> bool:
-        """Whether branches carry Stokes vectors."""
+        """True if rays carry Stokes vectors, that is if `polarization` is "stokes"."""
         return self.polarization == "stokes"
 
 

@@ -23,7 +23,11 @@ INTERRUPTED = 130  # exit status of a command that a signal has ended; from outs
 
 
 def heard() -> list[signal.Signals]:
-    """Signals that end a command; signals ignored from the start, as Ctrl-C in a background job, stay ignored."""
+    """
+    Return the signals that end a command.
+
+    Those ignored from the start, as Ctrl-C in a background job, stay ignored.
+    """
     return [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
 
 
@@ -59,7 +63,7 @@ def listen() -> None:
 
 
 def _wait(child: int, numbers: list[signal.Signals]) -> None:
-    """Wait for the child, pass signals on to it, and end as it does."""
+    """Wait for the child process, pass signals (`numbers`) on to it, and end this process with its exit status."""
     first, until = None, math.inf
     while True:
         left = min(until - time.monotonic(), DAY)
@@ -97,7 +101,7 @@ def _end_as(code: int, first: int | None) -> None:
 
 
 def _interrupted(first: int | None) -> None:
-    """Report the interrupt and end this process, after the child has ended by a signal."""
+    """Print that the command was interrupted and exit with 128 plus the number of the signal."""
     try:
         os.write(2, b"mistray: interrupted\n")
     finally:
@@ -105,7 +109,7 @@ def _interrupted(first: int | None) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """Make the kernel kill this process when its parent ends, even by SIGKILL; only on Linux."""
+    """Ask Linux to kill this process when its parent ends, even by SIGKILL; do nothing on other systems."""
     if sys.platform != "linux":
         return
     import ctypes

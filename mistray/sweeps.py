@@ -1,4 +1,4 @@
-"""Names of sweeps and configurations, re-exported."""
+"""Public names of sweeps and configurations, re-exported."""
 
 from mistray._lazy import lazy_package
 

@@ -1,4 +1,4 @@
-"""Names of sweeps and configurations, re-exported."""
+"""Public names of sweeps and configurations, re-exported."""
 
 # Written by tests/stubs.py from what the functions are when they run
 

@@ -66,7 +66,7 @@ def share(part: float) -> Iterator[None]:
 
 
 def is_limited() -> bool:
-    """Whether there is a time budget."""
+    """True if a time budget is set."""
     return math.isfinite(_end.get())
 
 
@@ -76,12 +76,12 @@ def left() -> float:
 
 
 def time_is_up() -> bool:
-    """Whether the time budget is used up; False without a budget."""
+    """True if the time budget is used up; False without a budget."""
     return left() <= 0
 
 
 def can_draw() -> bool:
-    """Whether there is time for one more figure of a report."""
+    """True if the remaining time is enough for one more figure of a report."""
     return left() >= FIGURE
 
 
@@ -96,7 +96,7 @@ def searched() -> float:
 
 
 def fewer_rays(rays: int) -> int:
-    """Return the number of rays for a search, reduced if the time is short, see `searched`."""
+    """Return `rays` reduced to the number for a search before a trace when time is short, see `searched`."""
     return math.ceil(searched() * rays)
 
 
@@ -120,7 +120,7 @@ class TimeShares:
         self._beyond = 0.0  # s, of the last one
 
     def enough(self) -> bool:
-        """Whether there is time for one more item; always True for the first."""
+        """True if there is time for one more item; always True for the first."""
         return not self._done or self._left() >= LEAST + self._each
 
     @property
@@ -145,7 +145,7 @@ class TimeShares:
 
 
 def coarse_first(things: Sequence[Thing]) -> list[Thing]:
-    """Return items in an order that covers the range evenly from the start: the ends first, then midpoints of gaps."""
+    """Return items reordered to cover their range evenly from the start: the ends first, then midpoints of gaps."""
     last = len(things) - 1
     step = 1 << max(last, 1).bit_length()
     order: dict[int, None] = dict.fromkeys((0, last) if things else ())
@@ -157,7 +157,7 @@ def coarse_first(things: Sequence[Thing]) -> list[Thing]:
 
 def not_traced(names: Sequence[str], count: int, what: str) -> str:
     """
-    Return the sentence on items that were not traced, because the time was up.
+    Return a sentence that says which items were not traced because the time was up.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Folder and size limit of the cache: as set by the user, or the default folder for caches."""
+"""Folder and size limit of the cache: set by the user, or those by default."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def limit_bytes() -> int:
 
 def open_cache(where: bool | str | Path | None = None) -> Cache | None:
     """
-    Open the cache to use.
+    Return the cache of results to use.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ _KEY = re.compile(r"[0-9a-f]{64}")
 @dataclass(frozen=True)
 class Contents:
     """
-    Contents of the folder of a cache.
+    Number and size of the files in the folder of a cache.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class Cache:
 
     def put(self, key: str, content: bytes) -> None:
         """
-        Store a result; a failure is reported, and after it nothing more is written.
+        Store a result in the cache; after a failure, which is reported, nothing more is written.
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ class Cache:
 
     def contents(self) -> Contents:
         """
-        Count the entries of the folder and measure their size.
+        Return the number of entries in the folder and their size.
 
         Raises
         ------
@@ -228,7 +228,7 @@ class Cache:
 
 @dataclass(frozen=True)
 class _File:
-    """File of the cache, its size in bytes, and the time of its last use, s since the epoch."""
+    """File of the cache: its path, its size in bytes, and the time of its last use, s since the epoch."""
 
     path: Path
     size: int
@@ -236,7 +236,7 @@ class _File:
 
     @property
     def abandoned(self) -> bool:
-        """Whether it is a draft of a process that was killed."""
+        """True if the file is a draft of a process that was killed."""
         return self.path.suffix == DRAFT_ENDING and self.used < time.time() - OLD_DRAFT_SECONDS
 
 

@@ -53,7 +53,7 @@ def claim_folder(options: argparse.Namespace) -> Path | None:
 
 
 def is_declared(options: argparse.Namespace, name: str) -> bool:
-    """Whether a file name matches those that the command may write into the folder of --out."""
+    """True if the command may write a file of this name into the folder of --out."""
     patterns = list(options.folder_files)
     for kind in getattr(options, "formats", ()):
         tables = [pattern.replace(".csv", ".parquet") for pattern in options.folder_files]

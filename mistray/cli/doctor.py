@@ -215,7 +215,7 @@ def _llvm() -> Check:
 
 
 def _libatomic() -> Iterator[Check]:
-    """Say that the machine has no libatomic, where the package stands in for it."""
+    """Yield a check that tells that libatomic is missing, if the package brings a substitute for it."""
     if provide_libatomic():
         yield Check("libatomic", "ok", f"no {LIBATOMIC}; mistray brings the one function of it that Dr.Jit calls")
 
@@ -252,7 +252,7 @@ def _cuda() -> Check:
 
 @dataclass(frozen=True)
 class _Gpu:
-    """A GPU: its name, compute capability (major, minor) and memory in bytes."""
+    """Properties of a GPU: its name, compute capability (major, minor) and memory, bytes."""
 
     name: str
     capability: tuple[int, int]
@@ -264,7 +264,7 @@ class _Gpu:
 
 
 def _gpu(driver: ctypes.CDLL, number: int) -> _Gpu:
-    """Return the properties of a GPU, given by its number, as the driver states them."""
+    """Return name, compute capability and memory of the GPU with a number, as its driver states them."""
     device, name, memory = ctypes.c_int(0), ctypes.create_string_buffer(100), ctypes.c_size_t(0)
     driver.cuDeviceGet(ctypes.byref(device), number)
     driver.cuDeviceGetName(name, len(name), device)
@@ -315,7 +315,7 @@ def _variants(with_cuda: bool) -> list[Check]:
 def _run_python(
     code: str, argument: str, before: list[str], environment: dict[str, str]
 ) -> subprocess.CompletedProcess[str]:
-    """Run code with an argument in its own process, which loads the libraries `before` first."""
+    """Run Python code in its own process, which first loads the libraries at paths `before`; return its outcome."""
     command = [sys.executable, "-c", _PRELOAD + code, argument, *before]
     try:
         return subprocess.run(

@@ -14,7 +14,7 @@ from mistray.errors import MistrayError
 @contextlib.contextmanager
 def lens_as_scene(options: Options) -> Iterator[None]:
     """
-    Replace a lens file that is given as a command's scene by a temporary scene file within a block.
+    Convert a lens file given as a command's scene to a temporary scene file, used within a block.
 
     The scene file exists as long as the block; notes go to stderr. `mistray import` has more options and writes a file.
     """

@@ -1,4 +1,4 @@
-"""Arguments of one command, and the steps that all commands share: check, load, trace, write and print."""
+"""Options of a command line as an object, with the steps that all commands share: check, load, trace, write, print."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ def print_json(record: Mapping[str, Any], files: Sequence[Path] = ()) -> None:
 
 
 class Options(argparse.Namespace):
-    """Arguments of one command as read by argparse, with the steps that all commands share."""
+    """Options of a command as read by argparse, with the steps that all commands share."""
 
     def given(self, *names: str) -> dict[str, Any]:
-        """Return the values of those of some options that are given, keyed by name."""
+        """Return the values of those of the named options that the user has given, by name."""
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def settings(self) -> dict[str, Any]:
-        """Return the options for the fields of `mistray.trace.Settings`, keyed by name; None for those not given."""
+        """Return the options that are fields of `mistray.trace.Settings`, by name; None for those not given."""
         return {name: getattr(self, name) for name in NAMES}
 
     def refuse(self, names: Iterable[str], why: str) -> None:
-        """Raise `MistrayError` if one of these options is given; `why` follows the option in the message."""
+        """Raise `MistrayError` if one of the named options is given; in the message `why` follows the option."""
         for name in names:
             value = getattr(self, name)
             if value is not None and value is not False and value != []:
@@ -132,7 +132,11 @@ class Options(argparse.Namespace):
         check()
 
     def claim(self) -> list[Path]:
-        """Return the files that options name as outputs; raise `MistrayError` if one of them must not be written."""
+        """
+        Return the files that the options name as outputs.
+
+        Raise `MistrayError` if one of them must not be written.
+        """
         given = [getattr(self, name) or [] for name in self.outputs]
         paths = [path for one in given for path in (one if isinstance(one, list) else [one])]
         claim_files(self, *paths)
@@ -147,7 +151,11 @@ class Options(argparse.Namespace):
         return output
 
     def saved_run(self, name: str, what: Callable[[], str]) -> SavedRun:
-        """Return the saved run in the file of --state, else in the file `name` of --out; without both, no file."""
+        """
+        Return the saved run in the file of --state, else in the file `name` of --out, or in no file.
+
+        `what` describes its contents.
+        """
         path: Path | None = self.has("state")
         if path is not None:
             claim_files(self, path)
@@ -166,7 +174,7 @@ class Options(argparse.Namespace):
         return INTERRUPTED
 
     def bar(self, form: str, what: str, total: float = 1.0) -> contextlib.AbstractContextManager[Any | None]:
-        """Return a context that shows a progress bar in a format of tqdm, see `terminal_bar`."""
+        """Return a context that shows a progress bar, `form` being its format of tqdm; see `terminal_bar`."""
         return terminal_bar(self, form, what, total)
 
     def check_pictures(self, *names: str) -> None:
@@ -176,11 +184,11 @@ class Options(argparse.Namespace):
                 raise MistrayError(f"picture '{path}': its name must end in .png, .svg or .pdf")
 
     def working(self, what: str) -> contextlib.AbstractContextManager[None]:
-        """Return a context that shows the elapsed time of work without countable steps, see `working`."""
+        """Return a context that shows the elapsed time of work `what` without countable steps, see `working`."""
         return working(what, bool(self.has("quiet")))
 
     def rules(self) -> Rules:
-        """Return the rules of --coating, --paint and --scatter."""
+        """Return the coatings, paints and scatter models that --coating, --paint and --scatter give to surfaces."""
         from mistray.scene import Rules
 
         scatter: dict[str, list[str]] = {}
@@ -189,7 +197,7 @@ class Options(argparse.Namespace):
         return Rules(dict(self.has("coating") or ()), dict(self.has("paint") or ()), scatter)
 
     def load(self) -> Any:
-        """Load and return the scene, with the rules of --coating, --paint and --scatter applied."""
+        """Load and return the scene, with --coating, --paint and --scatter applied."""
         from mistray.scene import load
         from mistray.scene.coat import coated_scene
 
@@ -204,7 +212,7 @@ class Options(argparse.Namespace):
         return scene
 
     def sensors(self) -> list[str]:
-        """Return the sensors of --probe, --far-field, --surface-maps and --flux-split as texts for `mistray.load`."""
+        """Return the sensors of --probe, --far-field, --surface-maps and --flux-split, as texts for `mistray.load`."""
         texts = [f"{kind}:{text}" for kind in ("probe", "far_field") for text in self.has(kind) or ()]
         of_surfaces = {kind: self.has(kind) for kind in ("surface_maps", "flux_split")}
         return texts + [f"{kind}:{' '.join(words)}" for kind, words in of_surfaces.items() if words is not None]
@@ -282,7 +290,7 @@ class Options(argparse.Namespace):
         return 0
 
     def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
-        """Print a result as `say` does; a text ends with the names of the written files. Return the exit code 0."""
+        """Print a result as `say` does, then the names of the written files below a text. Return the exit code 0."""
         wrote = f"\n\nwrote {', '.join(map(str, files))}" if files else ""
         return self.say(record, lambda: f"{text()}{wrote}", files)
 

@@ -133,7 +133,7 @@ def _command(arguments: list[str]) -> int:
 
 
 def _tell_of_compilation() -> None:
-    """Print on stderr how much of --seconds the compilation of kernels took that were not cached, s."""
+    """Print on stderr how much of the time of --seconds, s, was spent on compiling kernels that were not cached."""
     launches = sys.modules.get("mistray.kernel.launches")
     took = sum(launches.compilations) if launches else 0.0
     if took >= LEAST_TOLD_S:
@@ -152,7 +152,7 @@ def _check_working_folder() -> None:
 
 
 def _stopped(error: BaseException | None) -> bool:
-    """Return whether Ctrl-C caused an error; Mitsuba, while it starts, and Dr.Jit, in a loop, raise other errors."""
+    """True if Ctrl-C caused an error; Mitsuba, while it starts, and Dr.Jit, in a loop, raise other errors."""
     if requested():
         return True
     while error is not None:
@@ -198,7 +198,7 @@ def _fail(message: str) -> int:
 
 
 class _Version(argparse.Action):
-    """Action that prints the version, looked up only then, because the look-up takes as long as all of --help."""
+    """Option that prints the version. It is looked up only then, since this takes as long as all of --help."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         import importlib.metadata

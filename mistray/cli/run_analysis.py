@@ -13,7 +13,7 @@ from mistray.toolkit.field_options import request_of
 
 
 def run_analysis(command: AnalysisCommand, options: Options) -> int:
-    """Run the command of an analysis with the options that were read, and return the exit code."""
+    """Run the command of an analysis with its options; return the exit code."""
     names = filter(None, (command.request, command.shown))
     request, *shown = (request_of(getattr(command.requests, name), vars(options)) for name in names)
     options.start()
@@ -28,7 +28,7 @@ def run_analysis(command: AnalysisCommand, options: Options) -> int:
 
 
 def _page_of(command: AnalysisCommand) -> Any:
-    """Return the module ``page`` of an analysis, which formats its results; else a `PlainPage` of their tables."""
+    """Return the module ``page`` of an analysis, which formats its results, else a `PlainPage` of their tables."""
     name = f"{command.package}.page"
     if importlib.util.find_spec(name) is not None:
         return importlib.import_module(name)

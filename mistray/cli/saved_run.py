@@ -38,12 +38,12 @@ class SavedRun:
 
     @property
     def how(self) -> dict[str, Any]:
-        """Keywords ``state`` and ``resume`` of the function whose run it is."""
+        """Arguments ``state`` and ``resume`` for the function that computes the run, by name."""
         return {"state": self.path, "resume": self.resumed}
 
     @contextlib.contextmanager
     def reported(self) -> Iterator[None]:
-        """Report on an error or interrupt in a block where the run is saved, if there is something to continue."""
+        """Report errors and interrupts in a block, and say on stderr how to continue if the file has changed."""
         try:
             yield
         except (KeyboardInterrupt, MistrayError) as error:

@@ -24,7 +24,7 @@ _telling = threading.Event()  # the command itself says that it is interrupted
 
 
 def ignore() -> None:
-    """Ignore further signals, once only the last line and the exit code of the command are left to be given."""
+    """Ignore further signals, as only the last line and the exit code of the command are left to give."""
     _telling.set()
     if threading.current_thread() is threading.main_thread():
         for number in SIGNALS:

@@ -1,4 +1,4 @@
-"""Tracing on the workers of a dask cluster: `mistray.distribute`."""
+"""Distribution of traces to the workers of a dask cluster: `mistray.distribute`."""
 
 from mistray.cluster.client import distribute
 

@@ -182,7 +182,7 @@ class Cluster:
             job.close()
 
     def sending(self, action: Callable[[], Any]) -> Any:
-        """Return the result of an action that uses the scheduler; raise `UnfinishedError` if the scheduler is lost."""
+        """Return the result of an action that needs the scheduler. Raise `UnfinishedError` if the scheduler is lost."""
         if self.client.status != "running":
             raise self.gone()
         try:
@@ -195,7 +195,11 @@ class Cluster:
             raise self.gone() from error
 
     def _bring(self, parcel: Parcel) -> list[Future]:
-        """Send a task and its scenes to the scheduler, where scenes stay; return the futures, task first."""
+        """
+        Send a task and its scenes to the scheduler, where scenes stay.
+
+        Return the futures, that of the task first.
+        """
         for name, content in parcel.scenes.items():
             known = self._scenes.pop(name, None)
             if known is None or known.status not in ("pending", "finished"):
@@ -209,7 +213,7 @@ class Cluster:
 
 class DaskJob:
     """
-    Job that does the parts of a task on the workers of a cluster, see `mistray.execute.workers.Job`.
+    Job: parts of a task that workers of a cluster compute, see `mistray.execute.workers.Job`.
 
     Parameters
     ----------
@@ -233,7 +237,7 @@ class DaskJob:
         self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     def submit(self, part: Any) -> None:
-        """Submit one more part."""
+        """Send one more part of the task to the workers."""
         task, *scenes = self._futures
         self._number += 1
         future = self._cluster.sending(
@@ -260,7 +264,7 @@ class DaskJob:
         return self._take(part)
 
     def results(self) -> Iterator[tuple[Any, Any]]:
-        """Yield all parts with their results, in the order of completion."""
+        """Yield all parts with their results, in the order in which they are completed."""
         while self._waiting:
             part = next(iter(self._done), None)
             if part is None:
@@ -269,7 +273,7 @@ class DaskJob:
             yield part, self._take(part)
 
     def _next(self) -> Any:
-        """Wait until a part is done or has failed, and return it."""
+        """Wait until a part has succeeded or failed, and return the part."""
         alone_since: float | None = None
         while True:
             try:
@@ -305,7 +309,7 @@ class DaskJob:
             future.release()
 
     def close(self) -> None:
-        """Cancel all parts that are not done."""
+        """Cancel all unfinished parts."""
         rest = list(self._waiting.values())
         if rest and self._cluster.client.status == "running":
             with contextlib.suppress(Exception):  # nobody needs them any more

@@ -1,4 +1,4 @@
-"""Tasks as bytes for another process; scenes are sent separately, by the text that they were loaded from."""
+"""Tasks packed as bytes for another process; scenes are sent separately, as the text that they were loaded from."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SCENES_KEPT, TASKS_KEPT = 4, 2  # by a worker
 @dataclass(frozen=True)
 class Parcel:
     """
-    A task packed for another process.
+    Task packed as bytes for another process.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Parcel:
 
 
 def surroundings() -> dict[str, str]:
-    """Return package versions, variant and plugins of others, which must agree in all processes, for messages."""
+    """Return what must agree in all processes, as text by name: package versions, variant, plugins of others."""
     return {**versions(), "variant": mi.variant(), "plugins": ",".join(sorted(plugins_of_others()))}
 
 
@@ -92,7 +92,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _packed(scene: mi.Scene) -> bytes:
-    """Return the source of a scene and its current numbers, packed as bytes."""
+    """Return the source of a scene and the current values of its parameters, packed as bytes."""
     buffer = io.BytesIO()
     _dump(_Pickler(buffer), source_of(scene))
     return pickle.dumps((buffer.getvalue(), read_numbers(scene)))
@@ -109,14 +109,18 @@ def _dump(pickler: Any, item: Any) -> None:
 
 
 class Unpacked:
-    """Scenes and tasks that a worker keeps in memory."""
+    """Scenes and tasks that a worker has unpacked and keeps in memory."""
 
     def __init__(self) -> None:
         self._scenes: dict[str, mi.Scene] = {}  # by the hash of the source
         self._made: dict[str, tuple[Any, Any, tuple[str, ...]]] = {}
 
     def task(self, content: bytes, digest: str, scenes: Mapping[str, bytes]) -> tuple[Any, Any]:
-        """Return a task and the object that it makes, from a parcel; its scenes are loaded and get their numbers."""
+        """
+        Return a task from its packed form, and the object that it makes.
+
+        Its scenes are loaded and get their values.
+        """
         if digest in self._made:
             task, made, _ = self._made[digest]
             return task, made

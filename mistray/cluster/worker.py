@@ -1,4 +1,4 @@
-"""Worker side of `mistray.distribute`: does one part of a task at a time."""
+"""Worker side of `mistray.distribute`, which does one part of a task at a time."""
 
 from __future__ import annotations
 
@@ -98,5 +98,5 @@ def _processors() -> int:
 
 
 def host_of(address: str) -> str:
-    """Return the host of an address tcp://host:port."""
+    """Return the host in an address of the form tcp://host:port."""
     return address.rpartition("//")[2].rpartition(":")[0]

@@ -1,4 +1,4 @@
-"""Coatings from files, and from the strings that name them."""
+"""Coatings read from files, and from the text that names them."""
 
 from __future__ import annotations
 

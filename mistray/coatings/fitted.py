@@ -34,7 +34,7 @@ OF_USE = 0.5  # a coating that leaves more than this fraction of the bare surfac
 @dataclass(frozen=True)
 class FittedPreset:
     """
-    Preset with its layers fitted to a body.
+    Preset coating with layer thicknesses fitted to a body's index.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class FittedPreset:
     bare: float
 
     def __str__(self) -> str:
-        """Describe in words the reflectance that the stack reaches."""
+        """Describe the mean reflectance that the fitted stack reaches, in words."""
         band = f"mean R = {100 * self.reached:.3g} % from {self.low_nm:g} to {self.high_nm:g} nm"
         return f"{band} (as designed {100 * self.designed:.3g} %, bare {100 * self.bare:.3g} %)"
 
@@ -162,7 +162,7 @@ def _index(body: str, wavelength_nm: float) -> complex:
 
 
 def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: np.ndarray, centre: float) -> np.ndarray:
-    """Return the layer thicknesses (L,), nm, rounded, of the least mean R, searched from the best of a grid."""
+    """Return rounded layer thicknesses, (L,), nm, of the least mean R, searched from the best of a grid."""
     from scipy.optimize import minimize
 
     quarter = centre / index.real.mean(axis=1)

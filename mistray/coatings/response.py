@@ -67,14 +67,14 @@ class CoatingModel(Protocol):
 
     @property
     def opaque(self) -> bool:
-        """Whether the coating transmits nothing, T = 0, at every wavelength and angle."""
+        """True if the coating transmits nothing, T = 0, at every wavelength and angle."""
         ...
 
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
         """
-        Return the response to light from one side.
+        Return R, T and phases of the coating for light from one side.
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ def layered_response(
     from_front: bool,
 ) -> Response:
     """
-    Return the response of homogeneous layers, or of a bare interface without layers.
+    Return R, T and phases of homogeneous layers, or of a bare interface without layers.
 
     Parameters
     ----------
@@ -129,6 +129,6 @@ def layered_response(
 
 
 def total_reflection(n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool) -> np.ndarray:
-    """Return whether light from one side is beyond the critical angle of the two media, (m,) bool."""
+    """Return a mask of light beyond the critical angle of the two media, (m,)."""
     n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
     return np.asarray((n_1 / n_2) ** 2 * (1 - np.square(cos_incident)) >= 1)

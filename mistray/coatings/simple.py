@@ -16,7 +16,7 @@ SUM_TOLERANCE = 1e-6
 
 def check_shares(r: float, t: float, what: str) -> None:
     """
-    Raise `MistrayError` if R and T of one angle and wavelength are not fractions of a flux.
+    Raise `MistrayError` if R and T of a coating at one angle and wavelength are not fractions of a flux.
 
     Raises
     ------
@@ -52,7 +52,7 @@ class Bare:
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
-        """Return the response to light from one side, see `CoatingModel.response`."""
+        """Return R, T and phases for light from one side, see `CoatingModel.response`."""
         return layered_response((), (), wavelength_nm, n_front, n_back, cos_incident, from_front)
 
 
@@ -90,13 +90,13 @@ class Ideal:
 
     @property
     def opaque(self) -> bool:
-        """Whether the coating transmits nothing, T = 0."""
+        """True if the coating transmits nothing, T = 0."""
         return self.T == 0
 
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
-        """Return the response to light from one side, see `CoatingModel.response`; phase_r is π and phase_t is 0."""
+        """Return R, T and phases for light from one side, see `CoatingModel.response`; phase_r is π, phase_t 0."""
         count = len(cos_incident)
         beyond = total_reflection(n_front, n_back, cos_incident, from_front) & (not self.opaque)
         r, t = np.where(beyond, self.R + self.T, self.R), np.where(beyond, 0.0, self.T)

@@ -1,4 +1,4 @@
-"""Coatings made of layers, and their form as text."""
+"""Coatings made of homogeneous layers, and their form as text."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LAYER_FORM = "write 'material thickness' with the thickness in nm (99.64) or in 
 @dataclass(frozen=True)
 class Layer:
     """
-    Homogeneous layer of a coating.
+    Homogeneous layer of a coating: material and thickness.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class Stack:
         self, wavelength_nm: float, n_front: complex, n_back: complex
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
-        Return the layers in the order in which light from the front meets them.
+        Return indices and thicknesses of the layers in the order in which light from the front meets them.
 
         Parameters
         ----------
@@ -162,14 +162,14 @@ class Stack:
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
-        """Return the response to light from one side, see `CoatingModel.response`."""
+        """Return R, T and phases for light from one side, see `CoatingModel.response`."""
         indices, thickness, _ = self.front_to_back(wavelength_nm, n_front, n_back)
         full = layered_response(indices, thickness, wavelength_nm, n_front, n_back, cos_incident, from_front)
         return Response(full.R, 0 * full.T, full.phase_r, full.phase_t) if self.opaque else full
 
 
 def outside_first(n_front: complex, n_back: complex) -> bool:
-    """Return whether the front is outside: the side of lower index, metals being substrates; True for equal sides."""
+    """True if the outside, which is the side of lower index or not metal, is the front; also for equal sides."""
     return (n_front.imag > METAL_K, n_front.real) <= (n_back.imag > METAL_K, n_back.real)
 
 
@@ -221,7 +221,7 @@ def parse_layers(
 
 
 def moved_layers(text: str, seen: Callable[[str], str]) -> str:
-    """Return the text of layers with the paths of material files replaced by `seen(path)`."""
+    """Return the text of layers with each path of a material file replaced by the result of `seen` for it."""
     parts = [part.strip().rpartition(" ") for part in re.split(r"[,\n]", text)]
     return ", ".join(f"{resolved(material.strip(), seen)} {size}" for material, _, size in parts)
 

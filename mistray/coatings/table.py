@@ -88,7 +88,7 @@ class CoatingTable:
     @classmethod
     def from_columns(cls, name: str, columns: Mapping[str, np.ndarray]) -> CoatingTable:
         """
-        Return a table made of columns.
+        Return a coating table made of columns of wavelength, angle, R, T and phases.
 
         Parameters
         ----------
@@ -143,14 +143,14 @@ class CoatingTable:
 
     @property
     def opaque(self) -> bool:
-        """Whether the coating transmits nothing, T = 0, at every wavelength and angle of the table."""
+        """True if the coating transmits nothing, T = 0, at every wavelength and angle of the table."""
         return not np.any(self.shares[:, :, THROUGH])
 
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
         """
-        Return the response to light from one side, see `CoatingModel.response`.
+        Return R, T and phases for light from one side, see `CoatingModel.response`.
 
         Beyond the critical angle R is the table's R + T at grazing incidence.
 
@@ -198,7 +198,7 @@ class CoatingTable:
 
 
 def _header(names: Sequence[str], what: str) -> list[str]:
-    """Return the names of the columns if they are valid; otherwise raise `MistrayError`."""
+    """Return the column names of a coating table's CSV file; raise `MistrayError` if they are not valid."""
     given = list(names)
     unknown = [name for name in given if name not in COLUMNS]
     doubled = sorted({name for name in given if given.count(name) > 1})

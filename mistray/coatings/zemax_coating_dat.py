@@ -45,7 +45,7 @@ BUILT_IN = ("AIR", "VACUUM")
 
 @dataclass
 class _Section:
-    """Section of a file: its head and the lines below it, as words with line numbers."""
+    """Section of a coating file: its first line and the lines below, as words with line numbers."""
 
     kind: str
     name: str
@@ -223,7 +223,7 @@ class CoatingFile(Mapping[str, CoatingModel]):
         return Stack(tuple(layers), name=section.name, opaque=mirror)
 
     def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:
-        """Return the layer described by the words of a line, and its loop index, 0 for none."""
+        """Return the layer that the words of a line describe, and the index of its loop, 0 for none."""
         if len(words) > 5 or len(words) < 2:
             raise MistrayError(f"{where}: '{shown(words)}'; expected material thickness is_absolute loop taper")
         if len(words) == 5:
@@ -304,10 +304,10 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
 
 
 def _is_transmission(name: str) -> bool:
-    """Whether a name is that of an ideal coating, such as I.99."""
+    """True if a name is that of an ideal coating with a stated transmittance, such as I.99."""
     return name[:2].upper() == "I." and name[2:].isdigit()
 
 
 def _phases(r_s: float, r_p: float, t_s: float, t_p: float) -> dict[str, float]:
-    """Return phases of s minus p, degrees, by column, from OpticStudio's four phases, degrees."""
+    """Return phases of s minus p, degrees, by column of `CoatingTable`, from OpticStudio's of s and p, degrees."""
     return {"phase_r_deg": 180.0 - (r_s - r_p), "phase_t_deg": -(t_s - t_p), "phase_r_back_deg": 180.0 - (r_s - r_p)}

@@ -1,4 +1,4 @@
-"""Traces in passes: launches, parts for other processes, time and interrupts."""
+"""Execution of traces in passes: kernel launches, work shared with other processes, time limits and interrupts."""
 
 from mistray._variant import active_variant, ensure_variant
 

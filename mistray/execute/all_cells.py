@@ -78,7 +78,7 @@ class AllCells:
 
     def samples(self, rays: np.ndarray, number: int) -> list[Samples]:
         """
-        Return samples of rays that meet the detector, by wavelength; they are traced apart and do not enter the sums.
+        Trace rays apart from the sums, and return samples of those that meet the detector, by wavelength.
 
         Where unscattered light has rays of its own, see `mistray.sampling.sharing.balance.Sharing`, each wavelength has
         two parts; the first is the scattered light.
@@ -102,7 +102,7 @@ class AllCells:
         return found
 
     def _read(self, recorder: ArrivalRecorder) -> WaveSums:
-        """Return the sums of a recorder as `WaveSums`, with the start rays and the paths still empty."""
+        """Return a recorder's sums as `WaveSums`, with zero start rays and no paths."""
         return WaveSums(rays=np.zeros((*self.areas.shape, BATCHES)), paths=PathsByCell(), **recorder.read())
 
     def _recorder(self, mis: MisWeighting | None, film: Film | None = None, **options: Any) -> ArrivalRecorder:
@@ -125,7 +125,7 @@ class AllCells:
 
     @property
     def rays(self) -> np.ndarray:
-        """Number of start rays so far from each cell, (c,), without those for unscattered light alone."""
+        """Number of start rays so far from each cell, (c,), without the additional ones for unscattered light."""
         return np.asarray(self.total.rays.sum(axis=-1).ravel())
 
     def sums(self, rays: np.ndarray, number: int) -> WaveSums:
@@ -162,34 +162,38 @@ class AllCells:
 
     @property
     def _kinds(self) -> list[tuple[bool, bool]]:
-        """Kinds of rays to trace: whether they may scatter, and whether their unscattered light is left out."""
+        """Kinds of rays to trace, as pairs of flags: rays may scatter; their unscattered light is left out."""
         return [(True, False)] if self.unscattered is None else [(True, True), (False, False)]
 
     @property
     def unscattered(self) -> np.ndarray | None:
-        """Number of additional rays for unscattered light per start ray of each cell, (c,); None: there are none."""
+        """Additional rays for unscattered light per start ray of each cell, (c,); None if there are none."""
         balance = self._trace.balance(0)
         return None if balance is None else balance.sharing.unscattered
 
     @property
     def lanes(self) -> float:
-        """Number of start rays, at all wavelengths together, whose share at each wavelength fits in one launch."""
+        """Number of start rays over all wavelengths such that the share of each wavelength fits in one launch."""
         parts = [self._trace.bands[band].share / one.lanes for band, one in self._launches.items()]
         return 1 / max(parts) if parts else BATCHES
 
     @property
     def unscattered_rays(self) -> float:
-        """Number of additional rays so far that carry unscattered light alone, over all cells."""
+        """Total number of additional rays so far that carry only unscattered light."""
         return 0.0 if self.unscattered is None else float(np.sum(self.rays * self.unscattered))
 
     @property
     def paths(self) -> PathsByCell:
-        """Paths so far with their sums by cell, events in the order of the light; empty without a table of paths."""
+        """
+        Paths recorded so far with their flux sums by cell, events in the order of the light.
+
+        Empty without a table of paths.
+        """
         return self.total.paths if self._paths is None else self.total.paths + self._paths.read()
 
     @property
     def found(self) -> FoundByCell:
-        """Paths so far, PST_normal per unit weight of one start ray, (c,), and number of start rays, (c,), by cell."""
+        """Paths so far, PST_normal per unit weight of a start ray, (c,), and numbers of start rays, (c,), by cell."""
         return self.total.found(self.unit, self.paths)
 
     def begin(self) -> None:
@@ -198,7 +202,7 @@ class AllCells:
         self._paths = None
 
     def gains(self, derivative: np.ndarray, mis: MisWeighting) -> ArrivalRecorder:
-        """Return a recorder whose `gain` is each ray's weight times a metric's derivative by its class and cell."""
+        """Return a recorder whose `gain` is each ray's weight times the metric's derivative for its class and cell."""
         return self._recorder(mis, derivative=derivative)
 
     def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int], scatter: bool = True) -> Iterator[StartRays]:
@@ -231,7 +235,7 @@ class AllCells:
                 )
 
     def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:
-        """Trace the ray trees of some start rays of a wavelength for a recorder, with or without scatter."""
+        """Trace ray trees of start rays at wavelength number `band` into a recorder, with or without scatter."""
         trace = self._trace
         scene, settings = trace.forward_scene(band), trace.settings
         if not scatter:

@@ -61,7 +61,7 @@ SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
 
 
 class Pass(NamedTuple):
-    """One wavelength of a pass: numbers of the wavelength and the pass, and rays of the pass at all wavelengths."""
+    """One wavelength of a pass: numbers of wavelength and pass, and number of rays of the pass over all wavelengths."""
 
     band: int
     done: int
@@ -172,16 +172,16 @@ class BackwardTrace(GridTrace):
 
     @property
     def notes(self) -> list[Note]:
-        """Notes on gaps too thin for float32, on assumptions about media, and on the medium before the detector."""
+        """Notes on gaps too thin for float32, on assumed media, and on the medium in front of the detector."""
         return [*dict.fromkeys([*super().notes, *(note for start in self.starts for note in start.notes)])]
 
     def go_on_from(self, sums: BackwardSums) -> None:
-        """Replace the sums by those of another trace with the same arguments, which this trace then continues."""
+        """Continue from `sums`, the result so far of another trace with the same arguments."""
         self.sums, self.pass_rays = sums, None
 
     @staticmethod
     def pass_size(number: int) -> int:
-        """Return the rays of a pass, at all wavelengths together: few at first, later a quarter of those before."""
+        """Return the number of rays of a pass, over all wavelengths: few at first, later a quarter of all before."""
         return min(FIRST_PASS << max(0, number // PASSES_OF_A_SIZE - 1), PASS_LANES)
 
     def advance(self, rays: int | None = None) -> None:
@@ -213,7 +213,7 @@ class BackwardTrace(GridTrace):
         return replace(self.pass_sums(part), paths=self.paths() or PathsByCell())
 
     def _read(self, number: int, sky: DirectionRecorder, tallies: Tallies, rays: float) -> BackwardSums:
-        """Return the sums of the recorders over `rays` start rays of a wavelength, in units of a start ray's flux."""
+        """Return the recorders' sums over `rays` start rays of wavelength `number`, in units of a start ray's flux."""
         table, names = self.bands[number].table, self.table.optics.media
         found = tallies.read()
         # Media are in the order of the first wavelength: another one may number them otherwise
@@ -231,7 +231,7 @@ class BackwardTrace(GridTrace):
 
     def samples(self, rays: int, number: int, values: np.ndarray | None = None) -> list[Samples]:
         """
-        Return samples of rays that leave within a cell, by wavelength; they are traced apart and do not enter the sums.
+        Trace rays apart from the sums, and return samples of those that leave within a cell, by wavelength.
 
         Parameters
         ----------
@@ -262,7 +262,7 @@ class BackwardTrace(GridTrace):
         return found
 
     def trace_shared(self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder) -> None:
-        """Trace ray trees of a wavelength for recorders, with a competing trace for MIS if there are forward rays."""
+        """Trace ray trees of wavelength `number` into recorders, with MIS against forward rays if there are any."""
         scene = self.split_scene(number)
         if self.forward:
             competing = CompetingTrace(self.forward[number].scattering, self._forward_probabilities, self.connects)
@@ -270,7 +270,7 @@ class BackwardTrace(GridTrace):
         trace_whole(scene, start, self.settings, recorders)
 
     def split_scene(self, number: int) -> KernelScene:
-        """Return the kernel's scene for backward rays at a wavelength, with the weight windows of a pilot, if any."""
+        """Return the kernel's scene for backward rays of wavelength `number`, with weight windows from any pilot."""
         band = self.bands[number]
         # Light that a medium scatters branches with the probability of the surface behind it, whose weight window does
         # not account for the importance of the medium
@@ -279,17 +279,17 @@ class BackwardTrace(GridTrace):
 
     @property
     def connects(self) -> bool:
-        """Whether backward rays are connected to light vertices of forward rays."""
+        """True if backward rays are connected to light vertices of forward rays."""
         return bool(self._balances) and self._balances[0].sharing.connects
 
     @property
     def scatters(self) -> bool:
-        """Whether any surface or medium scatters backward rays, at any wavelength, under the settings."""
+        """True if any surface or medium scatters backward rays at any wavelength, under the settings."""
         return any(self.scene(one).scatters(self.settings) for one in self.bands)
 
     @property
     def may_connect(self) -> bool:
-        """Whether connections are possible: only surfaces scatter, two scatter events are allowed, and rays split."""
+        """True if connections to light vertices are possible: only surfaces scatter, at least twice, and rays split."""
         settings, optics = self.settings, self.table.optics
         surfaces = any(one.scattering.any for one in self.bands) and not optics.scatters
         return surfaces and settings.max_scatters > 1 and settings.splitting == "split" and not optics.one_child
@@ -356,12 +356,12 @@ class BackwardTrace(GridTrace):
         return KernelScene(band.table, band.scattering, self.intersector, self._probabilities, backward=True)
 
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
-        """Trace ray trees of a wavelength for recorders, with weight windows but without a competing trace."""
+        """Trace ray trees of wavelength `number` into recorders, with weight windows, without MIS of forward rays."""
         trace_whole(self.split_scene(number), start, self.settings, recorders)
 
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:
-        """Let workers, if there are any, trace passes ahead within the block, which takes about `rays` rays in all."""
+        """Let workers, if there are any, trace passes ahead within a block that will take about `rays` rays."""
         workers = current_workers()
         if workers is None:
             yield
@@ -377,13 +377,17 @@ class BackwardTrace(GridTrace):
     def make_directions(
         self, derivative: np.ndarray | None = None, maps: bool = False, mis: MisWeighting | None = None
     ) -> DirectionRecorder:
-        """Return a recorder of light by class and cell, at zero; `derivative` is that of a metric, for its `gain`."""
+        """Return a zeroed recorder of light by class and cell; `derivative`, of a metric, is for its `gain`."""
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
         paths = self._path_sums if derivative is None else None
         return DirectionRecorder(self.grid, self.design_keys, mis, paths, pixels, derivative)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
-        """Return Lambertian start rays at the detector, for wavelength `number` in pass `done` of `rays` rays."""
+        """
+        Return Lambertian start rays at the detector for wavelength `number` in a pass of `rays` rays.
+
+        `rays` counts all wavelengths; `done` is the number of earlier passes.
+        """
         one = self.bands[number]
         lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
         seed = self.settings.seed + 0x9E3779B9 * (number + len(self.bands) * done)
@@ -391,12 +395,16 @@ class BackwardTrace(GridTrace):
         return self.starts[number].pass_rays(seed, lanes, one.share * rays / lanes, self.map_size).evaluated()
 
     def paths(self) -> PathsByCell | None:
-        """Return the paths so far with sums by cell, events from the detector on; None without a table of paths."""
+        """
+        Return the paths so far with sums by cell, events in order from the detector.
+
+        The result is None without a table of paths.
+        """
         return None if self._path_sums is None else self.sums.paths + self._path_sums.read()
 
     @property
     def unit(self) -> np.ndarray:
-        """PST_normal of each cell per unit mean weight of the start rays, π/ΔΩ, (n, m)."""
+        """PST_normal of each cell per unit mean weight of start rays, π/ΔΩ in 1/sr, (n, m)."""
         return np.asarray(np.repeat(np.pi / self.grid.solid_angle[:, None], self.grid.shape[1], axis=1))
 
     @property
@@ -407,7 +415,7 @@ class BackwardTrace(GridTrace):
 
 class Ahead:
     """
-    Queue of passes that workers trace, some of them before they are requested.
+    Queue of passes traced by workers, some of them before they are requested.
 
     Parameters
     ----------
@@ -426,7 +434,7 @@ class Ahead:
         self._handed_over: set[Pass] = set()
 
     def whole_pass(self, parts: Sequence[Pass]) -> list[BackwardSums]:
-        """Return the sums of a pass for each wavelength, traced by workers; hand over later passes to them."""
+        """Return the sums of one pass for each wavelength, traced by workers, and hand later passes to them."""
         # Hand over this pass and those after it, as far as the planned rays go
         _, done, size = parts[0]
         total, number = float(self._trace.rays.sum()), done

@@ -36,7 +36,7 @@ Progress = Callable[[int, int], None]
 
 
 class RunPart(NamedTuple):
-    """Work for one worker: number of a run, and a part of its start rays."""
+    """Work unit for one worker: the number of a run, and a part of its start rays."""
 
     run: int
     part: Part
@@ -44,7 +44,7 @@ class RunPart(NamedTuple):
 
 class MapPlace(NamedTuple):
     """
-    Work for one worker: images of some paths from a part of a run.
+    Work unit for one worker: images of some paths from a part of a run.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class ImageSums(Sums):
 
 class TracedRuns:
     """
-    Runs of a trace, which are built alike in all processes, see `SceneTask`.
+    Runs of a trace, which every process builds alike from the same arguments, see `SceneTask`.
 
     Parameters
     ----------
@@ -110,12 +110,12 @@ class TracedRuns:
 
     @property
     def task(self) -> SceneTask:
-        """Task from which each worker builds the same runs, to trace parts of them."""
+        """Task from which workers rebuild these runs, to trace parts of them."""
         scene, *arguments = self._arguments
         return SceneTask(TracedRuns, scene, tuple(arguments), self.kernel_arrays())
 
     def kernel_arrays(self) -> list[list[np.ndarray]]:
-        """Return the arrays of geometry, coatings, media and scatter that the kernel reads, for each wavelength."""
+        """Return the arrays of geometry, coatings, media and scatter that the kernel reads, one list per wavelength."""
         return [kernel_arrays(run.table, run.scattering) for run in {id(run.table): run for run in self.runs}.values()]
 
     def do(self, part: RunPart | MapPlace) -> RunSums | ImageSums:
@@ -132,7 +132,7 @@ class TracedRuns:
 
 
 def split(runs: Sequence[Run], workers: int) -> list[RunPart]:
-    """Return the parts of runs that workers trace, several per worker; parts of different runs alternate."""
+    """Divide runs into parts for workers, several per worker, with parts of different runs alternating."""
     requested = max(LEAST_RAYS, sum(run.rays for run in runs) / (PARTS_PER_WORKER * workers))
     placed = []
     for number, run in enumerate(runs):
@@ -151,7 +151,7 @@ def split(runs: Sequence[Run], workers: int) -> list[RunPart]:
 def filled(
     run: Run, keys: np.ndarray, events: np.ndarray, lengths: np.ndarray, least: int = FIRST_CAPACITY
 ) -> tuple[Ledger, np.ndarray]:
-    """Return a ledger of at least `least` slots that holds the given paths with sums at zero, and their slots, (p,)."""
+    """Return a ledger of at least `least` slots that holds given paths with zero sums, and the slot of each, (p,)."""
     settings = run.settings
     capacity = max(least, 1 << math.ceil(math.log2(max(len(keys), 1) / LOAD)))
     if capacity > LAST_CAPACITY:
@@ -175,7 +175,11 @@ def filled(
 
 
 def _with_sums(run: Run, parts: Sequence[Part], sums: RunSums | None, whole: bool) -> Run:
-    """Return a run with the sums of some parts; if parts are missing, the traced rays stand for all the flux."""
+    """
+    Return a run with the sums of its traced parts.
+
+    If parts are missing and not `whole`, they are scaled to all the flux.
+    """
     if sums is None:
         return replace(run, parts=())
     ledger = None

@@ -1,4 +1,4 @@
-"""Sums of light over a grid of directions, by forward or by backward rays, which are added, saved and continued."""
+"""Sums of light by cell of a grid of directions, by forward or backward rays, which are added, saved, continued."""
 
 from __future__ import annotations
 
@@ -73,18 +73,22 @@ class CellSums(Sums):
         return np.stack([of_ray * weight, of_ray**2 * np.maximum(squares - weight**2 / rays, 0)])
 
     def found(self, unit: np.ndarray, paths: PathsByCell) -> FoundByCell:
-        """Return paths, PST_normal per unit weight of one start ray, (c,), and number of start rays, (c,), by cell."""
+        """Return paths, PST_normal per unit weight of a start ray, (c,), and numbers of start rays, (c,), by cell."""
         rays = np.broadcast_to(self.rays.sum(axis=-1), unit.shape)
         return paths, self.of_ray(unit).ravel(), rays.ravel()
 
     def arrays(self, paths: PathsByCell) -> dict[str, np.ndarray]:
-        """Return the sums and `paths`, which include those in device memory, as named arrays that can be saved."""
+        """Return the sums and `paths`, which may still be in device memory, as named arrays to be saved."""
         own = {f.name: getattr(self, f.name) for f in fields(self)}
         kept = {name: values for name, values in own.items() if isinstance(values, np.ndarray)}
         return kept | {PATHS + name: values for name, values in paths.items()}
 
     def continued(self, saved: Mapping[str, np.ndarray], passes: int, seconds: float) -> Self:
-        """Return sums restored from saved `arrays`; these sums, of no rays yet, give shapes and missing arrays."""
+        """
+        Return sums restored from saved `arrays`.
+
+        This object, still without rays, gives shapes and missing arrays.
+        """
         own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
         # Arrays that are missing are at zero
         own = {
@@ -147,5 +151,5 @@ class BackwardSums(CellSums):
 
 
 def under(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """Return the arrays whose names begin with a prefix, keyed by the rest of their names."""
+    """Return the arrays whose names begin with `prefix`, by the rest of their names."""
     return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}

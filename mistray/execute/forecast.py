@@ -1,4 +1,4 @@
-"""Forecast of the duration of a trace from its first launches, and of the setting that makes it long."""
+"""Forecast of how long a trace takes, from its first launches, and advice on the setting that makes it long."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LARGE_TREE = 10_000  # ray segments per start ray; a lens has some hundred
 
 class Forecast:
     """
-    Forecast of the remaining time of a trace, which warns at most once if that exceeds `LONG`, in seconds.
+    Forecast of a trace's remaining time, which warns at most once, if that exceeds `LONG` seconds.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Forecast:
 
 
 def _remedy(run: Run, segments: float) -> str:
-    """Return the advice of a warning, as text: the setting to lower, with its present value."""
+    """Return advice for a trace that takes long: which setting to change, with its present value."""
     settings = run.settings
     if segments < LARGE_TREE:
         return f"lower rays ({run.rays:.3g})"
@@ -85,7 +85,7 @@ def _remedy(run: Run, segments: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration, given in seconds, as text in minutes, hours or days: "3 min" or "5.2 h"."""
+    """Format a duration in seconds as text in minutes, hours or days, such as "3 min" or "5.2 h"."""
     for size, unit in ((86400.0, "days"), (3600.0, "h")):
         if seconds >= size:
             return f"{seconds / size:.2g} {unit}"

@@ -36,7 +36,7 @@ SLOTS_OF_RAY, FEWEST_SLOTS = 2, 1 << 14
 
 @dataclass(frozen=True)
 class Band:
-    """One wavelength of a trace: its surfaces, its scatter, and its share of the light and of the rays."""
+    """One wavelength of a trace: its surfaces, their scatter, and its share of the light and of the rays."""
 
     table: SurfaceTable
     scattering: Scattering
@@ -109,7 +109,7 @@ class GridTrace:
         self.map_size = (max(1, columns), max(1, rows)) if map_pixels else (0, 0)
 
     def with_aims(self, aims: Mapping[Any, Any], backward: bool = False) -> list[Band]:
-        """Return a `Band` for each wavelength, whose scattered rays are aimed at the given importance targets."""
+        """Return one `Band` per wavelength, with scattered rays aimed at the given importance targets."""
         return [
             Band(table, Scattering(ScatterTables(table, aims, backward=backward)), share)
             for table, share in zip(self._tables, self.weights, strict=True)
@@ -117,7 +117,7 @@ class GridTrace:
 
     @property
     def notes(self) -> list[Note]:
-        """Notes on gaps too thin for float32, and on assumptions about the media, see `Optics.notes`."""
+        """Notes on gaps too thin for float32 and on assumed media, see `Optics.notes`."""
         return [*thin_gaps(self.table), *dict.fromkeys(text for one in self._tables for text in one.optics.notes)]
 
     @property
@@ -176,7 +176,7 @@ class WaveTrace(GridTrace):
         self.bands = self.with_aims(importance_targets(self.table, self._scene, self.settings))
 
     def balance(self, number: int) -> None:
-        """Return None, the MIS weights at a wavelength: there are no backward rays."""
+        """Return None, for no MIS weights, as there are no backward rays."""
 
     def forward_scene(self, number: int) -> KernelScene:
         """Return the kernel's scene for forward rays at wavelength `number`, without a competing trace."""

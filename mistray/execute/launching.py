@@ -16,7 +16,7 @@ def launches_and_kernel(
     scene: KernelScene, settings: Settings, recorders: Sequence[Recorder | None], kind: Settings | None = None
 ) -> tuple[Launches, Callable[[StartRays], None]]:
     """
-    Return the `Launches` that set a kernel's rays per launch, and a function that traces trees of start rays by it.
+    Return the `Launches` that size a kernel's launches, and a function that traces trees of start rays by that kernel.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def trace_whole(
     recorders: Sequence[Recorder | None],
     kind: Settings | None = None,
 ) -> Launches:
-    """Trace the ray trees of all start rays, whatever the time budget, and return the `Launches` of the kernel."""
+    """Trace the ray trees of all start rays regardless of the time budget; return the `Launches` of the kernel."""
     launches, trace = launches_and_kernel(scene, settings, recorders, kind)
     launches.whole(start, trace)
     return launches

@@ -1,5 +1,5 @@
 """
-Pickles of scenes and of what is made of them, for results that go to another process or are kept by the user.
+Pickling of scenes and of objects built from them, for results that go to another process or are kept by the user.
 
 A scene is pickled as the source that it was loaded from, with its numbers. Tables of surfaces and runs are made of it
 again, and must be what the kernel has read; the sums of runs are kept. If that is impossible there is `Missing`.
@@ -29,7 +29,7 @@ Arrays = list[np.ndarray]
 
 class Missing:
     """
-    Stand-in for a part of a result that cannot be made again in this process; its use raises the reason.
+    Stand-in for a part of a result that cannot be rebuilt in this process; using it raises an error with the reason.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Missing:
 
 
 def register() -> None:
-    """Let scenes of the active variant, frames, tables of surfaces and runs be pickled and copied."""
+    """Register functions for pickling and copying scenes of the active variant, frames, surface tables and runs."""
     frames = {getattr(mi, name) for name in dir(mi) if name.startswith("Scalar") and "Transform4" in name}
     reducers: dict[Any, Callable[[Any], Any]] = {mi.Scene: _scene, SurfaceTable: _table, Run: _run}
     for kind, reduce in (reducers | dict.fromkeys(frames, _frame)).items():
@@ -55,7 +55,7 @@ def register() -> None:
 
 
 def _or_missing(make: Callable[..., Any], *given: Any) -> Any:
-    """Return what a function makes, or `Missing` with the reason why it cannot."""
+    """Return the result of a function, or a `Missing` with the reason if it raises `MistrayError`."""
     try:
         return make(*given)
     except MistrayError as error:
@@ -130,7 +130,7 @@ def _made_run(
 
 
 def _check(before: Arrays, now: Arrays) -> None:
-    """Raise if the kernel would read other arrays now than it has read before."""
+    """Raise `MistrayError` if the arrays that the kernel would read now differ from those of the pickled result."""
     if not agree(before, now):
         raise MistrayError(
             "the scene, or a file that it names, was changed after this result was computed and before it was pickled; "

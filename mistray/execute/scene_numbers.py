@@ -1,4 +1,4 @@
-"""Numbers of a scene by key of ``mi.traverse``: read to the host, set in a scene of one source; copies of scenes."""
+"""Numeric parameters of a scene by key of ``mi.traverse``: reading, writing, and copies of scenes."""
 
 from __future__ import annotations
 
@@ -18,18 +18,22 @@ from mistray.surfaces.upload import upload
 
 @dataclass(frozen=True, eq=False)
 class StoredScene:
-    """A scene as the source that it was loaded from, with its numbers at that moment."""
+    """Scene stored as the source that it was loaded from, with its numeric parameters at that moment."""
 
     source: PackedScene | SceneDict
     numbers: Mapping[str, np.ndarray]
 
     @classmethod
     def of(cls, scene: mi.Scene) -> StoredScene:
-        """Return a scene as it is now; raise an error if its source is not known, see `source_of`."""
+        """Return the present state of a scene; raise `MistrayError` if its source is not known, see `source_of`."""
         return cls(source_of(scene), read_numbers(scene))
 
     def load(self) -> mi.Scene:
-        """Return a scene of its own from the source, with the numbers; raise an error if that is impossible here."""
+        """
+        Load a new scene from the source and set the stored numbers.
+
+        Raise `MistrayError` if that is impossible here.
+        """
         scene = self.source.load()
         put_numbers(scene, self.numbers)
         return scene

@@ -1,5 +1,5 @@
 """
-Tasks on a scene: an object that each worker builds again, and whose parts it does.
+Tasks on a scene that are shared among workers: each rebuilds the task's object and computes parts of the result.
 
 Two processes, or two runs, compare the arrays that the kernel reads, and so verify that they trace the same scene.
 """
@@ -46,7 +46,11 @@ class SceneTask:
     arrays: Sequence[list[np.ndarray]]
 
     def make(self) -> Any:
-        """Return the object that a worker builds; raise `MistrayError` if its kernel would read other arrays."""
+        """
+        Return the task's object, rebuilt in this worker.
+
+        Raise `MistrayError` if its kernel arrays differ from the original's.
+        """
         made = self.kind(self.scene, *self.arguments)
         there = made.kernel_arrays()
         if len(self.arrays) != len(there) or not all(agree(a, b) for a, b in zip(self.arrays, there, strict=True)):
@@ -57,7 +61,7 @@ class SceneTask:
         return made
 
     def do(self, made: Any, part: Any) -> Any:
-        """Return the sums of one part, as the worker's object computes them."""
+        """Return the sums of one part, computed by the rebuilt object `made`."""
         return made.do(part)
 
 
@@ -85,12 +89,12 @@ def fingerprint(bands: Iterable[tuple[SurfaceTable, Scattering]]) -> str:
 
 
 def agree(here: Sequence[np.ndarray], there: Sequence[np.ndarray]) -> bool:
-    """Whether kernel arrays of two machines agree: floats within the relative `TOLERANCE`, integers exactly."""
+    """True if kernel arrays of two machines agree: floats within the relative `TOLERANCE`, integers exactly."""
     return len(here) == len(there) and all(_agree(a, b) for a, b in zip(here, there, strict=True))
 
 
 def _agree(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two arrays agree: floats within `TOLERANCE` of the largest value of their column, others exactly."""
+    """True if two arrays agree: floats within `TOLERANCE` of the largest value in their column, others exactly."""
     if a.shape != b.shape or a.dtype.kind != "f":
         return np.array_equal(a, b)
     largest = np.max(np.abs(a), axis=0, initial=0, where=np.isfinite(a))

@@ -31,7 +31,7 @@ from mistray.time_budget import is_limited, time_is_up
 @dataclass(frozen=True, kw_only=True)
 class SeenSurface:
     """
-    Surface in the view of the detector: weight of Lambertian backward rays that meets it, and that it absorbs.
+    Surface in the detector's view: mean weight of Lambertian backward rays that meet it and that it absorbs.
 
     Attributes
     ----------

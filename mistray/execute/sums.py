@@ -1,4 +1,4 @@
-"""Sums of start rays: those of different rays are added, and travel between processes without their zeros."""
+"""Sums over start rays: addition of the sums of different rays, and compact transfer between processes."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Base class of sums over start rays; `+` adds arrays, numbers, tuples and other sums by field. None: no sums."""
+    """Base class of sums over start rays; `+` adds them field by field. A field that is None holds no sums."""
 
     def __add__(self, other: Self) -> Self:
-        """Return the sums over the start rays of both, added field by field."""
+        """Return the sums over the start rays of both objects, added field by field."""
         joined = {f.name: _joined(f.name, getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
         return type(self)(**joined)
 
@@ -26,7 +26,7 @@ class Sums:
 
 
 def _joined(name: str, a: Any, b: Any) -> Any:
-    """Return one field of the added sums: for `largest` the maximum; where one is None, the other."""
+    """Return one field of two added sums: the maximum for `largest`, else the sum; if one is None, the other."""
     if a is None or b is None:
         return b if a is None else a
     if isinstance(a, tuple):

@@ -96,7 +96,7 @@ class RunSums(Sums):
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """Arguments of `prepare`, from which another process makes the same runs."""
+    """Arguments of `prepare`, from which another process prepares the same runs."""
 
     scene: mi.Scene
     settings: Settings
@@ -104,7 +104,7 @@ class Preparation:
 
     @cached_property
     def runs(self) -> list[Run]:
-        """Runs that were made again of them."""
+        """Prepare the runs from these arguments, and return them."""
         return prepare(self.scene, self.settings, self.light)
 
     def __reduce__(self) -> Any:
@@ -114,7 +114,7 @@ class Preparation:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
     """
-    One source at one wavelength: the input of the kernel and, once it is executed, its sums.
+    One source at one wavelength: the kernel's input and, after execution, the sums of its trace.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ class Run:
         return self.sums.paths
 
     def make_film(self, detector: int | None = None) -> Film:
-        """Return the pixel grid on which the kernel sums the image of a detector, by default the only one."""
+        """Return the kernel's pixel grid for the image of a detector (surface number); by default the only detector."""
         detector = self.table.detector if detector is None else detector
         width, height, extent = self.table.film(detector)
         tent = spreads(self.table.shapes[detector].sensor().film())
@@ -183,7 +183,7 @@ class Run:
         return self.sums.films[self.table.detectors.index(self.table.detector)]
 
     def on(self, detector: int, table: SurfaceTable) -> Run:
-        """Return the run with its results on one of its detectors alone; `table` has this detector only."""
+        """Return the run reduced to the results on one of its detectors; `table` must have this detector only."""
         # Paths end with the event of their detector
         paths = self.sums.paths
         if paths is not None:
@@ -194,12 +194,12 @@ class Run:
 
     @property
     def passes(self) -> int:
-        """Number of passes, of at most `PASS_LANES` rays each, that all start rays take."""
+        """Number of passes, of at most `PASS_LANES` rays each, needed for all start rays."""
         return -(-self.rays // PASS_LANES)
 
     @property
     def is_sample(self) -> bool:
-        """Whether the traced parts are a sample of the whole beam; single passes of a grid of rays are not."""
+        """True if the traced parts sample the whole beam; single passes of a grid of rays do not."""
         whole_rows = self.source.pattern != "grid" or self.passes == 1
         return self.parts is None or (bool(self.parts) and whole_rows)
 
@@ -231,7 +231,7 @@ class Run:
         return start
 
     def starts(self) -> Iterator[tuple[Part, StartRays]]:
-        """Yield each part that is to be traced, with its start rays."""
+        """Yield each part to be traced together with its start rays."""
         for part in self.parts if self.parts is not None else map(Part, range(self.passes)):
             start = self.start_pass(part.number)
             if (part.low, part.high) != (0, BATCHES):
@@ -243,7 +243,7 @@ class Run:
             yield part, start
 
     def _order(self, part: Part) -> int:
-        """Return the seed of the order in which the rays of a part are traced."""
+        """Return the random seed for the order in which the rays of a part are traced."""
         return (self.seed << 32) | part.number
 
     def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -265,7 +265,11 @@ class Run:
         return KernelScene(self.table, self.scattering, self.intersector)
 
     def launches(self, *recorders: Recorder | None) -> Iterator[tuple[int, list[Part], float]]:
-        """Trace the ray trees of all parts in turn; yield rays and parts so far, and the seconds of each launch."""
+        """
+        Trace the ray trees of all parts.
+
+        Yield, after each launch, the rays and the parts so far, and the launch's duration, s.
+        """
         launches, trace = launches_and_kernel(self.scene, self.settings, recorders)
         before = 0
         finished: list[Part] = []
@@ -278,12 +282,12 @@ class Run:
             finished.append(part)
 
     def trace_again(self, *recorders: Recorder | None) -> None:
-        """Trace the ray trees of all parts for recorders, whatever the time budget."""
+        """Trace the ray trees of all parts again into recorders, regardless of the time budget."""
         for _, start in self.starts():
             self.trace_trees(start, *recorders)
 
     def trace_trees(self, start: StartRays, *recorders: Recorder | None) -> None:
-        """Trace the ray trees of some start rays for recorders, whatever the time budget."""
+        """Trace the ray trees of given start rays into recorders, regardless of the time budget."""
         trace_whole(self.scene, start, self.settings, recorders)
 
     def execute(
@@ -350,7 +354,7 @@ class Run:
         return run
 
     def stand_for(self, parts: Sequence[Part]) -> Run:
-        """Return the run as if these traced parts were all: each start ray has a larger flux, W, for the same total."""
+        """Return the run as if given parts were all of it: the flux of a start ray, W, is raised to keep the total."""
         return replace(self, parts=tuple(parts), unit=self.source.power / max(float(self.started.sum()), 1.0))
 
     @property
@@ -445,7 +449,7 @@ class Run:
         return replace(self, executed=replace(self.sums, paths=self.ledger.decode()))
 
     def recorder(self, capacity: int, slots: np.ndarray | None = None) -> BranchRecorder:
-        """Return an empty recorder of at most `capacity` branches, of paths in these ledger slots; None: any path."""
+        """Return an empty recorder for up to `capacity` branches, on paths in these ledger slots; None: any path."""
         choice = None
         if slots is not None:
             assert self.ledger is not None
@@ -485,7 +489,11 @@ class Run:
 
 
 def _ray_shares(sources: Sequence[SceneSource]) -> list[float]:
-    """Return the fraction of the rays for each source: half in proportion to flux, half equal for each source name."""
+    """
+    Return the fraction of rays for each source.
+
+    Half of the rays are divided by flux, half equally among source names.
+    """
     # The flux of a source says little about its stray light: none of them may be left with too few rays
     total = sum(source.power for source in sources)
     own: dict[str, float] = {}

@@ -23,7 +23,7 @@ TIMED_RAYS = 1000  # rays of a trace by which the overhead is measured
 @dataclass(frozen=True)
 class WavelengthChoice:
     """
-    Choice of the wavelengths that are traced, each with the weights of omitted ones that it stands for.
+    Wavelengths to trace, with weights that include those of omitted wavelengths nearby.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class WavelengthChoice:
 
     @classmethod
     def of(cls, wavelengths_nm: Sequence[float], weights: Sequence[float], most: int) -> WavelengthChoice:
-        """Return a choice of at most `most` wavelengths, but at least two, spread over all and with both ends."""
+        """Return at most `most` of the wavelengths (nm), but at least two, spread evenly and with both ends."""
         # Coarse steps first, which keeps both ends
         nm, shares = np.asarray(wavelengths_nm, dtype=float), np.asarray(weights, dtype=float)
         kept = np.sort(coarse_first(np.argsort(nm, kind="stable").tolist())[: max(most, 2)])
@@ -59,7 +59,11 @@ class WavelengthChoice:
         return {"not_traced_nm": list(self.left_out_nm)} if self.left_out_nm else {}
 
     def notes(self, instead: str = "their light is traced at the nearest") -> list[Note]:
-        """Return a note that lists the omitted wavelengths, nm, and ends with `instead`; none if all are traced."""
+        """
+        Return a note that lists the omitted wavelengths, nm, and ends with the text `instead`.
+
+        The result is [] if all are traced.
+        """
         if not self.left_out_nm:
             return []
         names = [f"{nm:g}" for nm in sorted(self.left_out_nm)]
@@ -69,7 +73,7 @@ class WavelengthChoice:
 
 def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces: int = 1) -> int:
     """
-    Return the number of wavelengths for which a time budget suffices; without a budget, the number of all.
+    Return how many of the wavelengths can be traced within the time budget; all of them without a budget.
 
     The overhead of a wavelength is measured by two traces of few rays, of which the first compiles the kernel.
 
@@ -95,7 +99,7 @@ def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces:
 
 def chosen_wavelengths(scene: Any, light: Light, timed: Callable[..., Any], traces: int = 1) -> WavelengthChoice | None:
     """
-    Return the wavelengths to be traced if a time budget does not suffice for all of them.
+    Return the wavelengths to trace if the time budget is too short for all of them, else None.
 
     Parameters
     ----------

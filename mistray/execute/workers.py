@@ -1,5 +1,5 @@
 """
-Interface of processes that do parts of a task; `mistray.cluster` has those of a cluster.
+Interface of worker processes that compute parts of a task; `mistray.cluster` has those of a cluster.
 
 Code whose work has independent parts asks `current_workers` and hands over a `Task`. The result of a part does not
 depend on the worker and is used once, so that neither the number of workers nor their failures change a number.
@@ -19,23 +19,23 @@ class Task(Protocol):
     """Interface of work with independent parts; its attributes can be pickled, or are scenes from `mistray.load`."""
 
     def make(self) -> Any:
-        """Return the state that all parts need; each worker calls this method once."""
+        """Return the state that all parts need; each worker calls this once."""
 
     def do(self, made: Any, part: Any) -> Any:
-        """Return the result of one part, which can be pickled; `made` is the state from `make`."""
+        """Compute one part and return its result, which can be pickled. `made` is the state from `make`."""
 
 
 class Job(Protocol):
-    """Interface of a task that has begun: its parts are handed over to workers, and their results come back."""
+    """Interface of a running task: parts are submitted to workers, and their results returned."""
 
     def submit(self, part: Any) -> None:
-        """Hand over one more part, a hashable object, to the workers."""
+        """Submit one more part, a hashable object, to the workers."""
 
     def result(self, part: Any) -> Any:
-        """Wait for one part that has been handed over, and return its result, which is then forgotten."""
+        """Wait for one submitted part and return its result, which the job then forgets."""
 
     def results(self) -> Iterator[tuple[Any, Any]]:
-        """Yield each part that has been handed over with its result, in the order in which they are finished."""
+        """Yield each submitted part with its result, in the order in which parts finish."""
 
 
 class Workers(Protocol):
@@ -47,7 +47,7 @@ class Workers(Protocol):
     """
 
     def count(self) -> int:
-        """Return the present number of worker processes, at least 1."""
+        """Return the current number of worker processes, at least 1."""
 
     def job(self, task: Task) -> contextlib.AbstractContextManager[Job]:
         """Begin a task whose `Job` the block gets; parts that are not done at the end of the block are cancelled."""
@@ -63,14 +63,14 @@ def current_workers() -> Workers | None:
 
 
 def refuse_workers_in_time() -> None:
-    """Raise `MistrayError` if there are workers, whose parts are not timed; called where a time budget is given."""
+    """Raise `MistrayError` if workers are in use, as their parts cannot keep a time budget."""
     if current_workers() is not None:
         raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
 
 
 @contextlib.contextmanager
 def working_with(workers: Workers) -> Iterator[None]:
-    """Let workers do the traces and other tasks inside the block."""
+    """Use workers for all traces and other tasks inside the block."""
     before = _current.set(workers)
     try:
         yield
@@ -80,7 +80,11 @@ def working_with(workers: Workers) -> Iterator[None]:
 
 @contextlib.contextmanager
 def do_parts(workers: Workers, task: Task, parts: Sequence[Any]) -> Iterator[Iterator[tuple[Any, Any]]]:
-    """Hand over all parts of a task; the block iterates over parts and results. Its end cancels unfinished parts."""
+    """
+    Submit all parts of a task; the block gets an iterator of (part, result).
+
+    Parts unfinished at its end are cancelled.
+    """
     with workers.job(task) as job:
         # All at once, so that no worker is idle while results are read
         for part in parts:

@@ -55,7 +55,7 @@ def check_arrays(data: bytes, most: int) -> io.BytesIO:
 
 
 def _check_array(array: IO[bytes], size: int, most: int) -> None:
-    """Raise `MistrayError` if an array's header claims more bytes than allowed or than the file holds."""
+    """Raise `MistrayError` if an array in a file claims more bytes than allowed, `most`, or than its `size`."""
     version = np.lib.format.read_magic(array)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, kind = read_header(array)

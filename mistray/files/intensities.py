@@ -31,7 +31,7 @@ NUMBERS = 13  # before the angles
 @dataclass(frozen=True, eq=False)
 class Intensities:
     """
-    Intensity on a grid of directions, interpolated linearly in both angles.
+    Radiant or luminous intensity on a grid of directions, interpolated linearly in both angles.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Intensities:
 
 def read_intensities(path: str | Path) -> Intensities:
     """
-    Read an intensity distribution from a file.
+    Read an intensity distribution over directions from a file.
 
     Parameters
     ----------

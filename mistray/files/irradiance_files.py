@@ -51,7 +51,7 @@ LARGEST = float(np.finfo(np.float32).max)
 
 
 class _Words(NamedTuple):
-    """Words for a unit: quantity, unit names in FITS and EXR, and NPY field names of value and error."""
+    """Names for a unit: its quantity, the unit in FITS and in EXR, and NPY field names of value and error."""
 
     quantity: str
     fits: str
@@ -104,7 +104,7 @@ class IrradianceMap:
 
     @classmethod
     def of(cls, trace: Any, unit: str = WATTS) -> IrradianceMap:
-        """Make the map of a `mistray.Trace`, in W/mm² or lx, with the settings of the trace as facts."""
+        """Return the map of a trace, a `mistray.Trace`, in W/mm² or lx, with the settings of the trace as facts."""
         value, se = (trace.irradiance, trace.irradiance_se) if unit == WATTS else trace.illuminance
         return cls(value, se, tuple(trace.extent), plain(dict(trace.settings)), unit)
 
@@ -187,7 +187,7 @@ def _unit(path: Path, name: Any) -> str:
 
 
 def _facts_text(m: IrradianceMap) -> str:
-    """Return the facts of a map as JSON in ASCII, the only encoding that FITS headers accept."""
+    """Return the facts about a map's origin as JSON in ASCII, the only encoding that FITS headers accept."""
     return json.dumps(plain(dict(m.facts)), allow_nan=False)
 
 

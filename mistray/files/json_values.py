@@ -9,7 +9,7 @@ from typing import Any
 
 def plain(value: Any) -> Any:
     """
-    Convert a value to plain Python.
+    Return a value as plain Python that JSON can hold.
 
     NumPy scalars and arrays become numbers and lists, dataclasses mappings of their fields, NaN and infinity None.
     """

@@ -28,7 +28,7 @@ IRRADIANCE = "W mm-2"
 @dataclass(frozen=True)
 class Labelled:
     """
-    An array with named axes and a unit.
+    Array with named axes and a unit.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Labelled:
     standard_error: npt.ArrayLike | None = None
 
     def attributes(self, **more: str) -> dict[str, str]:
-        """Return the attributes of the array for xarray."""
+        """Return long name, unit and `more` attributes of the array, for xarray."""
         return {"long_name": self.long_name, **({"units": self.units} if self.units else {}), **more}
 
 
@@ -59,7 +59,7 @@ def dataset(
     arrays: Mapping[str, Labelled], coordinates: Mapping[str, Labelled], title: str, facts: Mapping[str, Any]
 ) -> xarray.Dataset:
     """
-    Make an `xarray.Dataset` of arrays that share axes.
+    Return an `xarray.Dataset` of arrays that share axes.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def dataset(
 
 
 def pixel_coordinates(extent_mm: tuple[float, float, float, float], shape: tuple[int, int]) -> dict[str, Labelled]:
-    """Return the coordinates of pixel centres, mm, from edges (x0, x1, y0, y1), mm, and numbers of rows and columns."""
+    """Return coordinates x and y of pixel centres, mm, by name, from edges x0, x1, y0, y1, mm, and (rows, columns)."""
     x0, x1, y0, y1 = extent_mm
     rows, columns = shape
 

@@ -109,7 +109,7 @@ class RaySet:
         object.__setattr__(self, "directions", unit)
 
     def _refuse(self, bad: np.ndarray, key: str, remedy: str) -> None:
-        """Raise `MistrayError` if some rays are bad; the message gives the first of them, counted from 1."""
+        """Raise `MistrayError` if some rays are `bad`; the message shows the first, counted from 1, and its `key`."""
         if bad.any():
             first = int(np.argmax(bad))
             value = ", ".join(f"{v:g}" for v in np.atleast_1d(getattr(self, key)[first]))
@@ -117,7 +117,7 @@ class RaySet:
             raise MistrayError(f"rays: {key} of ray {first + 1} is {value}{others}; {remedy}")
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a table with a row for each ray: x_mm, y_mm, z_mm, dx, dy, dz, flux_W, wavelength_nm."""
+        """Return a DataFrame with a row for each ray: x_mm, y_mm, z_mm, dx, dy, dz, flux_W, wavelength_nm."""
         import pandas as pd
 
         columns = {f"{axis}_mm": self.origins[:, k] for k, axis in enumerate(PLACES)}
@@ -127,7 +127,7 @@ class RaySet:
     @staticmethod
     def of_table(table: pd.DataFrame) -> RaySet:
         """
-        Make rays from a table such as `mistray.trace.Trace.rays`; origins may also be in m, cm, um, in or ft.
+        Return the rays in a table such as `mistray.trace.Trace.rays`; origins may also be in m, cm, um, in, ft.
 
         Raises
         ------
@@ -160,7 +160,7 @@ Found = tuple[RaySet, bool]  # the rays, and whether their flux is in W
 
 def read_ray_set(path: str | Path, unit: str | None = None, power_W: float | None = None) -> RaySet:
     """
-    Read a set of rays.
+    Read a set of rays with their flux from a file.
 
     Parameters
     ----------
@@ -268,7 +268,11 @@ def _read_binary(content: bytes) -> Found:
 
 
 def _read_zemax_text(text: str, unit: str | None) -> RaySet:
-    """Read a text file: numbers of rays and of the unit in the first line, then seven or eight numbers a line."""
+    """
+    Return the rays of a text file.
+
+    Its first line has their number and a number for the unit; each other line has seven or eight values.
+    """
     lines = text.split("\n", 1)
     words = lines[0].split()
     if not words or not all(word.lstrip("+-").isdigit() for word in words[:2]):

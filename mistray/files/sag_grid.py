@@ -1,4 +1,4 @@
-"""Sags on grids in files: NumPy archives, and text in the format of OpticStudio."""
+"""Readers and a writer of sags on grids: NumPy archives, and text in the format of OpticStudio."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Values = tuple[np.ndarray, tuple[float, float], tuple[float, float], np.ndarray]
 
 def read_sag_grid(path: str | Path) -> Values:
     """
-    Read a file with a sag on a grid.
+    Read the sag of a surface on a grid of points.
 
     Parameters
     ----------

@@ -100,7 +100,7 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
 
 def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[str, Any]) -> None:
     """
-    Raise unless a saved state belongs to the run that is to be continued.
+    Raise `MistrayError` unless a saved state belongs to the run that is to be continued.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[
 
 
 def _flat(values: Any, name: str = "") -> dict[str, Any]:
-    """Return the values of nested mappings under names such as "settings.seed"."""
+    """Return the values of nested mappings as one mapping, under names such as "settings.seed"."""
     if not isinstance(values, dict):
         return {name: values}
     flat: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Files of sky pictures: images for Mitsuba are only checked, and HEALPix maps are read."""
+"""Checks of pictures of a sky, which Mitsuba reads, and a reader of HEALPix maps."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ FITS = (".fits", ".fit", ".fits.gz")
 
 
 def is_healpix(file: str) -> bool:
-    """Whether a file name is that of a FITS file, which holds a HEALPix map."""
+    """True if a file name ends as that of a FITS file, which holds a HEALPix map."""
     return file.lower().endswith(FITS)
 
 
 def check_picture(file: str, owner: str) -> None:
     """
-    Raise before Mitsuba opens a picture that is no regular file.
+    Raise `MistrayError` for a picture that is no regular file, before Mitsuba opens it.
 
     Raises
     ------

@@ -58,7 +58,7 @@ GOLDEN = (np.sqrt(5) - 1) / 2  # its multiples fill 0 … 1 evenly, however many
 @dataclass(frozen=True)
 class Rays:
     """
-    Rays as described by a TM-25 file.
+    Rays of a light source as a TM-25 file describes them.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ def read_tm25(content: bytes) -> Rays:
 
 
 def _flux(header: np.void, column: dict[str, Array]) -> tuple[Array, bool]:
-    """Return the flux of each ray, (n,), in W or lm, and whether it is in lumens."""
+    """Return the flux of each ray, (n,), W or lm, and True if it is in lumens."""
     watts, lumens = (float(header[key]) for key in ("radiant_flux_W", "luminous_flux_lm"))
     relative = column["W"] if "W" in column else column["lm"]
     in_lumens = "W" not in column and not watts > 0
@@ -150,7 +150,11 @@ def _tables(content: bytes, count: int) -> tuple[list[tuple[Array, Array]], int]
 
 
 def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
-    """Return a wavelength, nm, for each ray, (n,), so that all together have the spectrum; `number` counts from 1."""
+    """
+    Return one wavelength, nm, for each ray, (n,), so that rays with a spectrum table together have its spectrum.
+
+    `number` is the table of each ray, from 1.
+    """
     wavelength = np.empty(len(number))
     for index in np.unique(number):
         if not 1 <= index <= len(tables) or index != int(index):

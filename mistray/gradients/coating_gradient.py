@@ -1,5 +1,5 @@
 """
-Derivatives of R and T at the nodes of coating tables by layers and by the indices beside them, and the chain rule.
+Derivatives of R and T in coating tables by layer parameters and by adjacent indices, and the chain rule.
 
 The rows are exact values of the coating at the nodes, so the chain rule takes their derivatives by the thickness and
 the complex index of each layer. These come from Dr.Jit's forward mode through `mistray.physics.thinfilm`, in float64,
@@ -41,13 +41,13 @@ INDEX_STEP, EQUAL_INDICES = 2e-3, 1e-9
 
 
 def table_rows(optics: Optics, surface: int) -> slice:
-    """Return the rows of both parts of a surface's table of R and T, for refraction and for total reflection."""
+    """Return the slice of rows that hold a surface's R and T, for refraction and for total reflection."""
     first, _, total, last = (int(v) for v in optics.host_places[surface])
     return slice(first, total + last + 1)
 
 
 def layered_surfaces(optics: Optics, is_chosen: Callable[[Any, str], bool]) -> Iterator[tuple[int, list[str]]]:
-    """Yield numbers of surfaces with a coating of layers, and the requested names of its layers' parameters."""
+    """Yield the number of each surface with a layered coating, and the requested names of its layer parameters."""
     for i, bsdf in enumerate(optics.bsdfs):
         names = [name for name in LAYER_PARAMETERS if bsdf.film is not None and is_chosen(bsdf.film, name)]
         if names and int(optics.host_words[i]) & 3 == TABLED:
@@ -92,9 +92,9 @@ def layer_gradient(
 
 def layer_tangent(optics: Optics, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.ndarray:
     """
-    Return the rates at which the rows of the tables of R and T change with layers, (rows, 3) float64.
+    Return the rates of change of the rows of R and T, (rows, 3) float64, for given rates of layer parameters.
 
-    `tangents` are the rates of the parameters, see `mistray.gradients.parameter_gradient.number_tangent`.
+    See `mistray.gradients.parameter_gradient.number_tangent` for `tangents`.
     """
     rows = np.zeros((optics.rows, TRANSMISSION + 1))
     asked = []
@@ -110,7 +110,7 @@ def layer_tangent(optics: Optics, tangents: Mapping[tuple[int, str], np.ndarray]
 @dataclass(frozen=True)
 class _Side:
     """
-    Incidence on a coating from one side, at rows of a table.
+    Coating as seen by light from one side, at some rows of its table.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray,
 
 
 def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...]) -> tuple[np.ndarray, list[_Side]]:
-    """Return an array of zeros for derivatives of table rows, (names · L, u, 3), and the sides that fill it."""
+    """Return zeros for derivatives of table rows, (names · L, u, 3), and the sides of incidence that fill them."""
     _, last, _, total_last = (int(v) for v in optics.host_places[surface])
     refraction = last + 1
     n_front, n_back = optics.complex_indices[surface]
@@ -199,7 +199,11 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
 def _tangents(
     sides: Sequence[_Side], parts: tuple[int, ...], wavelength_nm: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return derivatives of mean R and T by the same parameters of each layer, of coatings with equally many layers."""
+    """
+    Return derivatives of mean R and T of all `sides` by one kind of parameter of every layer.
+
+    The coatings have equally many layers.
+    """
     layers = len(sides[0].indices)
     blocks = len(parts) * layers
     # One lane for each row and each parameter of a side

@@ -47,7 +47,7 @@ CORNERS = 8  # of a polygon around a circle
 @dataclass
 class Edge:
     """
-    Points on the rims of surfaces beside hits, one per lane, with unit vectors along and across the rim.
+    Points on rims near hits, one per lane, with unit vectors along and across the rim.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Corner:
 
 class EdgeContacts:
     """
-    Rims of a scene, each with the other surfaces that may touch it.
+    Rims of a scene's surfaces, each with the other surfaces that may touch it.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ class EdgeContacts:
         return Corner(*state)
 
     def _holds(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """Whether points, mm, next to surfaces lie within their rims."""
+        """Return a mask of points, mm, next to surfaces s that lie within the rims of these surfaces."""
         distances = self._surfaces.rim_distances(self._surfaces.local_point(p, s, active), s, mi.UInt32(0), active)
         for rim, distance in enumerate(distances):
             exists = dr.gather(mi.Float64, self._sizes, s * len(RIM_COLUMNS) + rim, active) > 0
@@ -280,7 +280,7 @@ class EdgeContacts:
 
 
 def may_touch(table: SurfaceTable) -> dict[tuple[int, int], list[int]]:
-    """Return the numbers of the surfaces whose bounding boxes touch a rim, by surface and place in `RIM_COLUMNS`."""
+    """Return, by surface and rim (position in `RIM_COLUMNS`), the surfaces whose bounding boxes touch that rim."""
     pieces, found = table.pieces, dict[tuple[int, int], list[int]]()
     if not pieces:
         return found

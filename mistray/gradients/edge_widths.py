@@ -33,7 +33,7 @@ REMAINING = 4 / 3  # bias of a width over its difference from half the width, if
 
 def widths_of(edge_width: float | None) -> tuple[float, ...]:
     """
-    Return the widths of the boundary zones along rims, in units of a rim's radius, the widest first.
+    Return the widths of the boundary zones along rims, as fractions of a rim's radius, the widest first.
 
     They are a given width and half of it; without one, those that the automatic choice compares.
     """
@@ -115,7 +115,7 @@ class WidthErrors:
         """
         Return the total error of each derivative, noise and bias combined, (w - 1, n), in the derivative's unit.
 
-        `times`, (w - 1, 1), is the number of rays that each width uses, over the one of which the errors are known.
+        `times`, (w - 1, 1), is the number of rays that each width will use, relative to the traced one.
         """
         floor = self.check_se / np.sqrt(times)
         seen = np.where(np.abs(self.bias) > self.check_se, np.abs(self.bias), 0.0)
@@ -124,7 +124,7 @@ class WidthErrors:
 
 def further_samples(number: int) -> int:
     """
-    Return how many more ray samples give a zone, after `number` halvings of its width, as many hits as the widest one.
+    Return how many more ray samples a zone needs, after `number` halvings of its width, for as many hits as the widest.
 
     It is at most `MOST_SAMPLES`. Each sample has as many rays as the trace.
     """

@@ -153,7 +153,7 @@ class RimRecorder(Recorder):
         dr.eval(self.columns, self.axis, self.before)
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Allocate each lane's arrays by depth: slot of the hit, and contribution to the metric before it."""
+        """Allocate arrays by depth in each lane: slot of a recorded hit, contribution to the metric before it."""
         memory[RIMS] = dr.alloc_local(mi.UInt32, max_events), dr.alloc_local(mi.Float64, max_events)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
@@ -196,7 +196,7 @@ class RimRecorder(Recorder):
         before.write(memory[GAIN], depth, near)
 
     def _nearest(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Float, mi.Bool, mi.Bool]:
-        """Return the rim, the distance from it (mm), whether its zone holds the hit, and whether two zones do."""
+        """Return the nearest rim, the distance from it (mm), and masks: hit within its zone, hit within two zones."""
         bounds = dr.gather(mi.Vector4f, self._bounds, s, active)
         kind = dr.gather(mi.UInt32, self._kinds, s, active)
         rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))
@@ -330,14 +330,18 @@ class Edges:
                 yield part, found
 
     def _gains(self, start: StartRays, adjoint: Adjoint, rims: RimRecorder | None = None) -> mi.Float64:
-        """Return the contribution of each start ray's tree to the metric, in the metric's unit."""
+        """Return each start ray's contribution to the metric, summed over its tree, in the metric's unit."""
         trace_tree(self._scene, start, self._settings, [rims, adjoint])
         dr.eval(adjoint.gain)
         dr.sync_thread()
         return adjoint.gain
 
     def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents | None:
-        """Trace rays past the rims; return the hits that contribute to the metric's derivative, with coefficients."""
+        """
+        Trace rays that just miss the rims.
+
+        Return the recorded hits that matter, with their coefficients in the derivative.
+        """
         near, row = self._near, dr.arange(mi.UInt32, hits)
         rim, delta, scale, copies, found_gain = (dr.gather(type(v), v, row) for v in near.columns.values())
         # Contribution of the hit less that past the rim
@@ -369,7 +373,7 @@ class Edges:
         self, row: mi.UInt32, jump: tuple[mi.UInt32, mi.Float, mi.Float], classed: bool
     ) -> tuple[StartRays, mi.UInt32, mi.Float64, mi.UInt32]:
         """
-        Return the start of rays that go past the rims; `jump` holds rim or kind of jump, distance and scale.
+        Return start data of rays that just miss the rims; `jump` holds rim or kind of jump, distance and scale.
 
         `classed` says whether the metric asks for the path classes of rays. With the start come the rim's place in
         tables of (surfaces, rims), the factor of the coefficient, see `mistray.gradients.edge_contacts.Corner`, and
@@ -415,7 +419,7 @@ class Edges:
         s: mi.UInt32,
         others: tuple[Any, ...],
     ) -> Any:
-        """Return the start of rays past a jump: origin, mm, direction, surface that they leave, surface they are at."""
+        """Return start data of rays past a jump: origin (mm), direction, surface that is left, surface that is met."""
         (kind, delta, scale), (o, d, left, at) = jump, others
         grazes, critical = kind == SILHOUETTE, kind > SILHOUETTE
         jumps = grazes | critical

@@ -62,7 +62,7 @@ def step_of(direction: SurfaceNumbers, sizes: np.ndarray) -> float:
 
 
 class Followed:
-    """Points of the events of rays, mm, in float64."""
+    """Points of the events of recorded rays, mm, recomputed in float64."""
 
     def __init__(self, rays: int, longest: int) -> None:
         self.rays = dr.opaque(mi.UInt32, rays)
@@ -75,12 +75,12 @@ class Followed:
         return k * self.rays + dr.arange(mi.UInt32, self.rays[0])
 
     def write(self, k: mi.UInt32, p: mi.Vector3d, active: mi.Bool) -> None:
-        """Store the points of the rays' events k, mm."""
+        """Store the point of event number `k` of each ray, mm."""
         for values, value in zip(self.points, p, strict=True):
             dr.scatter(values, value, self._index(k), active)
 
     def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Return the points of the rays' events k, mm."""
+        """Return the point of event number `k` of each ray, mm."""
         return mi.Vector3d(*(dr.gather(mi.Float64, values, self._index(k), active) for values in self.points))
 
 
@@ -132,7 +132,7 @@ def march(
 
 def follow(surfaces: ReplaySurfaces, rays: RecordedRays) -> Followed:
     """
-    Return the points of recorded rays' events, mm, followed again in float64.
+    Recompute the events of recorded rays in float64, and return their points, mm.
 
     Parameters
     ----------

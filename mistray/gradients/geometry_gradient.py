@@ -1,5 +1,5 @@
 """
-Derivatives of the numbers of surfaces by the parameters of their shapes.
+Derivatives of surface geometry, as traced, by the parameters of shape plugins.
 
 The tracer describes surfaces by the columns of `mistray.surfaces.gradient_columns`, in the frame of their vertex. A
 parameter of a shape moves the frame, the columns or both. The rates are central differences in float64 of the
@@ -20,7 +20,7 @@ from mistray.surfaces.gradient_columns import DISPLACEMENT, GEOMETRY, PARAMETER_
 
 def geometry_columns(names: Iterable[str]) -> frozenset[str]:
     """
-    Return the names of the `GEOMETRY` columns that the named parameters of shapes may change.
+    Return the names of the `GEOMETRY` columns that given shape parameters may change.
 
     Raises
     ------

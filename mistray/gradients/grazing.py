@@ -38,7 +38,11 @@ FLAT = 1e-6  # curvature along the ray in units of that of the aperture, below w
 
 
 def grazing_kernel(delta: Any, width: Any) -> Any:
-    """Return the one-sided boundary kernel k of this module, 1/Δ, at a distance Δ from a jump; 0 beyond its width."""
+    """
+    Return the one-sided boundary kernel k, in the inverse unit of Δ, at a distance Δ from a jump.
+
+    It is 0 beyond its width.
+    """
     return dr.select(delta < width, (9 - 12 * dr.sqrt(delta / width)) / width, 0)
 
 
@@ -46,7 +50,7 @@ def jump_distance(at: ScatterEvent, kind: mi.UInt32, scale: mi.Float64) -> mi.Fl
     """
     Return the distances Δ of hits from silhouettes, mm, or from the critical angle, dimensionless.
 
-    They are differentiable, but the radius of curvature, `scale`, is held fixed.
+    They are differentiable. The local radius of curvature `scale`, mm, is held fixed.
     """
     cosine2 = at.cos_i * at.cos_i
     margin = 1 - at.eta * at.eta * (1 - cosine2)
@@ -83,7 +87,7 @@ class Grazing:
         self, s: mi.UInt32, it: Interaction, d: mi.Vector3f, active: mi.Bool
     ) -> tuple[mi.UInt32, mi.Float, mi.Float, mi.Bool]:
         """
-        Return the silhouettes or critical angles that hits are close to, and their distances from them.
+        Return the silhouette or critical angle that each hit is close to, if any, and its distance from it.
 
         Parameters
         ----------

@@ -1,5 +1,5 @@
 """
-Numbers of surfaces in rows, which the device gathers, and scatters derivatives to, as vectors of four.
+Surface parameters in rows of a device table; parameters and derivatives are accessed as vectors of four.
 
 A gather of one number costs as much as one of four. A row belongs to a surface; rows of tracked numbers, whose
 derivatives are accumulated, are repeated for each batch of start rays.
@@ -60,7 +60,7 @@ class NumberRows:
         self._derivatives = tracked(BATCHES * self._count * self._length) if self.moving else None
 
     def read(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
-        """Return the numbers of the surfaces s by column name, in the columns' units; 0 for columns left out."""
+        """Return the parameters of the surfaces s by column name, in the columns' units; 0 for columns left out."""
         # Zeros are literals: Dr.Jit drops the terms of columns that are left out
         found: dict[str, Any] = dict.fromkeys(self._columns, self._real(0))
         four = mi.Vector4f if self._real is mi.Float else mi.Vector4d
@@ -82,12 +82,12 @@ class NumberRows:
 
 
 def vectors_of(names: Sequence[str]) -> int:
-    """Return how many vectors of `WIDTH` numbers hold a number for each name."""
+    """Return the number of vectors of `WIDTH` numbers needed for one number per name."""
     return -(-len(names) // WIDTH)
 
 
 def tracked(count: int) -> mi.Float64:
-    """Return zeros that accumulate the derivatives by numbers of the device, float64; they take no memory."""
+    """Return `count` zeros of float64 that accumulate derivatives on the device; they take no memory themselves."""
     with dr.resume_grad():
         zeros = dr.zeros(mi.Float64, count)
         dr.enable_grad(zeros)
@@ -95,7 +95,7 @@ def tracked(count: int) -> mi.Float64:
 
 
 def derived(value: Any, zeros: mi.Float64, index: mi.UInt32, active: mi.Bool) -> Any:
-    """Return a number whose derivatives are added to an entry of `tracked` zeros, which is not read."""
+    """Return a value whose derivatives are added to an entry of `tracked` zeros; the zeros are not read."""
     return dr.replace_grad(value, type(value)(dr.gather(mi.Float64, zeros, index, active)))
 
 

@@ -1,8 +1,8 @@
 """
-Chain rule between the numbers of surfaces, of the tracer, and the parameters of plugins.
+Chain rule between the surface properties that a trace uses and the parameters of plugins.
 
-The reverse mode takes derivatives of a metric by these numbers to derivatives by parameters. The forward mode takes
-rates of parameters to rates of the numbers.
+The reverse mode converts derivatives of a metric by surface properties to derivatives by parameters. The forward mode
+converts rates of change of parameters to those of surface properties.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def number_rates(
     table: SurfaceTable, is_chosen: IsChosen, coatings: bool = True
 ) -> Iterator[tuple[Any, str, str, tuple[Any, ...], Any]]:
     """
-    Yield the rates at which the numbers of surfaces change with parameters, other than those of layers.
+    Yield the rates at which traced properties of surfaces change with plugin parameters other than those of layers.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = Fal
 
 
 def _ideal(optics: Optics, rows: np.ndarray) -> np.ndarray:
-    """Return derivatives by R and T of ideal coatings, (BATCHES, surfaces, 2), by the first rows of all surfaces."""
+    """Return derivatives by R and T of ideal coatings, (BATCHES, surfaces, 2), from derivatives by table rows."""
     own = rows[:, optics.host_places[:, 0]]
     both = own[..., REFLECTION_AND_TRANSMISSION]
     R = own[..., REFLECTION_FRONT] + own[..., REFLECTION_BACK] + both

@@ -38,14 +38,18 @@ TOO_MANY = (
 
 
 class Ends:
-    """Base class of contributions of the recorded rays of a trace to a metric."""
+    """Base class for how the ends of recorded rays contribute to a metric."""
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
         """Return a mask of the paths that contribute to the metric, (n,) bool, by path keys, (n,) uint64 ascending."""
         return np.ones(len(keys), dtype=bool)
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
-        """Return, for each ray, the index below BATCHES of the sum it adds to, as a rule its batch."""
+        """
+        Return, for each ray, the index (below BATCHES) of the sum that its derivatives enter.
+
+        By default this is the number of its batch.
+        """
         return rays.batch
 
     def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End | Exit:
@@ -140,7 +144,7 @@ class PathReplay:
                 yield RecordedRays.of(self.recorder, part, np.arange(count))
 
     def _replay(self, start: StartRays, ends: Ends) -> None:
-        """Replay the recorded rays of a portion, and accumulate derivatives with visibility held fixed."""
+        """Replay the recorded rays of one portion and accumulate derivatives with visibility held fixed."""
         keys = np.array(self.recorder.path)[: int(self.recorder.count[0])]
         # Sorted by path, so that the lanes of a warp run through the same events
         order = np.argsort(keys, kind="stable")
@@ -156,7 +160,7 @@ class PathReplay:
         replay_rays(self._surfaces[0], rays, ends.end(rays, paths, upload(mi.UInt32, path)), self.scatter)
 
     def _replay_edges(self, start: StartRays, events: EdgeEvents) -> None:
-        """Replay the hits close to rims of a portion, and accumulate boundary terms for each zone width."""
+        """Replay one portion's hits close to rims and accumulate boundary terms for each zone width."""
         rows = np.array(events.row)
         for surfaces, c in zip(self._surfaces[1:], events.c, strict=True):
             used = np.flatnonzero(np.array(c))

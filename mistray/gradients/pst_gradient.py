@@ -1,5 +1,5 @@
 """
-Derivatives of a metric of a PST: its rays are traced again, recorded, sorted and replayed by passes.
+Derivatives of a metric of a point source transmittance (PST), from rays that are traced again and replayed.
 
 Where forward and backward rays share the paths by MIS, they share the derivatives, too. There are two kinds:
 
@@ -74,7 +74,7 @@ class PstEnds(Ends):
 @dataclass(frozen=True, eq=False)
 class PstRays:
     """
-    Backward rays, and forward rays if there are any, from which a PST was computed.
+    Traces from which a PST was computed: backward rays, and forward rays if there are any.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class PstRays:
     def _replayed(
         self, number: int, derivative: np.ndarray, request: GradientRequest, moves: bool, ends: PstEnds
     ) -> TableGradient:
-        """Return the derivatives from all forward or backward rays at one wavelength, with notes on omitted parts."""
+        """Return derivatives from all forward or all backward rays at one wavelength, with notes on omitted parts."""
         trace, backward = self.trace, ends.sky is not None
         scene = trace.split_scene(number) if backward else trace.forward_scene(number)
         start = scene.table.detector if backward else None
@@ -199,7 +199,7 @@ class PstRays:
 
 def _parts(request: GradientRequest) -> list[tuple[GradientRequest, bool]]:
     """
-    Split a request by whether its parameters move paths.
+    Split a request into parameters that leave paths in place and parameters that move them.
 
     Returns
     -------

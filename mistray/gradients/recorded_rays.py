@@ -1,4 +1,4 @@
-"""Rays that are traced again in portions that fit into a recorder, and their records, one lane each for a replay."""
+"""Rays traced again in portions that fit into a recorder, and their records as replay input, one lane each."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Portions:
 
     @classmethod
     def filling(cls, recorder: BranchRecorder, records: float, too_many: str) -> Portions:
-        """Return portions of which the first fills its share of the recorder if a start ray has so many records."""
+        """Return portions sized to fill the recorder, given the mean number of `records` per start ray."""
         return cls(recorder, int(ROOM * recorder.capacity / max(records, 1.0)), too_many)
 
     def of(
@@ -110,7 +110,7 @@ class RecordedRays:
 
     @classmethod
     def of(cls, recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> RecordedRays:
-        """Return the recorded rays in some rows of the recorder, one lane for each row."""
+        """Return the recorded rays in given rows of a recorder, one lane per row."""
         row = upload(mi.UInt32, rows)
         lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
         length = dr.gather(mi.UInt32, recorder.length, row)
@@ -136,5 +136,5 @@ class RecordedRays:
         return mi.Vector3f(*(dr.gather(mi.Float, self.recorder.heading, 3 * self.row + k) for k in range(3)))
 
     def node(self, k: mi.UInt32, active: mi.Bool) -> Node:
-        """Return the recorded events k of the rays."""
+        """Return event number `k` of each recorded ray."""
         return self.recorder.node(self.row, k, active)

@@ -56,7 +56,7 @@ class Exit:
 
 class SegmentMedia:
     """
-    Media of the segments that lead to the events of recorded rays.
+    Medium of every segment of recorded rays.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class SegmentMedia:
         return k * self._count + dr.arange(mi.UInt32, self._count[0])
 
     def of(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Return the numbers of the media of the segments that lead to the rays' events k."""
+        """Return the number of the medium of the segment that leads to event `k` of each ray."""
         return dr.gather(mi.UInt32, self._media, self._index(k), active)
 
 
@@ -115,7 +115,7 @@ def replay_rays(
     def differentiate(
         k: mi.UInt32, node: Node, active: mi.Bool, gain: Callable[[ReplayedEvent, mi.Float], Any]
     ) -> tuple[Node, mi.Vector3f, mi.Vector3f, Any]:
-        """Return the event before event k, derivatives of `gain` by the origin and direction of the segment, `gain`."""
+        """Return the event before event k, and `gain` with its derivatives by origin and direction of the segment."""
         first = k == 0
         before = rays.node(dr.maximum(k, 1) - 1, active & ~first)
         origin = dr.select(first, vector(rays.o), vector(before.p))

@@ -125,7 +125,7 @@ class Hit:
 
 
 def _backward(value: Any, adjoint: Any, keep: bool = False) -> None:
-    """Propagate the adjoint of a value to the leaves that it depends on; `keep` the graph for another value."""
+    """Propagate the adjoint of a value back to its inputs; `keep` keeps the graph for another value."""
     if dr.grad_enabled(value):
         dr.set_grad(value, adjoint)
         dr.enqueue(dr.ADMode.Backward, value)
@@ -198,7 +198,7 @@ class ReplaySurfaces:
     # ---- numbers
 
     def _sides(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[Any]:
-        """Return the refractive indices in front of the surfaces s and behind them."""
+        """Return the real refractive indices in front of and behind the surfaces s, differentiable if requested."""
         sides = [dr.gather(self.real, self._indices, 2 * s + side, active) for side in range(2)]
         if self._by_index is None:
             return sides
@@ -206,7 +206,7 @@ class ReplaySurfaces:
         return [derived(value, self._by_index, 2 * row + side, active) for side, value in enumerate(sides)]
 
     def to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool, inverse: bool = False) -> mi.Vector3d:
-        """Return vectors rotated from the frames of the surfaces s, held fixed, to the world; `inverse`: back."""
+        """Rotate vectors from the frames of the surfaces s, held fixed, to the world; with `inverse`, the other way."""
         if not self.table.rotated:
             return v
         m = [dr.gather(self.real, self._rotations, 9 * s + k, active) for k in range(9)]
@@ -214,7 +214,7 @@ class ReplaySurfaces:
         return self.vector(*(row[0] * v.x + row[1] * v.y + row[2] * v.z for row in rows))
 
     def to_local(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Return vectors rotated from the world to the frames of the surfaces s, the inverse of `to_world`."""
+        """Rotate vectors from the world into the frames of the surfaces s; the inverse of `to_world`."""
         return self.to_world(v, s, active, inverse=True)
 
     def vertex(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
@@ -235,7 +235,7 @@ class ReplaySurfaces:
         self, o: mi.Vector3d, d: mi.Vector3d, t: mi.Float64, code: mi.UInt32, batch: mi.UInt32, active: mi.Bool
     ) -> ReplayedEvent:
         """
-        Return the events of rays at surfaces given by their codes, at hits near the distances t.
+        Return the events of rays at surfaces given by event codes, with hits recomputed near the distances t, mm.
 
         Parameters
         ----------
@@ -267,13 +267,13 @@ class ReplaySurfaces:
         return self.event(hit, code, batch, active)
 
     def axis(self, gradient: mi.Vector3f, d: mi.Vector3f, s: mi.UInt32, active: mi.Bool) -> tuple[Any, mi.Bool]:
-        """Return the unit normals on the side of transmission of rays along d, and whether they come from the front."""
+        """Return unit normals on the side that light along d is transmitted to, and a mask of light from the front."""
         normal = dr.normalize(gradient) * self._place(s, active).w
         from_front = dr.dot(d, normal) > 0
         return dr.select(from_front, normal, -normal), from_front
 
     def event(self, hit: Hit, code: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> ReplayedEvent:
-        """Return the events at hits, differentiable by all that `hit` holds, by indices, R and T."""
+        """Return the events at hits, differentiable by the values in `hit` and by indices, R and T."""
         s, what = place_of(code), kind_of(code)
         transmitted, scattered = what == TRANSMITTED, what >= RANDOM_TRANSMITTED
         d, axis, shift, turn = hit.d, hit.axis, hit.shift, hit.turn
@@ -382,12 +382,12 @@ class ReplaySurfaces:
         return dr.select(cosine > 0, front, back), dr.select(cosine > 0, back, front)
 
     def numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
-        """Return the numbers of the shapes of the surfaces s, such as curvature and conic constant, by name."""
+        """Return shape parameters of surfaces s by name, such as curvature, 1/mm; if `still`, without derivatives."""
         rows = self._still if still else self._shape
         return self._named(rows.read(s, batch, active), rows, s, active)
 
     def _named(self, columns: dict[str, Any], rows: NumberRows, s: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
-        """Return numbers of the surfaces s, read from `rows`, with those that `implicit` needs beside them."""
+        """Return shape parameters of the surfaces s with the further values that `implicit` needs, by name."""
         numbers = dict(columns)
         numbers["cone"] = self._place(s, active).w > 0
         numbers["families"] = [
@@ -570,7 +570,7 @@ class ReplaySurfaces:
         return R, dr.select(total | opaque, 0, T), cos_t, eta
 
     def _row(self, row: mi.UInt32, active: mi.Bool) -> tuple[Any, Any]:
-        """Return R from the front and from the back, and T, at rows of the tables, and the slopes of them per row."""
+        """Return R from the front, R from the back and T at rows of coating tables, and their change per row."""
         four = mi.Vector4f if self.real is mi.Float else mi.Vector4d
         values, slopes = (dr.gather(four, self._rows, 2 * row + k, active) for k in range(2))
         return values, slopes

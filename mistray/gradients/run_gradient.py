@@ -1,5 +1,5 @@
 """
-Derivatives of a metric by geometry and all other parameters, for one source and wavelength.
+Derivatives of a metric by all scene parameters, for one source and wavelength.
 
 The rays of each pass are recorded, sorted by path and replayed, see `mistray.gradients.replay`.
 """
@@ -35,7 +35,7 @@ SAMPLE_STEP = 0x632BE5AB  # between seeds of samples; seeds of runs differ by 0x
 @dataclass(frozen=True)
 class DetectorEnds(Ends):
     """
-    Contributions of recorded rays that end at the detector to a metric.
+    Contributions to a metric of recorded rays that end at the detector.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class DetectorEnds(Ends):
     scatter: ScatterReplay | None
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
-        """Return a mask of the rays whose paths contribute to the metric, (n,) bool, by their path keys."""
+        """Return a mask of the path keys, (n,) bool, whose paths contribute to the metric."""
         if self.paths is None:
             return super().counts(keys)
         coefficients, maps = self.paths.of(keys)

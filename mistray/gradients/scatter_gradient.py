@@ -1,5 +1,5 @@
 """
-Chain rule from derivatives by the entries of the scatter tables to derivatives by the values of the scatter models.
+Chain rule from derivatives by scatter-table entries to derivatives by parameters of the scatter models.
 
 The tables are functions of the models' values, in float64 on the host. Each table is computed again a little to either
 side of a value, and the difference quotients are multiplied by the derivatives by the entries. The models are smooth:
@@ -92,9 +92,9 @@ def scatter_gradient(
 
 def fixed(plugin: Any, name: str) -> str | None:
     """
-    Return the reason why a parameter of a scatter model has no derivative in a trace; None if it has one.
+    Return the reason why a scatter parameter cannot be differentiated in a trace, as text; None if it can.
 
-    There is none where lobes appear or vanish at 0, such as at an amplitude of 0, or where the model allows only one
+    It cannot where lobes appear or vanish at 0, such as at an amplitude of 0, or where the model allows only one
     value.
     """
     value = float(dr.detach(plugin.values[name])[0])
@@ -192,11 +192,11 @@ def table_slopes(
 
 
 def _sum(terms: Iterable[tuple[float, np.ndarray]]) -> np.ndarray:
-    """Return the sum over pairs of a weight and an array, each array times its weight."""
+    """Return the weighted sum of arrays, given as pairs of a weight and an array."""
     return np.asarray(sum(weight * values for weight, values in terms))
 
 
 def _kind(lobe: Lobe) -> tuple[Any, ...]:
-    """Return the discrete properties of a lobe, which must not change where it is differentiated."""
+    """Return discrete properties of a lobe (event, measure, centre and shape of its tables), which must stay fixed."""
     shape = None if lobe.ratio is None else (lobe.ratio.axes, lobe.ratio.r_min, lobe.ratio.values.shape)
     return lobe.event, lobe.measure, lobe.centre, lobe.factor, shape

@@ -39,7 +39,7 @@ Coating = Callable[[mi.Bool, mi.Float], tuple[mi.Float, mi.Float]]
 @dataclass
 class ScatterEvent:
     """
-    Hits of paths with surfaces, in float32 or float64, as scatter depends on them; numbers may carry derivatives.
+    Hits of recorded paths with surfaces, as input of scatter models; its numbers may carry derivatives.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class ScatterEvent:
 
     @property
     def side(self) -> mi.UInt32:
-        """Number of the side of incidence among those of all surfaces: 2s in front, 2s + 1 behind."""
+        """Index of the side of incidence among the sides of all surfaces: 2s in front, 2s + 1 behind."""
         return 2 * self.s + dr.select(self.from_front, mi.UInt32(0), 1)
 
     def where(self, active: mi.Bool) -> ScatterEvent:
@@ -120,7 +120,11 @@ class ScatterReplay(Scattering):
         return {name: np.array(dr.grad(leaf)).reshape(BATCHES, -1) for name, leaf in self.tables.leaves.items()}
 
     def log_kept(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
-        """Return the logarithm of the fraction of R or T that stays specular; 0 if inactive or if nothing stays."""
+        """
+        Return ln of the fraction of R or T that stays in the specular beam.
+
+        The result is 0 if the lane is inactive or nothing stays.
+        """
         transmission, reflection, _, _ = self._all_shares(event, active)
         kept = dr.select(event.reflect, reflection.kept, transmission.kept)
         good = active & (kept > 0)
@@ -139,7 +143,7 @@ class ScatterReplay(Scattering):
 
     def _all_shares(self, event: ScatterEvent, active: mi.Bool) -> tuple[Shares, Shares, Shares, Shares]:
         """
-        Return the scattering shares of an event.
+        Return the fractions of R and T that stay specular and that are scattered at an event.
 
         Returns
         -------
@@ -161,7 +165,7 @@ class ScatterReplay(Scattering):
         )
 
     def _sample_axis(self, event: ScatterEvent, active: mi.Bool) -> mi.Vector3f | None:
-        """Return the x axis of the sample in the frame of the surface; None if scatter does not depend on it."""
+        """Return the sample's x axis at each hit, in the surface's frame; None if no scatter is anisotropic."""
         if self.tables.frames is None or event.q is None:
             return None
         normal = dr.select(event.from_front, event.axis, -event.axis)
@@ -217,7 +221,7 @@ class ScatterReplay(Scattering):
 
 class ReplayTables(ScatterTables):
     """
-    Scatter tables of a run whose entries carry derivatives: a zero with a gradient is added to each.
+    Scatter tables of a run whose entries carry derivatives, by a zero with a gradient added to each entry.
 
     Parameters
     ----------
@@ -256,12 +260,12 @@ class ReplayTables(ScatterTables):
         return mi.Float(dr.gather(mi.Float64, self.leaves[name], self.batch * self._sizes[name] + index, active))
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
-        """Return rows of the totals of scattered light by angle of incidence, with derivatives by the entries."""
+        """Return rows of total scatter as `ScatterTables.total` does, with derivatives by the table entries."""
         zeros = mi.Vector4f(*(self._zero(TOTALS, TOTAL_FLOATS * row + k, active) for k in range(TOTAL_FLOATS)))
         return super().total(row, active) + zeros
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
-        """Return the floats and words of lobes as `ScatterTables.lobe` does, with derivatives by the entries."""
+        """Return numbers and flag words of lobes as `ScatterTables.lobe` does, with derivatives by the entries."""
         shares, limit, log2_r_min, words = super().lobe(row, active)
         zeros = [self._zero(LOBES, LOBE_FLOATS * row + k, active) for k in range(LOBE_FLOATS)]
         return shares + mi.Vector4f(*zeros[:4]), limit + zeros[4], log2_r_min + zeros[5], words

@@ -1,5 +1,5 @@
 """
-Numbers of surfaces that a metric is differentiated by, as the replay reads them.
+Properties of surfaces by which a metric is differentiated, as the replay reads them.
 
 Aspheric coefficients are scaled to the size of their surface, so that all numbers are within single precision. Tables
 of R and T have slopes beside their values: differences of neighbours, which need the host's float64.
@@ -30,7 +30,7 @@ TABLE_CHANNELS = 3  # R from the front, R from the back, T
 @dataclass
 class SurfaceNumbers:
     """
-    Differentiable numbers of all surfaces: geometry, refractive indices, R and T of coatings.
+    Differentiable properties of all surfaces: geometry, refractive indices, R and T of coatings.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class SurfaceNumbers:
 
 
 def numbers_of(table: SurfaceTable) -> SurfaceNumbers:
-    """Return the present differentiable numbers of the surfaces of a table, in float64."""
+    """Return the current differentiable properties of the surfaces of a table, in float64."""
     geometry = np.zeros((table.count, len(GEOMETRY)))
     for piece in table.pieces:
         for name, value in piece.columns.items():
@@ -67,12 +67,12 @@ def numbers_of(table: SurfaceTable) -> SurfaceNumbers:
 
 
 def of_four(rows: np.ndarray) -> np.ndarray:
-    """Return rows of three numbers with a zero behind, which the device reads at once."""
+    """Pad rows of three numbers with a zero, so that the device reads a row as one vector of four."""
     return np.pad(rows, ((0, 0), (0, 4 - rows.shape[1])))
 
 
 def row_slopes(optics: Optics, rows: np.ndarray) -> np.ndarray:
-    """Return differences of the rows of tables of R and T per row, central but for the ends, (rows, channels)."""
+    """Return the change per row of tabulated R and T, (rows, channels): central differences, one-sided at the ends."""
     slopes = np.zeros_like(rows)
     for first, last, total, total_last in optics.host_places.tolist():
         for start, intervals in ((first, last), (total, total_last)):
@@ -144,5 +144,5 @@ class AsphericTerms(dr.CustomOp):
         self.set_grad_in("coefficients", found)
 
     def name(self) -> str:
-        """Return the name of this operation in Dr.Jit's messages."""
+        """Return the name of this operation for Dr.Jit's messages."""
         return "aspheric terms"

@@ -1,4 +1,4 @@
-"""Derivatives of a metric with respect to numbers of the tracer: coating rows, geometry, indices, scatter tables."""
+"""Derivatives of a metric by data that the kernel reads: coating rows, geometry, indices, scatter tables."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ class GradientRequest:
 
     @property
     def replays(self) -> bool:
-        """Whether derivatives of more than coatings are requested, so that rays are recorded and replayed."""
+        """True if derivatives beyond those of coatings are requested, for which rays are recorded and replayed."""
         # Coatings alone take an adjoint trace: their factors leave the paths in place
         return self.moves or self.scatter
 
     @property
     def moves(self) -> bool:
-        """Whether a requested parameter moves hits or rims, so that rims have boundary terms."""
+        """True if a requested parameter moves hits or rims, so that rims contribute boundary terms."""
         return bool(self.geometry or self.indices or self.sources)
 
     @property
     def only_rims(self) -> bool:
-        """Whether boundary terms of rims are all that is requested, or all that can differ from 0."""
+        """True if only boundary terms of rims are requested, or nothing else can differ from 0."""
         # A rim moves no hit: paths need no replay
         return self.edge_samples > 0 or (
             self.geometry <= set(RIM_COLUMNS) and not (self.rows or self.indices or self.scatter or self.sources)
@@ -93,7 +93,7 @@ class Derivatives:
 
     @classmethod
     def stacked(cls, parts: Sequence[Derivatives]) -> Derivatives:
-        """Return derivatives by geometry, indices and sources, stacked along a new first axis, that of the parts."""
+        """Return derivatives by geometry, indices and sources, stacked along a new first axis, one entry per part."""
         columns = ([getattr(part, name) for part in parts] for name in ("geometry", "indices"))
         geometry, indices = (np.stack(arrays) if arrays and arrays[0] is not None else None for arrays in columns)
         sources = zip(*(part.sources for part in parts), strict=True)
@@ -102,12 +102,12 @@ class Derivatives:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays of derivatives that are present, by name, those of the scatter tables included."""
+        """Derivative arrays that are present, by name, including those by scatter tables."""
         named = {name: getattr(self, name) for name in ("rows", "geometry", "indices")}
         return {name: values for name, values in named.items() if values is not None} | self.scatter
 
     def add(self, other: Derivatives) -> None:
-        """Add other derivatives with the same arrays, in place."""
+        """Add the derivatives of another object with the same arrays, in place."""
         for name, values in self.arrays.items():
             values += other.arrays[name]
         self.sources += other.sources
@@ -149,7 +149,7 @@ class TableGradient:
 
     @property
     def parts(self) -> tuple[tuple[str, ...], ...]:
-        """Names of the arrays of derivatives: with visibility held fixed, and of the boundary terms of rims."""
+        """Names of the derivative arrays: with visibility held fixed, then of the boundary terms of rims."""
         return tuple(self.inner.arrays), tuple(self.rims.arrays)
 
     def add(self, other: TableGradient) -> None:

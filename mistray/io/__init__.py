@@ -1,4 +1,4 @@
-"""Readers and writers of lens files and CAD files of other programs."""
+"""Readers and writers for lens files and CAD files of other programs."""
 
 from mistray._lazy import lazy_package
 

@@ -1,4 +1,4 @@
-"""Readers and writers of lens files and CAD files of other programs."""
+"""Readers and writers for lens files and CAD files of other programs."""
 
 # Written by tests/stubs.py from what the functions are when they run
 

@@ -142,7 +142,11 @@ class _Reader:
         return changes
 
     def _surfaces(self) -> tuple[Surface, ...]:
-        """Return every surface at which the medium changes; fill `moves`, pairs of printed and exact rims, mm."""
+        """
+        Return every surface at which the medium changes.
+
+        Store in `moves` pairs of rims (r, z), as printed and exact, mm.
+        """
         self.moves: list[tuple[Point, Point]] = []
         materials = {key: _material(key, value) for key, value in self.data["materials"].items()}
         result = []
@@ -199,7 +203,7 @@ class _Reader:
         )
 
     def _barrel(self) -> dict[str, Structure]:
-        """Return barrel pieces by name, moved onto the rims, without the faces of the stop."""
+        """Return the pieces of the barrel by name, fitted to the lens rims, without the faces of the stop."""
         pieces: dict[str, Structure] = {}
         for space, rows in self.data["barrel"]["optical_spaces"].items():
             for row in rows:
@@ -224,7 +228,11 @@ class _Reader:
         return float(r), float(z)
 
     def _bodies(self, pieces: dict[str, Structure]) -> list[Structure]:
-        """Return edges, flanges and bevels of the lens bodies; barrel pieces that are seats get glass on one side."""
+        """
+        Return edges, flanges and bevels of the lens bodies.
+
+        Barrel pieces in contact with a lens get glass on one side.
+        """
         result: list[Structure] = []
         by_name = {surface.name: surface for surface in self.surfaces}
         for row in self.data["lens_bodies"]:
@@ -279,7 +287,7 @@ def _whole(digits: str, path: Path) -> int:
 
 
 def _coating(row: Mapping[str, Any]) -> Coating:
-    """Return a coating from R and T, or from layers, a preset or a table with its options; see `Coating`."""
+    """Return a coating given by R and T, or by layers, a preset or a table with options; see `Coating`."""
     recipe = [key for key in ("layers", "preset", "table", "first", "design_nm", "name") if key in row]
     if recipe:
         return Coating(**{key: row[key] for key in recipe})

@@ -1,4 +1,4 @@
-"""Conversions of conventions shared by readers of lens files: figures, rotations, pupils, apertures."""
+"""Conversion of conventions common to lens files: surface shapes, rotations, pupils, apertures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mistray.prescription.sequential.table import Sequential
 
 def figure(radius: float, conic: float, even_terms: Sequence[float]) -> dict[str, Any]:
     """
-    Radius, conic, coefficients and sag of a `Row` whose polynomial begins at r².
+    Return radius, conic, coefficients and sag of a `Row` for an even polynomial that begins at r².
 
     A plane with an r² term becomes the paraboloid of radius 1/(2 a2). On a curved surface the term stays in the sag.
 
@@ -38,7 +38,7 @@ def figure(radius: float, conic: float, even_terms: Sequence[float]) -> dict[str
 
 
 def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Angles in degrees of R = Rx Ry Rz, (3, 3): about x, the new y and the newest z; round-off is set to 0."""
+    """Return the angles, degrees, of R = Rx Ry Rz, (3, 3): about x, the new y and the newest z; without round-off."""
     x, y, z = (0.0 - angle for angle in fixed_angles_deg(rotation.T))  # its inverse is Rz(-z) Ry(-y) Rx(-x)
     return x, y, z
 
@@ -47,7 +47,7 @@ def choose_position(
     wanted: int | str | None, saved: int, names: Mapping[int, str], count: int, what: str
 ) -> tuple[int, str]:
     """
-    Choose one of several configurations of a lens file.
+    Choose one of several configurations of a lens file; return its number and name.
 
     Parameters
     ----------
@@ -85,13 +85,13 @@ def choose_position(
 
 
 def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:
-    """Return shift and compression of the pupil (VDX, VDY, VCX, VCY) from CODE V's vignetting of its four sides."""
+    """Return pupil shift and compression VDX, VDY, VCX, VCY from CODE V's vignetting factors of the four sides."""
     return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
 
 
 def object_na(lens: Sequential, image_slope: float) -> float:
     """
-    Numerical aperture (sine) in object space of the paraxial cone with a given slope at the image.
+    Return the numerical aperture (sine) in object space of the paraxial cone with a given slope at the image.
 
     Parameters
     ----------

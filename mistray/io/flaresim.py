@@ -51,7 +51,7 @@ _INNER = 0.7  # of the edge of the field: the field between
 
 @dataclass(frozen=True)
 class _Line:
-    """A surface of the file, lengths in mm; `size` is its full or semi-diameter, which the format leaves open."""
+    """Surface in the file, lengths in mm; `size` is its diameter or semi-diameter, which the format leaves open."""
 
     number: int
     line: int
@@ -66,7 +66,7 @@ class _Line:
 
 @dataclass
 class _File:
-    """Contents of a FlareSim file; the format has no aspheres, but name and remarks may mention them."""
+    """Content of a FlareSim file; the format has no aspheres, though name and remarks may mention them."""
 
     what: str
     name: str
@@ -77,7 +77,7 @@ class _File:
 
     @property
     def f_number(self) -> float | None:
-        """F-number stated in a remark or in the name; for a zoom, the first one."""
+        """F-number stated in a remark or in the name, for a zoom the first one; None if there is none."""
         for pattern in _F_NUMBER:
             for text in (*reversed(self.remarks), self.name):
                 if match := pattern.search(text):
@@ -212,7 +212,7 @@ def _cemented(file: _File, notes: list[str]) -> list[_Line]:
 
 
 def _table(file: _File, notes: list[str]) -> Sequential:
-    """Return the lens as a table; the numbers of the aperture column serve as semi-diameters, mm, until checked."""
+    """Return the lens with the aperture column taken as semi-diameters, mm, which is checked later."""
     rows: list[Row] = []
     before, bare, coated = "air", 0, 0
     lines = _cemented(file, notes)
@@ -275,7 +275,7 @@ def _table(file: _File, notes: list[str]) -> Sequential:
 
 
 def _with_stop(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with a stop, chosen if the file marks none, and with the stop's diameter as aperture, mm."""
+    """Return the lens with a stop, chosen if the file marks none; its diameter is the aperture, mm."""
     place = next((k for k, row in enumerate(lens.rows) if row.stop), None)
     if place is None:
         heights = np.abs(paraxial_system(lens)[0].trace(1.0, 0.0)[:-1, 0])
@@ -325,7 +325,7 @@ def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _narrowed(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens, its stop cut to the beam that clear apertures pass, unless a stated F-number then fits worse."""
+    """Return the lens with the stop reduced to the beam that passes, unless a stated F-number fits worse then."""
     heights = np.abs(paraxial_system(lens)[0].trace(1.0, 0.0)[:-1, 0])
     place = next(k for k, row in enumerate(lens.rows) if row.stop)
     free = [row.semi_diameter / y for row, y in zip(lens.rows, heights, strict=False) if row.semi_diameter and y > 0]
@@ -414,7 +414,7 @@ def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
     fan = np.linspace(-widest, widest, _FAN)
 
     def images(angles_deg: Array) -> Array:
-        """Return image heights, mm, of a fan of rays at each angle, (angles, rays); NaN for rays that do not arrive."""
+        """Trace a fan of rays at each angle, degrees; return image heights, mm, (angles, rays), NaN for lost rays."""
         start, heading = np.zeros((2, len(angles_deg), _FAN, 3))
         start[..., 1] = fan
         heading[..., 1], heading[..., 2] = np.tan(np.radians(angles_deg))[:, None], 1.0
@@ -444,7 +444,7 @@ def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _clipped(lens: Sequential, start: Array, heading: Array) -> tuple[Array, Array]:
-    """Return positions and directions of `trace`; those that an aperture or the stop blocks are NaN in the image."""
+    """Trace rays through a lens; return positions (mm) and directions, NaN at the image for blocked rays."""
     hits, along = trace(lens, start, heading)
     for row, place in zip(lens.rows, hits, strict=True):
         through = passes(row, place)

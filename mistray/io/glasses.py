@@ -1,4 +1,4 @@
-"""Base of glass lookup for all lens files: user's replacements, default k, notes and remedies."""
+"""Base class of glass lookup for all lens files: user's replacements, absorption, notes and advice."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class FileGlasses:
         self._wavelengths_nm = wavelengths_nm
 
     def _asked_for(self, name: str) -> str | None:
-        """Return the material that the user requests for a glass; None if there is none."""
+        """Return the material by which the user replaces a glass; None if there is none."""
         material = self._replaced.get(name.upper())
         if material is not None:
             self.notes.append(f"glass {name}: replaced by {material}, as asked")
@@ -48,7 +48,7 @@ class FileGlasses:
 
 
 def remedy(name: str) -> str:
-    """Return advice, for an error message, on a glass that no catalogue has."""
+    """Return advice, for an error message, on a glass that is in no catalogue."""
     word = shown([name])
     return (
         f"give its AGF file (glass_catalogues, --glass-catalogue) or a material for it (glasses={{'{word}': '…'}}, "

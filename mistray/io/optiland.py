@@ -146,7 +146,7 @@ def from_optiland(optic: Any) -> Sequential:
 
 
 def coatings_of(optic: Any) -> dict[str, Coating]:
-    """Return the coatings of a lens that have constant R and T, keyed by the names in its table."""
+    """Return the coatings of a lens that have constant R and T, by the names that its table uses."""
     found = {}
     for surface in list(optic.surfaces)[1:]:
         if name := _coating_name(surface):
@@ -156,7 +156,7 @@ def coatings_of(optic: Any) -> dict[str, Coating]:
 
 
 def _coating_name(surface: Any) -> str:
-    """Return the name of a coating with constant R and T; "" for all others."""
+    """Return a name for a coating with constant R and T; "" for any other."""
     coating = getattr(surface.interaction_model, "coating", None)
     if type(coating).__name__ != "SimpleCoating":
         return ""
@@ -169,7 +169,7 @@ def _shares(coating: Any) -> tuple[float, float]:
 
 
 def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
-    """Return the radius, conic, coefficients and sag of a surface as arguments of `Row`, lengths in mm."""
+    """Return radius, conic, coefficients and sag of a surface as arguments of `Row`; lengths in mm."""
     geometry = surface.geometry
     what, kind = f"optiland lens '{name}', surface {number}", type(geometry).__name__
     interaction = getattr(surface.interaction_model, "interaction_type", "")
@@ -188,9 +188,10 @@ def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
 
 
 def _check(what: str, kind: str, geometry: Any, row: Row) -> None:
-    """Raise `MistrayError` if mistray's sag differs from optiland's at points of a disc.
+    """
+    Raise `MistrayError` if mistray's sag differs from optiland's, whose sign conventions vary.
 
-    Conventions of optiland vary.
+    Both are compared at points of a disc.
     """
     reach = 0.3 * _float(getattr(geometry, "norm_radius", 0.0) or getattr(geometry, "norm_x", 0.0) or 10.0)
     reach = min(reach, 0.3 * abs(row.radius)) if row.radius else reach
@@ -223,7 +224,7 @@ def _odd(g: Any) -> dict[str, Any]:
 
 
 def _table(g: Any, name: str) -> dict[str, float]:
-    """Return the nonzero coefficients of a table over two orders, keyed by ``name_i_j``; in the units of the table."""
+    """Return the nonzero coefficients of a polynomial in two orders, by ``name_i_j``, in optiland's units."""
     found = {}
     for i, row in enumerate(g.coefficients):
         for j, value in enumerate(np.ravel(row)):
@@ -238,7 +239,7 @@ def _chebyshev(g: Any) -> dict[str, Any]:
 
 
 def _zernike(g: Any) -> dict[str, Any]:
-    """Return optiland's Zernike terms, of any order and norm, as those of `Row.sag`, mm, by comparing values."""
+    """Return optiland's Zernike terms, in any order and norm, as `Row.sag`, mm, found by comparing values."""
     radius = _float(g.norm_radius)
     orders = {noll_orders(j): j for j in range(1, LAST_STANDARD + 1)}
     found: dict[str, float] = {}
@@ -309,7 +310,7 @@ def _aperture(number: int, surface: Any, unread: list[Unread]) -> dict[str, Any]
 
 
 def _outline(aperture: Any) -> Outline | None:
-    """Convert an aperture of optiland to an outline in mm; None if it is not made of known figures."""
+    """Convert optiland's aperture to an outline, mm; None if its kind is not known."""
     kind = type(aperture).__name__
     x, y = (_float(getattr(aperture, f"offset_{axis}", 0.0)) for axis in "xy")
     if kind in ("RadialAperture", "OffsetRadialAperture"):

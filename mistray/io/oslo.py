@@ -93,7 +93,7 @@ def read_oslo(
 
 
 class _Glasses:
-    """Lookup of material strings for the glass names of a file."""
+    """Lookup of the materials for the glass names in an OSLO file."""
 
     def __init__(self, data: Any, catalogues: Sequence[str | Path], replaced: Mapping[str, str]) -> None:
         self._data = data
@@ -105,7 +105,7 @@ class _Glasses:
         self.notes = list(known.notes)
 
     def name(self, number: int) -> str:
-        """Name of the glass behind a surface; "" for air, mirrors and indices given as numbers."""
+        """Return the name of the glass behind a surface; "" for air, mirrors and numeric indices."""
         words = str(self._data.surfaces.get(number, {}).get("material", "")).split()
         if len(words) != 2 or words[0] != "GLA":
             return ""

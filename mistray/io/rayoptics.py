@@ -169,7 +169,7 @@ def _pupil(what: str, lens: Sequential, pupil: Any, unit: float) -> tuple[Apertu
 
 
 def _surface(what: str, interface: Any) -> CodevSurface:
-    """Return the shape, the mode (refract or reflect) and the decentres of an interface, in units of the model."""
+    """Return shape, mode (refract or reflect) and decentres of an interface, in the model's units."""
     profile: Any = getattr(interface, "profile", interface)  # a thin lens has none
     kind = type(profile).__name__
     if kind not in ("Spherical", "Conic", "EvenPolynomial", "RadialPolynomial", "YToroid"):
@@ -209,7 +209,7 @@ def _surface(what: str, interface: Any) -> CodevSurface:
 
 
 def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -> dict[str, Any]:
-    """Return the intersection of the clear apertures, else the round edge of the body, mm; drawn radii are ignored."""
+    """Return the intersection of the clear apertures, else the round edge of the body, mm, as arguments of `Row`."""
     result: dict[str, Any] = {}
     edges = getattr(interface, "edge_apertures", ())
     clear = getattr(interface, "clear_apertures", ())

@@ -65,7 +65,7 @@ def to_sequential(prescription: Prescription) -> Sequential:
 
 @dataclass
 class _Walk:
-    """Walk along the light through a prescription that builds a table; it tracks frame, direction and material."""
+    """Builder of a table that follows light through a prescription, with present frame, direction and material."""
 
     prescription: Prescription
 
@@ -226,7 +226,7 @@ class _Walk:
         return pose
 
     def _against(self, pose: Array) -> bool:
-        """Whether the z axis of a surface must be reversed to point along the light."""
+        """True if a surface's z axis must be reversed to point along the light."""
         return float(pose[:3, 2] @ self.light) * self.sense < 0
 
     def _sides(self, surface: Surface, reversed_: bool) -> tuple[str, str]:
@@ -292,7 +292,7 @@ class _Walk:
 
 def _widest_beam(lens: Sequential) -> tuple[float, int]:
     """
-    Diameter of the widest round beam whose rim passes, mm, and the index of the row that limits it.
+    Return the diameter, mm, of the widest round beam whose rim passes, and the index of the row that limits it.
 
     The beam travels along the axis, or comes from the middle of a near object. Its diameter is measured in the plane of
     the first row.
@@ -338,7 +338,7 @@ def _reach(row: Row) -> float:
 
 
 def _clip(surface: Surface) -> tuple[float, bool, Outline | None]:
-    """Return the semi-diameter of a surface, mm, whether its rim stops light, and its outline, None for a disc."""
+    """Return the semi-diameter of a surface, mm, True if its rim stops light, and its outline (None for a disc)."""
     if surface.outline is not None:
         return surface.outer_radius, False, surface.outline
     if surface.semi_diameter is None:

@@ -126,7 +126,7 @@ def _aperture(what: str, row: Row) -> Any:
 
 
 def _medium(lens: Sequential, material: str, media: dict[str, Any]) -> Any:
-    """Return optiland's own material if its index is equal at all wavelengths, else a table of mistray's indices."""
+    """Return an optiland material: its own if its index agrees at all wavelengths, else a table of mistray's values."""
     if material not in media:
         media[material] = _new_medium(lens, material)
     return media[material]
@@ -158,7 +158,7 @@ def _table(materials: Any, material: str) -> Any:
     base: Any = materials.BaseMaterial
 
     class MistrayMaterial(base):
-        """Optiland material whose refractive index mistray provides, because optiland has no equal one."""
+        """Optiland material whose refractive index comes from mistray, because optiland has no equal one."""
 
         def _calculate_n(self, wavelength: Any, **_: Any) -> Any:
             return of(wavelength, "real")
@@ -178,7 +178,11 @@ def _coating(
     sides: tuple[str, str],
     losses: list[str],
 ) -> Any:
-    """Make a coating with constant R and T; None for a bare surface, whose Fresnel coating needs a polarisation."""
+    """
+    Return an optiland coating with constant R and T; None for a bare surface.
+
+    Losses of detail are added to `losses`.
+    """
     kinds = _optiland("coatings")
     if coating is None:
         return None

@@ -1,4 +1,4 @@
-"""Limits on branches of the ray tree that few traces set; unset limits add no code to the kernel."""
+"""Optional limits on branches of the ray tree; limits that are not set add no code to the kernel."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class BranchLimits:
         self._record(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """Return the throughput absorbed at hits, 0 where a limit cuts it, and which hits a detector still counts."""
+        """Return the throughput absorbed at hits (0 where a limit cuts it) and a mask of hits that detectors count."""
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
             return mi.Float(0), mi.Bool(False)
@@ -151,7 +151,11 @@ class BranchLimits:
         return hit & ~over
 
     def run_after(self, run: mi.UInt32, surface: mi.UInt32, by_medium: mi.Bool) -> mi.UInt32:
-        """Return the number of consecutive hits, packed with their surface, after a hit; medium scatter resets it."""
+        """
+        Return the count of consecutive hits of a surface, packed with its number, after one more hit.
+
+        Scatter in a medium resets it.
+        """
         if self._consecutive is None:
             return run
         # Another surface starts a new run

@@ -41,7 +41,7 @@ DARK_THRESHOLD_SHARE = 1e-3
 @dataclass
 class Node:
     """
-    Nodes of the ray tree that the lanes visit, one per lane.
+    State of the ray tree nodes that a visit processes, one node per lane.
 
     Attributes
     ----------
@@ -79,14 +79,14 @@ class Node:
 
     @property
     def visit(self) -> mi.Bool:
-        """True for lanes that visit a node, for the first time or again, and may send a child ray on."""
+        """Mask of lanes that visit a node, for the first time or again, and may send on a child ray."""
         return self.first | self.again
 
 
 @dataclass
 class Children:
     """
-    Child rays of nodes: throughput of each event, and numbers of scattered rays.
+    Child rays of nodes: throughput of each kind of event, and numbers of scattered rays.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Sent:
-    """Child rays that nodes send on, one per lane: origin, direction, throughput and pdfs for MIS weights."""
+    """Child rays that nodes send on, one per lane: origin (mm), direction, throughput, and pdfs for MIS weights."""
 
     origin: mi.Vector3f  # mm
     heading: mi.Vector3f  # unit direction
@@ -234,13 +234,13 @@ class Branching:
         self._split, self._roulette = settings.splitting == "split", settings.below_threshold == "roulette"
 
     def _lost(self, node: Node, channel: int | mi.UInt32, flux: mi.Float, active: mi.Bool, memory: Memory) -> None:
-        """Record lost throughput of the lanes that contribute to the energy ledger."""
+        """Record throughput that is lost at a node in a loss channel, for lanes that count in the energy ledger."""
         self._lose(channel, flux, active & node.contributes, memory)
 
     # ---- the flux of each child
 
     def children(self, node: Node, memory: Memory) -> Children:
-        """Return the child rays of nodes; flux that the limits cut is recorded as lost at the first visit."""
+        """Return the child rays of nodes. At the first visit, flux that limits cut is recorded as lost."""
         state, it, budget, first = node.state, node.interaction, node.budget, node.first
         w, depth, visit, reflections = state["w"], state["depth"], node.visit, state["reflections"]
 
@@ -316,7 +316,11 @@ class Branching:
     def _connected(
         self, node: Node, w_t: mi.Float, w_r: mi.Float, w_s: mi.Float
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """Return transmitted, reflected and scattered throughput: 0 for connected rays before their light vertex."""
+        """
+        Return transmitted, reflected and scattered throughput.
+
+        A ray on its way to a light vertex only scatters towards it.
+        """
         assert self._vertices is not None
         state, it = node.state, node.interaction
         vertex = state["light_vertex"]
@@ -370,12 +374,16 @@ class Branching:
         return self._next(node, children, factors)
 
     def _flux_limit(self, node: Node) -> mi.Float:
-        """Return the throughput below which unscattered light is cut or plays roulette."""
+        """Return the throughput below which unscattered light is cut or plays Russian roulette."""
         scale = node.start.scale
         return self._threshold if scale is None else self._threshold * scale
 
     def _scatter_factors(self, node: Node, children: Children, scatter_limit: mi.Float, u: mi.Float) -> ScatterFactors:
-        """Return 1/q for nodes that scatter, 0 for others; the roulette probability q grows with throughput."""
+        """
+        Return roulette factors 1/q of nodes that scatter, 0 for others.
+
+        The probability q of scattering grows with throughput.
+        """
         state, first, w = node.state, node.first, node.state["w"]
         # q = β/β_min, where β includes what the medium has scattered
         limit = scatter_limit
@@ -397,12 +405,12 @@ class Branching:
         return ScatterFactors(*(dr.select(first, factor, kept) for kept in self._kept(state)))
 
     def _kept(self, state: dict[str, Any]) -> ScatterFactors:
-        """Return the stored roulette factors 1/q of scattered rays, for later visits to a node."""
+        """Return the roulette factors 1/q of scattered rays that a node stored at its first visit."""
         surface = state["scatter_factor"]
         return ScatterFactors(surface, state["medium_factor"] if self._bulk and self._optics.one_child else surface)
 
     def plays_roulette(self, it: Interaction, children: Children) -> mi.Bool:
-        """Whether reflections of unscattered rays play roulette at this surface, if there are `BranchProbabilities`."""
+        """True where a reflection of an unscattered ray plays Russian roulette, given `BranchProbabilities`."""
         return children.transmits & children.counted & ((it.word & ONE_CHILD) == 0)
 
     def reference(self, state: dict[str, Any], by_roulette: mi.Bool) -> mi.Float:
@@ -442,7 +450,11 @@ class Branching:
     def _cut_weak(
         self, node: Node, children: Children, unscattered: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
     ) -> None:
-        """Cut specular children below the threshold, or let them play roulette; `children` is changed in place."""
+        """
+        Cut specular children below the throughput `limit`, or let them play roulette with random number `u`.
+
+        It changes `children`.
+        """
         first, again, probabilities = node.first, node.again, self._probabilities
         w_t, w_r = children.transmitted, children.reflected
 
@@ -475,7 +487,7 @@ class Branching:
     # ---- the choice
 
     def _next(self, node: Node, children: Children, factors: ScatterFactors) -> Choice:
-        """Return the child that this visit sends on with ``splitting="split"``: the next one that has flux."""
+        """Return the next child of each node that has flux, as ``splitting="split"`` sends on one per visit."""
         first, visit, budget, bulk_aim = node.first, node.visit, node.budget, children.bulk_aim
         w_t, w_r, w_s, w_m = children.transmitted, children.reflected, children.scattered, children.in_scattered
         random_rays, random_medium_rays = children.random_rays, children.random_medium_rays
@@ -528,7 +540,11 @@ class Branching:
     def _one(
         self, node: Node, children: Children, unscattered: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
     ) -> Choice:
-        """Return the single child of ``splitting="one"``, drawn in proportion to flux; it takes the flux of all."""
+        """
+        Return the single child of ``splitting="one"``, drawn in proportion to flux.
+
+        It carries the flux of all children.
+        """
         first, visit, budget, bulk_aim = node.first, node.visit, node.budget, children.bulk_aim
         w_t, w_r, w_s, w_m = children.transmitted, children.reflected, children.scattered, children.in_scattered
         random_rays, random_medium_rays = children.random_rays, children.random_medium_rays

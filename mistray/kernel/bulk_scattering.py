@@ -34,7 +34,7 @@ from mistray.surfaces.upload import upload
 @dataclass
 class BulkAim:
     """
-    Importance targets of light that a medium scatters, by ray segment.
+    Importance targets, per ray segment, of light that the medium scatters.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class BulkScattering:
         self._rows, self._targets = upload(mi.UInt32, rows), DeviceTargets(sets, table.centre)
 
     def aim(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> BulkAim:
-        """Return the importance targets of light that media scatter on segments that end at the surfaces s."""
+        """Return the importance targets of segments that end at surfaces `s`, for light that their media scatter."""
         if not self._aimed:
             return BulkAim(mi.Vector2u(0), mi.UInt32(0))
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
@@ -99,7 +99,11 @@ class BulkScattering:
         return BulkAim(row.xy, row.z)
 
     def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, rng: mi.PCG32) -> MediumRay:
-        """Return the technique of a segment's only scattered ray; with targets it is aimed with probability ½ or 1."""
+        """
+        Return the technique for the only scattered ray of a segment.
+
+        With targets, the ray is aimed with probability ½ or 1.
+        """
         if not self._aimed:
             return MediumRay(mi.Bool(False), mi.Float(1), mi.Float(0))
         # Always aimed where `max_random_scatters` leaves no random ray
@@ -118,7 +122,7 @@ class BulkScattering:
         active: mi.Bool,
     ) -> tuple[mi.Float, mi.Vector3f, mi.Float]:
         """
-        Return a random place at which the medium of a segment scatters, a direction from there, and the ray's flux.
+        Return a random scatter point on each segment in a medium, mm, a unit direction, and the ray's throughput.
 
         Parameters
         ----------

@@ -122,7 +122,11 @@ class DeviceTargets:
         own: mi.UInt32,
         active: mi.Bool,
     ) -> mi.Float:
-        """Return the pdf of aimed rays in a direction, 1/sr; `own` is the index of the target of an aimed ray."""
+        """
+        Return the pdf of aimed rays in a direction, 1/sr.
+
+        `own` is the index of the target that a ray was aimed at.
+        """
 
         def step(k: mi.UInt32, density: mi.Float) -> tuple[mi.UInt32, mi.Float]:
             going = active & (k < aims.y)
@@ -174,7 +178,11 @@ class DeviceTargets:
 
 
 def _sphere(rows: list[mi.Vector4f], p: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
-    """Return an ellipsoid as a unit sphere: point p there, unit direction to its centre, 1 - cos of its half-angle."""
+    """
+    Map an ellipsoid to the unit sphere.
+
+    Return point p there, the direction to the centre, and 1 - cos of its half-angle.
+    """
     start = mi.Vector3f(*(dr.dot(p - rows[0].xyz, v.xyz) for v in rows[1:4]))
     square = dr.squared_norm(start)
     sine2 = dr.rcp(square)
@@ -183,14 +191,14 @@ def _sphere(rows: list[mi.Vector4f], p: mi.Vector3f) -> tuple[mi.Vector3f, mi.Ve
 
 
 def _axis(centre: mi.Vector4f, p: mi.Vector3f, specular: mi.Vector3f) -> mi.Vector3f:
-    """Return the unit axis of a target cone: fixed, towards its point as seen from p (mm), or the specular one."""
+    """Return the unit axis of a target cone: fixed, from p (mm) towards the cone's point, or the specular direction."""
     to_point = dr.normalize(centre.xyz - p)
     axis = dr.select(centre.w == CONES["point"], to_point, centre.xyz)
     return dr.select(centre.w == CONES["specular"], specular, axis)
 
 
 def _within(axis: mi.Vector3f, width: mi.Float, u: mi.Float, sine: mi.Float, cosine: mi.Float) -> mi.Vector3f:
-    """Return a direction within a cone of `width` = 1 - cos of its half-angle about an axis, uniform in solid angle."""
+    """Return a unit direction in a cone about an axis, uniform in solid angle; `width` is 1 - cos of the half-angle."""
     less = u * width
     aside = dr.sqrt(less * (2 - less))
     across, beside = tangents(axis)
@@ -218,7 +226,11 @@ def _rows(aim: AimSet, centre: tuple[float, ...]) -> list[np.ndarray]:
 
 
 def _vectors(target: AnyTarget, origin: np.ndarray) -> tuple[Any, ...]:
-    """Return the six parts of a target's row, see `_rows`, in mm, without share, sign and sum of shares."""
+    """
+    Return the six parts of a target's row, see `_rows`, without share, sign and sum of shares.
+
+    Lengths in mm from `origin`.
+    """
     nothing = np.zeros(3)
     if isinstance(target, TargetCone):
         width = target.width

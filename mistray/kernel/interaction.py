@@ -101,7 +101,7 @@ class Interaction:
     polarized: Polarized | None
 
     def channel(self, reflect: mi.Bool) -> mi.UInt32:
-        """Return the coating's channel that sets a child's flux: R from the front, R from the back, T, or R + T."""
+        """Return the coating channel that sets the child's flux: R from the front, R from the back, T, or R + T."""
         # An ideal coating has no entry of its own for total reflection: it reflects R + T then
         both = self.tir & ((self.word & 3) == IDEAL)
         reflection = dr.select(self.from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
@@ -111,7 +111,7 @@ class Interaction:
 
 @dataclass
 class Place:
-    """Place of an angle of incidence in a coating's table: row, and fraction of the way to the next row."""
+    """Position of an angle of incidence in a coating's table: row, and fraction of the way to the next row."""
 
     row: mi.UInt32
     fraction: mi.Float
@@ -138,7 +138,7 @@ class Polarized:
     transmission: Mueller
 
     def after(self, reflect: mi.Bool, d: mi.Vector3f) -> mi.Vector3f:
-        """Return the Stokes vector (Q, U, V)/I of the reflected or transmitted child along d, in the axes of d."""
+        """Return (Q, U, V)/I of the reflected or transmitted child along d, in the polarisation axes of d."""
         chosen = dr.select(reflect, self.reflection.apply(self.stokes), self.transmission.apply(self.stokes))
         return from_plane(chosen, d, self.s)
 
@@ -296,7 +296,7 @@ def shares_at(
 @dataclass
 class _Incidence:
     """
-    Light that meets a surface: kind of coating, side of incidence, indices and angles.
+    Geometry of light that meets a surface: kind of coating, side of incidence, refractive indices and angles.
 
     Attributes
     ----------
@@ -323,7 +323,11 @@ class _Incidence:
 
 
 def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i: mi.Float) -> _Incidence:
-    """Return the indices and angles of light that meets a surface, by Snell's law n_i sin θi = n_t sin θt."""
+    """
+    Return indices and angles at a surface by Snell's law n_i sin θi = n_t sin θt.
+
+    `optics` holds the index on each side.
+    """
     n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
     eta, opaque = n_i / n_t, (word & OPAQUE) != 0
     sin2_t = eta * eta * (1 - cos_i * cos_i)
@@ -335,7 +339,7 @@ def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i:
 
 
 def _place(table: SurfaceTable, s: mi.UInt32, at: _Incidence, active: mi.Bool) -> Place:
-    """Return the place of the angle of incidence in the surface's table, see `mistray.surfaces.optics`."""
+    """Return the fractional row of the incidence angle in surfaces' coating tables, see `mistray.surfaces.optics`."""
     places = dr.gather(mi.Vector4u, table.optics.places, s, active)
     # The smaller cosine is that in the rarer medium: in it R and T are smooth from either side
     x = dr.select(at.tir, total_variable(at.sin2_t, at.eta, at.cos_i), smaller(at.cos_i, at.cos_t))
@@ -348,7 +352,7 @@ def _place(table: SurfaceTable, s: mi.UInt32, at: _Incidence, active: mi.Bool) -
 def _unpolarized(
     table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
-    """Return R and T, each the mean of s and p; total reflection has all that is not absorbed."""
+    """Return R and T as means of s and p. At total reflection R is everything that is not absorbed."""
     kinds = table.optics.kinds
     # Ideal coatings have R and T of their own
     R, T = optics.z, optics.w
@@ -408,7 +412,7 @@ def _mueller(
 
 
 def counts_as_reflection(interaction: Interaction) -> mi.Bool:
-    """Whether a reflection counts towards `max_reflections`: total reflection and reflection at mirrors do not."""
+    """Return a mask of reflections that count towards `max_reflections`: not total ones, nor those at mirrors."""
     return ~interaction.tir & ((interaction.word & MIRROR) == 0)
 
 
@@ -441,7 +445,7 @@ def event_code(
 
 
 def is_diffraction(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.Bool:
-    """Whether an event is diffraction by an edge: scatter without reflection at a surface that diffracts."""
+    """Return a mask of diffraction at edges: scatter without reflection at a surface that diffracts."""
     if not optics.diffracts:
         return mi.Bool(False)
     return scatter & ~reflect & ((it.word & DIFFRACTS) != 0)

@@ -21,7 +21,9 @@ MOST_RAYS, LEAST_PROBABILITY = 64, 1 / 8  # a weight window splits a hit into so
 @dataclass(frozen=True)
 class BranchProbabilities:
     """
-    Probabilities that a hit scatters and that a reflection is followed; they divide the throughput of the branch.
+    Probabilities that a hit scatters and that a reflection is followed.
+
+    A followed branch's throughput is divided by them.
 
     Attributes
     ----------
@@ -120,7 +122,7 @@ class KernelScene:
     windows: WeightWindows | None = None
 
     def scatters(self, settings: Settings) -> bool:
-        """Whether a surface or a medium scatters light in a trace with these settings."""
+        """True if surfaces or media can scatter light in a trace with these settings."""
         return (self.scattering.any or self.table.optics.scatters) and settings.max_scatters > 0
 
 
@@ -155,7 +157,7 @@ def next_hit(
 
 
 def film_coordinates(table: SurfaceTable, it: Interaction, s: mi.UInt32) -> tuple[mi.Float, mi.Float]:
-    """Return the coordinates x and y of hits in the frame of the detector that they meet, mm."""
+    """Return the coordinates x and y of hits in the frame of their detector `s`, mm."""
     x, y = it.local.x, it.local.y
     for detector, (middle, right, up) in table.detector_axes.items():
         if detector in table.detectors:

@@ -101,7 +101,11 @@ class Launches:
             yield done
 
     def whole(self, start: StartRays, trace: Callable[[StartRays], object]) -> None:
-        """Trace all start rays whatever the time budget; raise KeyboardInterrupt if one is overdue. See `run`."""
+        """
+        Trace all start rays regardless of the time budget; raise KeyboardInterrupt if an interrupt is overdue.
+
+        See `run`.
+        """
         count = dr.width(start.lane)
         for done in self.run(start, trace, whole=True):
             if done < count:
@@ -109,7 +113,7 @@ class Launches:
 
     @staticmethod
     def _next(left: int, most: int) -> int:
-        """Return the number of rays of the next launch, at most about `most`; `left` rays are divided equally."""
+        """Return the number of rays of the next launch, about `most` or fewer, such that `left` divides equally."""
         return left if left <= STRETCH * most else math.ceil(left / math.ceil(left / most))
 
     def time(self, lanes: int, work: Callable[[], object]) -> None:
@@ -215,7 +219,11 @@ class Spread:
         return np.delete(found, place[np.isin(found[place], self._first)])
 
     def first(self, rays: int) -> np.ndarray:
-        """Return the first `rays` numbers of the permutation, (n,), ascending; `next` has returned that total."""
+        """
+        Return the first `rays` numbers of the permutation, (n,), ascending.
+
+        `next` must have returned that many in total.
+        """
         if rays <= len(self._first):
             return self._first
         return np.sort(np.concatenate([self._first, self.next(len(self._first), rays - len(self._first))]))

@@ -131,7 +131,11 @@ class LightVertices:
         self._slack = dr.opaque(mi.Float, ROUNDING * extent)
 
     def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-        """Return a light vertex of each batch, chosen by u in 0 … 1, and the throughput factor; 0 if there is none."""
+        """
+        Return a random light vertex of each batch (u uniform in 0 … 1) and the throughput factor of the choice.
+
+        0 if none.
+        """
         # Uniform among the light vertices of the batch
         first, count = (dr.gather(mi.UInt32, array, batch) for array in (self._first, self._of_batch))
         there = count > 0
@@ -140,7 +144,7 @@ class LightVertices:
         return number, dr.select(there, dr.gather(mi.Float, self._points, 4 * number + 3, there), 0)
 
     def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Return the positions of light vertices, mm."""
+        """Return the positions of light vertices in the device's frame, mm."""
         return dr.gather(mi.Vector4f, self._points, number, active).xyz
 
     def heading(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
@@ -148,13 +152,13 @@ class LightVertices:
         return dr.gather(mi.Vector4f, self._headings, number, active).xyz
 
     def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Whether rays that hit the surfaces s at points p, mm, have reached their light vertices."""
+        """Return a mask of rays whose hit of surface s at p (mm) is the light vertex that they were sent to."""
         row = dr.gather(mi.Vector4f, self._headings, number, active)
         apart = dr.norm(p - self.point(number, active))
         return active & (mi.UInt32(row.w) == s) & (apart < self._slack)
 
     def comes_from(self, number: mi.UInt32, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """Whether connected rays that leave the scene within a cell retrace the path of their light vertex."""
+        """Return a mask of connected rays that leave in a cell and retrace the incident path of their light vertex."""
 
         # The key of the path from the start to the light vertex: from the last event back to the first scatter event
         def back(k: mi.UInt32, key: mi.UInt64, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt64, mi.Bool]:

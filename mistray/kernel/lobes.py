@@ -68,7 +68,7 @@ class RadialSampler:
 
     @property
     def arrays(self) -> list[mi.Float]:
-        """Device arrays of all profiles: log2 of their values, and the alias tables of their cells."""
+        """Device arrays of all profiles: log2 of their values (1/sr), and the alias tables of their cells."""
         return [self._logs, self._cells]
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
@@ -105,13 +105,13 @@ class RadialSampler:
         return dr.exp2(LOG2_FIRST + mi.Float(ring) * (1 / PER_OCTAVE) + octaves)
 
     def _pair(self, table: mi.UInt32, node: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
-        """Return log2 f of radial tables at a node and at the next node."""
+        """Return log2 of the profile f (1/sr) at a node of a radial table and at the next node."""
         at = table * STRIDE + node
         return dr.gather(mi.Float, self._logs, at, active), dr.gather(mi.Float, self._logs, at + 1, active)
 
 
 def radial_place(r2: mi.Float) -> mi.Float:
-    """Return the fractional index of a squared radius among the nodes of a radial table, 0 … RINGS."""
+    """Return the fractional index, 0 … RINGS, of a squared radius r2 among the nodes of a radial table."""
     # Bounded below before the logarithm, whose derivative is then finite
     return dr.minimum((0.5 * dr.log2(dr.maximum(r2, FIRST_R2)) - LOG2_FIRST) * PER_OCTAVE, RINGS)
 

@@ -64,7 +64,7 @@ class PdfRatios:
 
     @staticmethod
     def first(width: int, connected_width: int) -> State:
-        """Return the initial density ratios of start rays, as variables of the loop."""
+        """Return the initial density ratios of `width` start rays, by name, as variables of the loop."""
         return {
             "pdf_ratio": dr.full(mi.Float, 1, width),  # ∏ pdf_rev/pdf_own over the scatter events so far
             "survival_ratio": dr.full(mi.Float, 1, width),  # ∏ q_rev/q_own since the last of them
@@ -194,7 +194,7 @@ class PdfRatios:
         return ratio / dr.select((state["scatters"] & AT_WALL) != 0, self._survival(state, mi.Float(1)), 1)
 
     def _survival(self, state: State, share: mi.Float) -> mi.Float:
-        """Return the probability that a share of the node's throughput survives roulette."""
+        """Return the probability that a ray with this share (0 … 1) of the node's throughput survives roulette."""
         if not self._by_weight:
             return mi.Float(1)
         return dr.minimum(state["w"] * share / (state["reference"] * self._threshold), 1)

@@ -38,7 +38,7 @@ def first_axis(d: Any) -> Any:
 
 def carried(u: Any, axis: Any, d: Any) -> Any:
     """
-    Return u, a vector normal to a source's axis, after the smallest rotation that takes the axis to direction d.
+    Return the vector u, normal to a source's axis, after the smallest rotation that takes the axis to direction d.
 
     An ideal lens rotates polarised light so when it spreads it over a cone, see R. A. Chipman, W.-S. T. Lam and G.
     Young, *Polarized Light and Optical Systems* (CRC Press, 2018), section 11.4 (double pole coordinates). Light that

@@ -82,7 +82,7 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
 
 
 class _Tree:
-    """Trace of ray trees: its scene, start rays, settings and recorders, and the steps of a visit to a node."""
+    """Trace of ray trees: its scene, start rays, settings, recorders, and the steps of a visit to a node."""
 
     def __init__(
         self,
@@ -113,13 +113,13 @@ class _Tree:
 
     # A Local array takes an index of traced size 1 as uniform over the lanes: every index must start at full width
     def full(self, value: int = 0) -> mi.UInt32:
-        """Return an array with the same number for each lane."""
+        """Return an array with the same integer in every lane."""
         return dr.full(mi.UInt32, value, self.n)
 
     # ---- the state of the loop
 
     def first_segment(self) -> State:
-        """Trace start rays to their first surface, and return the variables of the loop there."""
+        """Trace start rays to the first surface that they meet. Return the variables of the loop there."""
         start, table, n, full = self.start, self.scene.table, self.n, self.full
         o, d, bulk = start.o, start.d, self.bulk
         memory: Memory = {}
@@ -197,7 +197,7 @@ class _Tree:
         }
 
     def idle(self) -> State:
-        """Return the initial variables of the loop for lanes that have no ray yet."""
+        """Return the initial loop variables for lanes that have no start ray yet."""
         assert self.supply is not None
         memory: Memory = {}
         self.recorders.begin(self.start, self.settings.max_events, memory)
@@ -210,7 +210,7 @@ class _Tree:
     # ---- the loop
 
     def walk(self, state: State) -> None:
-        """Visit the nodes of all ray trees from the given loop variables on, and collect the recorders' results."""
+        """Visit the nodes of all ray trees, starting from given loop variables, and collect recorders' results."""
         if LaneRows.pay(self.scene.table):
             self.rows = LaneRows(self.scene.table, self.n)
         # Variables that keep their values in this scene are none of the loop. These change in all, kept or not
@@ -287,7 +287,11 @@ class _Tree:
         hit: mi.Bool,
         contributes: mi.Bool,
     ) -> tuple[mi.Float, mi.Float]:
-        """Return the throughput transmitted and scattered along segments of `length`, mm; record what is absorbed."""
+        """
+        Return the throughput transmitted and scattered along segments of `length` mm in a medium.
+
+        Record the absorbed part.
+        """
         optics = self.scene.table.optics
         if not optics.absorbs:
             return flux, mi.Float(0)
@@ -430,7 +434,7 @@ class _Tree:
     def _store(
         self, node: Node, choice: Choice, sent: Sent, path: Any, codes: Any, memory: Memory
     ) -> tuple[Any, mi.UInt32]:
-        """Store nodes by depth and record their branches; return the stored nodes and the codes of the events."""
+        """Store nodes by depth and report their child rays to recorders; return the stored nodes and event codes."""
         state, it = node.state, node.interaction
         depth, go = state["depth"], sent.active
         stored = {**state, "p": sent.origin, "away": sent.away}

@@ -32,7 +32,7 @@ NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incid
 
 
 def axis_row(axis: str, rotation_deg: float) -> np.ndarray:
-    """Return the code of a surface's sample axis, (4,) float64: cosine and sine of its rotation, 0, index in `AXES`."""
+    """Return a surface's sample axis as (4,) numbers: cosine and sine of its rotation, 0, index in `AXES`."""
     turn = np.radians(rotation_deg)
     return np.array([np.cos(turn), np.sin(turn), 0.0, float(AXES.index(axis))])
 
@@ -67,7 +67,7 @@ def tangent_axis(row: Any, normal: Any, q: Any, any_meridian: bool = True) -> An
 
 class SurfaceFrames:
     """
-    Sample axes of all surfaces, which orient anisotropic scatter.
+    Axes of the samples (such as brushed metal) on all surfaces, which orient anisotropic scatter.
 
     Parameters
     ----------
@@ -101,13 +101,17 @@ class SurfaceFrames:
         return tangent_axis(row, normal, q, self._any_meridian)
 
     def at(self, s: mi.UInt32, normal: mi.Vector3f, q: mi.Vector3f, active: mi.Bool) -> mi.Vector3f:
-        """Return the sample's unit x axis in the scene's frame, as that of `normal`; q, mm, is in the surface's."""
+        """Return the sample's x axis at a point q, mm, in the surface's frame, as unit vector in the scene's frame."""
         frame = self._table.frame(s, active)
         return frame.outward(self.local(s, frame.inward(normal), q, active))
 
 
 def _row(table: SurfaceTable, s: int) -> np.ndarray:
-    """Return numbers, (4,), that encode the sample axis of surface s, or raise if it has none; see `axis_row`."""
+    """
+    Return the numbers, (4,), that encode the sample axis of surface s; raise `MistrayError` if it has none.
+
+    See `axis_row`.
+    """
     sample, name = table.optics.bsdfs[s].sample_axis, table.ids[s]
     if sample is None:
         raise MistrayError(f"surface '{name}': its scatter is anisotropic, but its plugin sets no sample_axis")
@@ -134,7 +138,7 @@ def plane_of_sample(
     tangent: mi.Vector3f, lit: mi.Vector3f, x_axis: mi.Vector3f
 ) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
     """
-    Return tangential axes in and across the plane of incidence, and the azimuth of a sample from the first.
+    Return tangential axes along and across the plane of incidence, and the sample's azimuth from the first, in turns.
 
     Parameters
     ----------
@@ -159,5 +163,5 @@ def plane_of_sample(
 
 
 def fraction_of(turns: mi.Float) -> mi.Float:
-    """Return the fractional part of a number of turns, 0 … 1."""
+    """Return the fractional part of a number of turns, at least 0 and below 1."""
     return turns - dr.floor(turns)

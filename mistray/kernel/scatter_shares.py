@@ -1,5 +1,5 @@
 """
-Scattering shares of a node: the flux that it scatters, and which of its scattered rays is to be drawn.
+Scattering shares of a node: the fraction of flux that it scatters, and which of its scattered rays is drawn.
 
 The shares come from tables of the total integrated scatter over the angle of incidence, see
 `mistray.kernel.scatter_tables`. With the coating's x = R or T, an event keeps the share x (1 - a₀) in its specular beam
@@ -101,7 +101,7 @@ class ScatterBudget:
         self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32, connection: Connection | None = None
     ) -> ScatteredRay:
         """
-        Return the event and sampling technique of a node's scattered ray with a given number.
+        Return the event and sampling technique of scattered ray `number` of a node.
 
         The first `random_rays` are drawn at random, then come the aimed ones of transmission and of reflection, and
         then those of `connection`, if there is one.
@@ -120,7 +120,7 @@ class ScatterBudget:
 
     def one_ray(self, probability: mi.Float, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
         """
-        Return the event and sampling technique of a node's only scattered ray; it scatters with this probability.
+        Return the event and sampling technique of a node's only scattered ray, which it sends with this probability.
 
         It is aimed in half of the cases in which there is a target. Without random rays it has no weight in an event
         without a target.
@@ -178,7 +178,7 @@ class Connection:
 @dataclass
 class ScatteredRay:
     """
-    Scattered ray to be drawn at a node: its event, sampling technique and the mean numbers of rays.
+    Scattered ray to be drawn at a node: event, sampling technique, and mean number of rays by either technique.
 
     Attributes
     ----------
@@ -236,7 +236,7 @@ class ScatterShares:
         self.any, self.bulk = tables.any, tables.bulk
 
     def budget(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> ScatterBudget:
-        """Return the fractions of flux scattered and absorbed at hits of surfaces s, and numbers of scattered rays."""
+        """Return the fractions of flux that hits of surfaces s scatter and absorb, and numbers of scattered rays."""
         # Row of the side: first rows of its totals in transmission and reflection, and its numbers of aimed rays
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
         plan = dr.gather(mi.Vector4u, self.tables.sides, side, active)
@@ -264,11 +264,15 @@ class ScatterShares:
         return ScatterBudget(transmission, reflection, scattered, absorbed, 2 * side, aimed_t, aimed_r, random_rays)
 
     def _transmittance(self, it: Interaction) -> mi.Float:
-        """Return T; 1 for a backward ray in total reflection, since light can be scattered into its direction."""
+        """Return T of the coating; 1 for backward rays in total reflection, into which light can still be scattered."""
         return dr.select(it.tir, 1, it.T) if self.tables.backward else it.T
 
     def _x_axis(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> mi.Vector3f | None:
-        """Return the x axis of the sample; None if no surface has an anisotropic one."""
+        """
+        Return the sample's x axis at each hit, a unit vector in the scene's frame.
+
+        The result is None if all samples are isotropic.
+        """
         if self.tables.frames is None:
             return None
         return self.tables.frames.at(s, dr.select(it.from_front, it.axis, -it.axis), it.local, active)
@@ -311,7 +315,11 @@ class ScatterShares:
     def _shares(
         self, first: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool, turn: Turn | None = None
     ) -> Shares:
-        """Return the scattering shares of a case at a cosine; its table starts at row `first`, x is R or T."""
+        """
+        Return the specular and scattered shares at a cosine of incidence.
+
+        The case's table starts at row `first`; `x` is R or T.
+        """
         # Totals are linear in the cosine between nodes
         here = active & (first != 0)
         place = dr.select(here, cosine * ANGLES, 0)

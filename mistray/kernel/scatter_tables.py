@@ -76,7 +76,7 @@ class Member:
 @dataclass(frozen=True)
 class Side:
     """
-    Scatter of light from one side of a surface: lobes, radial profiles, and total scatter by angle.
+    Scatter of light that comes from one side of a surface: lobes, radial profiles, and total scatter by angle.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Side:
         )
 
     def without_transmission(self) -> Side:
-        """Return the scatter without its transmitted lobes, for an opaque surface."""
+        """Return a copy without the lobes of transmitted light, for an opaque surface."""
         kept = [k for k, lobe in enumerate(self.lobes) if lobe.event == "reflection"]
         return Side(
             tuple(self.lobes[k] for k in kept),
@@ -119,7 +119,7 @@ class Side:
 
 
 def side_of(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
-    """Return the lobes and total scatter of models for light from one side of a surface, from a cache."""
+    """Return lobes and total scatter of models for light from one side of a surface, from a cache. Indices are real."""
     return _known_side(models, particle_indices(models, wavelength_nm), wavelength_nm, n_in, n_out, from_front)
 
 
@@ -167,7 +167,7 @@ def make_side(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, 
 
 
 def _finer(rows: np.ndarray) -> np.ndarray:
-    """Return rows interpolated from `TURNED_ANGLES` to `ANGLES` intervals of the cosine, (turns, ANGLES + 1, 4)."""
+    """Return totals interpolated from `TURNED_ANGLES` to `ANGLES` intervals of the cosine, (turns, ANGLES + 1, 4)."""
     places = np.linspace(0, TURNED_ANGLES, ANGLES + 1)
     low = np.minimum(places.astype(int), TURNED_ANGLES - 1)
     fraction = (places - low)[:, None]
@@ -207,7 +207,7 @@ class Case:
 @dataclass(frozen=True)
 class PackedLobes:
     """
-    Scatter lobes of all cases as arrays, one lobe after the other.
+    Scatter lobes of all cases concatenated into arrays.
 
     Attributes
     ----------
@@ -239,7 +239,7 @@ class PackedLobes:
 
 def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
     """
-    Return the scatter lobes of all cases as arrays, with each table that lobes share stored once.
+    Return the scatter lobes of all cases as arrays; a table that several lobes share is stored once.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def lobe_floats(lobe: Lobe, table: RadialTable) -> np.ndarray:
 
 
 def _flags(lobe: Lobe) -> int:
-    """Return the flag bits of a lobe: its measure, centre, factor and ratio table."""
+    """Return the flag bits that encode a lobe's measure (angle or direction cosine), centre, factor and ratio table."""
     flags = BY_ANGLE if lobe.measure == "angle" else 0
     flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
     flags |= FACTOR_FLAGS.get(lobe.factor, 0)
@@ -418,12 +418,16 @@ class ScatterTables:
 
     @staticmethod
     def _frames(table: SurfaceTable, turned: Sequence[int]) -> SurfaceFrames | None:
-        """Return the axes of the samples of the surfaces whose scatter is anisotropic."""
+        """Return the sample axes of the surfaces with anisotropic scatter, whose numbers are `turned`."""
         return SurfaceFrames(table, turned)
 
     @staticmethod
     def _sides_of(ids: Sequence[str], optics: Optics, s: int, kind: Hashable) -> list[Side]:
-        """Return the scatter from front and back of a surface; raise `MistrayError` if a side gains light."""
+        """
+        Return the scatter of surface s from front and back.
+
+        Raise `MistrayError` if it returns more than the incident flux.
+        """
         found, checked = [], kind in _checked
         for from_front in (True, False):
             n_in, n_out = light_indices(optics, s, from_front)
@@ -440,7 +444,7 @@ class ScatterTables:
         return found
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
-        """Return rows of the totals: specular loss, and scattered flux as three coefficients of a polynomial."""
+        """Return a row of total scatter: lost specular fraction, scattered fraction as three coefficients."""
         return dr.gather(mi.Vector4f, self.totals, row, active)
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
@@ -456,18 +460,18 @@ class ScatterTables:
         return multilinear(self.ratios, place + RATIO_HEAD, sizes, places, active)
 
     def first_rotation(self, place: mi.UInt32, active: mi.Bool) -> mi.Float:
-        """Return the sample azimuth at the first node of an anisotropic ratio table, in turns."""
+        """Return the sample azimuth, in turns, at the first node of the anisotropic ratio table stored at `place`."""
         return dr.gather(mi.Float, self.ratios, place + RATIO_HEAD - 1, active)
 
     def _ratio_sizes(self, place: mi.UInt32, axes: int, active: mi.Bool) -> list[mi.UInt32]:
-        """Return the numbers of nodes of a ratio table along its axes."""
+        """Return the number of nodes along each of the axes of the ratio table stored at `place`."""
         numbers = [dr.gather(mi.Float, self.ratios, place + k, active) for k in range(axes)]
         return [dr.maximum(mi.UInt32(number), 2) for number in numbers]
 
 
 def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float, float]:
     """
-    Return the real refractive indices on the side of a surface that light comes from and on the other side.
+    Return the real refractive indices on the side that light comes from and on the other side of a surface.
 
     The kernel needs no indices beside an opaque surface, but its lobes do: their wavelength is that of the medium.
     """

@@ -50,7 +50,7 @@ ANYWHERE = 0.1  # share of the rays of a lobe by angle that go against refractio
 @dataclass
 class LobeFrame:
     """
-    Local shading frame of the lobes of a hit.
+    Local shading frame of the scatter lobes at a hit.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Scattering(ScatterShares):
 
     @property
     def arrays(self) -> list[Any]:
-        """Device arrays of the scatter models; targets, which change only the variance, are left out."""
+        """Device arrays of the scatter models. Targets are left out, as they change only the variance."""
         tables = self.tables
         if not tables.any:
             return []
@@ -116,7 +116,7 @@ class Scattering(ScatterShares):
         connects: bool = False,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Bool, mi.Bool, mi.PCG32, ScatterPdfs]:
         """
-        Return a random scattered ray of a hit: direction, flux with its MIS weight, and pdfs.
+        Return a random scattered ray of each hit: direction, flux with its MIS weight, and pdfs.
 
         Parameters
         ----------
@@ -182,7 +182,7 @@ class Scattering(ScatterShares):
         rng: mi.PCG32,
         competing: Scattering | None,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Float, mi.Float]:
-        """Return direction, weight and slope of `scatter`, and `pdf_ratio` and `pdf_rev` of `ScatterPdfs`."""
+        """Return direction, throughput and slope of `scatter`, and `pdf_ratio` and `pdf_rev` of `ScatterPdfs`."""
         table, s, it, d = hit
         # The case of reflection follows that of transmission from the same side
         case = budget.first_case + dr.select(ray.reflect, mi.UInt32(1), 0)
@@ -240,7 +240,7 @@ class Scattering(ScatterShares):
     def _case(
         self, case: mi.UInt32, s: mi.UInt32, it: Interaction, d: mi.Vector3f, reflect: mi.Bool
     ) -> tuple[mi.Vector4u, list[dict[str, Any]], LobeFrame]:
-        """Return the row of a case, its lobes and their frame, for a ray that arrives along d."""
+        """Return the table row of a scatter case, its lobes and their shading frame, for a ray that arrives along d."""
         x = dr.select(reflect, it.R, self._transmittance(it))
         scale = dr.select(reflect, 1, it.eta) if self.tables.backward else mi.Float(1)
         # Lobes are centred on the specular direction on the side that the ray leaves to
@@ -251,7 +251,7 @@ class Scattering(ScatterShares):
         return plan, lobes, LobeFrame(it.axis, outward, specular, d, it.cos_i, it.eta, x_axis, scale)
 
     def _aimed_rays(self, case: mi.UInt32) -> mi.Float:
-        """Return the number of aimed rays of a case at hits where there is light to scatter."""
+        """Return the number of aimed rays that a scatter case sends per hit."""
         side = dr.gather(mi.Vector4u, self.tables.sides, case >> 1, True)
         return mi.Float(dr.select((case & 1) != 0, side.w, side.z & ((1 << RANDOM_RAYS_SHIFT) - 1)))
 
@@ -325,7 +325,11 @@ class Scattering(ScatterShares):
     def _passing_lobes(
         self, plan: mi.Vector4u, reflect: mi.Bool, x: mi.Float, cos_i: mi.Float, cos_t: mi.Float
     ) -> list[dict[str, Any]]:
-        """Return the lobes of forward light at a backward ray: in total reflection only those about the normal pass."""
+        """
+        Return the lobes by which forward light scatters into a backward ray.
+
+        In total reflection only those about the normal pass.
+        """
         # In total reflection cos θt is 0, and nothing is refracted into a specular direction
         lobes = self._read_lobes(plan, x, cos_i)
         passes = reflect | (cos_t > 0)
@@ -334,7 +338,7 @@ class Scattering(ScatterShares):
         return lobes
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
-        """Return the lobes of a case, each with its mask and its flux over all directions per incident flux."""
+        """Return the lobes of a case, each with its mask and the fraction of incident flux that it scatters in all."""
         # All cases read as many lobes as the largest has; those that a case has not are masked
         lobes = []
         for j in range(self.tables.most_lobes):
@@ -364,7 +368,7 @@ class Scattering(ScatterShares):
         return lobes
 
     def _centre(self, words: mi.Vector2u, frame: LobeFrame) -> mi.Vector3f:
-        """Return the unit vector at the centre of a lobe: the specular direction, back along the ray, or the normal."""
+        """Return the unit vector at a lobe's centre: the specular direction, the backward one, or the normal."""
         # The specular direction, the one of arrival (retro-reflection) or the normal
         centre = frame.specular
         if self.tables.flags & RETRO:
@@ -380,7 +384,11 @@ class Scattering(ScatterShares):
         u: list[mi.Float],
         frame: LobeFrame,
     ) -> mi.Vector3f:
-        """Return a random unit direction from four uniform numbers u: a lobe by its flux, a place in its profile."""
+        """
+        Return a random unit direction.
+
+        The four uniform numbers `u` choose a lobe by its flux and a place in its profile.
+        """
         # The lobe, by its flux
         outward, scale = frame.outward, frame.scale
         chosen, flux, so_far = lobes[0]["words"], u[0] * total, lobes[0]["flux"]
@@ -427,7 +435,7 @@ class Scattering(ScatterShares):
         cos_s: mi.Float,
         frame: LobeFrame,
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """Return flux per sr and unit of incident flux, its derivative by R or T, and the pdf of random rays, 1/sr."""
+        """Return scattered flux per sr and incident flux, its derivative by R or T, and pdf of random rays, 1/sr."""
         outward, cos_i, scale = frame.outward, frame.cos_i, frame.scale
         flux, slope, density = mi.Float(0), mi.Float(0), mi.Float(0)
         for lobe in lobes:
@@ -478,7 +486,7 @@ class Scattering(ScatterShares):
         r2: mi.Float,
         across: mi.Vector3f,
     ) -> mi.Float:
-        """Return the factor from a lobe's ratio table for a scattered direction, interpolated linearly."""
+        """Return the factor by which a lobe's ratio table scales the BSDF in a direction, interpolated linearly."""
         # Coordinates of the table: incidence, distance from the centre or angle of scatter, and azimuth
         words, outward, x_axis = lobe["words"], frame.outward, frame.x_axis
         active = lobe["here"] & ((words.x & RATIO) != 0)
@@ -516,5 +524,9 @@ class Scattering(ScatterShares):
 def specular_direction(
     reflect: mi.Bool, d: mi.Vector3f, axis: mi.Vector3f, cos_i: mi.Float, cos_t: mi.Float, eta: mi.Float
 ) -> mi.Vector3f:
-    """Return the unit direction into which light along d is reflected or refracted; arguments as in `Interaction`."""
+    """
+    Return the unit direction into which light along d is reflected or refracted.
+
+    The normal `axis` is on the side that the light goes to; eta is n_i/n_t.
+    """
     return dr.normalize(dr.select(reflect, d - 2 * cos_i * axis, eta * d + (cos_t - eta * cos_i) * axis))

@@ -1,4 +1,4 @@
-"""Supply of start rays for lanes whose trees are complete.
+"""Supply of new start rays to lanes whose ray trees are complete.
 
 A packet of lanes runs until the last of them is finished. Trees of a PST differ in size by factors of 100, and most
 lanes would idle most of the time: two of three in a phone camera, four of five in a baffle. So a lane whose tree is
@@ -26,7 +26,7 @@ MANY_SURFACES = 4  # number of transmitting surfaces from which on trees are lar
 
 class StartSupply:
     """
-    Supply of start rays, traced to their first surface, for lanes that have finished a ray tree.
+    Supply of start rays, already traced to their first surface, for lanes that have finished a ray tree.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class StartSupply:
     @staticmethod
     def pays(scene: KernelScene, settings: Settings) -> bool:
         """
-        Whether a trace is faster if each lane takes several start rays: where their ray trees differ much in size.
+        True if a trace is faster when each lane takes several start rays, as if their ray trees differ much in size.
 
         Neighbouring rays of one source have similar trees for the most part, as have rays with small trees: these are
         faster side by side. A GPU has too many lanes for more than one ray each.
@@ -85,12 +85,12 @@ class StartSupply:
         return {**state, **renewed, "active": state["active"] & (found | ~idle)}
 
     def start(self, ray: mi.UInt32) -> StartRays:
-        """Return the start rays of the given indices, one per lane, in the batch of the lane."""
+        """Return the start rays with the given indices, one per lane, each assigned to the batch of its lane."""
         # A lane keeps its batch before it has a ray
         found = self._start.picked(ray)
         found.batch = self._batch
         return found
 
     def at_surface(self, name: str, ray: mi.UInt32, active: mi.Bool | bool = True) -> Any:
-        """Return a variable of the loop, by its name, for start rays at their first surface."""
+        """Return the loop variable `name` of start rays at their first surface."""
         return chosen(self._at_surface[name], ray, active)

@@ -1,5 +1,5 @@
 """
-Targets of scattered rays: flat regions, ellipsoids and cones, grouped by the place where light is scattered.
+Importance targets of scattered rays: flat regions, ellipsoids and cones, grouped by the place where light is scattered.
 
 A flat target of area A has the pdf r²/(A |cos θ|) per sr, where r is the distance of the point of the target and θ the
 angle between the direction and the target's normal, see `mistray.kernel.device_targets`.
@@ -116,7 +116,7 @@ class Target:
         return np.asarray(self.centre + a[:, None] * self.u + b[:, None] * self.v)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """Whether points (n, 3), mm, of the target's plane lie on the target, (n,); False for NaN."""
+        """Return a mask of points (n, 3), mm, in the target's plane that lie on the target, (n,); False for NaN."""
         # Coordinates a, b by the pseudoinverse, since u and v need not be at right angles
         a, b = np.linalg.pinv(np.stack([self.u, self.v], axis=1)) @ (points - self.centre).T
         with np.errstate(invalid="ignore"):
@@ -128,7 +128,7 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether any aimed ray leaves points (n, 3), mm, against their normals, and whether any leaves along them."""
+        """Return whether any ray aimed from points (n, 3), mm, goes against its normal, and if any goes along it."""
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
@@ -177,7 +177,7 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether any aimed ray leaves points (n, 3), mm, against their normals, and whether any leaves along them."""
+        """Return whether any ray aimed from points (n, 3), mm, goes against its normal, and if any goes along it."""
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
@@ -234,7 +234,7 @@ class TargetCone:
 
     @property
     def width(self) -> float:
-        """Height 1 - cos α of the cone's cap on the unit sphere, with the half-angle α."""
+        """Value of 1 - cos α for the cone's half-angle α, the height of its cap on the unit sphere."""
         # By the half of it, since 1 - cos of a small angle is lost in rounding
         return float(2 * np.sin(0.5 * self.half_angle) ** 2)
 
@@ -245,9 +245,9 @@ class TargetCone:
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
         """
-        Whether any aimed ray leaves points (n, 3), mm, against their normals, and whether any leaves along them.
+        Return whether any ray aimed from points (n, 3), mm, goes against its normal, and whether any goes along it.
 
-        Both are assumed of a cone about the specular beam.
+        For a cone about the specular beam both are True.
         """
         if self.about == "specular":
             return True, True
@@ -266,7 +266,11 @@ AnyTarget = Target | Ellipsoid | TargetCone
 
 
 def _sides(d: np.ndarray, normals: np.ndarray, reverse: bool) -> tuple[bool, bool]:
-    """Whether any aimed ray goes against its normal, and whether any goes along it; with `reverse` rays go along -d."""
+    """
+    Return whether any direction d, (n, 3), goes against its normal, and whether any goes along it.
+
+    With `reverse` rays go along -d.
+    """
     outward = np.einsum("ij,ij->i", d, normals) * (-1 if reverse else 1)
     return bool(np.any(outward < 0)), bool(np.any(outward > 0))
 
@@ -274,7 +278,7 @@ def _sides(d: np.ndarray, normals: np.ndarray, reverse: bool) -> tuple[bool, boo
 @dataclass(frozen=True)
 class Inside:
     """
-    Medium on one side of a surface, as a place where light is scattered on its way to that surface.
+    Volume on one side of a surface whose medium scatters light on its way to that surface.
 
     Attributes
     ----------
@@ -313,7 +317,7 @@ class AimSet:
 
     @classmethod
     def of(cls, targets: Sequence[AnyTarget], rays: int, weights: Sequence[float] | None = None) -> AimSet:
-        """Return a set of targets with shares in proportion to weights, by default equal, for `rays` aimed rays."""
+        """Return a set of targets with `rays` aimed rays per hit, shared in proportion to `weights` or equally."""
         # By default each target gets as many rays as the others, whatever its size
         parts = np.ones(len(targets)) if weights is None else np.asarray(weights, dtype=np.float64)
         shares = (parts / parts.sum()).tolist()

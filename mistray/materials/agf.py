@@ -34,7 +34,7 @@ from mistray.read_file import read_file
 
 @dataclass
 class _Line:
-    """Words of one line of an AGF file, and the number of that line for messages."""
+    """Line of an AGF file: its words, and its number in the file for messages."""
 
     number: int
     words: list[str]
@@ -42,7 +42,7 @@ class _Line:
 
 @dataclass
 class _Block:
-    """Lines of one glass, by their first word."""
+    """Lines that describe one glass in an AGF file, keyed by their first word."""
 
     head: _Line
     lines: dict[str, list[_Line]] = field(default_factory=lambda: {"CD": [], "LD": [], "IT": []})
@@ -131,7 +131,7 @@ def _error(path: Path, number: int, what: str) -> MistrayError:
 
 
 def _numbers(path: Path, line: _Line, names: str = "") -> list[float]:
-    """Return the numbers of a line; raise `MistrayError` if there are not as many as `names` lists."""
+    """Return the words of a line as numbers; raise `MistrayError` if there are not as many as `names` lists."""
     values = []
     for word in line.words:
         value = finite_of(word)

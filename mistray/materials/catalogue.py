@@ -1,4 +1,4 @@
-"""Names of materials and their pages: pinned materials and the catalogues of the glass makers."""
+"""Catalogue of materials: their names, and the database pages on which their n and k stand."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ _SHELVES = ("main/", "organic/", "glass/", "other/", SUPPLIERS)
 
 @cache
 def glasses() -> dict[str, dict[str, Entry]]:
-    """Return the entries of all glasses, by maker and by name of the glass."""
+    """Return the catalogue entries of all glasses, nested by maker and by name of the glass."""
     root = data_folder() / SUPPLIERS
     return {
         maker: {
@@ -149,13 +149,13 @@ def glasses() -> dict[str, dict[str, Entry]]:
 
 
 def _pages(folder: Path) -> list[str]:
-    """Return the names of the pages in a folder of the database, without suffix, sorted."""
+    """Return the names of the database pages in a folder, without suffix, sorted."""
     return [file.removesuffix(".yml") for file in sorted(os.listdir(folder)) if file.endswith(".yml")]
 
 
 def names() -> list[str]:
     """
-    Return all names: the pinned materials, then the glasses with their makers in front.
+    Return the names of all materials: common ones first, then glasses with their makers in front.
 
     Examples
     --------
@@ -231,7 +231,7 @@ def _unknown(name: str, close: list[str]) -> MistrayError:
 
 
 def _close(wanted: str, spellings: Iterable[str]) -> list[str]:
-    """Return up to three names that contain `wanted` or resemble it, the most likely first."""
+    """Return up to three of the names `spellings` that contain `wanted` or resemble it, the most likely first."""
     wanted = wanted.lower()
     if wanted in _WORDS:
         return [_WORDS[wanted]]

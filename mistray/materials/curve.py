@@ -14,7 +14,7 @@ from mistray.errors import MistrayError
 @dataclass(frozen=True, eq=False)
 class Curve:
     """
-    One quantity, n or k, over wavelength.
+    Refractive index n or extinction coefficient k as a function of wavelength.
 
     Attributes
     ----------
@@ -31,12 +31,12 @@ class Curve:
     nodes_nm: tuple[float, ...] = ()
 
     def covers(self, wavelength_nm: float) -> bool:
-        """Return whether there are data at a wavelength, nm."""
+        """Return True if the data hold at a wavelength, nm."""
         return self.range_nm is None or self.range_nm[0] <= wavelength_nm <= self.range_nm[1]
 
     def at(self, wavelength_nm: float, what: str, extrapolate: bool, remedy: str) -> float:
         """
-        Return the value at a wavelength.
+        Return the value, n or k, at a wavelength.
 
         Parameters
         ----------
@@ -74,7 +74,7 @@ def constant(value: float) -> Curve:
 
 def table(wavelength_nm: Sequence[float] | np.ndarray, values: Sequence[float] | np.ndarray) -> Curve:
     """
-    Return a curve that interpolates linearly over wavelength.
+    Return a curve of n or k that interpolates linearly between values at wavelengths.
 
     Parameters
     ----------

@@ -41,12 +41,12 @@ class Entry:
 
     @property
     def chain(self) -> tuple[Entry, ...]:
-        """Entry itself and the entries beyond it, in the order in which they are used."""
+        """Entry itself, then the entries that replace it at wavelengths beyond its range, in this order."""
         return (self, *(self.beyond.chain if self.beyond is not None else ()))
 
 
 def by_wavelength(*entries: Entry) -> Entry:
-    """Return one entry made of several: the first whose page covers a wavelength is used there."""
+    """Return one entry made of several: at each wavelength the first whose page covers it is used."""
     first, *others = entries
     if not others:
         return first

@@ -26,7 +26,7 @@ CLEAR_K = 1e-3  # greatest k of a suggestion for a material that light passes
 @dataclass(frozen=True)
 class MaterialSource:
     """
-    Source of the numbers of a material.
+    Source of the n and k of a material.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class MaterialSource:
 @dataclass(frozen=True, eq=False)
 class _Material:
     """
-    Curves of n and k of a material, with their sources.
+    Curves of n and k of a material over wavelength, with their sources.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) 
 
 def bulk_scatter(material: str) -> BulkScatter:
     """
-    Return the coefficient, 1/mm, and g of the scatter inside a material, from the suffixes of its string.
+    Return the bulk scatter (coefficient, 1/mm, and asymmetry g) that the suffixes of a material string state.
 
     Examples
     --------
@@ -222,7 +222,7 @@ def complex_index(material: str, wavelength_nm: float) -> complex:
 
 def table_nodes_nm(material: str) -> tuple[float, ...]:
     """
-    Return the wavelengths of a material's tables of n and k, nm; empty without tables.
+    Return the wavelengths, nm, at which tables give n or k of a material; empty for formulas and constants.
 
     Examples
     --------
@@ -309,7 +309,11 @@ def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
 
 
 def _known(spec: Spec) -> str:
-    """Return the wavelength ranges in which n is known as text, such as "400 … 700 nm"; overlapping ones are joined."""
+    """
+    Return the wavelength ranges in which n is known, as text such as "400 … 700 nm".
+
+    Overlapping ranges are joined.
+    """
     ends: list[list[float]] = []
     for low, high in sorted(found.n.range_nm for found in _materials(spec) if found.n.range_nm is not None):
         if ends and low <= ends[-1][1]:

@@ -26,7 +26,7 @@ Table = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def read_mate(path: str | Path) -> dict[str, Table]:
     """
-    Read the materials of a coating file.
+    Read n and k of the materials in a Zemax coating file.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def shown(words: list[str]) -> str:
 
 def numbers(words: list[str], least: int, most: int, where: str, what: str) -> list[float]:
     """
-    Return the words of a line as numbers.
+    Return the words of a line, from `least` to `most` of them, as numbers.
 
     Raises
     ------

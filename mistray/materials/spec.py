@@ -22,7 +22,7 @@ _SUFFIX = re.compile(r"\s+(?:(extrapolate)|(k|shift|scatter|g)\s*=\s*(\S*))$", r
 
 @dataclass(frozen=True)
 class Constant:
-    """Constant n at every wavelength. k is None if the string does not state it, and then counts as 0."""
+    """Material with the same n at every wavelength. k is None if the string does not state it, and then counts as 0."""
 
     n: float
     k: float | None
@@ -30,7 +30,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class AbbeNumber:
-    """Glass of which only nd and Vd are known."""
+    """Glass of which only the index nd at 587.6 nm and the Abbe number Vd are known."""
 
     nd: float
     vd: float
@@ -38,14 +38,14 @@ class AbbeNumber:
 
 @dataclass(frozen=True)
 class IndexSamples:
-    """Table of n in the string itself: pairs of wavelength, nm, and n, by ascending wavelength."""
+    """Material with n tabulated in its string: pairs of wavelength, nm, and n, by ascending wavelength."""
 
     points: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class UserFile:
-    """File with n and k: CSV table (`entry` is None), glass of an AGF file or material of a Zemax coating file."""
+    """File with n and k of a material: CSV table (no `entry`), or an entry of an AGF or Zemax coating file."""
 
     path: str
     entry: str | None
@@ -53,7 +53,7 @@ class UserFile:
 
 @dataclass(frozen=True)
 class Name:
-    """Name of a material in the catalogues."""
+    """Material given by its name in the catalogues."""
 
     name: str
 
@@ -61,7 +61,7 @@ class Name:
 @dataclass(frozen=True)
 class BulkScatter:
     """
-    Scatter inside a material.
+    Scatter inside the volume of a material.
 
     Attributes
     ----------

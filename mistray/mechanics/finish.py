@@ -1,4 +1,4 @@
-"""Paint on the faces of a part, and its short text form."""
+"""Paint on the faces of a mechanical part, and its short text form."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OTHER_SIDE = {"front": "back", "back": "front"}
 @dataclass(frozen=True)
 class Finish:
     """
-    Coating and scatter models of a face.
+    Paint of a face: its coating and scatter models.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ ABSORBER = Finish()
 
 def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Finish:
     """
-    Make a finish from its name or its values.
+    Return a finish from its name or its values as text.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Fin
 
 
 def known_finishes(shared: Iterable[Coating | Scatter]) -> dict[str, Finish]:
-    """Finishes, keyed by name, for the named coatings and scatter models of a scene."""
+    """Return a finish, by name, for each named coating and scatter model of a scene."""
     return {str(item.name): Finish(item) if isinstance(item, Coating) else Finish(scatter=(item,)) for item in shared}
 
 

@@ -189,7 +189,7 @@ class Mechanics:
 
     @property
     def beyond_limit(self) -> int:
-        """Number of surfaces that could be analytic but stay meshes because of `most_analytic`."""
+        """Number of surfaces that could be analytic but remain meshes because of `most_analytic`."""
         return max(sum(map(len, self._bands.values())) - max(self.most_analytic, 0), 0)
 
     @cached_property
@@ -197,7 +197,7 @@ class Mechanics:
         return {part.name: bands(part) for part in self.parts}
 
     def _built(self) -> list[tuple[Structure | MeshStructure, bytes | None]]:
-        """Return the structures, each with the content of its PLY file ``<shape>.ply``, or None."""
+        """Return the structures, each with the bytes of its PLY file ``<shape>.ply``, or None if it has none."""
         found = self._bands
         sizes = sorted((band.area for each in found.values() for band in each), reverse=True)
         least = sizes[self.most_analytic - 1] if 0 < self.most_analytic < len(sizes) else 0.0

@@ -26,7 +26,7 @@ AREA_RANGE = (0.99, 1.001)  # triangles inscribed in a band, over its area
 @dataclass(frozen=True, eq=False)
 class RevolvedBand:
     """
-    A complete band of revolution, made of one or more faces.
+    Complete band of revolution, such as a cylinder or an annulus, made of one or more faces.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class RevolvedBand:
 
 def bands(part: CadPart) -> list[RevolvedBand]:
     """
-    Find the complete bands of revolution of a part, in the order of their first faces.
+    Return the complete bands of revolution of a part, in the order of their first faces.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def _axis(axis: np.ndarray) -> np.ndarray:
 
 
 def _key(surface: RoundSurface) -> tuple[object, ...]:
-    """Return a key that is equal for faces on the same surface."""
+    """Return a key that is the same for faces on one plane, cylinder or cone."""
     axis = _axis(surface.axis)
     along = float(surface.point @ axis)
     place: tuple[float, ...] = (along,) if surface.kind == "plane" else tuple(surface.point - along * axis)
@@ -111,7 +111,7 @@ def _key(surface: RoundSurface) -> tuple[object, ...]:
 
 
 def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[np.ndarray]:
-    """Yield connected groups of triangles, (m, 4): index in the part, and three numbers of welded vertices."""
+    """Yield connected groups of triangles, (m, 4): index in the part, and numbers of three welded vertices."""
     corners = part.triangles[chosen]
     used, inverse = np.unique(corners, return_inverse=True)
     cells = np.round(part.vertices[used] / (0.1 * tolerance)).astype(np.int64)
@@ -180,7 +180,7 @@ def _band(part: CadPart, surface: RoundSurface, piece: np.ndarray, tolerance: fl
 
 def _loops(triangles: np.ndarray) -> list[np.ndarray] | None:
     """
-    Return the loops of the border of welded triangles, each as vertex indices without order.
+    Return the closed loops of the border of welded triangles, each as unordered vertex indices.
 
     The loop with the most vertices is the last. None is returned if there is no border, if it branches, or if an edge
     has more than two triangles.
@@ -217,7 +217,7 @@ def _centre(points: np.ndarray, axis: np.ndarray) -> np.ndarray | None:
 
 
 def _whole_circle(offset: np.ndarray, axis: np.ndarray) -> bool:
-    """Whether points around an axis leave no angular gap larger than `LARGEST_STEP_RAD`."""
+    """True if points at `offset` from an axis leave no angular gap about it larger than `LARGEST_STEP_RAD`."""
     aside = np.eye(3)[int(np.argmin(np.abs(axis)))]
     x = np.cross(aside, axis)
     x /= np.linalg.norm(x)

@@ -1,4 +1,4 @@
-"""Bodies: parts of several surfaces that are displaced and tilted as a whole."""
+"""Bodies: parts made of several surfaces that are displaced and tilted as a whole."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Body:
 
     def about(self, pivot: Sequence[float] | np.ndarray) -> Body:
         """
-        Return the body with another pivot.
+        Return the body with another pivot, the point about which it tilts.
 
         Parameters
         ----------
@@ -74,7 +74,7 @@ class Body:
 
     def tilted(self, tilt_deg: Sequence[float] | np.ndarray) -> dict[str, float]:
         """
-        Return the changes of the surfaces' positions and tilts in a tilt of the body.
+        Return the changes of the surfaces' positions (mm) and tilts (degrees) when the body is tilted.
 
         Parameters
         ----------

@@ -55,7 +55,7 @@ About = tuple[str, str, float, float, float] | None  # kind, unit, tolerance, lo
 
 
 def about_scatter(owner: Any, name: str, value: np.ndarray) -> About:
-    """Return kind, unit, tolerance and range of a value of a scatter model; None if it has no derivative."""
+    """Return kind, unit, usual tolerance and range of a scatter model's parameter; None if it has no derivative."""
     if fixed(owner, name) is not None:
         return None
     param = owner.model.param(name)
@@ -63,7 +63,7 @@ def about_scatter(owner: Any, name: str, value: np.ndarray) -> About:
 
 
 def about_bsdf(owner: Any, name: str, value: np.ndarray) -> About:
-    """Return kind, unit, tolerance and range of an index, R or T, or a coating's layers; None if not variable."""
+    """Return kind, unit, usual tolerance and range of an index, R or T, or coating layers; None if not variable."""
     if name in SHIFTS:
         if owner.opaque and not isinstance(owner.coating, Stack):
             return None
@@ -82,14 +82,14 @@ def about_bsdf(owner: Any, name: str, value: np.ndarray) -> About:
 
 
 def about_source(owner: Any, name: str, value: np.ndarray) -> About:
-    """Return kind, unit, tolerance and range of a number of a light source."""
+    """Return kind, unit, usual tolerance and range of a parameter of a light source."""
     within = owner.ranges[name]
     tolerance = owner.tolerances.get(name, OF_SOURCE * abs(value[0]) or OF_SOURCE)
     return "source", within.unit, tolerance, within.low, within.high
 
 
 def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
-    """Return kind, unit, tolerance and range of a number of a surface: of its figure, its rims or its position."""
+    """Return kind, unit, usual tolerance and range of a parameter of a shape: of its figure, rims or position."""
     v, size = shape.values, shape.outer_radius
 
     def length(usual: float) -> float:
@@ -123,7 +123,11 @@ def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
 
 
 def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
-    """Return kind, unit, tolerance and range of a number of a freeform's sag, else of a rim."""
+    """
+    Return kind, unit, usual tolerance and range of a freeform's sag coefficient, else of a rim.
+
+    `size` and `rim_mm` in mm.
+    """
     power = length_power(name)
     if power is None:
         turned = name.endswith("angle_deg")

@@ -89,7 +89,7 @@ class Gradient(
     seconds: tuple[float, float]
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the value of the metric, and the number of derivatives that are not exactly 0."""
+        """Return the value of the metric and the number of derivatives that are not exactly 0, by label."""
         touched = sum(len(parts) for key, parts in self.gradient.items() if key not in self.untouched)
         return {"value": Estimate(self.value, self.value_se), "derivatives": touched, "exactly 0": len(self.untouched)}
 
@@ -120,12 +120,12 @@ class Gradient(
 
     @property
     def edge_check(self) -> dict[str, np.ndarray]:
-        """Gradient with half the width of the zones at rims, minus the gradient, (entries,), by key, in its unit."""
+        """Change of derivatives if zones at rims have half the width, (entries,), by key, in the derivative's unit."""
         return {key: errors.check[self.edge_number] for key, errors in self._at_rims.items()}
 
     @property
     def edge_check_se(self) -> dict[str, np.ndarray]:
-        """Standard error of `edge_check`, (entries,), by key."""
+        """Standard error of `edge_check`, (entries,), by key, in the derivative's unit."""
         return {key: errors.check_se[self.edge_number] for key, errors in self._at_rims.items()}
 
     @cached_property
@@ -287,9 +287,9 @@ def gradient_seen(
     request: GradientRequest,
 ) -> Gradient:
     """
-    Return the `gradient` from observations already made; several metrics of the same views share them.
+    Return the `gradient` from observations already made, which several metrics of the same views can share.
 
-    Parameters as for `gradient_where_smooth`.
+    Parameters are those of `gradient_where_smooth`.
 
     Raises
     ------
@@ -382,7 +382,7 @@ def gradient_where_smooth(
 
 
 def _tables(observations: Sequence[Any], request: GradientRequest) -> list[TableGradient]:
-    """Return the derivatives of a metric by source and wavelength; those of fields with the same tables are added."""
+    """Return the derivatives of a metric by source and wavelength, added up over fields that share surface tables."""
     raws: dict[tuple[Any, ...], TableGradient] = {}
     for observation in observations:
         for raw in observation.table_gradients(request):
@@ -396,7 +396,7 @@ def _tables(observations: Sequence[Any], request: GradientRequest) -> list[Table
 
 
 def _jumps(raw: TableGradient) -> bool:
-    """Whether R and T of a surface come from a table, which does not define them at grazing incidence."""
+    """True if R and T of a transparent surface come from a table, which leaves them undefined at grazing incidence."""
     optics = raw.table.optics
     clear = (optics.host_words & OPAQUE) == 0
     tabled = [
@@ -409,7 +409,7 @@ def chosen_parameters(
     scene: Any, params: Mapping[str, Any], keys: str | Iterable[str] | None = None
 ) -> dict[str, Parameter]:
     """
-    Return the parameters that keys or patterns name; without keys all in `params` that have a derivative.
+    Return the parameters that keys or patterns select; without keys, all in `params` that have a derivative.
 
     Raises
     ------
@@ -426,7 +426,7 @@ def chosen_parameters(
 def gradient_request(
     chosen: Iterable[Parameter], edges: bool = True, edge_width: float | None = None
 ) -> GradientRequest:
-    """Return the request for the derivatives by some parameters; edges and edge_width as for `gradient`."""
+    """Return the request for derivatives by the chosen parameters; `edges` and `edge_width` are as for `gradient`."""
     if edge_width is not None:
         ZONE.check("edge_width", edge_width)
     chosen = list(chosen)

@@ -35,7 +35,7 @@ SEEDS_APART = 1000  # between the seed of a gradient and the first that is indep
 @dataclass(frozen=True)
 class Metric:
     """
-    Number computed from traces of one scene at one or more field angles.
+    Scalar figure of merit computed from traces of one scene at one or more field angles, with derivatives.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Metric:
 
     @property
     def views(self) -> list[TraceView]:
-        """Views that are traced, in the order of the observations."""
+        """Traces that the metric needs, in the order of the observations."""
         light = {"wavelength_nm": self.wavelength_nm, "weights": self.weights}
         fields: Sequence[float | None] = (None,) if self.field_deg is None else self.field_deg
         return [TraceView({**(self.settings or {}), **light, "field_deg": angle}) for angle in fields]
@@ -108,11 +108,11 @@ class Metric:
 
     @property
     def independent_seed(self) -> int:
-        """First seed of rays that are independent of those of the gradient, for values that check it."""
+        """Random seed for values that check a gradient, independent of the seeds of the gradient itself."""
         return int((self.settings or {}).get("seed") or 0) + SEEDS_APART
 
     def with_rays_times(self, times: float) -> Metric:
-        """Return the metric with `times` the rays of the settings; pilot results of this metric are not used."""
+        """Return a copy that traces `times` as many rays; it starts without pilot results of this metric."""
         return replace(self, times=times)
 
     def evaluate(self, observations: list[Any]) -> Any:
@@ -147,21 +147,21 @@ class Metric:
         return value
 
     def differentiate(self, observations: list[Any]) -> tuple[float, Sampled]:
-        """Return the value of `evaluate` and its noise by batch; the observations then hold its derivatives."""
+        """Return the metric's value, and its noise by batch. Afterwards the observations hold its derivatives."""
         value = self.evaluate(observations)
         dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
         noise = sum((observation.noise() for observation in observations), Sampled.of(np.zeros(BATCHES), EQUAL))
         return float(dr.detach(value)[0]), noise
 
     def value(self, times: float = 1.0, **changes: Any) -> float:
-        """Return the metric's value; the arguments are those of `observe`."""
+        """Trace the scene and return the metric's value, in its unit; the arguments are those of `observe`."""
         return float(dr.detach(self.evaluate(self.observe(times, **changes)))[0])
 
 
 @dataclass(frozen=True)
 class CombinedMetric(Metric):
     """
-    Number computed from other metrics of one scene; see `combine`.
+    Scalar figure computed from several other metrics of one scene; see `combine`.
 
     Attributes
     ----------
@@ -172,17 +172,17 @@ class CombinedMetric(Metric):
     parts: Mapping[str, Metric] | None = None
 
     def with_rays_times(self, times: float) -> Metric:
-        """Return the metric with `times` the rays of the settings, see `Metric.with_rays_times`."""
+        """Return a copy that traces `times` as many rays, see `Metric.with_rays_times`."""
         parts = {name: part.with_rays_times(times) for name, part in (self.parts or {}).items()}
         return replace(self, times=times, parts=parts)
 
     @property
     def views(self) -> list[TraceView]:
-        """Views that the parts need, each once."""
+        """Traces that the combined metrics need, without duplicates."""
         return list({view.key: view for part in (self.parts or {}).values() for view in part.views}.values())
 
     def values(self, observations: list[Any]) -> dict[str, Any]:
-        """Return the parts as Dr.Jit scalars, by name, from the observations of `observe`."""
+        """Return the value of each combined metric as a Dr.Jit scalar, by name, from the observations of `observe`."""
         seen = {view.key: observation for view, observation in zip(self.views, observations, strict=True)}
         return {
             name: mi.Float64(part.function([seen[view.key] for view in part.views]))
@@ -190,7 +190,7 @@ class CombinedMetric(Metric):
         }
 
     def part(self, name: str) -> Metric:
-        """Return one of the parts, evaluated from the observations of all of them."""
+        """Return one of the combined metrics, evaluated from the observations of all of them."""
         return Metric(self.scene, lambda observations: self.values(observations)[name], name=name)
 
 
@@ -243,7 +243,9 @@ def combine(
 
 def log(metric: Metric) -> Metric:
     """
-    Return the natural logarithm of a metric, whose derivatives are relative; raise `MistrayError` if it is ≤ 0.
+    Return a metric, the natural logarithm of another, whose derivatives are relative.
+
+    Evaluation raises `MistrayError` for values ≤ 0.
 
     Examples
     --------
@@ -510,7 +512,11 @@ def _length(x: Any, y: Any) -> Any:
 
 
 def _solid_angle(axis: Observation, group: list[Observation]) -> Any:
-    """Return the solid angle per image area, sr/mm², at the first of three fields in equal steps to the axis."""
+    """
+    Return the collecting solid angle per image area, sr/mm², from direct images of four fields.
+
+    `group` holds the first field and two more in equal steps towards `axis`.
+    """
     centre, here, near, nearer = (o.moments(DIRECT) for o in (axis, *group))
     x, y = (3 * getattr(here, k) - 4 * getattr(near, k) + getattr(nearer, k) for k in "xy")
     difference = _length(x, y)
@@ -520,7 +526,7 @@ def _solid_angle(axis: Observation, group: list[Observation]) -> Any:
 
 
 def require_known(given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise `MistrayError` if a keyword is not known."""
+    """Raise `MistrayError` for the first keyword that is not among the known ones."""
     names = list(known)
     for key in given:
         if key not in names:
@@ -528,14 +534,14 @@ def require_known(given: Iterable[str], known: Iterable[str]) -> None:
 
 
 def _brightest(observation: Observation, selection: Selection, norm: float) -> Any:
-    """Return the smooth maximum of the RMS irradiance of single paths, W/mm²; 0 if they carry no light."""
+    """Return the smooth maximum, over the selected paths, of their RMS irradiance, W/mm²; 0 if they carry no light."""
     if not len(observation.chosen(selection)):
         return observation.power(selection)
     return smooth_maximum(observation.moments_of_each(selection).rms_irradiance, norm)
 
 
 def _signal(observation: Observation, name: str) -> Any:
-    """Return the power of the direct image, W, for a ratio; raise `MistrayError` if it is 0."""
+    """Return the power of the direct image, W, as a divisor; raise `MistrayError` if it is 0."""
     power = observation.power(DIRECT)
     if not float(dr.detach(power)[0]) > 0:
         raise MistrayError(
@@ -553,13 +559,17 @@ def _of_paths(
     unit: str,
     name: str,
 ) -> Metric:
-    """Return a metric, the mean over fields of a number of some paths; raise `MistrayError` for impossible paths."""
+    """
+    Return a metric: the mean over fields of `number` for selected paths.
+
+    Raise `MistrayError` if the scene cannot have such paths.
+    """
     check_paths(scene, texts_of(selection))
     return _mean(scene, number, traced, unit, name)
 
 
 def _mean(scene: Any, number: Callable[[Observation], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
-    """Return a metric that is the mean over the fields of a number of each observation."""
+    """Return a metric: the mean over the fields of `number`, a function of each observation."""
 
     def function(observations: list[Any]) -> Any:
         return sum(number(o) for o in observations) / len(observations)
@@ -576,10 +586,10 @@ def _metric(scene: Any, function: Callable[[list[Any]], Any], traced: dict[str, 
 
 
 def _angles(field_deg: float | Sequence[float] | None) -> tuple[float, ...] | None:
-    """Return the field angles given as one number or several, degrees."""
+    """Return one or several field angles, degrees, as a tuple; None stays None."""
     return None if field_deg is None else tuple(FIELD_DEG.check_each("field_deg", field_deg, "metric"))
 
 
 def _own(traced: dict[str, Any]) -> dict[str, Any]:
-    """Return the attributes of `Metric` among the keywords of a metric's function."""
+    """Return the keywords among `traced` that are attributes of `Metric`: fields, wavelengths and weights."""
     return {key: traced.get(key) for key in ("field_deg", "wavelength_nm", "weights")}

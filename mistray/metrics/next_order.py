@@ -20,7 +20,7 @@ MATTERS = 0.05  # relative change that matters
 @dataclass(frozen=True, eq=False)
 class NextOrder:
     """
-    Numbers measured twice: with a limit of the events on a path, and with one event more.
+    Results measured twice: with a limit on the number of events per path, and with the limit raised by one.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class NextOrder:
     @property
     def matters(self) -> bool:
         """
-        Whether a number changes by more than 5 % and by more than two standard errors.
+        True if any number changes by more than 5 % and by more than two standard errors.
 
         With many numbers the required number of errors is larger, so that a false alarm is as rare as for one number.
         """
@@ -84,7 +84,7 @@ class NextOrder:
 
     @property
     def sentence(self) -> str:
-        """Finding in words: the number that changes most, both values, and the difference with its error."""
+        """Finding in one sentence: the number that changes most, its two values, and the difference with its error."""
         k = self.worst
         second, first = (
             f"{value:.3g} ± {percent_text(se / abs(value), 1) if value else f'{se:.1g}'}"

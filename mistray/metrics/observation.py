@@ -66,7 +66,7 @@ class Moments:
 
 class Observation:
     """
-    Trace whose results a metric can differentiate.
+    Results of a trace as numbers that Dr.Jit can differentiate, for use in metrics.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class Observation:
 
     @property
     def field_deg(self) -> float:
-        """Field angle of the trace, degrees."""
+        """Field angle at which the scene was traced, degrees."""
         return float(self.trace.settings["field_deg"])
 
     @property
@@ -121,12 +121,12 @@ class Observation:
         return self.trace.seconds
 
     def first_light(self) -> dict[str, FirstLight]:
-        """Return the light by the first surface that it meets, by field angle in words."""
+        """Return the light by the first surface that it meets, keyed by the field angle as text."""
         return {f"field {self.field_deg:g} deg": FirstLight.of_trace(self.trace)}
 
     @property
     def _pixel_area(self) -> float:
-        """Area of a pixel, mm²."""
+        """Area of a pixel of the detector, mm²."""
         return self.trace.runs[0].pixel_area
 
     # ---- numbers
@@ -218,7 +218,7 @@ class Observation:
         return smooth_maximum(self.map(selection), norm)
 
     def chosen(self, selection: Selection) -> np.ndarray:
-        """Return the row numbers of the path table in a selection, (n,), ascending; see `power` for selections."""
+        """Return the row indices of selected paths in the path table, (n,), ascending; see `power` for selections."""
         if callable(selection):
             return np.array([k for k, row in enumerate(self._rows) if selection(row)], dtype=np.int64)
         held = [own.ids for text in texts_of(selection) for own in self.trace.paths.chosen(PathFilter(text))]
@@ -226,11 +226,11 @@ class Observation:
 
     @cached_property
     def _ways(self) -> np.ndarray:
-        """Event texts of the rows, (p,), equal for randomly scattered and aimed light."""
+        """Event list of each path as text, (p,), with aimed scatter written as random scatter."""
         return np.array(way_text(row.events for row in self._rows), dtype=object)
 
     def _sums_of(self, groups: Sequence[Sequence[int] | np.ndarray]) -> tuple[mi.Float64, ...]:
-        """Return sums over groups of rows, `TERMS` arrays of (groups,): flux, W, and its moments by x, y, x² + y²."""
+        """Return sums of flux (W) and moments by x, y (W mm) and x² + y² (W mm²), (groups,) each, by group of rows."""
         key = tuple(tuple(int(k) for k in group) for group in groups)
         if key not in self._sums:
             totals = [self._moments_of_rows[list(group)].sum(axis=0) for group in key]
@@ -238,7 +238,11 @@ class Observation:
         return self._sums[key]
 
     def _moments(self, selection: Selection, groups: Sequence[Sequence[int] | np.ndarray]) -> Moments:
-        """Return the moments of light in groups of rows of the path table; raise `MistrayError` if one is dark."""
+        """
+        Return power, centroid and variance of the light in each group of path rows.
+
+        Raise `MistrayError` if one is dark.
+        """
         light = [self._moments_of_rows[list(group), 0].sum() for group in groups]
         if not light or not np.all(np.array(light) > 0):
             raise MistrayError(
@@ -274,14 +278,14 @@ class Observation:
         return HitDerivative(pixel[~dark], path, map_of_path=map_of_class[place.ravel()])
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Return the requested derivatives of the metric's value, for each contributing source and wavelength."""
+        """Yield the requested derivatives of the metric's value, for each source and wavelength that contributes."""
         derivative = self.hit_derivative()
         if derivative.pixel is None and derivative.path is None:
             return iter(())
         return self.trace.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
-        """Return the first-order sum of the metric's terms in the detected light, with noise by batch, in its unit."""
+        """Return the noise of the metric by batch, to first order in the detected light, in the metric's unit."""
         by_sum = self._by_sum()
         by_batch = self.trace.paths.by_batch(by_sum) if np.any(by_sum) else np.zeros(BATCHES)
         total = Sampled.of(by_batch, np.ones(BATCHES))
@@ -293,7 +297,7 @@ class Observation:
         return total
 
     def clear(self) -> None:
-        """Clear the derivatives that previous evaluations of the metric have left."""
+        """Reset the derivatives that earlier evaluations of a metric have stored."""
         sums = (term for terms in self._sums.values() for term in terms)
         for array in (*sums, *(image for image, _ in self._maps.values())):
             dr.clear_grad(array)
@@ -325,7 +329,7 @@ def texts_of(selection: Selection) -> list[str]:
 
 
 def named(selection: Selection) -> str:
-    """Return the name of a selection for a message."""
+    """Return the name of a selection of paths for a message: its text, or the name of its function."""
     return repr(getattr(selection, "__name__", selection))
 
 

@@ -27,7 +27,7 @@ UNMOVED = ("coating", "share", "scatter")  # kinds of parameters that do not mov
 @dataclass(frozen=True)
 class FullKey:
     """
-    Parameter that moves a rim which a beam just fills.
+    Parameter that moves a rim which a beam just fills, so that derivatives on its two sides differ.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class OneSided(NamedTuple):
 
 
 def full_keys(chosen: Mapping[str, Parameter], full: Iterable[FullRims]) -> dict[str, FullKey]:
-    """Return the parameters, by key, that move a rim relative to a beam that just fills it."""
+    """Return, by key, the parameters that move a rim relative to a beam that just fills it."""
     alike = {(id(rims.source.emitter), tuple(rims.source.direction), *rims.names): rims for rims in full}
     found = {}
     for key, p in chosen.items():
@@ -106,13 +106,17 @@ def one_sided(metric: Any, steps: Mapping[str, float], chosen: Mapping[str, Para
 
 
 def _slope(metric: Any, params: Any, p: Parameter, here: Sampled, step: float) -> Sampled:
-    """Return the difference quotient of the metric over a step of a parameter, with its noise by batch."""
+    """
+    Return the difference quotient of the metric over a step of a parameter (in its unit), with its noise by batch.
+
+    `here` is the value before the step.
+    """
     with changed(params, {p.key: p.value + step}):
         return (_seen(metric)[0] - here).scaled(1.0 / step)
 
 
 def _seen(metric: Any) -> tuple[Sampled, int]:
-    """Return the metric's value with its noise by batch, and the number of start rays of the smallest trace."""
+    """Trace the metric; return its value with noise by batch, and the start rays of the smallest trace."""
     observations = metric.observe()
     value, noise = metric.differentiate(observations)
     rays = min(one.trace.rays_planned for one in observations)

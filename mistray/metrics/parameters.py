@@ -1,4 +1,4 @@
-"""Parameters of a scene by which a trace has derivatives: kinds, units, ranges and tolerances.
+"""Differentiable parameters of a scene: kinds, units, ranges and tolerances.
 
 The name of a parameter is its key in ``mi.traverse(scene)``, such as ``lens_front.curvature``, ``window_rear.bsdf.R``,
 ``AR.thickness_nm``.
@@ -35,7 +35,7 @@ PARALLEL = 1e-6  # difference up to which directions of axes count as equal
 @dataclass(frozen=True, eq=False)
 class Parameter:
     """
-    Parameter of a scene by which a trace has derivatives.
+    Scene parameter with respect to which traced results can be differentiated.
 
     Attributes
     ----------
@@ -222,12 +222,12 @@ def _nearest(known: Mapping[str, Parameter], pattern: str) -> str:
 
 
 def _values(owner: Any) -> Mapping[str, Any]:
-    """Return the differentiable values of a scatter plugin, by name; none for other plugins."""
+    """Return the differentiable parameter values of a scatter plugin, by name; empty for other plugins."""
     return owner.values if hasattr(owner, "rebuild_model") else {}
 
 
 def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, np.ndarray], About] | None:
-    """Return the function that gives kind, unit, tolerance and range of a parameter; None if it has no derivative."""
+    """Return the function that describes a parameter (kind, unit, tolerance, range); None if it has no derivative."""
     if name in getattr(owner, "differentiable", ()) and hasattr(owner, "sources"):
         return about_source
     if not shapes:
@@ -236,7 +236,7 @@ def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, 
 
 
 def _has(shape: Any, owner: Any, name: str) -> bool:
-    """Whether a parameter of a plugin belongs to a shape."""
+    """True if a plugin's parameter belongs to a shape: its own, or that of its BSDF or coating."""
     if owner is shape:
         return name in shape_parameters(shape)
     bsdf = shape.bsdf()

@@ -20,7 +20,7 @@ SURE = 2.0  # standard errors from a value to its bounds, by which paths are ran
 @dataclass(frozen=True)
 class DirectImage:
     """
-    Direct image at one field angle, at one wavelength or at all together.
+    Direct (unscattered, intended) image at one field angle, at one wavelength or all wavelengths together.
 
     Attributes
     ----------
@@ -47,7 +47,11 @@ class DirectImage:
     path_ids: tuple[int, ...] = field(repr=False, compare=False)
 
     def dividing(self, above: Sampled, what: Literal["light", "density"]) -> Sampled:
-        """Return power ("light") or RMS irradiance ("density") of paths over that of the image; NaN without one."""
+        """
+        Return power ("light") or RMS irradiance ("density") of paths divided by that of the image.
+
+        NaN without an image.
+        """
         if not self.path_ids:
             return Sampled(np.full_like(above.value, np.nan), np.full_like(above.apart, np.nan))
         own: Sampled = getattr(self.paths.numbers([self.path_ids]), what)
@@ -133,7 +137,11 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
 
 
 def bounds(table: pd.DataFrame) -> npt.NDArray[np.float64]:
-    """Return bounds of the RMS irradiance of rows, (2, n), W/mm²: `SURE` errors below and above; NaN if unknown."""
+    """
+    Return lower and upper bounds of the rows' RMS irradiance, (2, n), W/mm², `SURE` standard errors apart from it.
+
+    NaN if unknown.
+    """
     value, se = (table[f"rms_irradiance{name}_W_mm2"].to_numpy(np.float64) for name in ("", "_se"))
     with np.errstate(invalid="ignore"):
         return np.stack([value - SURE * se, value + SURE * se])

@@ -1,4 +1,4 @@
-"""Change of parameters of a scene, permanently or for a while."""
+"""Setting parameters of a loaded scene, permanently or within a block."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mistray.surfaces.upload import upload
 
 def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
     """
-    Set parameters to new values, and update the scene.
+    Set parameters of a scene to new values and update the scene.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
 
 @contextlib.contextmanager
 def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
-    """Context in which some parameters have other values; afterwards, also after an error, they are restored."""
+    """Set parameters to other values within a block; they are restored at its end, also after an error."""
     before = {key: np.array(params[key], dtype=np.float64) for key in values}
     try:
         assign(params, values)
@@ -48,7 +48,7 @@ def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
 
 
 def accepts(params: Any, values: Mapping[str, np.ndarray], check: Callable[[], object]) -> bool:
-    """Return whether a scene accepts some values together, and `check` then raises no `MistrayError`."""
+    """True if a scene accepts some values together, and `check` then raises no `MistrayError`."""
     try:
         with changed(params, values):
             check()

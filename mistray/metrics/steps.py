@@ -31,7 +31,7 @@ class Steps:
 
     @property
     def limited(self) -> bool:
-        """Whether the time is limited."""
+        """True if the time is limited."""
         return math.isfinite(self._end)
 
     @property
@@ -40,7 +40,7 @@ class Steps:
         return self._end - time.perf_counter()
 
     def __call__(self) -> None:
-        """Count one step, and report the progress."""
+        """Count one step as done, and report the progress."""
         self._done += 1
         if self._progress is not None:
             self._progress(self._done, self._total)

@@ -1,4 +1,4 @@
-"""Stray-light metrics: numbers with standard error, unit and, in words, their definition."""
+"""Stray-light metrics as values with standard error, unit and a definition in words."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ DEFINITIONS = {
 @dataclass(frozen=True)
 class StrayMetric:
     """
-    Stray-light number with its standard error, unit and definition.
+    One stray-light metric with its standard error, unit and definition.
 
     Attributes
     ----------
@@ -82,7 +82,11 @@ class StrayMetric:
     def of(
         cls, quantity: str, estimate: Estimate, unit: str = "1", words: dict[str, Any] | None = None, **more: Any
     ) -> StrayMetric:
-        """Return a number with its definition; `words` fill gaps in that, and `more` are the other attributes."""
+        """
+        Create a metric from an estimate.
+
+        `words` fill placeholders of its definition; `more` are further attributes.
+        """
         value, se = estimate
         return cls(quantity, float(value), float(se), unit, DEFINITIONS[quantity].format(**(words or {})), **more)
 
@@ -92,7 +96,7 @@ class StrayMetric:
         return Estimate(self.value, self.se)
 
     def row(self) -> dict[str, Any]:
-        """Return the number as a row of a table: a dict of plain values, with `facts` last."""
+        """Return the metric as a table row: a dict of plain values, followed by `facts`."""
         names = ("quantity", "value", "se", "unit", "covered", "interpolated", "definition")
         return {name: getattr(self, name) for name in names} | self.facts
 
@@ -108,7 +112,7 @@ class StrayMetric:
 @dataclass(frozen=True, eq=False)
 class MetricCurve:
     """
-    Stray-light number over field angle, with its standard error, unit and definition.
+    Stray-light metric over field angle, with its standard error, unit and definition.
 
     Attributes
     ----------
@@ -127,7 +131,7 @@ class MetricCurve:
     facts: dict[str, Any] = field(default_factory=dict)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a table, one row for each angle: angle_deg, quantity, value, se, unit, definition and the facts."""
+        """Return a DataFrame, one row per angle: angle_deg, quantity, value, se, unit, definition and the facts."""
         import pandas as pd
 
         columns = {"quantity": self.quantity, "value": self.value, "se": self.se, "unit": self.unit}

@@ -1,4 +1,4 @@
-"""Views that a metric needs: traces at field angles, each made once."""
+"""Traces that metrics need, one per field angle, each made once even if several metrics share it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mistray.trace.polarization_choice import unpolarized_notes
 @dataclass(frozen=True)
 class TraceView:
     """
-    View of a scene: the arguments of one trace.
+    Arguments of one trace that a metric needs.
 
     Attributes
     ----------
@@ -31,12 +31,12 @@ class TraceView:
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """Key that is equal for views with equal results."""
+        """Hashable key, equal for traces that give equal results."""
         given = {name: value for name, value in self.arguments.items() if value is not None}
         return type(self), sorted_arguments(given)
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Any:
-        """Return the `Observation` made with `times` the rays; `changes` replace some of the arguments."""
+        """Trace the scene with `times` the rays, and return the `Observation`; `changes` replace arguments."""
         changes = {name: value for name, value in changes.items() if name != "paths"}  # a trace always has them
         arguments = self._arguments(scene, times, changes)
         # The polarisation of the gradient's trace, without a pilot: a search and its verification use the same light
@@ -51,7 +51,7 @@ class TraceView:
         return arguments
 
     def rays(self, scene: Any) -> int:
-        """Return the number of start rays in a trace with the default settings of the view."""
+        """Return the number of start rays that the trace takes by default."""
         return int(self.arguments.get("rays") or self._usual_rays(scene))
 
     def _usual_rays(self, scene: Any) -> int:
@@ -59,7 +59,7 @@ class TraceView:
 
 
 def seen_unpolarized(scene: Any, views: Sequence[TraceView]) -> list[Note]:
-    """Return notes on the effect of Stokes vectors on some views, see `unpolarized_notes`."""
+    """Return notes if Stokes vectors would change the results of some traces, see `unpolarized_notes`."""
     names = {one.name for one in fields(Settings)}
     beams: list[Light] = []
     settings: dict[str, Any] = {}
@@ -73,23 +73,27 @@ def seen_unpolarized(scene: Any, views: Sequence[TraceView]) -> list[Note]:
 
 
 def added_light(one: Mapping[str, FirstLight], other: Mapping[str, FirstLight]) -> dict[str, FirstLight]:
-    """Return the sum of the light of two independent traces by first surface, see `Observation.first_light`."""
+    """Return the sum of two independent traces' light by first surface, see `Observation.first_light`."""
     return {**one, **{place: one[place].plus(light) if place in one else light for place, light in other.items()}}
 
 
 def light_since(before: Mapping[str, FirstLight], after: Mapping[str, FirstLight]) -> dict[str, tuple[Entering, ...]]:
-    """Return the light that enters by new first surfaces, by field angle in words; angles without any are left out."""
+    """
+    Return light that enters by surfaces that were not first before, by field angle as text.
+
+    Angles without any are left out.
+    """
     found = {place: light.since(before[place]) for place, light in after.items() if place in before}
     return {place: entering for place, entering in found.items() if entering}
 
 
 def sorted_arguments(arguments: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return arguments as sorted tuples that can be compared."""
+    """Return arguments as a sorted, hashable tuple of (name, value), for comparison."""
     return tuple(sorted((name, _plain(value)) for name, value in arguments.items()))
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as one that can be compared: arrays and sequences become tuples."""
+    """Convert a value to a comparable one: arrays, lists and ranges become tuples."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list | tuple | range):

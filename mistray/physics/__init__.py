@@ -1,4 +1,4 @@
-"""Pure equations, without scenes or Mitsuba. Units and sources are given in each module."""
+"""Equations of optics as pure functions, without scenes or Mitsuba. Each module states units and sources."""
 
 import importlib
 import pkgutil

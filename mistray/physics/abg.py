@@ -119,7 +119,7 @@ def at_wavelength(
 @dataclass(frozen=True)
 class AbgFromRms:
     """
-    ABg parameters of a polished surface, with the quantities from which they were computed.
+    ABg parameters of a polished surface, computed from its roughness, with intermediate quantities.
 
     Attributes
     ----------

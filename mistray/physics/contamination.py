@@ -1,4 +1,4 @@
-"""Particles on a surface: the size distribution of a cleanliness level, and the light that it scatters.
+"""Particulate contamination of a surface: the size distribution of a cleanliness level, and the light that it scatters.
 
 Sources: IEST-STD-CC1246 (formerly MIL-STD-1246) for the distribution, log10 N(>D) = S (log10² level - log10² D) per 0.1
 m², D in µm; M. G. Dittman, Proc. SPIE 4774 (2002), for its slope without cleaning; J. B. Lindberg and J. B. Gillespie,
@@ -148,7 +148,7 @@ def dust_index(wavelength_um: float) -> complex:
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """
-    Light scattered by the particles of a surface that light passes once, at normal incidence.
+    Light scattered by all particles on a surface when it passes them once, at normal incidence.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class Cloud:
 
     @classmethod
     def of_nodes(cls, extinction: float, scattering: float, log_f: ArrayLike) -> Cloud:
-        """Return a cloud from ln f at the nodes, see `nodes`."""
+        """Create a cloud from ln f (f in 1/sr) at the angles of the spline, see `nodes`."""
         from scipy.interpolate import CubicSpline
 
         return cls(extinction, scattering, CubicSpline(_U, np.asarray(log_f, dtype=np.float64)))
@@ -174,7 +174,7 @@ class Cloud:
 
     def f(self, angle: ArrayLike) -> np.ndarray:
         """
-        Return the scattered fraction of the light per solid angle, 1/sr.
+        Return the fraction of the incident light that is scattered per solid angle, 1/sr, at given angles.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class Cloud:
         return np.asarray(np.exp(self._log_f(_place(angle))))
 
     def between(self, low: float, high: float) -> float:
-        """Return the fraction of the light that is scattered by angles from `low` to `high`, rad."""
+        """Return the fraction of the incident light that is scattered by angles from `low` to `high`, rad."""
         u = np.linspace(_place(low), _place(high), 4 * len(_U))
         angle = 2 * np.arctan(np.exp(u))
         return float(np.trapezoid(2 * np.pi * np.sin(angle) ** 2 * self.f(angle), u))
@@ -234,7 +234,7 @@ def cloud(
 
 
 def check_distribution(level: float, slope: float, min_um: float, max_um: float | None) -> None:
-    """Raise `MistrayError` if no size distribution has these parameters; see `cloud`."""
+    """Raise `MistrayError` if no particle size distribution has these parameters; see `cloud`."""
     if not (np.isfinite(level) and level >= 1):
         raise MistrayError(f"particles: cleanliness level {level:g}; it must be 1 or more, 100 … 1000 is usual")
     if not slope > 0:
@@ -259,9 +259,10 @@ def _cross_sections(
     min_um: float, max_um: float, wavelength_um: float, index: complex, immersion: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return three kinds of cross-sections of the spheres of `_sizes`.
+    Return cross-sections of spheres with the diameters of `_sizes`.
 
-    They are those per solid angle at the nodes, (m, a), µm²/sr, of extinction, (m,), µm², and of scattering, (m,), µm².
+    They are the scattering per solid angle at the nodes, (m, a), µm²/sr, the extinction, (m,), µm², and the scattering,
+    (m,), µm².
     """
     d, _ = _sizes(min_um, max_um)
     k = 2 * np.pi * immersion / wavelength_um
@@ -280,7 +281,7 @@ def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _place(angle: ArrayLike) -> np.ndarray:
-    """Return ln tan(θ/2) for angles θ in rad, limited to the range of the table's nodes."""
+    """Return ln tan(θ/2), the coordinate of the angular table, for θ in rad, limited to the table's range."""
     theta = np.asarray(angle, dtype=np.float64)
     with np.errstate(divide="ignore"):
         return np.clip(np.log(np.tan(theta / 2)), _U[0], _U[-1])

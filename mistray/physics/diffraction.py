@@ -116,7 +116,7 @@ def circular_aperture(theta: npt.ArrayLike, wavelength_mm: float, radius_mm: flo
 
 def spread(law: str = "half_plane") -> float:
     """
-    Return the standard deviation of the deflection times distance over wavelength.
+    Return σ x/λ, the standard deviation of an edge ray's deflection times its distance from the edge, in wavelengths.
 
     Parameters
     ----------

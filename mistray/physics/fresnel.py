@@ -54,7 +54,8 @@ def reflectance(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
 
 
 def amplitudes(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> tuple[Any, Any]:
-    """Return the amplitudes r_s and r_p of the reflected field, of opposite signs at normal incidence.
+    """
+    Return the Fresnel amplitudes r_s and r_p of the reflected electric field, of opposite signs at normal incidence.
 
     Parameters are those of `reflectance`.
     """
@@ -64,7 +65,8 @@ def amplitudes(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> tuple[Any, Any]:
 
 
 def transmitted_product(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
-    """Return the product t_s t_p of amplitudes whose squares are fractions of the flux, in [0, 1].
+    """
+    Return the product t_s t_p of the transmitted amplitudes, normalised so that their squares are flux fractions.
 
     Parameters are those of `reflectance`.
     """

@@ -15,7 +15,7 @@ ISOTROPIC = 1e-3  # asymmetry below which the direction is uniform
 
 def phase_function(cosine: Any, g: Any) -> Any:
     """
-    Return the fraction of the scattered light per solid angle, 1/sr.
+    Return the phase function, the fraction of the scattered light per solid angle, 1/sr.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ _BLOCK, _ORDERS = 512, 32  # spheres and orders that are computed at once
 @dataclass(frozen=True, eq=False)
 class Spheres:
     """
-    Light scattered by spheres.
+    Efficiencies and scattered intensities of homogeneous spheres.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ def _orders(x: ArrayLike) -> np.ndarray:
 
 
 def _log_derivative(count: int, z: np.ndarray) -> np.ndarray:
-    """Return ψ'_n(z)/ψ_n(z), n = 0 … count, (count + 1, m), by a downward recurrence from a high order."""
+    """Return the logarithmic derivative ψ'_n(z)/ψ_n(z), n = 0 … count, (count + 1, m), by downward recurrence."""
     start = int(max(count, 1.02 * np.abs(z).max()) + 80)
     result = np.empty((count + 1, len(z)), dtype=np.complex128)
     over, value = 1 / z, np.zeros(len(z), dtype=np.complex128)
@@ -169,7 +169,7 @@ def _log_derivative(count: int, z: np.ndarray) -> np.ndarray:
 
 
 def _angular(count: int, mu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the angular functions π_n + τ_n and π_n - τ_n, n = 1 … count, (count, a), of cosines `mu`, (a,)."""
+    """Return the Mie angular functions π_n + τ_n and π_n - τ_n, n = 1 … count, (count, a), for cosines `mu`, (a,)."""
     plus, minus = np.empty((2, count, len(mu)))
     before, now = np.zeros_like(mu), np.ones_like(mu)
     for n in range(1, count + 1):

@@ -198,7 +198,7 @@ def narcissus_nitd(
 
 
 def _by_temperature(function: Any, temperature_K: npt.ArrayLike) -> Any:
-    """Return the values of a function of one temperature, K, in the shape of an array of temperatures."""
+    """Evaluate a function of one temperature, K, for each of an array; return its values in the same shape."""
     temperatures = np.asarray(temperature_K, dtype=np.float64)
     values = np.array([function(float(t)) for t in temperatures.ravel()]).reshape(temperatures.shape)
     return values if values.ndim else float(values)

@@ -48,7 +48,7 @@ _SCALE_EVERY = 8
 
 
 class _Fields(NamedTuple):
-    """Waves at the front of a stack and field behind it, for one polarisation, in one arbitrary unit."""
+    """Amplitudes of the waves at the front of a stack and of the field behind it, for one polarisation."""
 
     forward: Any  # Y₀E + H: 2 Y₀ times the incident wave
     backward: Any  # Y₀E - H: 2 Y₀ times the reflected wave
@@ -58,7 +58,7 @@ class _Fields(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """Matrix of a layer without g: f cos δ, f sin δ / q, f q sin δ, and the real factor f; real for a real index."""
+    """Characteristic matrix of a layer as f cos δ, f sin δ / q, f q sin δ and a real scale factor f; see the module."""
 
     cos: Any
     over: Any
@@ -182,7 +182,7 @@ def _solve(
     wavelength_nm: Any,
     cos_incident: Any,
 ) -> tuple[Arithmetic, tuple[_Fields, _Fields]]:
-    """Return the arithmetic, and for s and p the fields at the front that belong to a unit wave leaving the back."""
+    """Return the array functions, and for s and p the front fields of a stack that sends a unit wave out behind."""
     if len(n_layers) != len(d_nm):
         raise MistrayError(f"stack: {len(n_layers)} indices and {len(d_nm)} thicknesses; give one of each per layer")
     ops = arithmetic(n_incident, *n_layers, *d_nm, n_substrate, wavelength_nm, cos_incident)
@@ -200,7 +200,7 @@ def _solve(
         return ops.complex(index2 - k * k, 2 * n * k), ops.complex(q2 - k * k, 2 * n * k)
 
     def admittances(index: Any) -> Pair:
-        """Return the admittances Y = q for s and q/N² for p."""
+        """Return the admittances of a medium of given index: Y = q for s and q/N² for p."""
         index2, q2 = squares(index)
         q, _ = _root(ops, ops.complex(ops.re(q2), ops.im(q2)))
         return q, q / index2
@@ -255,7 +255,7 @@ def _absorbing(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
 
 
 def _joined(ops: Arithmetic, small: Any, q2: Any, phase_per_q: Any, general: _Layer) -> _Layer:
-    """Return the matrix of a layer as a power series in its phase δ where ``small`` holds, else ``general``."""
+    """Return a layer's matrix by a power series in its phase δ where `small` is True, and `general` elsewhere."""
     x = ops.select(small, phase_per_q, 0 * phase_per_q)
     w = q2 * (x * x)
     cos = 1 - w * (1 / 2 - w * (1 / 24))

@@ -1,4 +1,4 @@
-"""Description of an optical system: its dataclasses, the generators of its mechanical faces, its scene file."""
+"""Prescription of an optical system: its dataclasses, generators of mechanical faces, and export to a scene file."""
 
 from typing import TYPE_CHECKING, Any
 

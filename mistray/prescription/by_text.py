@@ -1,4 +1,4 @@
-"""Coatings and scatter models from a word or a line of text."""
+"""Coatings and scatter models from short texts such as "bbar3" or "R=0.01 T=0.99"."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def coating_of(
     text: str, known: Mapping[str, Coating] = MappingProxyType({}), design_nm: float = Coating.design_nm
 ) -> Coating | None:
     """
-    Make a coating from its name or its values.
+    Return the coating that a short text names or describes; None for "bare".
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
 
 
 def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:
-    """Return the values by key of the words KEY=VALUE at the end of `words`, back to an unknown or repeated key."""
+    """Return the KEY=VALUE pairs at the end of `words` as a dict, back to an unknown or repeated key."""
     found: dict[str, str] = {}
     for word in reversed(words):
         pair = name_and_value(word)

@@ -1,4 +1,4 @@
-"""Coatings on the surfaces of a prescription."""
+"""Coatings of the surfaces in a prescription."""
 
 from __future__ import annotations
 
@@ -88,19 +88,19 @@ class Coating:
 
     @property
     def layered(self) -> bool:
-        """Whether the scene needs the `thinfilm` plugin: for layers, or for a Zemax coating, which may have layers."""
+        """True if the scene needs the `thinfilm` plugin: for layers, or a Zemax coating, which may have layers."""
         zemax = self.table is not None and not self.table.lower().endswith(".csv")
         return self.layers is not None or self.preset is not None or zemax
 
     @property
     def opaque(self) -> bool:
-        """Whether the coating transmits no light, as far as is known without reading its file."""
+        """True if the coating transmits no light, as far as is known without reading its file."""
         if self.preset is not None:
             return preset(self.preset).opaque
         return self.R is not None and not self.T
 
     def moved(self, seen: Callable[[str], str]) -> Coating:
-        """Return the coating with all its file paths, such as that of a table, changed by the function `seen`."""
+        """Return the coating with its file paths, such as that of a table, changed by the function `seen`."""
         if self.table is not None:
             return replace(self, table=seen(self.table))
         return self if self.layers is None else replace(self, layers=moved_layers(self.layers, seen))

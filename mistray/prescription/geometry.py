@@ -279,7 +279,7 @@ def detector_frame(
 
 
 def is_gas(material: str) -> bool:
-    """Whether a material is air, vacuum or a constant index below 1.01, as some programs describe air."""
+    """True if a material is air, vacuum or a constant index below 1.01, by which some programs describe air."""
     index = number_of(material)
     return material.strip().lower() in ("air", "vacuum") if index is None else index < GAS_INDEX
 

@@ -1,4 +1,4 @@
-"""Files of sags on grids."""
+"""Reading and writing of files with sags on grids."""
 
 from __future__ import annotations
 

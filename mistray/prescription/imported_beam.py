@@ -1,4 +1,4 @@
-"""Width of the beam of an imported lens.
+"""Width of the source's beam for an imported lens.
 
 A beam that ends exactly at the rim of the stop has no derivative with respect to parameters that move either, see
 `mistray.gradients.full.full_rims`, and does not show that a stop opens. So the beam is made wider at the same
@@ -20,7 +20,7 @@ _DIGITS = 9  # of radii and areas in mm and mm²
 
 
 def check_beam(beam: str, known: tuple[str, ...] = ("pupil", "exact")) -> None:
-    """Raise `MistrayError` if a name of a beam is not a known one."""
+    """Raise `MistrayError` if `beam` is not one of the known kinds of beam."""
     if beam not in known:
         raise MistrayError(f"beam = '{beam}'; it is {', '.join(map(repr, known[:-1]))} or '{known[-1]}'")
 
@@ -29,7 +29,7 @@ def beam_size(
     beam: str, radius: float, reach: float = 0.0, *, inner: float = 0.0, of: str = "the pupil"
 ) -> tuple[dict[str, Any], list[str]]:
     """
-    Return the size of the source of an imported lens; all importers use it.
+    Return the size of the source's beam for an imported lens, and notes on it; all importers use it.
 
     Parameters
     ----------

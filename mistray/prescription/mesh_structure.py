@@ -1,4 +1,4 @@
-"""Structure given as a triangle mesh in a file."""
+"""Mechanical structure that is given as a triangle mesh in a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts of an optical system: surfaces, structure, stop, detector; its sources are in `mistray.prescription.sources`.
+"""Dataclasses of the parts of an optical system: surfaces, structure, stop, detector; sources are in `sources`.
 
 Lengths in mm, light travels +z, angles in degrees in names that end in ``_deg``. A surface's vertex is the origin of
 its frame and ``front`` is its -z side. All classes are immutable; edit one with `dataclasses.replace`.
@@ -57,11 +57,11 @@ class Placed:
 
     @property
     def coaxial(self) -> bool:
-        """Whether the z axis of the frame is the world's z axis and points the same way."""
+        """True if the frame's z axis lies on the world's z axis and points the same way."""
         return self.x == 0 and self.y == 0 and self.tilt_deg[:2] == (0.0, 0.0)
 
     def to_world(self) -> np.ndarray:
-        """Rigid transform, shape (4, 4), from the frame to the world, in mm."""
+        """Rigid transform from the part's frame to the world, (4, 4), mm."""
         matrix = np.eye(4)
         matrix[:3, :3] = fixed_turn(self.tilt_deg)
         matrix[:3, 3] = self.x, self.y, self.z
@@ -168,7 +168,7 @@ class Surface(Placed):
 
     @property
     def freeform(self) -> bool:
-        """Whether it needs the `freeform` plugin, for its sag, its outline or because it meets light one way only."""
+        """True if the surface needs the `freeform` plugin, for its sag, its outline, or one-way transmission."""
         return bool(self.sag) or self.outline is not None or self.meets != "both"
 
     @property
@@ -335,7 +335,7 @@ class Stop:
             )
 
     def faces(self) -> tuple[Structure, ...]:
-        """Return the annuli and the wall as structures; ``front`` of the wall is the opening."""
+        """Return the two annuli and the inner wall of the stop as structures; ``front`` of the wall is the opening."""
         profiles = [("front", self.outer_front, self.z_front, self.radius, self.z_front)]
         if self.z_rear > self.z_front:
             profiles.append(("wall", self.radius, self.z_front, self.radius, self.z_rear))
@@ -521,7 +521,7 @@ class Prescription:
 
 
 def within(outer: float) -> Range:
-    """Return the allowed range of an inner radius, mm, inside an outer radius, mm."""
+    """Return the allowed range of an inner radius, mm, given the outer radius, mm."""
     return Range(0.0, outer, below=True, unit="mm", remedy="the outer radius is the end")
 
 

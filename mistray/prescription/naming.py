@@ -1,4 +1,4 @@
-"""Coatings and scatter models that shapes of a prescription share by name, and changes by name patterns."""
+"""Coatings and scatter models that shapes of a prescription share by name, and changes to shapes by name patterns."""
 
 from __future__ import annotations
 
@@ -51,7 +51,11 @@ def shared_scatter(where: str, shapes: Iterable[Any]) -> dict[str, Scatter]:
 
 
 def _shared(where: str, what: str, shapes: Iterable[Any], items: Callable[[Any], Iterable[Any]]) -> dict[str, Any]:
-    """Return the named items of shapes, keyed by name; raise `MistrayError` if two different ones share a name."""
+    """
+    Return the named coatings or scatter models of shapes, by name.
+
+    Raise `MistrayError` if different ones share a name.
+    """
     shapes = list(shapes)
     shared: dict[str, Any] = {}
     names = {shape.name for shape in shapes}

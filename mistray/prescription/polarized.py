@@ -1,4 +1,4 @@
-"""Polarisation of a source of a prescription."""
+"""Polarisation of a source in a prescription."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scatter models on the surfaces of a prescription."""
+"""Scatter models on surfaces of a prescription."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Scatter:
         return hash((self.kind, tuple(sorted(self.properties.items())), self.name))
 
     def model(self) -> Placement | None:
-        """Return the model in `mistray.scatter`; None if it needs a file, which only the scene can locate."""
+        """Return the scatter model for computation; None if it needs a file, which only the scene can locate."""
         title, model = f"scatter '{self.kind}'", KINDS[self.kind]
         laid = LAID if self.kind == "tabulated" else ()
         given: dict[str, Any] = {key: value for key, value in self.properties.items() if key not in laid}

@@ -40,7 +40,7 @@ _BEAM = (
 
 @dataclass(frozen=True)
 class _Node:
-    """Node of the scene's tree: a plugin, or a reference to one; ``kind`` is its XML tag, ``plugin`` its type."""
+    """Node of a scene tree: a plugin or a reference to one. ``kind`` is its XML tag, ``plugin`` its type."""
 
     kind: str
     plugin: str
@@ -59,7 +59,7 @@ def _interface(shape: Shape) -> _Node:
 
 
 def _finish(coating: Coating | None, scatter: Iterable[Scatter]) -> tuple[dict[str, Value], tuple[_Node, ...]]:
-    """Return the values and nested objects of an interface for a coating and scatter models."""
+    """Return property values and nested nodes that describe a coating and scatter models in an interface."""
     properties: dict[str, Value] = {}
     children: tuple[_Node, ...] = ()
     if coating is not None and coating.name is not None:
@@ -81,7 +81,7 @@ def _scatter(model: Scatter) -> _Node:
 
 
 def _stated(part: Any, *names: str) -> dict[str, Value]:
-    """Return the named values of a part that differ from their defaults, in the order of `names`."""
+    """Return those of a part's named attributes that differ from their defaults, by name, in the order of `names`."""
     defaults = {known.name: known.default for known in fields(part)}
     found = {name: getattr(part, name) for name in names if name in defaults}
     return {
@@ -120,7 +120,7 @@ def _sag_value(s: Surface, key: str, value: Any) -> Value:
 
 
 def _outline(outline: Outline | None) -> dict[str, Value]:
-    """Properties for the figures of an outline, in mm and degrees, without defaults of 0."""
+    """Return the plugin properties for the figures of an outline (mm and degrees), without zeros that are defaults."""
     found: dict[str, Value] = {}
     for k, figure in enumerate(outline.figures if outline else (), start=1):
         found[f"clip_{k}"] = figure.sign + figure.kind
@@ -154,7 +154,7 @@ def _source(s: Source | ObjectPoint) -> _Node:
 
 
 def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
-    """Yield the comment and the nodes of each section of the scene, in the order of the file."""
+    """Yield each section of the scene file, its comment and its nodes, in the order of the file."""
     for key, remedy in (("detector", "Detector(half_width=…, half_height=…)"), ("source", "Source(radius=…)")):
         if getattr(prescription, key) is None:
             raise MistrayError(f"prescription '{prescription.name}': it has no {key}; add {key}={remedy}")
@@ -212,7 +212,7 @@ def write_xml(prescription: Prescription, path: str | Path) -> None:
 
 
 def xml_text(prescription: Prescription) -> str:
-    """Text of the scene's XML file, ending in a newline."""
+    """Return the text of the scene's XML file, ending in a newline."""
     lines = ["<?xml version='1.0' encoding='utf-8'?>", f"<!-- {comment_text(prescription.name)}"]
     lines += [f"     {comment_text(line)}".rstrip() for line in prescription.provenance.strip().splitlines()]
     lines += [
@@ -229,7 +229,7 @@ def xml_text(prescription: Prescription) -> str:
 
 def structure_text(structures: Iterable[Structure | Surface | MeshStructure], known: Container[str] = ()) -> str:
     """
-    XML of structures for insertion into a scene, after the coatings and scatter models that they share.
+    Return the XML of structures to insert into a scene, after the coatings and scatter models that they share.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def comment_text(text: str) -> str:
 
 
 def seen_from(folder: str | Path) -> Callable[[str], str]:
-    """Return a function that converts paths relative to the current folder to paths relative to `folder`."""
+    """Return a function that makes paths relative to the current folder relative to `folder`; absolute ones stay."""
     return lambda path: path if os.path.isabs(path) else Path(os.path.relpath(path, folder)).as_posix()
 
 
@@ -352,7 +352,7 @@ def beside(prescription: Prescription, folder: str | Path) -> Prescription:
 
 
 def _with_grid_files(prescription: Prescription, path: Path) -> tuple[Prescription, dict[Path, bytes]]:
-    """Return a system whose grids all have files beside the scene, and the contents of the new files by path."""
+    """Return a copy in which every sag grid has a file beside the scene, and the contents of new files by path."""
     files: dict[Path, bytes] = {}
 
     def stored(shape: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Wavelengths of a source of a prescription."""
+"""Wavelengths of a source in a prescription."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Spectral:
 
     @property
     def light(self) -> SpectrumSamples:
-        """Wavelengths that are traced, with their weights; raises `MistrayError` if the description is invalid."""
+        """Traced wavelengths, nm, with their weights; raises `MistrayError` if the description is invalid."""
         if self.spectrum is None:
             if self.band_nm is not None or self.bands is not None:
                 raise MistrayError("band_nm or bands is given without spectrum; give both")

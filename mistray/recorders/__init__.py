@@ -1,4 +1,4 @@
-"""Recorders of a trace: sums of flux, images, the table of paths, branches, directions, derivatives."""
+"""Recorders, which collect results during a trace: flux sums, images, paths, whole rays, directions, derivatives."""
 
 from mistray._variant import active_variant, ensure_variant
 

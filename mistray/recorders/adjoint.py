@@ -36,7 +36,7 @@ CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating 
 
 class Adjoint(Recorder):
     """
-    Adjoint recorder: derivatives of one metric by R and T, from its gain in the subtrees of the ray tree.
+    Recorder of the adjoint pass: derivatives of one metric by R and T, from its sums over subtrees of the ray tree.
 
     Parameters
     ----------
@@ -89,18 +89,22 @@ class Adjoint(Recorder):
 
     @property
     def by_ray(self) -> bool:
-        """Whether a lane is bound to one start ray: True without rows, since `gain` is then that of one ray."""
+        """True if each lane handles one start ray only, as when there are no rows and `gain` is that of one ray."""
         return not self.rows
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Set the gain to 0, and allocate arrays by depth: table cell, fraction, slope, gain before the event."""
+        """
+        Set each lane's gain, its running sum of the metric, to 0.
+
+        Allocate arrays by depth for cell, fraction, slope and gain.
+        """
         memory[GAIN] = dr.zeros(mi.Float64, dr.width(start.lane))
         if self.rows:
             types = (mi.UInt32, mi.Float, mi.Float, mi.Float64)
             memory[EVENTS] = tuple(dr.alloc_local(dtype, max_events) for dtype in types)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the metric's derivative times flux, for hits of the detector, to the gain of each lane."""
+        """Add each detector hit's flux times the metric's derivative to the gain of its lane."""
         if self.light is not None and self.light.incident:
             memory[GAIN] = memory[GAIN] + self.light.gain(visit)
             return
@@ -119,7 +123,7 @@ class Adjoint(Recorder):
             self._detected(visit, mi.Float(derivative) * visit.weight)
 
     def branch(self, branch: Branch, memory: Memory) -> None:
-        """Store the table cell and slope of an event, and the gain so far, before its child is followed."""
+        """Store table cell, slope and current gain of an event before its child ray is followed."""
         if not self.rows:
             return
         it, depth, active = branch.interaction, branch.depth, branch.active
@@ -130,12 +134,12 @@ class Adjoint(Recorder):
         gains.write(memory[GAIN], depth, active)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Add the metric's derivative times weight, for rays that leave the scene, to the gain of each lane."""
+        """Add each escaping ray's weight times the metric's derivative to the gain of its lane."""
         if self.light is not None and not self.light.incident:
             memory[GAIN] = memory[GAIN] + self.light.gain(departure)
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Add the derivatives by R or T of the events whose subtrees are complete: slope times gain of the subtree."""
+        """Add derivatives by R or T for events whose subtrees are complete: slope times the subtree's gain."""
         if not self.rows:
             return
         cells, fractions, slopes, gains = memory[EVENTS]
@@ -153,11 +157,11 @@ class Adjoint(Recorder):
         dr.while_loop((dr.select(active, back.depth, 0),), lambda k: active & (k > last), step, mode="symbolic")
 
     def collect_lanes(self, start: StartRays, memory: Memory) -> None:
-        """Keep the gain of each lane when all trees are complete."""
+        """Store the final gain of each lane, the metric's sum over its trees, in `gain`."""
         self.gain = memory[GAIN]
 
     def _derivative(self, visit: Visit) -> mi.Float64:
-        """Return the metric's derivative by the flux of hits of the detector, from their pixels and paths."""
+        """Return the derivative of the metric by the flux of each detector hit, from the hit's pixel and path."""
         (x, y), slot, active, film = visit.position, visit.slot, visit.counted, self._film
         total = dr.zeros(mi.Float64, dr.width(x))
         if self.pixel is not None:
@@ -179,7 +183,11 @@ class Adjoint(Recorder):
         return total
 
     def _detected(self, visit: Visit, weighted: mi.Float) -> None:
-        """Add the derivatives at the detector itself; `weighted` is the derivative times the incident flux."""
+        """
+        Add derivatives by R and T of the detector's own surface.
+
+        `weighted` is the metric's derivative times the incident flux.
+        """
         # It absorbs the flux that it does not reflect, transmit or scatter
         it, shares = visit.interaction, visit.shares
         active = visit.counted & (weighted != 0)

@@ -1,4 +1,4 @@
-"""Recorders of whole branches, node by node, from the source to the detector, other surfaces or out of the scene."""
+"""Recorders of whole rays, event by event from the source to the detector, to other surfaces or out of the scene."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ VECTORS = NODE_FLOATS // WIDTH
 @dataclass
 class PathChoice:
     """
-    Choice of some of the paths of a ledger, whose branches are recorded.
+    Selection of some paths of a ledger, so that only rays on these paths are recorded.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class PathChoice:
     chosen: mi.UInt32
 
     def holds(self, key: mi.UInt64, active: mi.Bool) -> mi.Bool:
-        """Whether the path with this key is one of the chosen paths."""
+        """True in lanes where the path with this key is among the chosen paths."""
         slot, known = self.ledger.known(key, active)
         return known & (dr.gather(mi.UInt32, self.chosen, slot, known) != 0)
 
@@ -45,7 +45,7 @@ class PathChoice:
 @dataclass
 class Node:
     """
-    Recorded events of rays.
+    Recorded event of each ray: point, direction of arrival, and event code.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class BranchRecorder(Recorder):
         dr.eval(self.path, self.peak)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record the branches that end at the detector, and the largest flux of a ray there."""
+        """Record the rays that are absorbed at the detector, and the largest flux of a ray there."""
         # The bits of positive floats are in the order of the floats
         bits = dr.reinterpret_array(mi.UInt32, visit.weight)
         dr.scatter_reduce(dr.ReduceOp.Max, self.peak, bits, mi.UInt32(0), visit.detected)
@@ -135,7 +135,7 @@ class BranchRecorder(Recorder):
         self.write(visit, chosen & visit.counted, weight, place=visit.position)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Record the branches of rays that leave the scene after an event, with their gain, unless that is 0."""
+        """Record rays that leave the scene after an event, with a gain (contribution to the metric) other than 0."""
         if self.light is not None and not self.light.incident and departure.node is not None:
             gained = self.light.gain(departure)
             self.write(departure, departure.active & (gained != 0), gained, departure.heading)
@@ -227,20 +227,20 @@ class BranchRecorder(Recorder):
         return np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0), lengths
 
     def node(self, slot: mi.UInt32, k: mi.UInt32, active: mi.Bool) -> Node:
-        """Return the events k of recorded branches."""
+        """Return event number `k` of the recorded branches in the given slots."""
         row = (slot * self._stride + k) * VECTORS
         first, second = (dr.gather(mi.Vector4f, self.nodes, row + j, active) for j in range(VECTORS))
         code = dr.reinterpret_array(mi.UInt32, second.w)
         return Node(mi.Vector3f(first.x, first.y, first.z), mi.Vector3f(first.w, second.x, second.y), code)
 
     def code(self, slot: mi.UInt32, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Return the codes of the events k of recorded branches, see `mistray.events`."""
+        """Return the code of event number `k` of the recorded branches in the given slots, see `mistray.events`."""
         last = (slot * self._stride + k) * NODE_FLOATS + NODE_FLOATS - 1
         return dr.reinterpret_array(mi.UInt32, dr.gather(mi.Float, self.nodes, last, active))
 
     @property
     def codes(self) -> np.ndarray:
-        """Events, surface << EVENT_BITS | kind of event, (capacity, max_events) uint32."""
+        """Event codes of all slots, (capacity, max_events) uint32: surface << EVENT_BITS | kind of event."""
         return np.asarray(self.nodes.numpy().view(np.uint32).reshape(self.capacity, -1, NODE_FLOATS)[..., -1])
 
     def nodes_of(self, slots: np.ndarray, longest: int) -> np.ndarray:
@@ -259,7 +259,7 @@ class BranchRecorder(Recorder):
 @dataclass
 class ElsewhereRecorder(BranchRecorder):
     """
-    Append buffer for branches of the ray tree up to each hit of chosen surfaces, or to where rays leave the scene.
+    Recorder of rays up to each hit of chosen surfaces, or until they leave the scene.
 
     Attributes
     ----------
@@ -293,7 +293,7 @@ class ElsewhereRecorder(BranchRecorder):
 @dataclass
 class CellRecorder(ElsewhereRecorder):
     """
-    Append buffer for branches of the ray tree up to each hit of mapped surfaces, with the cells of the hits.
+    Recorder of rays up to each hit of mapped surfaces, with the map cell of the hit.
 
     Attributes
     ----------
@@ -331,6 +331,6 @@ def as_many(capacity: int, max_events: int) -> int:
     """
     Return how many branches of `max_events` events fit into the memory of `capacity` branches of 64 events.
 
-    At least 1, and at most `capacity`.
+    The number is at least 1 and at most `capacity`.
     """
     return max(1, capacity * 64 // max(max_events, 64))

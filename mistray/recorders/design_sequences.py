@@ -25,7 +25,7 @@ Sequences = tuple[tuple[int, ...], ...]
 @dataclass(frozen=True)
 class DesignSequences:
     """
-    Event sequences by which light forms the direct image, by detector; all other light is stray light.
+    Event sequences by which light forms the intended image on each detector; all other light is stray light.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class DesignSequences:
 
     def direct(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
         """
-        Whether each path follows a design sequence of the detector where it ends, and so forms the direct image.
+        Return a mask of the paths that follow a design sequence of their detector and so form the direct image.
 
         Parameters
         ----------
@@ -68,14 +68,14 @@ class DesignSequences:
         return found
 
     def reflects(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """Whether each event is at a surface where a design sequence of its path's detector reflects; (p, k) bool."""
+        """Return a mask of events, (p, k) bool, at surfaces where a design sequence of the path's detector reflects."""
         found = np.zeros(events.shape, dtype=bool)
         for detector, here in self._by_detector(events, lengths):
             found[here] = np.isin(events[here] >> EVENT_BITS, list(self.reflectors(detector)))
         return found
 
     def _by_detector(self, events: np.ndarray, lengths: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield each detector, and the rows, (n,) int, of the paths that end there."""
+        """Yield each detector's number with the indices, (n,) int, of the paths that end there."""
         ends = self.ends(events, lengths)
         return ((detector, np.flatnonzero(ends == detector)) for detector in self.lists)
 
@@ -112,7 +112,11 @@ class DesignKeys:
         return [upload(mi.UInt64, np.concatenate([k, np.full(self.code - len(k), k[-1])])) for k in self._host]
 
     def hold(self, key: mi.UInt64, backward: bool) -> mi.Bool:
-        """Whether unscattered light of this path key, of forward or backward rays, follows a design sequence."""
+        """
+        True in lanes where unscattered light with this path key follows a design sequence.
+
+        `backward`: keys are of backward rays.
+        """
         # Without sequences there is no array to search
         if not self.code:
             return dr.full(mi.Bool, False, dr.width(key))

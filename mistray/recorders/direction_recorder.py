@@ -36,7 +36,7 @@ ROWS = 64  # fewest rows of the table of angles, in powers of two: the steps of 
 
 
 def class_of_light(end: Visit | Departure, design: DesignKeys) -> mi.UInt32:
-    """Return the class of light, a number within `CLASSES`, of rays that meet the detector or leave the scene."""
+    """Return the class of light, an index into `CLASSES`, for rays that meet the detector or leave the scene."""
     if isinstance(end, Departure):
         key, reflections, scatters = end.key, end.reflections, end.scatters
     else:
@@ -157,14 +157,18 @@ class SkyRecorder(Recorder):
         dr.eval(self._sums, self._largest, self._maps)
 
     def contribution(self, end: Any) -> SkyContribution:
-        """Return the class of light, cell and MIS-weighted throughput of rays that end; subclasses define it."""
+        """
+        Return class of light, direction cell and MIS-weighted throughput of rays that end.
+
+        Subclasses implement it.
+        """
         raise NotImplementedError
 
     def gain(self, end: Visit | Departure) -> mi.Float64:
         """
-        Return contributions to a metric of rays that end: derivative times MIS-weighted throughput.
+        Return each ending ray's contribution to a metric: its derivative times the MIS-weighted throughput.
 
-        The sums do not change.
+        The recorder's sums do not change.
         """
         kind, cell, weight, active = self.contribution(end)
         derivative = dr.gather(mi.Float64, self._derivative, kind * self._cells + cell, active)
@@ -235,7 +239,7 @@ class DirectionRecorder(SkyRecorder):
         dr.eval(self.elsewhere)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the cell of light that travels along -d, against rays that leave along d, and whether there is one."""
+        """Return the cell of light along -d, which backward rays along d retrace, and a mask of rays in a cell."""
         # Field angle: light travels along -d. sin² orders the angles of the front half space
         x, y, z = (-dr.dot(d, axis) for axis in self._axes)
         sine2 = dr.fma(x, x, y * y)
@@ -263,7 +267,7 @@ class DirectionRecorder(SkyRecorder):
         return index * self._azimuths + best, inside & (least <= self._half)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Add contributions of rays that leave the scene to their classes and cells; outside of all, to `elsewhere`."""
+        """Add rays that leave the scene to the sums of their class and direction cell, else to `elsewhere`."""
         start, weight, active = departure.start, departure.weight, departure.active
         cell, inside = self.cell(departure.heading)
         # Connected rays stand for light that other rays carry as well
@@ -336,7 +340,7 @@ class ArrivalRecorder(SkyRecorder):
         return SkyContribution(kind, cell, weight, met)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Add the numbers of ray segments of complete trees to the start cells of their rays."""
+        """Add the number of segments of each finished ray tree to the start cell of its ray."""
         dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), start.cell, active, REDUCE)
 
     def read(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Cells of directions over which a point source transmittance is averaged."""
+"""Cells of incident directions over which a point source transmittance is averaged."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class DirectionGrid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of field angles, and number of azimuths."""
+        """Numbers of field angles and of azimuths of the grid, (n, m)."""
         return len(self.field_deg), len(self.azimuths_deg)
 
     @property
@@ -188,7 +188,7 @@ class DirectionGrid:
 
 
 def _least_gap(azimuths: np.ndarray) -> float:
-    """Return the smallest distance of two azimuths, degrees; 360 for a single one."""
+    """Return the smallest difference of two azimuths, degrees; 360 for a single one."""
     # The first azimuth again, one turn on, closes the circle
     around = np.sort(azimuths % 360)
     return float(np.diff(np.append(around, around[0] + 360)).min())

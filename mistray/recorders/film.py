@@ -64,7 +64,7 @@ class Film:
 
     @property
     def images(self) -> int:
-        """Number of images in memory: one for each group of batches, and `WEIGHTS` more if there are several groups."""
+        """Number of images in memory: one per group of batches, plus `WEIGHTS` for the noise if there are several."""
         return self.groups + (WEIGHTS if self.groups > 1 else 0)
 
     def places(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float | None]]:
@@ -90,7 +90,7 @@ class Film:
         ]
 
     def _number(self, column: mi.Int32, row: mi.Int32) -> mi.UInt32:
-        """Return the number of a pixel, or that of the nearest one for a place beyond the border."""
+        """Return the index of the pixel in a column and row, both clipped to the film."""
         column, row = dr.clip(column, 0, self.width - 1), dr.clip(row, 0, self.height - 1)
         return mi.UInt32(row * self.width + column)
 
@@ -121,7 +121,7 @@ class Images(Recorder):
         dr.eval(self.sums)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the absorbed flux of hits to pixels, and moments of the ray weights where there are groups of batches."""
+        """Add the absorbed flux of hits to their pixels, and sums of powers of ray weights if noise is estimated."""
         film = self._film
         # Image of the hit: of all light or of its path, and of its group of batches
         here = visit.counted if self._only is None else visit.counted & (visit.surface == self._only)
@@ -182,11 +182,11 @@ class Pixels(Sampled):
 
     @property
     def none(self) -> Pixels:
-        """Dark image of the same size, without noise."""
+        """Dark image of the same size, with zero noise."""
         return Pixels(*map(np.zeros_like, (self.value, self.apart, self.weights)))
 
     def __add__(self, other: Sampled) -> Pixels:
-        """Return the sum with an image of other light."""
+        """Return the sum of two images of different light, with their noise combined."""
         assert isinstance(other, Pixels)
         both = super().__add__(other)
         return Pixels(both.value, both.apart, self.weights + other.weights)
@@ -197,11 +197,11 @@ class Pixels(Sampled):
 
     @property
     def few_rays(self) -> np.ndarray:
-        """Whether too few rays meet a pixel for its error to be known, (height, width) bool; see `error_rays`."""
+        """Mask of pixels that too few rays meet for a standard error, (height, width) bool; see `error_rays`."""
         return self.few_in_squares(1)
 
     def few_in_squares(self, pixels: int) -> np.ndarray:
-        """Whether too few rays meet a square of `pixels` × `pixels` for a known error, (h, w) bool."""
+        """Return a mask of squares of `pixels` × `pixels` that too few rays meet for a standard error, (h, w) bool."""
 
         def pool(values: Numbers) -> Numbers:
             # Sums over the neighbouring pixels, one axis after the other
@@ -221,7 +221,7 @@ class Pixels(Sampled):
 
 class Box(Recorder):
     """
-    Filter that hides hits of the detector outside a rectangle from the recorders after it.
+    Rectangle of the detector outside which hits are hidden from the recorders after it.
 
     Parameters
     ----------
@@ -233,41 +233,41 @@ class Box(Recorder):
         self._corners = opaque(mi.Vector4f, corners)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Exclude hits outside the rectangle from what later recorders record."""
+        """Exclude hits outside the rectangle from the sums of later recorders."""
         (x, y), box = visit.position, self._corners
         visit.counted &= (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
 
 
 def image_word(first: int, by_group: bool) -> int:
-    """Return an integer that encodes the first image of a path, and whether it has one for each group of batches."""
+    """Return an integer that encodes the index of a path's first image, and whether it has one per group of batches."""
     return 2 * (first + 1) + by_group
 
 
 def groups_of(pixels: int) -> int:
-    """Return the number of groups of batches that have an image each: fewer for images of many pixels."""
+    """Return the number of groups of batches that get an image each, a power of 2; fewer for images of many pixels."""
     most = FILM_BYTES // (8 * pixels)
     return int(np.clip(1 << max(most, 1).bit_length() - 1, LEAST_GROUPS, BATCHES))
 
 
 def group_of(batch: mi.UInt32, groups: int) -> mi.UInt32:
-    """Return the number of the group that a batch is in; both counts are powers of two, so that a shift divides."""
+    """Return the index of the group of each batch. All counts are powers of two, so that a shift divides."""
     return batch >> dr.opaque(mi.UInt32, (BATCHES // groups).bit_length() - 1)
 
 
 def images_of(pixels: int) -> int:
-    """Return the number of images that a map with its noise takes: one for each group of batches, and `WEIGHTS`."""
+    """Return the number of images in memory for one map with its noise: one per group of batches, plus `WEIGHTS`."""
     return groups_of(pixels) + WEIGHTS
 
 
 def in_squares(image: Numbers, pixels: int) -> Numbers:
-    """Return the sums of an image over squares of `pixels` by `pixels`, smaller at the last row and column, (h, w)."""
+    """Return an image summed over squares of `pixels` by `pixels`, (h, w); the last row and column may be smaller."""
     rows, columns = (np.arange(0, size, pixels) for size in image.shape)
     return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1))
 
 
 def spreads(film: mi.Film) -> bool:
     """
-    Whether a detector's film spreads each hit over the four nearest pixels by a tent filter, see `Film`.
+    True if a detector's film spreads each hit over the four nearest pixels by a tent filter, see `Film`.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ class DecodedPaths:
     sums: np.ndarray
 
     def take(self, chosen: np.ndarray) -> DecodedPaths:
-        """Return the chosen paths, by indices or a mask, with their sums."""
+        """Return some of the paths, selected by indices or by a boolean mask, with their sums."""
         return DecodedPaths(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
     def __add__(self, other: DecodedPaths) -> DecodedPaths:
@@ -141,7 +141,7 @@ def write_list(
     read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
     active: mi.Bool,
 ) -> None:
-    """Write event lists to device memory, each from index `first` on; `read(k, mask)` returns event k."""
+    """Write event lists to device memory, each from index `first` on. `read(k, mask)` returns event k of each list."""
 
     def step(k):  # type: ignore[no-untyped-def]
         going = active & (k < length)
@@ -198,7 +198,7 @@ def _zeros(dtype: Any, size: int) -> Any:
 
 class Ledger(Recorder):
     """
-    Recorder of the path ledger: a hash table in device memory of the paths of hits, with sums of their flux.
+    Recorder of the path ledger: a hash table in device memory that holds the flux sums of each distinct path.
 
     Parameters
     ----------
@@ -229,7 +229,11 @@ class Ledger(Recorder):
         dr.eval(self.sums)
 
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
-        """Return the slot of a path key, claimed for a new key; whether it has one; and whether it was claimed now."""
+        """
+        Return the slot of each path key, claiming one for a new key.
+
+        A mask of keys that have a slot, and one of new keys, come with it.
+        """
         start = mi.UInt32(key >> 32) & self.mask
         return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)
 
@@ -251,7 +255,7 @@ class Ledger(Recorder):
         write_list(self.events, slot * self.max_events, visit.depth + 1, visit.event, new)
 
     def known(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the slot of a path key, and whether the table holds it; the table does not change."""
+        """Return the slot of each path key and a mask of the keys that the table holds; the table does not change."""
 
         def probe(slot, going, found, tries):  # type: ignore[no-untyped-def]
             there = dr.gather(mi.UInt64, self.keys, slot, going)
@@ -270,17 +274,17 @@ class Ledger(Recorder):
 
     @property
     def used(self) -> int:
-        """Number of paths in the table."""
+        """Number of distinct paths in the table."""
         return int(dr.count(self.keys != 0)[0]) - self._lost
 
     @property
     def _lost(self) -> bool:
-        """Whether a path has found no slot."""
+        """True if some path found no free slot, so that its flux is missing."""
         return int(self.keys[self.capacity]) != 0
 
     @property
     def full(self) -> bool:
-        """Whether the table is more than 70 % full, or a path has already found no slot."""
+        """True if the table is more than 70 % full, or a path has already found no slot."""
         return self._lost or self.used > 0.7 * self.capacity
 
     def decode(self) -> DecodedPaths:

@@ -1,4 +1,4 @@
-"""Derivatives of a metric by the flux of hits of the detector, as functions of their path and position."""
+"""Derivatives of a metric by the flux of detector hits, as functions of the hit's path and position."""
 
 from __future__ import annotations
 
@@ -61,7 +61,11 @@ class PathDerivative:
         return cls(keys[order], slots[order], coefficients[order], maps[order])
 
     def of(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return coefficients, (n, MOMENTS), and map numbers, (n,), for path keys; 0 and -1 for unknown keys."""
+        """
+        Return the coefficients, (n, MOMENTS), and map numbers, (n,), that give the derivative for path keys, (n,).
+
+        They are 0 and -1 for unknown keys.
+        """
         found, maps = np.zeros((len(keys), MOMENTS)), np.full(len(keys), -1)
         if len(self.keys):
             # Keys above the largest one would be found behind the end

@@ -54,7 +54,7 @@ STRAY_KINDS = (
 
 
 def way(events: np.ndarray) -> np.ndarray:
-    """Return event lists, (p, k), with aimed scatter as random scatter: both are samples of the same physical path."""
+    """Return event lists, (p, k), with aimed scatter replaced by random scatter, as both sample one physical path."""
     events = events.copy()
     for aimed, random in _SAMPLED_ALIKE.items():
         events[kind_of(events) == aimed] -= np.uint32(aimed - random)
@@ -158,11 +158,11 @@ class PathNames:
         return ""
 
     def _sequence(self, detector: int) -> Sequence[int]:
-        """Return the first sequence of the design to a detector, without the absorption there."""
+        """Return the event codes of the first design sequence to a detector, without the absorption there."""
         return next(iter(self._design.lists.get(detector, ())), ())
 
     def _between(self, first: int, last: int, detector: int) -> list[int]:
-        """Return the events of the design sequence between two surfaces, at their closest occurrences."""
+        """Return the design events between surfaces `first` and `last`, at their closest occurrences; cached."""
         key = first, last, detector
         if key not in self._expected:
             sequence = self._sequence(detector)
@@ -180,7 +180,7 @@ class PathNames:
 @dataclass(frozen=True)
 class Events:
     """
-    Events of paths, with masks over them by kind and surface.
+    Event lists of paths, with masks of their events by kind and surface.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ class Events:
         return cls(codes, lengths, table.event_ids, table.event_words, design)
 
     def __getitem__(self, rows: np.ndarray) -> Events:
-        """Return the events of some of the paths."""
+        """Return the event lists of some paths; `rows` are their indices or a mask."""
         return replace(self, codes=self.codes[rows], lengths=self.lengths[rows])
 
     def __len__(self) -> int:
@@ -234,7 +234,7 @@ class Events:
 
     @property
     def intercepts(self) -> list[list[str]]:
-        """Names of the types of the events of each path, see `mistray.events`."""
+        """Type names of each path's events, such as SpecTran, see `mistray.events`."""
         return [[INTERCEPTS[kind_of(code)] for code in row] for row in self.lists]
 
     def labels(self, kinds: Iterable[str]) -> list[str]:
@@ -249,51 +249,55 @@ class Events:
 
     @property
     def inside(self) -> np.ndarray:
-        """Whether an entry is an event of its path, not padding, (p, k) bool."""
+        """Mask of true events in the padded lists, (p, k) bool; False for padding."""
         return np.asarray(np.arange(self.codes.shape[1]) < self.lengths[:, None])
 
     def happens(self, *what: int) -> np.ndarray:
-        """Whether an event is of one of these kinds, (p, k) bool; False for padding."""
+        """Return a mask of the events of one of these kinds, (p, k) bool; False for padding."""
         return self.inside & np.isin(kind_of(self.codes), what)
 
     def at(self, bit: int) -> np.ndarray:
-        """Whether an event is at a surface that has this flag, (p, k) bool; padding is not masked."""
+        """Return a mask of the events at surfaces that have this flag, (p, k) bool; padding is not masked out."""
         # Padding reads the flags of surface 0; callers mask it
         return (self.words[self.places] & np.uint32(bit)) != 0
 
     @property
     def direct(self) -> np.ndarray:
-        """Whether a path follows a design sequence of the detector where it ends, (p,) bool."""
+        """Mask of the paths that follow a design sequence of the detector where they end, (p,) bool."""
         return self.design.direct(self.codes, self.lengths)
 
     @cached_property
     def as_designed(self) -> np.ndarray:
-        """Whether an event is at a surface where a design sequence of its path's detector reflects, (p, k) bool."""
+        """Mask of the events at surfaces where a design sequence of the path's detector reflects, (p, k) bool."""
         return self.inside & self.design.reflects(self.codes, self.lengths)
 
     @property
     def reflected(self) -> np.ndarray:
-        """Whether an event is a specular reflection; total ones, mirrors' and those of the design excepted, (p, k)."""
+        """
+        Mask of stray specular reflections, (p, k) bool.
+
+        Total ones and those at mirrors or of the design are excluded.
+        """
         return self.happens(REFLECTED) & ~self.at(MIRROR) & ~self.as_designed
 
     @property
     def on_structure(self) -> np.ndarray:
-        """Whether an event is a stray reflection at an opaque surface other than the detector, (p, k) bool."""
+        """Mask of stray reflections at opaque surfaces other than the detector, (p, k) bool."""
         return self.reflected & self.at(OPAQUE) & ~self.at(DETECTOR)
 
     @property
     def deflected(self) -> np.ndarray:
-        """Whether an event is scatter or diffraction, (p, k) bool."""
+        """Mask of the events that are scatter or diffraction, (p, k) bool."""
         return self.inside & (kind_of(self.codes) >= FIRST_SCATTERED)
 
     @property
     def diffracted(self) -> np.ndarray:
-        """Whether an event is diffraction at the ring of an edge, (p, k) bool."""
+        """Mask of the events that are diffraction at an edge, (p, k) bool."""
         return self.happens(RANDOM_TRANSMITTED, AIMED_TRANSMITTED) & self.at(DIFFRACTS)
 
     @property
     def before_the_end(self) -> np.ndarray:
-        """Whether an event comes before the last of its path, which is at the detector, (p, k) bool."""
+        """Mask of the events before the last of their path, which is at the detector, (p, k) bool."""
         return np.asarray(np.arange(self.codes.shape[1]) < self.lengths[:, None] - 1)
 
     @property
@@ -306,7 +310,7 @@ class Events:
 
 
 def event_keys(events: Iterable[str]) -> list[str]:
-    """Return a key of ten hexadecimal digits for each event list, equal for random and aimed scatter, in any scene."""
+    """Return a hash of each event list, ten hexadecimal digits, equal in all scenes and for random or aimed scatter."""
     return [hashlib.blake2b(text.encode(), digest_size=5).hexdigest() for text in way_text(events)]
 
 

@@ -41,7 +41,11 @@ def mixed_word(word: mi.UInt32) -> mi.UInt32:
 
 
 def mixed_events(event: EventReader, first: mi.UInt32, end: mi.UInt32, before: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-    """Return `before` plus the hashes of the events `first` … `end` - 1; the path class is a hash of this sum."""
+    """
+    Return `before` plus the hashes of the events `first` … `end` - 1.
+
+    The sum is hashed again to get the path class.
+    """
 
     # A sum, so that the order of the events does not matter
     def add(k: mi.UInt32, total: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
@@ -80,7 +84,7 @@ def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
 
 
 def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
-    """Return packed scatter counts of paths after one more event, see `COUNT_MASK`."""
+    """Return packed scatter counts of paths after one more scatter event; see `COUNT_MASK` for the packing."""
     # One word holds all three counts, so that a node stores a single integer
     count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
     # `AT_WALL` is of the last event only; `NOT_DIFFRACTED` stays once it is set
@@ -121,7 +125,7 @@ def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 
 
 def joined_lists(*lists: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the union of event lists, (p, k); their lengths, (p,); and the row in it of each given list in turn."""
+    """Return the union of sets of event lists, (p, k), their lengths, (p,), and the row in it of each given list."""
     longest = max(events.shape[1] for events, _ in lists)
     events = np.concatenate([np.pad(one, ((0, 0), (0, longest - one.shape[1]))) for one, _ in lists])
     lengths = np.concatenate([own for _, own in lists])

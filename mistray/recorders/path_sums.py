@@ -27,7 +27,7 @@ class PathsByCell(dict[str, np.ndarray]):
     """
 
     def __add__(self, other: PathsByCell) -> PathsByCell:
-        """Return the union of two tables; the sums of a path and cell that both hold are added."""
+        """Return the union of two tables, with the sums of equal paths and cells added up."""
         if not self or not other:
             return self or other
         # Paths are identified by their keys, and entries by path and cell
@@ -82,7 +82,11 @@ class PathSums:
         weight: mi.Float,
         active: mi.Bool,
     ) -> None:
-        """Add the weights of rays to their paths and cells; a path has the events `read(k, mask)`, k < length."""
+        """
+        Add ray weights (throughput) to the sums of their paths and cells.
+
+        `read(k, mask)` returns event k < length.
+        """
         # Find or claim the slot of the path
         slot, found, new = claim(
             self.keys, key, mi.UInt32(key >> 32) & self._path_mask, self._path_mask, MOST_PROBES, active

@@ -109,7 +109,7 @@ class Visit:
 
     @property
     def surface(self) -> mi.UInt32:
-        """Number of the surface that the ray meets."""
+        """Number of the surface that each ray meets."""
         return self.state["s"]
 
     @property
@@ -131,7 +131,7 @@ class Visit:
 
     @property
     def node(self) -> Sequence[mi.Float]:
-        """Point of the hit, mm, direction of arrival, and throughput there: the last node of the path."""
+        """Last node of each path: point of the hit, mm, direction of arrival, and throughput there."""
         return (*self.interaction.p, *self.state["d"], self.weight)
 
 
@@ -256,7 +256,7 @@ class Departure:
 
     @property
     def depth(self) -> mi.UInt32:
-        """Number of events on the path before that of the last node."""
+        """Number of events on each path before its last node."""
         return self.length - 1
 
 
@@ -398,7 +398,7 @@ class Recorder:
 
     @property
     def by_ray(self) -> bool:
-        """Whether the memory of a lane belongs to one start ray, so that no lane may take a second one."""
+        """True if a lane's memory belongs to a single start ray, so that the lane may take no second one."""
         return type(self).begin is not Recorder.begin
 
     @property
@@ -409,7 +409,7 @@ class Recorder:
     # ---- a trace of one source and wavelength, called on the host
 
     def attach(self, scene: KernelScene) -> None:
-        """Begin a trace of one source and wavelength, or begin it again: earlier results of it are discarded."""
+        """Prepare for a trace of one source and wavelength. Results of an earlier trace are discarded."""
 
     def collect(self, unit: float) -> None:
         """Collect the results of a trace that has ended; `unit` is the flux of a start ray in W."""
@@ -417,13 +417,13 @@ class Recorder:
     # ---- events of the rays, called while the kernel is traced: their arguments are symbolic
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Put the per-lane state of the recorder into `memory`, before the first ray segment."""
+        """Put the recorder's per-lane state into `memory`, before the first ray segments are traced."""
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record rays that meet surfaces."""
+        """Record rays that meet surfaces; called once per visit of a node, for all lanes."""
 
     def branch(self, branch: Branch, memory: Memory) -> None:
-        """Record rays that a node sends on."""
+        """Record the child rays (reflected, transmitted or scattered) that nodes send on."""
 
     def travel(self, segment: Segment, memory: Memory) -> None:
         """Record ray segments from the source, or from a node, to the next surface or out of the scene."""
@@ -437,26 +437,30 @@ class Recorder:
         """
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Record branches that have ended, with their whole subtrees, as lanes return to an earlier node."""
+        """Record finished branches with their subtrees, when lanes return to an earlier node."""
 
     # ---- flux that no surface absorbs
 
     def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
-        """Record flux (or a count) in one of the first `LANE_REASONS` loss channels of `mistray.recorders.tallies`."""
+        """Record lost flux (or a count) in one of the first `LANE_REASONS` channels of `mistray.recorders.tallies`."""
 
     def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        """Record flux in one of the loss channels from `LANE_REASONS` on, which stay empty in most traces."""
+        """Record cut flux, in units of a start ray's, in a loss channel from `LANE_REASONS` on; few traces need one."""
 
     def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
-        """Record the flux that a medium absorbs, in units of a start ray's flux."""
+        """Record the flux absorbed in a medium, in units of a start ray's flux."""
 
     # ---- complete trees
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Record complete trees and their numbers of segments; trees of lanes in `cut_off` were over the limit."""
+        """
+        Record finished ray trees and their numbers of segments.
+
+        Trees of lanes in `cut_off` exceeded the limit on segments.
+        """
 
     def collect_lanes(self, start: StartRays, memory: Memory) -> None:
-        """Collect the per-lane sums when all trees are complete; the rays of a lane were of one batch."""
+        """Collect the per-lane sums when all trees are finished; all rays of a lane belong to one batch."""
 
 
 def _key_of(part: Any) -> Hashable:
@@ -477,7 +481,7 @@ class Recorders(Recorder):
 
     @property
     def by_ray(self) -> bool:
-        """Whether any of the recorders needs the memory of a lane for one start ray alone."""
+        """True if any recorder needs a lane's memory for one start ray alone."""
         return any(recorder.by_ray for recorder in self._all)
 
     @property
@@ -487,7 +491,7 @@ class Recorders(Recorder):
 
 
 def _in_turn(name: str) -> Callable[..., None]:
-    """Return a method of `Recorders` that calls the method `name` of each recorder, in the given order."""
+    """Return a method for `Recorders` that calls the method `name` of each recorder in the given order."""
 
     # In order, since a recorder may change a visit for those after it
     def call(self: Recorders, *arguments: Any) -> None:

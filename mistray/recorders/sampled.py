@@ -25,7 +25,7 @@ ROUNDING = 1e-6  # relative, of effective numbers of rays of equal weight
 @dataclass(frozen=True)
 class Sampled:
     """
-    Monte Carlo estimates with their noise, which is kept as the deviation of each batch.
+    Monte Carlo estimates with their noise, kept as the deviation of each batch of start rays.
 
     Attributes
     ----------
@@ -73,7 +73,11 @@ class Sampled:
         return np.asarray(self.value[..., None] / count + np.sqrt((count - 1) / count) * self.apart)
 
     def grouped(self, count: int) -> Sampled:
-        """Return the numbers, with noise by `count` groups of batches; `count` divides the number of batches."""
+        """
+        Return the estimates with their noise merged into `count` groups of batches.
+
+        `count` divides the number of batches.
+        """
         batches = self.apart.shape[-1]
         together = self.apart.reshape(*self.value.shape, count, -1).sum(axis=-1)
         return Sampled(self.value, together * np.sqrt((batches - 1) / batches * count / max(count - 1, 1)))
@@ -89,7 +93,7 @@ class Sampled:
         return self + other.scaled(-1.0)
 
     def scaled(self, factor: float) -> Sampled:
-        """Return the numbers and their noise times a factor that has no error."""
+        """Return the estimates and their noise multiplied by an exact factor."""
         return Sampled(self.value * factor, self.apart * factor)
 
     def over(self, other: Sampled) -> Sampled:
@@ -111,24 +115,28 @@ class Sampled:
 
     @property
     def with_se(self) -> tuple[Numbers, Numbers]:
-        """Values and their standard errors, (…) each."""
+        """Estimates and their standard errors, (…) each, in the same unit."""
         return self.value, self.se
 
     @property
     def whole(self) -> tuple[float, float]:
-        """Sum of all numbers, and its standard error."""
+        """Sum of all estimates and its standard error, in the unit of `value`."""
         total = self.reshaped(-1).total()
         return float(total.value), float(total.se)
 
 
 def _alike(*numbers: Sampled) -> list[Sampled]:
-    """Return numbers with their noise by the same number of groups of batches."""
+    """Return estimates with their noise merged to the same number of groups of batches, so as to combine them."""
     count = min(one.apart.shape[-1] for one in numbers)
     return [one if one.apart.shape[-1] == count else one.grouped(count) for one in numbers]
 
 
 def batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Return the standard error of a sum over batches (last axis), from their spread; `rays` by batch."""
+    """
+    Return the standard error of a sum over batches (last axis).
+
+    `rays` is the number of start rays per batch, (b,).
+    """
     return Sampled.of(by_batch, rays).se
 
 
@@ -183,5 +191,5 @@ def error_rays(
 
 
 def few_rays(found: Numbers) -> npt.NDArray[np.bool_]:
-    """Whether an effective number of rays, from `error_rays`, is too small for a standard error to be known."""
+    """Return a mask of effective ray numbers, from `error_rays`, too small for a reliable standard error."""
     return np.asarray(found < ERROR_RAYS * (1 - ROUNDING))

@@ -112,12 +112,12 @@ class StartRays:
     stokes: mi.Vector3f | None = None
 
     def given(self, name: str, otherwise: Any) -> Any:
-        """Return the values of an optional field, or a default where the field is None."""
+        """Return an optional attribute by its name, or the default `otherwise` if it is None."""
         value = getattr(self, name)
         return otherwise if value is None else value
 
     def picked(self, index: mi.UInt32) -> StartRays:
-        """Return the rays at some indices; literal constants stay literal, so that the compiled kernel serves again."""
+        """Return the rays at some indices. Literal constants stay literal, so that a compiled kernel can be reused."""
         return StartRays(**{f.name: chosen(getattr(self, f.name), index) for f in fields(self)})
 
     def take(self, index: mi.UInt32) -> StartRays:
@@ -125,13 +125,13 @@ class StartRays:
         return self.picked(index).evaluated()
 
     def evaluated(self) -> StartRays:
-        """Return these rays, after their arrays have been evaluated in device memory."""
+        """Evaluate the arrays of these rays in device memory, and return the rays."""
         dr.eval(*(getattr(self, f.name) for f in fields(self)))
         return self
 
 
 def chosen(value: Any, index: mi.UInt32, active: mi.Bool | bool = True) -> Any:
-    """Return the entries at some indices of an array, or of each of several; a literal constant stays literal."""
+    """Return entries of an array at some indices, or of each array in a list. A literal constant stays literal."""
     if value is None:
         return None
     if isinstance(value, list):

@@ -1,5 +1,5 @@
 """
-Samples of the light that arrives, ray by ray: the point where a forward ray starts on the path, and its contribution.
+Samples of the light that reaches the detector: its contribution, and the start point of a forward ray on its path.
 
 Start maps are learned from these samples, and weight windows from the importance that is summed beside them.
 """
@@ -30,10 +30,10 @@ WAYS = 256  # approaches to a surface that are told apart by hashing; more of th
 
 def window_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
     """
-    Return the row of a surface and the approach to it, in importance tables of (surfaces · `WAYS`,) numbers.
+    Return the row of a surface and approach in importance tables of (surfaces · `WAYS`,) numbers.
 
-    The approach is the event before, or `NO_EVENT`, and the number of scatter events. So light that comes to either
-    face of a stop is told apart, and so is a reflection from light that goes through.
+    The approach is the event before, or `NO_EVENT`, and the number of scatter events. So the two faces of a stop are
+    distinguished, and reflection from transmission.
     """
     return surface * WAYS + mixed_word(before + scatters * 0x9E3779B1) % WAYS
 
@@ -83,7 +83,7 @@ class Samples:
     importance: np.ndarray | None = None
 
     def times(self, unit: np.ndarray) -> Samples:
-        """Return the samples with their weights multiplied by a factor for each cell of directions, `unit` (c,)."""
+        """Return the samples with each weight multiplied by the factor of its cell of directions, `unit` (c,)."""
         return replace(self, weight=self.weight * unit[self.cell])
 
     @classmethod
@@ -184,7 +184,7 @@ class DepartureSamples(_StartSamples):
         dr.eval(self._importance)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the throughput that arrives at scattering surfaces, and its square, by surface and approach."""
+        """Add the throughput that reaches scattering surfaces, and its square, to sums by surface and approach."""
         if visit.shares is None:
             return
         active = visit.active & (visit.shares.scattered > 0)
@@ -194,7 +194,7 @@ class DepartureSamples(_StartSamples):
         dr.scatter_reduce(dr.ReduceOp.Add, self._importance[1], weight * weight, row, active)
 
     def _add_importance(self, departure: Departure, importance: mi.Float64, active: mi.Bool) -> None:
-        """Add the contributions of paths to the importance of their scatter events, except at light vertices."""
+        """Add the contribution of each path to the importance of its scatter events, except at light vertices."""
         # The last scatter event of a connected ray is at its light vertex
         last = dr.full(mi.UInt32, NO_SURFACE, dr.width(active))
         if departure.light_vertex is not None:

@@ -84,7 +84,7 @@ class Tallies(Recorder):
         memory[SUMS] = tuple(dr.alloc_local(mi.Float64, size, mi.Float64(0)) for size in sizes)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the hits, incident and absorbed flux of surfaces, and the flux of scattered rays at the detector."""
+        """Add hits, incident and absorbed flux to the sums of surfaces, and flux of scattered rays at the detector."""
         sums, batch, state = memory[SUMS], visit.start.batch, visit.state
         s, active = visit.surface, visit.active
         values = {HITS: 1.0, INCIDENT: visit.weight, ABSORBED_HERE: larger(visit.absorbed, 0)}
@@ -111,12 +111,12 @@ class Tallies(Recorder):
             self._add_surface(branch.place, AIMED, branch.start.batch, 1.0, branch.aimed)
 
     def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
-        """Add flux (or a count) to one of the first `LANE_REASONS` loss channels."""
+        """Add lost flux, in units of a start ray's, or a count to one of the first `LANE_REASONS` loss channels."""
         sums = memory[SUMS][-1]
         sums.write(sums.read(channel, active) + mi.Float64(flux), channel, active)
 
     def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
-        """Add flux, in units of a start ray's flux, to a loss channel in the memory that all lanes share."""
+        """Add flux, in units of a start ray's, to a loss channel in memory shared by all lanes."""
         dr.scatter_reduce(dr.ReduceOp.Add, self.channels, mi.Float64(flux), channel * BATCHES + batch, active)
 
     def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
@@ -125,7 +125,7 @@ class Tallies(Recorder):
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
         """
-        Add the flux that `max_events` cut of complete trees to its channel, and their numbers of ray segments.
+        Add the flux cut by `max_events` in finished trees to its channel, and count their ray segments.
 
         The flux of trees over `max_segments` goes to the channel TREE instead.
         """
@@ -138,7 +138,7 @@ class Tallies(Recorder):
         self.lose(SEGMENTS, segments, active, memory)
 
     def collect_lanes(self, start: StartRays, memory: Memory) -> None:
-        """Add the sums of each lane to those of all lanes, by batch."""
+        """Add the sums of each lane to the totals by batch."""
         sums, batch = memory[SUMS], start.batch
         sums[-1].write(sums[-1].read(EVENTS_OF_LANE), EVENTS)
 

@@ -1,4 +1,4 @@
-"""Sources, start rays, and the importance targets of scattered rays."""
+"""Sources, start rays, and importance targets at which scattered rays are aimed."""
 
 from mistray._variant import active_variant, ensure_variant
 

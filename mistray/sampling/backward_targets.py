@@ -98,7 +98,7 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
 
 @share(SEARCH_SHARE)
 def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
-    """Return targets of backward rays, in sets of one aimed ray, and the fractions by which surfaces see the sky."""
+    """Return the targets of backward rays, one aimed ray per set, and for surfaces the fraction of rays to the sky."""
     # Opening of the system
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
@@ -132,7 +132,11 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
 def find_opening(
     table: SurfaceTable, scene: mi.Scene, path: DesignPath | None, axis: np.ndarray, rng: np.random.Generator
 ) -> Target | None:
-    """Return the disc through which the path's first surface, or the detector, sees out of the scene, or None."""
+    """
+    Return the disc through which light enters to the path's first surface, or to the detector, from outside.
+
+    None if there is none.
+    """
     first = path.steps[0].surface if path is not None else table.detector
     points, _ = surface_points(table, first, PROBES, rng)
     # Position along the axis of the front of the scene
@@ -161,7 +165,7 @@ def find_opening(
 
 
 def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
-    """Return discs that stand for the sky as targets, one for each `SKY_DEG`, so distant that parallax vanishes."""
+    """Return flat discs far away that stand for the sky as targets, one for each angular radius in `SKY_DEG`."""
     corners = box_corners(shape.bbox() for shape in solid_shapes(scene))
     distance = FAR * float(np.linalg.norm(corners[-1] - corners[0]))
     frame = across(axis)
@@ -172,7 +176,7 @@ def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
 def _lambertian_rays(
     table: SurfaceTable, surfaces: list[int], count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return origins and directions of `count` rays per side of each surface, front first: (s, 2, n, 3) each."""
+    """Return `count` Lambertian rays per side of each surface, front first: origins, mm, directions, (s, 2, n, 3)."""
     o, d = (np.zeros((len(surfaces), 2, count, 3)) for _ in range(2))
     for row, surface in enumerate(surfaces):
         o[row], normals = surface_points(table, surface, count, rng)
@@ -184,7 +188,7 @@ def _lambertian_rays(
 def _sky_shares(
     table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator
 ) -> dict[Side, float]:
-    """Return the shares of the rays of each side of surfaces that leave the scene backward without any hit."""
+    """Return for each side of surfaces the fraction of Lambertian rays that leave the scene backward without a hit."""
     probes = fewer_rays(SKY_PROBES)
     o, d = _lambertian_rays(table, surfaces, probes, rng)
     last = np.repeat(surfaces, 2 * probes)
@@ -195,7 +199,7 @@ def _sky_shares(
 
 
 def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator) -> dict[int, float]:
-    """Return the fraction of Lambertian rays of each surface's better side that leave backward by specular events."""
+    """Return by surface the fraction of Lambertian rays of its better side that leave backward by specular events."""
     probes = fewer_rays(VIEW_PROBES)
     start, along = _lambertian_rays(table, surfaces, probes, rng)
     o, d, last = start.reshape(-1, 3), along.reshape(-1, 3), np.repeat(surfaces, 2 * probes)

@@ -1,4 +1,4 @@
-"""Start rays of a parallel beam, for the plugin `collimated`."""
+"""Start rays of a parallel beam, as the plugin `collimated` defines it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Beam(SceneSource):
 
     @property
     def pattern(self) -> str:  # type: ignore[override]  # read-only
-        """Pattern of the rays' start positions: "random" or "grid"."""
+        """Arrangement of the rays' start positions over the cross-section: "random" or "grid"."""
         return str(self.emitter.pattern)
 
     @property
@@ -41,16 +41,20 @@ class Beam(SceneSource):
         return float(min(self.emitter.size) if self.emitter.rectangular else self.emitter.size[0])
 
     def count(self, rays: int) -> int:
-        """Return the number of rays that are started when `rays` are requested; a grid has a square number."""
+        """Return the number of rays actually started for a request of `rays`; a grid has a square number of them."""
         return int(np.sqrt(rays)) ** 2 if self.pattern == "grid" else rays
 
     def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return start rays moved to one plane normal to the beam: origins, mm, and unit directions, (n, 3) float64."""
+        """Return start rays moved to one plane normal to the beam: origins, mm, and directions, (n, 3) float64 each."""
         ahead = (o - self.pivot) @ self.direction + self.distance
         return o - ahead[:, None] * self.direction, np.broadcast_to(self.direction, d.shape).copy()
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass of the beam: origins, mm, and unit directions; see `SceneSource.start`."""
+        """
+        Return the beam's start rays of one pass: origins relative to `centre`, mm, and unit directions.
+
+        See `SceneSource.start`.
+        """
         # Positions in the cross-section
         if self.pattern == "grid":
             side = int(np.sqrt(rays))
@@ -67,7 +71,7 @@ class Beam(SceneSource):
         return Emission(origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return rays along the outline of the beam and of its dark centre: origins, mm, and directions, (count, 3)."""
+        """Return rays along the outline of beam and dark centre: origins, mm, and directions, (count, 3) each."""
         sample = mi.Point2f(*(upload(mi.Float, v) for v in perimeter(count, within)))
         outer = np.array(self.emitter.positions(sample), dtype=np.float64)
         hole = 0.0 if self.emitter.rectangular else self.emitter.size[1] * (1 + within)

@@ -39,7 +39,7 @@ PLANES = np.linspace(-2, 2, 33)  # vergences of planes, in units of that in whic
 @dataclass(frozen=True)
 class ScatteringBody:
     """
-    Connected region of one scattering medium, and the sides of surfaces that bound it.
+    Connected region of one scattering medium, with the sides of surfaces that bound it.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ def scattering_bodies(table: SurfaceTable) -> list[ScatteringBody]:
 
 class Sight(NamedTuple):
     """
-    Surface or opening that is a target of scattered light wherever it can be seen.
+    Surface or opening at which scattered light is aimed from wherever it is visible.
 
     Attributes
     ----------
@@ -305,13 +305,15 @@ def apparent(
 
 
 def _towards(o: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Return (n, 3) unit directions from points to others."""
+    """Return the unit directions from points to other points, (n, 3)."""
     return np.asarray((ends - o) / np.linalg.norm(ends - o, axis=1, keepdims=True))
 
 
 def _holding(points: np.ndarray, directions: np.ndarray, within: np.ndarray) -> Target | None:
     """
-    Return the ellipse of least solid angle that all given rays cross, seen from points of a body; None without one.
+    Return the flat ellipse crossed by all given rays that has the least solid angle from the body.
+
+    None if there is none.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ OPENING = -1  # stands for the number of a surface where a backward path leaves 
 
 class Unobstructed(NamedTuple):
     """
-    Fate of rays sent along a design path: whether each passes, else the surface and step that stopped it.
+    Outcome of rays sent along a design path: whether each passes, else the surface and the step at which it stopped.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class DesignPath:
 
     @property
     def has_optics(self) -> bool:
-        """Whether the path meets a surface, such as a lens or mirror, before its end."""
+        """True if the path meets a surface, such as a lens or mirror, before its end."""
         return len(self.steps) > 1
 
     def at(self, wavelength_nm: float) -> DesignPath:
@@ -137,7 +137,7 @@ class DesignPath:
 
     def unobstructed(self, o: np.ndarray, d: np.ndarray, beyond_end: bool = False) -> Unobstructed:
         """
-        Return the fate of rays sent along the path, which any surface of the scene may stop.
+        Trace rays along the path through the whole scene; return whether each passes, and where others stop.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class DesignPath:
         return Unobstructed(passes, ends, place, missed)
 
     def _inside(self, step: DesignStep, p: np.ndarray) -> np.ndarray:
-        """Whether points (n, 3), mm, lie within the bounds of the surface of a step, (n,)."""
+        """Return a mask of points (n, 3), mm, within the bounds of the surface of a step, (n,) bool."""
         if step.surface == OPENING:
             return self.end.holds(p)
         if step.surface < len(self.table.pieces):
@@ -187,7 +187,7 @@ class DesignPath:
         return outline(self.table.shapes[step.surface]).holds(p)
 
     def meet(self, step: DesignStep, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where lines cross a step's surface nearest to the base ray, mm, and the normals there, (n, 3) each."""
+        """Return where lines cross a step's surface nearest to the base ray, mm, and the unit normals, (n, 3) each."""
         # The opening is plane, and of one of Mitsuba's own shapes it is the tangent plane
         if step.surface == OPENING or step.surface >= len(self.table.pieces):
             with np.errstate(all="ignore"):
@@ -249,7 +249,7 @@ def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneS
 
 
 def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneSource, int]]:
-    """Yield light of a source to try, and numbers of probes: all of its light, then its light aimed at optics."""
+    """Yield a source with numbers of probe rays to try: first all its light, then that aimed at optical surfaces."""
     # All of it, with few probes and with many
     yield source, PROBES
     yield source, MANY_PROBES
@@ -299,14 +299,14 @@ def check_place(table: SurfaceTable, source: SceneSource) -> None:
 
 
 def sphere_of(target: Target) -> Sphere:
-    """Return the sphere around a flat target, about the target's centre."""
+    """Return the sphere about the centre of a flat target that encloses it."""
     a, b = float(np.linalg.norm(target.u)), float(np.linalg.norm(target.v))
     return Sphere(target.centre, max(a, b) if target.shape == "ellipse" else float(np.hypot(a, b)))
 
 
 def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
     """
-    Return the sphere around the first aperture of the design path, at which start rays are aimed, or None.
+    Return the sphere around the design path's first aperture, at which start rays are aimed; None without one.
 
     Light goes straight on through planes, and between equal indices. Where such surfaces form a far larger front, the
     sphere is around the smallest of them and the surface behind. So light is aimed at a lens behind haze, or behind a
@@ -330,7 +330,7 @@ def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
 
 def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sphere | None:
     """
-    Return the sphere around the part of the first aperture through which a source's light reaches a detector.
+    Return a sphere around that part of the first aperture through which a source's light reaches a detector.
 
     Returns
     -------
@@ -352,7 +352,11 @@ def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sph
 
 
 def _with_base_ray(table: SurfaceTable, source: SceneSource, probes: Probes, order: Order) -> DesignPath | None:
-    """Return the path of an event sequence by the ray in the middle of the light; None if it misses a surface."""
+    """
+    Return the design path of an event sequence, based on the ray in the middle of the light.
+
+    None if it misses a surface.
+    """
     # The probe nearest to the middle has the branch of each surface that is meant
     taking = probes.taking(order, table.detector)
     first = probes.first_points(taking)

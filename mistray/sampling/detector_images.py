@@ -81,7 +81,7 @@ class DetectorImages:
         self.paraxial = [self._paraxial(number) for number in range(len(path.steps))]
 
     def _base(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the start, mm, and the unit direction of the base ray in the space before a step, (3,) each."""
+        """Return a point, mm, and the unit direction of the base ray in the space before step `number`, (3,) each."""
         return self.path.steps[max(number - 1, 0)].point, self.path.steps[number].before
 
     def _paraxial(self, number: int) -> Target:
@@ -100,7 +100,11 @@ class DetectorImages:
         return Target(self.detector.shape, centre, u, v, hole=self.detector.hole, reverse=bool(distance < 0))
 
     def _derivatives(self, number: int, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return derivatives of the base ray's hit by shift, per mm, and slope, (2, 2), and the hit, in half axes."""
+        """
+        Return how the detector hit moves with the ray: by shift, per mm, and by slope, (2, 2) each, and the base hit.
+
+        Hits are in units of the detector's half axes.
+        """
         start, axis = self._base(number)
         step = DIFFERENCE * self.size
         # Central differences: four shifted rays, four tilted ones, and the base ray
@@ -158,7 +162,7 @@ class DetectorImages:
     def _landing_rays(
         self, number: int, wide: Target, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator
     ) -> _Rays:
-        """Return rays that reach the detector: half are aimed at a target, half leave as from a Lambertian surface."""
+        """Return sampled rays that reach the detector; half aimed at `wide`, half left as from a Lambertian surface."""
         to_image = np.arange(len(points)) % 2 == 0
         aimed = (wide.points(rng.random((len(points), 2))) - points) * (-1 if wide.reverse else 1)
         d = np.where(to_image[:, None], aimed, normals + sphere_points(rng, len(points)))
@@ -177,7 +181,11 @@ class DetectorImages:
 
 @dataclass(frozen=True)
 class _Rays:
-    """Rays that land: origins (mm), directions, solid angle and projected solid angle (sr); the number of trials."""
+    """
+    Rays that reach the detector, out of a number of trials.
+
+    They have origins (mm), directions, solid angles and projected solid angles (sr).
+    """
 
     o: np.ndarray
     d: np.ndarray
@@ -187,14 +195,18 @@ class _Rays:
 
     @property
     def covered(self) -> float:
-        """Fraction of the rays' projected solid angle that a target must hold."""
+        """Fraction of the rays' projected solid angle that a fitted target must contain."""
         return 1 - max(LEFT_OUT, LEFT_TO_RANDOM_RAYS * float(self.projected.sum()) / (np.pi * self.tried))
 
 
 def _held(
     image: Target, rays: _Rays, start: np.ndarray, axis: np.ndarray, distance: float, least: float = 0.0
 ) -> Fitted:
-    """Return the image at a distance, mm, along its line of sight, enlarged, to at least `least`, to hold the rays."""
+    """
+    Return an image moved to a distance, mm, along its line of sight and enlarged until it holds given rays.
+
+    Half axes are at least `least`.
+    """
     centre = start + distance / float((image.centre - start) @ axis) * (image.centre - start)
     t = ((centre - rays.o) @ axis) / (rays.d @ axis)
     coordinates = np.linalg.pinv(np.stack([image.u, image.v], axis=1)) @ (rays.o + t[:, None] * rays.d - centre).T
@@ -221,7 +233,7 @@ def _ratio(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Return the value below which a share of the weight lies."""
+    """Return the value below which lies a fraction `share` of the total weight."""
     order = np.argsort(values)
     summed = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(summed, share * summed[-1])])

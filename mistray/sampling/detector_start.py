@@ -106,7 +106,7 @@ class DetectorStart:
         self._guide_given: StartMap | None = None
 
     def guide(self, given: StartMap | None) -> None:
-        """Let a part of the rays on the lit side start by a map of one cell from now on; None: no part."""
+        """Set a start map by which part of the rays on the lit side are drawn from now on; None for no such part."""
         if given is not self._guide_given:
             self._guide_given, self._guide = given, None if given is None else DeviceMap(given)
 
@@ -131,7 +131,7 @@ class DetectorStart:
 
     def _medium(self, side: float, lit: bool) -> tuple[int, float]:
         """
-        Return number and index of the material before the detector, on the side of its normal times `side`.
+        Return number and refractive index of the medium that adjoins the detector, on side `side` (±1) of its normal.
 
         It is the material that the detector declares there, else the one that the surfaces declare which its rays meet
         first. Of these, refracting surfaces decide by majority; opaque ones decide where there are no others. It is
@@ -164,7 +164,7 @@ class DetectorStart:
 
     def _first_to_declare(self, side: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return surfaces with a declared material that rays from the detector meet first, and whether at the back.
+        Return the surfaces with a declared medium that detector rays meet first, and a mask of hits from the back.
 
         Surfaces that declare none reflect the rays.
         """
@@ -186,7 +186,11 @@ class DetectorStart:
         return surfaces, sides
 
     def _contradiction(self, first: tuple[int, str], second: tuple[int, str], side: float) -> str:
-        """Return an error message on two materials, each given by number and declaring surface ("": the detector)."""
+        """
+        Return the error message for two different media before the detector.
+
+        Each is given as its number and the surface that declares it, "" for the detector.
+        """
         media, detector = self._table.optics.media, self._table.ids[self._table.detector]
         key = "back" if side > 0 else "front"
         by = f"surface '{first[1]}'" if first[1] else f"its {key}"
@@ -196,7 +200,11 @@ class DetectorStart:
         )
 
     def pixel(self, x: mi.Float, y: mi.Float, columns: int, rows: int) -> mi.UInt32:
-        """Return the pixel index of positions x, y, mm, in a map of the detector; row 0 is at the smallest y."""
+        """
+        Return the index of the pixel at x, y, mm, in a map of the detector with `columns` × `rows`.
+
+        Row 0 is at the smallest y.
+        """
         column = dr.clip(mi.Int32((0.5 + 0.5 * x / self._half[0]) * columns), 0, columns - 1)
         row = dr.clip(mi.Int32((0.5 + 0.5 * y / self._half[1]) * rows), 0, rows - 1)
         return mi.UInt32(row * columns + column)
@@ -339,7 +347,7 @@ class DetectorStart:
         return found
 
     def _polar_frame(self, x: mi.Float, y: mi.Float, outward: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """Return unit vectors across `outward`, away from the middle of the detector and around it."""
+        """Return unit vectors normal to `outward`, radial (from the detector's centre) and tangential, at x, y, mm."""
         r2 = dr.fma(x, x, y * y)
         scale, off_axis = dr.rsqrt(dr.maximum(r2, AXIS)), r2 > AXIS
         radial = dr.select(off_axis, x * scale, 1) * self._axes[0] + dr.select(off_axis, y * scale, 0) * self._axes[1]
@@ -349,7 +357,11 @@ class DetectorStart:
     def _over_all(
         self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, aim: mi.Bool, own: mi.UInt32, active: mi.Bool
     ) -> mi.Float:
-        """Return the Lambertian density over that of all rays of the lit side; `aim` and `own` are a ray's target."""
+        """
+        Return the Lambertian pdf divided by the pdf of all rays on the lit side.
+
+        `aim`: the ray is aimed, at target `own`.
+        """
         lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
         density = lambertian
         if self._targets is not None:
@@ -363,7 +375,7 @@ class DetectorStart:
         return lambertian / density
 
     def _planar(self, u: mi.Float, v: mi.Float) -> tuple[mi.Float, mi.Float]:
-        """Return positions in the projection of the detector, mm, uniform over the rectangle or the ring."""
+        """Return positions on the projected detector, mm, uniform over its rectangle or ring, for u and v in 0 … 1."""
         if not self._round:
             return (2 * u - 1) * self._half[0], (2 * v - 1) * self._half[1]
         disk = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(u, v))
@@ -373,7 +385,7 @@ class DetectorStart:
         return disk.x * scale, disk.y * scale
 
     def _planar_guided(self, u: mi.Float, v: mi.Float) -> tuple[mi.Float, mi.Float]:
-        """Return the positions in the projection, mm, whose coordinates in `place` are u and v."""
+        """Return positions on the projected detector, mm, with coordinates u and v in a start map (see `place`)."""
         if not self._round:
             return self._planar(u, v)
         inner2, outer2 = self._radii2
@@ -381,7 +393,7 @@ class DetectorStart:
         return r * cosine, r * sine
 
     def _surface(self, x: mi.Float, y: mi.Float) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
-        """Return point, normal, and area element over the mean one at the detector's own coordinates, mm."""
+        """Return point, unit normal, and area element over its mean, at coordinates x, y of the detector, mm."""
         normal, stretch, z = mi.Vector3f(0, 0, 1), mi.Float(1), mi.Float(0)
         # Sag and normal there
         if self._curved:

@@ -110,14 +110,14 @@ class DistantRays(PluginRays):
 
     @staticmethod
     def _on_disc(sample: mi.Point2d) -> mi.Point2d:
-        """Return uniform points of the unit disc."""
+        """Map points of the unit square uniformly to points of the unit disc."""
         square, cosine, sine = polar(sample)
         radius = dr.sqrt(square)
         return mi.Point2d(radius * cosine, radius * sine)
 
 
 def _common_area(apart: mi.Float64, small: mi.Float64, large: mi.Float64) -> mi.Float64:
-    """Return the intersection area, mm², of discs of radii `small` and `large` at a distance, mm: two segments."""
+    """Return the area, mm², common to two discs of radii `small` and `large`, mm, with centres `apart`, mm."""
     d = dr.clip(apart, large - small, large + small)  # below it the small disc lies within the large one
     sides = [(d * d + a * a - b * b) / (2 * d) for a, b in ((small, large), (large, small))]
     segments = zip((small, large), sides, strict=True)

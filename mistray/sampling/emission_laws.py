@@ -1,5 +1,5 @@
 """
-Directions of equal flux for laws of emission about an axis: maps of the unit square, for Dr.Jit in any precision.
+Sampling of directions by laws of emission about an axis: maps of the unit square, for Dr.Jit in any precision.
 
 Heights h = 1 - cos θ replace the angle θ from the axis, since dΩ = dh dφ, and h keeps its digits near the axis.
 """
@@ -48,7 +48,7 @@ def polar(sample: Any) -> tuple[Any, Any, Any]:
 
 
 def perimeter(count: int, within: float = EDGE) -> np.ndarray:
-    """Return (2, count) float64 points in even steps along the perimeter of the unit square, a little inside it."""
+    """Return points evenly spaced along the perimeter of the unit square, slightly inside it, (2, count) float64."""
     along = 4 * (np.arange(count) + 0.5) / count
     side, place = np.divmod(along, 1.0)
     edges = np.array([[place, 0 * place], [1 + 0 * place, place], [1 - place, 1 + 0 * place], [0 * place, 1 - place]])
@@ -57,14 +57,14 @@ def perimeter(count: int, within: float = EDGE) -> np.ndarray:
 
 
 def direction(height: Any, cosine: Any, sine: Any) -> Any:
-    """Return the unit vector with 1 - cos θ = `height` from the z axis and an azimuth of given cosine and sine."""
+    """Return the unit vector with 1 - cos θ = `height` from the z axis and an azimuth of the given cosine and sine."""
     across = dr.safe_sqrt(height * (2 - height))
     vector = mi.Vector3d if dr.type_v(height) == dr.VarType.Float64 else mi.Vector3f
     return vector(across * cosine, across * sine, 1 - height)
 
 
 def height_of(d: Any) -> Any:
-    """Return 1 - cos θ of a unit direction at the angle θ from the z axis, exact near that axis."""
+    """Return 1 - cos θ of a unit direction at the angle θ from the z axis, without cancellation near that axis."""
     across = d.x * d.x + d.y * d.y
     return dr.select(d.z > 0, across / (1 + d.z), 1 - d.z)
 
@@ -116,7 +116,11 @@ def cosine_power(square: Any, exponent: Any, edge: Any) -> Any:
 
 
 def cosine_power_angle(exponent: float, half_angle: float) -> float:
-    """Return ∫ cosⁿ θ dΩ over a cone of a half angle in radians, sr: 2π (1 - cosⁿ⁺¹ α) / (n + 1)."""
+    """
+    Return the effective solid angle ∫ cosⁿ θ dΩ of a cone, sr: 2π (1 - cosⁿ⁺¹ α) / (n + 1).
+
+    The half-angle α is in radians.
+    """
     edge = cone_height(half_angle)
     if exponent == 0 or edge >= 1:
         return float(2 * dr.pi * min(edge, 2.0 if exponent == 0 else 1.0) / (exponent + 1))
@@ -124,7 +128,7 @@ def cosine_power_angle(exponent: float, half_angle: float) -> float:
 
 
 def gaussian(square: Any) -> Any:
-    """Return the radius that holds a share `square` of a two-dimensional normal distribution with σ = 1."""
+    """Return the radius within which a normal distribution in two dimensions, σ = 1, has the fraction `square`."""
     return dr.sqrt(-2 * dr.log(dr.maximum(1 - square, 1e-30)))
 
 
@@ -172,14 +176,18 @@ class IntensityTable:
         self._ends = np.concatenate([[0.0], np.cumsum(flux) / flux.sum()])
 
     def edge_samples(self, count: int, within: float = EDGE) -> np.ndarray | None:
-        """Return points of the unit square, (2, count), for directions at the last angle; None if it is dark there."""
+        """
+        Return points of the unit square, (2, count), that map to directions at the last angle.
+
+        None if it is dark there.
+        """
         if not np.any(self._intensity[-1] > 0):
             return None
         return np.stack([np.full(count, 1 - within), (np.arange(count) + 0.5) / count])
 
     @cached_property
     def _tables(self) -> list[mi.Float64]:
-        """Device tables: shares of flux, heights 1 - cos θ, ∫ I dφ, azimuths (rad), intensities, ∫ I dφ so far."""
+        """Device tables: cumulative flux, heights 1 - cos θ, ∫ I dφ, azimuths (rad), intensities, cumulative ∫ I dφ."""
         rows = (self._ends, self._height, self._around[:, -1], self._phi, self._intensity, self._around)
         return [upload(mi.Float64, row.ravel()) for row in rows]
 
@@ -207,7 +215,7 @@ class IntensityTable:
         return direction(dr.fma(h1 - h0, t, h0), cosine, sine)
 
     def density(self, d: mi.Vector3d) -> mi.Float64:
-        """Return the pdf of directions d that are distributed as the intensity, 1/sr."""
+        """Return the pdf, 1/sr, of unit directions d that `directions` samples."""
         # Bilinear in height and azimuth, as `directions` draws
         _, heights, _, phis, intensities, _ = self._tables
         height = height_of(d)
@@ -226,14 +234,14 @@ class IntensityTable:
 
 
 def step_of(nodes: mi.Float64, count: int, value: mi.Float64) -> tuple[mi.UInt32, mi.Float64]:
-    """Return the step between rising nodes that a value lies in, and its position within it, 0 … 1."""
+    """Return the index of the interval of ascending nodes that holds each value, and the position within it, 0 … 1."""
     k = dr.binary_search(0, count - 2, lambda i: dr.gather(mi.Float64, nodes, i + 1) <= value)
     low, high = (dr.gather(mi.Float64, nodes, k + j) for j in range(2))
     return k, dr.clip((value - low) / dr.maximum(high - low, 1e-300), 0, 1)
 
 
 def _linear(first: mi.Float64, last: mi.Float64, share: mi.Float64) -> mi.Float64:
-    """Return the x, 0 … 1, at which (a x + (b - a) x²/2) / ((a + b)/2) = `share`; a is `first`, b is `last`."""
+    """Return the x in 0 … 1 up to which a density that is linear from `first` to `last` holds the fraction `share`."""
     # The form of the quadratic's root without cancellation
     root = dr.safe_sqrt(first * first + share * (last * last - first * first))
     return share * (first + last) / dr.maximum(first + root, 1e-300)

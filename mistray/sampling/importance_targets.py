@@ -95,7 +95,11 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
 
 
 def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> str:
-    """Return a hash of the scene data on which automatic targets depend; outdated targets raise only the variance."""
+    """
+    Return a hash of the scene data on which automatic targets depend, as key of a cache.
+
+    Targets that miss a change raise only the variance.
+    """
     facts = [
         *((shape.id(), str(shape.bbox()), str(getattr(shape, "values", ""))) for shape in table.shapes),
         *(getattr(shape, "coefficients", "") for shape in table.shapes),
@@ -112,7 +116,7 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
 
 
 def remembered(known: dict[str, Found], key: str, search: Callable[[], Found]) -> Found:
-    """Return the cached result of a search for the key `signature`, or search now; `MOST_KNOWN` results are kept."""
+    """Return the cached result of a search under its `key`, or search now; the cache keeps `MOST_KNOWN` results."""
     if key not in known:
         while len(known) >= MOST_KNOWN:
             known.pop(next(iter(known)))
@@ -122,7 +126,7 @@ def remembered(known: dict[str, Found], key: str, search: Callable[[], Found]) -
 
 @share(SEARCH_SHARE)
 def _of_detectors(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> dict[Place, list[Target]]:
-    """Return the targets of surfaces and media towards each of the detectors."""
+    """Return importance targets towards every detector, by the surface side or medium that scatters."""
     found: dict[Place, list[Target]] = {}
     for detector in table.detectors:
         view = table.on(detector)
@@ -163,7 +167,7 @@ def automatic_bulk_targets(
 
 
 def _sights(table: SurfaceTable, path: DesignPath | None) -> list[Sight]:
-    """Return the surfaces of the design path and its end; without a path the detector."""
+    """Return the surfaces of the design path and its end as targets to look for; without a path, the detector."""
     if path is None:
         return [Sight(outline(table.shapes[table.detector]), table.detector)]
     *steps, end = path.steps
@@ -207,7 +211,7 @@ def automatic_targets(
 def _seen_targets(
     table: SurfaceTable, images: DetectorImages | None, surfaces: Sequence[int], rng: np.random.Generator
 ) -> dict[Side, list[Target]]:
-    """Return the detector, lenses and mirrors that can be seen from either side of surfaces, as targets."""
+    """Return, for each side of surfaces, the targets visible from it: detector, lenses and mirrors of the path."""
     if not surfaces:
         return {}
     # Test all views at once
@@ -268,7 +272,7 @@ def _passing(
     rng: np.random.Generator,
 ) -> np.ndarray:
     """
-    Return the shares of rays from both sides of surfaces, front first, (2 s,), that go on at a surface not in `own`.
+    Return the fraction of rays from both sides of surfaces, front first, (2 s,), that go on at a surface not in `own`.
 
     All sides are tested at once, which takes a fifth of the time of one after the other.
     """
@@ -333,7 +337,7 @@ def _seen(
     sampled: dict[int, tuple[np.ndarray, np.ndarray]],
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return the fraction of each view's rays, (views,), that reach its sight from the side of the design light."""
+    """Return the fraction of each view's rays, (views,), that reach its sight on the side where the design light is."""
     # Rays of all views in one array
     sides, numbers = zip(*views, strict=True)
     rays = [DETECTOR_PROBES if number == len(sights) - 1 else PROBES for number in numbers]

@@ -1,5 +1,5 @@
 """
-Mitsuba's own emitters as sources of a trace: they become the plugins of mistray that emit the same light.
+Conversion of Mitsuba's own emitters into sources of a trace that emit the same light.
 
 A colour stands for its luminance, which for a plain number is that number. It is in W/sr of a ``point`` and on the axis
 of a ``spot``, in W/mm²/sr of an ``area`` or ``constant``, and in W/mm² across a ``directional``.
@@ -45,7 +45,7 @@ class AreaLight:
         self.wavelengths_nm, self.weights = np.array([DEFAULT_NM]), np.ones(1)
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the flux, W: π · radiance · area."""
+        """Return the emitted flux, W: π · radiance · area. The field angle has no effect."""
         return float(np.pi * self.radiance * float(np.array(self.shape.surface_area()).ravel()[0]))
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
@@ -71,7 +71,7 @@ class AreaLight:
     def rays_from(
         self, place: mi.Point2f, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """Return origins, mm, uniform over the shape, and Lambertian unit directions, in the world."""
+        """Return random ray origins, mm, uniform over the shape, and Lambertian unit directions, in the world frame."""
         found = self.shape.sample_position(0.0, place)
         square, cosine, sine = polar(sample)
         return mi.Vector3f(found.p), mi.Frame3f(found.n).to_world(
@@ -79,14 +79,14 @@ class AreaLight:
         )
 
     def density(self, place: mi.Point2f, d: mi.Vector3d, n: Mapping[str, mi.Float]) -> mi.Float64:
-        """Return the pdf cos θ/π of directions d from points of the shape, 1/sr."""
+        """Return the pdf cos θ/π, 1/sr, of emission in direction d from points of the shape."""
         # Lambertian: cos θ/π; the same place gives the point that `rays_from` starts at
         normal = mi.Vector3d(self.shape.sample_position(0.0, place).n)
         return dr.maximum(dr.dot(d, normal), 0) / dr.pi
 
 
 def _value(params: Any, key: str, owner: str) -> float:
-    """Return a parameter of one of Mitsuba's own emitters as a number: for a colour, its luminance."""
+    """Return a parameter of one of Mitsuba's own emitters as a number; of a colour, the luminance."""
     found = np.array(params.get(f"{key}.value", np.nan), dtype=np.float64).ravel()
     value = float(LUMINANCE @ found) if len(found) == len(LUMINANCE) else float(found[0])
     if len(found) not in (1, len(LUMINANCE)) or not np.isfinite(value):
@@ -95,13 +95,13 @@ def _value(params: Any, key: str, owner: str) -> float:
 
 
 def _point(params: Any, owner: str) -> dict[str, Any]:
-    """Return the parameters of a ``point_source`` of the same intensity, W/sr, in all directions."""
+    """Return the parameters of a ``point_source`` that replaces Mitsuba's ``point``; intensity, W/sr, position, mm."""
     place = dict(zip("xyz", np.array(params["position"], dtype=np.float64).ravel().tolist(), strict=True))
     return {"type": "point_source", **place, "intensity": _value(params, "intensity", owner)}
 
 
 def _spot(params: Any, owner: str) -> dict[str, Any]:
-    """Return the parameters of a ``point_source`` with the intensity profile of a ``spot``."""
+    """Return the parameters of a ``point_source`` that replaces Mitsuba's ``spot``, with equal intensities, W/sr."""
     cutoff, beam = (float(np.array(params[key]).ravel()[0]) for key in ("cutoff_angle", "beam_width"))
     if not np.allclose(np.array(params["texture.value"]), 1.0):
         raise MistrayError(f"{owner}: it has a texture; leave it out")
@@ -115,12 +115,12 @@ def _spot(params: Any, owner: str) -> dict[str, Any]:
 
 
 def _constant(params: Any, owner: str) -> dict[str, Any]:
-    """Return the parameters of a ``sky`` of the same radiance, W/mm²/sr."""
+    """Return the parameters of a ``sky`` that replaces Mitsuba's ``constant`` emitter; radiance in W/mm²/sr."""
     return {"type": "sky", "radiance": _value(params, "radiance", owner)}
 
 
 def _directional(params: Any, owner: str) -> dict[str, Any]:
-    """Return the parameters of a ``distant_disc`` so small that it stands for a single direction."""
+    """Return the parameters of a ``distant_disc`` that replaces ``directional``, so small that it has one direction."""
     irradiance = _value(params, "irradiance", owner)
     return {
         "type": "distant_disc",
@@ -141,7 +141,7 @@ KNOWN: Mapping[str, Callable[[Any, str], dict[str, Any]]] = {
 
 def mitsuba_source(emitter: mi.Emitter, number: int) -> Any:
     """
-    Return a source that emits the same light as one of Mitsuba's own emitters.
+    Return a source that emits the same light as one of Mitsuba's own emitters, the given `number` in the scene.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Clear apertures as flat targets, and their areas."""
+"""Clear apertures of shapes as flat importance targets, and the area of the detector."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ class PlaneWave:
 
     @property
     def area(self) -> float:
-        """Area of the wave's cross-section, mm²."""
+        """Area of the wave's cross-section, mm², which equals its flux in W."""
         a, b = self.half
         return float(np.pi * a * a if self.is_round else 4 * a * b)
 
@@ -222,7 +222,7 @@ def hull_points(*tables: SurfaceTable) -> np.ndarray:
 
 
 def _corners(points: np.ndarray) -> np.ndarray:
-    """Return the corners of the convex hull of points (p, 3), mm; along any direction one of them is farthest."""
+    """Return the corners of the convex hull of points (p, 3), mm; all points if they have no hull."""
     try:
         return points[ConvexHull(points).vertices]
     except QhullError:  # all of them lie in a plane

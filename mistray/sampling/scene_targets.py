@@ -64,7 +64,7 @@ def scene_targets(table: SurfaceTable, scene: mi.Scene) -> dict[int, dict[Place,
 
 
 def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool = False) -> list[int]:
-    """Return the numbers of the surfaces whose ids match the patterns of a target, or of the one that is its entity."""
+    """Return the numbers of the surfaces whose ids match a target's patterns, or, with `one`, that of its entity."""
     # A dict keeps the order of the patterns, and each surface once
     numbers: dict[int, None] = {}
     for pattern in patterns:
@@ -79,7 +79,11 @@ def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool 
 
 
 def _aim_set(surface: str, entries: list[tuple[int, AnyTarget]]) -> AimSet:
-    """Return the set of targets of one side, with shares by their numbers of rays; parts of a mesh divide its rays."""
+    """
+    Return the set of targets of one side, with shares in proportion to their rays.
+
+    Parts of a mesh share its rays.
+    """
     weights = [rays * target.share for rays, target in entries]
     total = round(sum(weights))
     if total > RAYS_PER_HIT.high:
@@ -135,18 +139,18 @@ def shape_targets(shape: Any, table: SurfaceTable) -> list[AnyTarget]:
 
 
 def _kind(shape: Any) -> tuple[str, str]:
-    """Return the name of the plugin of an analytic shape or "", and the class of the shape."""
+    """Return the plugin name of an analytic shape ("" for other shapes), and the class name of the shape."""
     kind = str(shape).partition("[")[0].strip()
     return kind.lower() if is_analytic(shape) else "", kind
 
 
 def _is_flat(shape: Any) -> bool:
-    """Whether a shape is flat, so that its outline is the whole target."""
+    """True if a shape is flat, so that its outline is the whole target."""
     return shape.sheet if is_analytic(shape) else _kind(shape)[1] in ("Rectangle", "Disk")
 
 
 def _scaled(target: Target, scale: float) -> Target:
-    """Return a flat target whose half axes are multiplied by `scale`, about the same centre."""
+    """Return a flat target enlarged by the factor `scale` about its centre."""
     return replace(target, u=scale * target.u, v=scale * target.v)
 
 
@@ -167,7 +171,11 @@ def _sphere(shape: Any, scale: float, half_axes: tuple[float, ...]) -> Ellipsoid
 
 
 def _around(shape: Any, scale: float) -> AnyTarget:
-    """Return a surface as a target: its outline if it is flat, else the ellipsoid around its bounding box, mm."""
+    """
+    Return the target that covers a surface: its outline if flat, else an ellipsoid about its bounding box.
+
+    Enlarged by `scale`.
+    """
     if _is_flat(shape):
         return _scaled(outline(shape), scale)
     if _kind(shape)[1] == "Sphere":
@@ -179,7 +187,7 @@ def _around(shape: Any, scale: float) -> AnyTarget:
 
 
 def _cone(shape: Any) -> TargetCone:
-    """Return the target cone of a shape that has a `target` with `about`."""
+    """Return the cone of directions that a shape's `target` plugin with `about` defines."""
     bsdf = shape.bsdf()
     if bsdf.about == "direction" and not _is_flat(shape):
         own, kind = _kind(shape)

@@ -1,5 +1,5 @@
 """
-A sky whose radiance depends on the direction, as a table of cells that are uniform in themselves.
+Sky with a radiance that depends on direction, tabulated in cells of uniform radiance.
 
 Cells are drawn by inverting the cumulative flux; within a cell, directions are uniform in solid angle.
 """
@@ -66,7 +66,7 @@ class SkyMap:
 
 
 def environment(emitter: mi.Emitter) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function of the direction for the radiance of a `SkyMap`: the luminance of Mitsuba's ``envmap``."""
+    """Return a function that maps directions, (n, 3), to the radiance, (n,), of Mitsuba's ``envmap``, its luminance."""
 
     def radiance(d: np.ndarray) -> np.ndarray:
         si = dr.zeros(mi.SurfaceInteraction3f, len(d))

@@ -40,13 +40,13 @@ LOOKS, LEAST_LIT = 256, 0.3  # directions to a target that are tested, and the s
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """Sphere at which start rays are aimed: centre (3,) and radius, mm."""
+    """Sphere at which start rays are aimed: centre, (3,), and radius, mm."""
 
     centre: np.ndarray
     radius: float
 
     def contains(self, point: np.ndarray) -> bool:
-        """Whether a point (3,), mm, lies within the sphere."""
+        """True if a point, (3,), mm, lies within the sphere or on it."""
         return bool(np.linalg.norm(point - self.centre) <= self.radius)
 
 
@@ -100,7 +100,7 @@ class SourceRequest:
 
     @property
     def scene(self) -> Sphere:
-        """Sphere around all shapes of the scene."""
+        """Sphere around all shapes of the scene, mm; raises `MistrayError` if there are none."""
         if not self.bounds.valid():
             raise MistrayError("the scene holds no shapes; add surfaces and a detector")
         low, high = (np.array(corner, dtype=np.float64) for corner in (self.bounds.min, self.bounds.max))
@@ -176,30 +176,30 @@ class SceneSource(ABC):
         """
 
     def count(self, rays: int) -> int:
-        """Return the number of rays that are started when `rays` are requested."""
+        """Return the number of rays actually started when `rays` are requested."""
         return rays
 
     def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return origins, mm, and unit directions of start rays without float32 rounding, (n, 3) float64 each."""
+        """Return start rays without float32 rounding: origins, mm, and unit directions, (n, 3) float64 each."""
         return o, d
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return world-space derivatives of ray origins, mm, and directions per unit of a parameter in `moving`."""
+        """Return derivatives of ray origins, mm, and directions by parameter `name` of `moving`, in the world."""
         raise NotImplementedError
 
     @property
     def polarized(self) -> bool:
-        """Whether the plugin of the source emits polarised light."""
+        """True if the plugin of the source emits polarised light."""
         return bool(getattr(self.emitter, "polarized", False))
 
     @property
     def pupil_power(self) -> float:
-        """Flux of the source that counts as launched, W: the part that its plugin states."""
+        """Flux of the source, W, that counts as launched in relative results: the share that its plugin states."""
         return self.power * float(getattr(self.emitter, "pupil_share", 1.0))
 
     @property
     def stokes(self) -> tuple[float, float, float] | None:
-        """Stokes vector (s1, s2, s3) of the plugin's light, see `mistray.physics.polarization.state`, or None."""
+        """Normalised Stokes vector (s1, s2, s3) of the source, see `mistray.physics.polarization.state`, or None."""
         return getattr(self.emitter, "stokes", None)
 
     def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
@@ -235,16 +235,16 @@ class SceneSource(ABC):
         return o, np.tile(self.direction, (len(o), 1))
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
-        """Return this source with more rays aimed at an aperture, or at its part `lit`; by default unchanged."""
+        """Return a copy that sends more rays to an aperture, or to its part `lit`; by default the source itself."""
         return self
 
     def unaimed(self) -> SceneSource:
-        """Return this source with its rays sampled by its own law of emission alone."""
+        """Return a copy whose rays are sampled by the law of emission alone, without aiming."""
         return self
 
     @abstractmethod
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return probe rays for points of the unit square: origins, mm, and unit directions, (n, 3) float64 each."""
+        """Map points of the unit square to probe rays: origins, mm, and unit directions, (n, 3) float64 each."""
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
         """
@@ -268,7 +268,7 @@ class SceneSource(ABC):
 @dataclass(frozen=True, kw_only=True)
 class PluginRays(SceneSource):
     """
-    Source whose plugin samples rays in the frame of the source.
+    Source whose plugin samples rays in the source's own frame.
 
     Attributes
     ----------
@@ -296,7 +296,7 @@ class PluginRays(SceneSource):
         return [opaque(mi.Vector3d, axis) for axis in self._axes]
 
     def _numbers(self, one: Any) -> dict[str, Any]:
-        """Return the plugin's parameters by name, and the wavelength, nm, as opaque device numbers of type `one`."""
+        """Return the plugin's parameters and the wavelength (nm) by name, as opaque device numbers of type `one`."""
         # Opaque, so that another value compiles no other kernel
         given = {**self.emitter.values, "wavelength_nm": self.wavelength_nm}
         return {name: dr.opaque(one, float(value)) for name, value in given.items()}
@@ -320,7 +320,7 @@ class EmittedRays(PluginRays):
 
     @property
     def aims(self) -> bool:  # type: ignore[override]  # read-only
-        """Whether `aimed_at` changes where the rays start: the plugin must provide the pdf of its directions."""
+        """True if rays can be aimed at apertures, for which the plugin must provide the pdf of its directions."""
         return hasattr(self.emitter, "density")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> EmittedRays:
@@ -328,7 +328,7 @@ class EmittedRays(PluginRays):
         return replace(self, aperture=aperture, lit=lit)
 
     def unaimed(self) -> EmittedRays:
-        """Return this source with its rays sampled by its own law of emission alone."""
+        """Return a copy whose rays are sampled by the source's own law of emission alone."""
         return replace(self, aimed=False)
 
     @property
@@ -336,7 +336,11 @@ class EmittedRays(PluginRays):
         """Middle ray of the source: None, because its light has many directions."""
 
     def through(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rays from the source's object point through points (x, y), mm; raise `MistrayError` without one."""
+        """
+        Return rays from the source's object point through points (x, y), mm.
+
+        Raise `MistrayError` if it has no such point.
+        """
         if not getattr(self.emitter, "in_object_plane", False):
             raise MistrayError(
                 f"source '{self.name}': it is neither far away nor a point of an object plane, so that it has no "
@@ -373,7 +377,7 @@ class EmittedRays(PluginRays):
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return world-space derivatives of ray origins, mm, and directions per unit of a parameter in `moving`."""
+        """Return derivatives of ray origins, mm, and directions by parameter `name` of `moving`, in the world."""
         axes = [mi.Vector3d(*axis.tolist()) for axis in self._axes]
         away = o - mi.Vector3d(*self.pivot.tolist())
         local = [mi.Vector3d(*(dr.dot(vector, axis) for axis in axes)) for vector in (away, d)]
@@ -390,7 +394,7 @@ class EmittedRays(PluginRays):
         return [on_host(self._near(o, d), d)]
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return probe rays for points of the unit square, to the first target if any: origins, mm, and directions."""
+        """Map points of the unit square to probe rays, to the first target if any: origins, mm, and directions."""
         rng = mi.PCG32(size=dr.width(sample))
         place = mi.Point2d(rng.next_float32(), rng.next_float32()) if self.emitter.extended else mi.Point2d(0.5)
         o, d = self._rays(place, mi.Point2d(sample), rng)
@@ -402,7 +406,7 @@ class EmittedRays(PluginRays):
 
     @cached_property
     def _targets(self) -> list[Sphere]:
-        """Spheres at which rays are aimed: lit part, aperture and scene, of those the source lights from outside."""
+        """Spheres at which rays are aimed: of lit part, aperture and scene those that the source lies outside of."""
         if not self.aims or not self.aimed:
             return []
         o, _ = self._rays(mi.Point2d(0.5), mi.Point2d(0.5), mi.PCG32(size=1))
@@ -413,7 +417,7 @@ class EmittedRays(PluginRays):
 
     @property
     def _shares(self) -> list[float]:
-        """Fractions of the rays that go to each target and, last, by the law of the source."""
+        """Fractions of the rays aimed at each target, then of those sampled by the law of the source."""
         optics = [target for target in self._targets if target is not self.scene]
         to_optics = [OPTICS] if len(optics) == 1 else [OPTICS * (1 - UNLIT), OPTICS * UNLIT][: len(optics)]
         # Without the scene as a target, all others follow the law
@@ -423,7 +427,7 @@ class EmittedRays(PluginRays):
         return [*to_optics, elsewhere * (1 - BY_LAW), elsewhere * BY_LAW]
 
     def _pays(self, target: Sphere) -> bool:
-        """Whether rays to a target pay: a part of which enough is lit, or a scene that most light misses by the law."""
+        """True if aiming at a target reduces noise: enough of it is lit, or most light would miss the scene."""
         # At the middle of the source, which is enough to decide by
         sample = mi.Point2d(*(upload(mi.Float64, v) for v in np.random.default_rng(0).random((2, LOOKS))))
         place = mi.Point2d(0.5)
@@ -434,7 +438,7 @@ class EmittedRays(PluginRays):
         return float(np.mean(np.array(self._density(place, cone.directions(sample))) > 0)) > LEAST_LIT
 
     def _rays(self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return rays that the plugin samples, in the world: origins, mm, and unit directions."""
+        """Return rays sampled by the plugin, in the world frame: origins, mm, and unit directions."""
         # Plugins whose directions need it compute in float64
         one, point = (mi.Float64, mi.Point2d) if self.emitter.precise else (mi.Float, mi.Point2f)
         o, d = self.emitter.rays_from(point(place), point(sample), rng, self._numbers(one))
@@ -443,13 +447,13 @@ class EmittedRays(PluginRays):
         return zero + pivot + turned(mi.Vector3d(o), axes), zero + dr.normalize(turned(mi.Vector3d(d), axes))
 
     def _density(self, place: mi.Point2d, d: mi.Vector3d) -> mi.Float64:
-        """Return the pdf of the plugin's directions d, which are in the world, 1/sr."""
+        """Return the pdf, 1/sr, with which the plugin samples world directions d."""
         one, point = (mi.Float64, mi.Point2d) if self.emitter.precise else (mi.Float, mi.Point2f)
         local = mi.Vector3d(*(dr.dot(d, axis) for axis in self._device_axes))
         return mi.Float64(self.emitter.density(point(place), local, self._numbers(one)))
 
     def _near(self, o: mi.Vector3d, d: mi.Vector3d) -> mi.Vector3d:
-        """Return origins, mm, moved along rays from far away to the scene, where float32 is fine enough."""
+        """Return origins, mm, moved along their rays from far away to the scene, where float32 is precise enough."""
         middle = opaque(mi.Vector3d, self.scene.centre)
         radius = dr.opaque(mi.Float64, self.scene.radius)
         ahead = dr.dot(middle - o, d) - 1.01 * radius
@@ -463,7 +467,7 @@ def on_host(o: mi.Vector3d, d: mi.Vector3d) -> tuple[np.ndarray, np.ndarray]:
 
 
 def turned(vector: Any, axes: list[Any]) -> Any:
-    """Return a vector in the world that is given by its components along the axes of a source."""
+    """Return in the world frame a vector whose components are given along the axes of a source."""
     return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z
 
 
@@ -496,7 +500,7 @@ class AimedCone:
         return local.x * u + local.y * v + local.z * self._axis
 
     def density(self, d: mi.Vector3d) -> mi.Float64:
-        """Return the pdf of directions d that are uniform in the cone, 1/sr; 0 outside the cone."""
+        """Return the pdf, 1/sr, of directions d sampled uniformly in the cone; 0 outside."""
         # 1 - cos from the chord: exact in narrow cones
         apart = 0.5 * dr.squared_norm(d - self._axis)
         return dr.select(apart <= self._height * (1 + 1e-12), dr.rcp(2 * dr.pi * self._height), 0)

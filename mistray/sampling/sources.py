@@ -1,4 +1,4 @@
-"""The sources of a scene, as a trace starts them."""
+"""Sources of a scene: lookup of the emitters and construction of their start rays."""
 
 from __future__ import annotations
 

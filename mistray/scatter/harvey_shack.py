@@ -22,7 +22,7 @@ def index_step(event: str, n_in: Any, n_out: Any) -> Any:
 
 def need_smooth(title: str, event: str, rms_um: float, wavelength_um: float, step: float, remedy: str) -> None:
     """
-    Raise `MistrayError` if a surface is not smooth, 2π Δn σ ≪ λ.
+    Raise `MistrayError` if a surface is too rough for first-order theory, which needs 2π Δn σ ≪ λ.
 
     Raises
     ------
@@ -122,7 +122,7 @@ class HarveyShack(Placement):
         return (Lobe(event, lambda r: harvey_shack.bsdf(r, b0, knee, self.s), shares=self.shares),)
 
     def advice(self) -> str | None:
-        """Return advice if l is not in FRED's 1e-4 … 1e-2, s not in -3.5 … -0.5, or the total unusual; else None."""
+        """Return advice as text if l is not in 1e-4 … 1e-2, s not in -3.5 … -0.5 (FRED), or the total is odd."""
         usual = within(self.l, 1e-4, 1e-2) and -3.5 <= self.s <= -0.5
         text = f"l {self.l:g} and s {self.s:g} are outside of what is usual: l 1e-4 … 1e-2, s -3.5 … -0.5"
         total = 0.0 if self.b0 is None else float(harvey_shack.tis(self.b0, self.l, self.s))

@@ -101,22 +101,26 @@ class KCorrelation(RoughSurface):
 
     @property
     def is_smooth_as_glass(self) -> bool:
-        """Whether the roughness is 0."""
+        """True if the rms roughness is 0."""
         return self.rms_nm == 0
 
     def advice(self) -> str | None:
-        """Return a line of advice if the slope is not in 1.5 … 3.5, usual for polished surfaces; None otherwise."""
+        """Return a line of advice if the slope is outside 1.5 … 3.5, usual for polished surfaces; None otherwise."""
         if 1.5 <= self.slope <= 3.5:
             return None
         return f"{self.title}: slope {self.slope:g} is outside of what is usual, 1.5 … 3.5"
 
     def _theories(self) -> Mapping[str, Callable[[str, float, float, float], Lobe]]:
-        """Return functions that make a lobe, keyed by the name of the theory, see `RoughSurface._theories`."""
+        """Return functions that make a lobe, by the name of the scatter theory; see `RoughSurface._theories`."""
         theories = super()._theories()
         return {"ghs": theories["ghs"], "ghs_full": self._full, **theories}
 
     def _full(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """Return the lobe of the full Harvey-Shack theory; its `ratio` is relative to the BSDF at normal incidence."""
+        """
+        Return the lobe of the full (not first-order) Harvey-Shack theory.
+
+        Its `ratio` is relative to normal incidence.
+        """
         rms_um, wavelength_um = self.rms_nm * 1e-3, wavelength_nm * 1e-3
         step, reflected = index_step(event, n_in, n_out), event == "reflection"
         phase = float(harvey_shack.phase_rms(rms_um, wavelength_um, step))

@@ -1,4 +1,4 @@
-"""Scatter models by the names that their plugins have in a scene."""
+"""Registry of scatter models by the names that their plugins have in a scene."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ KINDS: Mapping[str, type[Placement]] = MappingProxyType(_known)
 
 def add_kind(kind: str, model: type[Placement]) -> None:
     """
-    Add the model of a scatter plugin, or replace that of an earlier import of the plugin.
+    Register the model class of a scatter plugin; a later import of the same plugin replaces it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Components of scatter models: lobes, additive parts of a BSDF with one peak each."""
+"""Lobes of scatter models: additive parts of a BSDF with one peak each."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class RatioTable:
 
     @property
     def anisotropic(self) -> bool:
-        """Whether the ratio depends on the rotation of the sample."""
+        """True if the ratio depends on the rotation of the sample about its normal."""
         return self.values.ndim == 4
 
     def at(self, cos_specular: np.ndarray, second: np.ndarray, angle: np.ndarray, rotation: float = 0.0) -> np.ndarray:
@@ -137,7 +137,7 @@ class RatioTable:
 
 
 def _cell(place: float, nodes: int) -> tuple[int, float]:
-    """Return the node below a position on an axis of equal steps over 0 … 1, and the fraction of the step beyond it."""
+    """Return the node below a position in 0 … 1 on an axis of `nodes` evenly spaced nodes, and the part beyond it."""
     place = place * (nodes - 1)
     low = min(int(place), nodes - 2)
     return low, place - low
@@ -215,7 +215,7 @@ class Lobe:
 
     @property
     def anisotropic(self) -> bool:
-        """Whether the lobe depends on the rotation of the sample."""
+        """True if the lobe depends on the rotation of the sample about its normal."""
         return self.ratio is not None and self.ratio.anisotropic
 
     @property
@@ -224,7 +224,7 @@ class Lobe:
         return 1.0 if self.centre == "normal" else 2.0
 
     def oblique(self, cos_i: np.ndarray) -> np.ndarray:
-        """Return 1/cos θi, bounded by `oblique_limit`, for the measure "angle"; else 1."""
+        """Return 1/cos θi, limited to `oblique_limit`, for the measure "angle"; 1 for "cosines"."""
         if self.measure == "cosines":
             return np.ones_like(cos_i)
         with np.errstate(divide="ignore"):
@@ -233,7 +233,7 @@ class Lobe:
 
 def factor(name: str, cos_i: Any, cos_s: Any, cos_0: Any, r2: Any) -> Any:
     """
-    Return the value of a `Lobe.factor`, for arrays of NumPy or Dr.Jit.
+    Return the obliquity or polarisation factor that a `Lobe.factor` names, for arrays of NumPy or Dr.Jit.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ class LobeModel(Protocol):
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """
-        Return the lobes for light from one side.
+        Return the BSDF lobes for light from one side of the surface.
 
         Parameters
         ----------
@@ -289,7 +289,7 @@ class LobeModel(Protocol):
 @dataclass(frozen=True)
 class Placement:
     """
-    Options that all scatter models have.
+    Options common to all scatter models: event, side of incidence and reference of the total.
 
     Attributes
     ----------
@@ -328,7 +328,7 @@ class Placement:
 
     @classmethod
     def params(cls) -> dict[str, Param]:
-        """Return the parameters of this model's plugin, by name."""
+        """Return the parameters of the model's plugin, by name."""
         return params_of(cls)
 
     @classmethod
@@ -339,7 +339,7 @@ class Placement:
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Self:
         """
-        Return the model with the properties of its plugin.
+        Create the model from the properties of its plugin.
 
         Parameters
         ----------
@@ -371,7 +371,7 @@ class Placement:
         return tuple(lobe for event in events for lobe in self.event_lobes(event, wavelength_nm, n_in, n_out))
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobes of one of the `events`; parameters as in `LobeModel.lobes`."""
+        """Return the lobes of one event, "reflection" or "transmission"; parameters as in `LobeModel.lobes`."""
         raise NotImplementedError
 
     def changed(self, **values: float) -> Self:
@@ -386,11 +386,11 @@ class Placement:
 
     @property
     def shares(self) -> tuple[float, float, float]:
-        """Coefficients c0, c1 and c2 of the lobes of this model, see `Lobe`, which follow from `relative_to`."""
+        """Coefficients c0, c1 and c2 of this model's lobes, see `Lobe`; they follow from `relative_to`."""
         return (0.0, 1.0, 0.0) if self.relative_to == "specular" else (1.0, 0.0, 0.0)
 
     def events(self, from_front: bool) -> tuple[str, ...]:
-        """Return the events in which light of one side scatters: "reflection", "transmission", both or none."""
+        """Return the events in which light from one side scatters: "reflection", "transmission", both or none."""
         if self.side not in ("both", "front" if from_front else "back"):
             return ()
         return EVENTS if self.event == "both" else (self.event,)

@@ -22,7 +22,7 @@ REFERENCE = Param(
 
 
 def within(value: float, low: float, high: float) -> bool:
-    """Return whether a number lies in a range, within the rounding of a scene's numbers."""
+    """True if a number lies between `low` and `high`, within the rounding of a scene's float32 numbers."""
     return low * (1 - SINGLE) <= value <= high * (1 + SINGLE)
 
 

@@ -171,6 +171,6 @@ def _most_scattered(
 
 @lru_cache(maxsize=8)
 def _growth(n: float) -> RatioTable:
-    """Return a table of the glossy lobe's factor sqrt(F(θi) F(θs))/F(0) over both cosines; n is the index."""
+    """Return a table of the glossy lobe's factor sqrt(F(θi) F(θs))/F(0) over both cosines; n is the binder's index."""
     cosines = np.linspace(0, 1, COS_NODES)
     return RatioTable(np.repeat(gain(cosines[:, None], cosines, n)[..., None], 2, axis=2), axes="cosines")

@@ -1,4 +1,4 @@
-"""Mie scattering of the particles of a surface, kept in a cache on disk: it takes seconds to compute.
+"""Disk cache for the Mie scattering of particles on surfaces, which takes seconds to compute.
 
 A cloud depends on its arguments only, so that a cached one equals a computed one. If the cache cannot be read or
 written, the cloud is computed every time, and a line in the log reports that once in a process.
@@ -67,5 +67,5 @@ def _read(content: bytes) -> Cloud:
 
 @lru_cache(maxsize=8)
 def _cache(folder: Path, limit_bytes: int) -> Cache:
-    """Return the cache in a folder: the same object in a process, so that it reports each problem once."""
+    """Return the cache in a folder; one object per process, so that each problem is reported once."""
     return Cache(folder, limit_bytes)

@@ -144,7 +144,7 @@ class Particulate(Placement):
         )
 
     def on_near_side(self, n_in: float, n_out: float) -> bool:
-        """Return whether the particles lie on the side of incidence."""
+        """True if the particles lie on the side of incidence, judged by the refractive indices."""
         return abs(n_in - self.immersion) <= abs(n_out - self.immersion)
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
@@ -211,12 +211,12 @@ def _refracted(cloud: Cloud, angle: np.ndarray, ratio: float) -> np.ndarray:
 
 
 def _backward(cloud: Cloud, deflection: np.ndarray) -> np.ndarray:
-    """Return the fraction scattered per solid angle F, 1/sr, at angles in rad; 0 below `LEAST_DEFLECTION`."""
+    """Return the fraction of light scattered per solid angle, 1/sr, at deflections, rad; 0 below `LEAST_DEFLECTION`."""
     return np.asarray(np.where(deflection >= LEAST_DEFLECTION, cloud.f(deflection), 0.0))
 
 
 def _angle(r: np.ndarray) -> np.ndarray:
-    """Return the angle, rad, between two unit vectors whose tips are r apart."""
+    """Return the angle, rad, between unit vectors whose tips are the distance r apart."""
     return np.asarray(2 * np.arcsin(np.minimum(r / 2, 1)))
 
 

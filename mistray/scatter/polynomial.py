@@ -1,4 +1,4 @@
-"""Polynomial and binomial models of measured surfaces, in the form of Greynolds."""
+"""Polynomial and binomial BSDF models for measured surfaces, in the form of Greynolds."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ COEFFICIENT = Param(doc="coefficient of the polynomial", default=0.0)
 
 
 def is_coefficient(name: str) -> bool:
-    """Return whether a property is a coefficient: ``c`` and three digits, or ``l`` and two."""
+    """True if a property is a coefficient of the model: ``c`` and three digits, or ``l`` and two."""
     return bool(DIFFUSE.fullmatch(name) or LORENTZIAN.fullmatch(name))
 
 
 def sums_of(coefficients: Mapping[str, Any]) -> tuple[dict[tuple[int, int, int], Any], dict[tuple[int, int], Any]]:
-    """Return the coefficients of the diffuse and of the Lorentzian sum, by their exponents."""
+    """Return the coefficients of the diffuse and of the Lorentzian sum, each by its exponents."""
     diffuse, lorentzian = {}, {}
     for name, value in coefficients.items():
         if match := DIFFUSE.fullmatch(name):
@@ -55,7 +55,7 @@ def carrier(r: Any, coefficients: Mapping[str, Any], d: Any) -> Any:
 
 
 def depends_on_distance_alone(names: Iterable[str]) -> bool:
-    """Return whether coefficients with these names make a BSDF of |β - β0|: c000 and Lorentzian ones without V."""
+    """True if coefficients with these names make a BSDF of |β - β0| alone: c000, and Lorentzian ones without V."""
     return all(name == "c000" or (name[0] == "l" and name[2] == "0") for name in names)
 
 
@@ -135,11 +135,11 @@ class Polynomial(Placement):
         return (Lobe(event, profile, shares=self.shares, ratio=ratio),)
 
     def _ratio(self) -> RatioTable:
-        """Return the ratio of the BSDF to its `carrier`, extended smoothly past the horizon."""
+        """Return the table of the BSDF divided by its `carrier`, extended smoothly past the horizon."""
         return RatioTable(np.ascontiguousarray(self._tabled(NODES)[1]), R_MIN, "angular")
 
     def _tabled(self, nodes: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the BSDF, 1/sr, and its ratio to `carrier` at `nodes` of the specular angle, of log r and of ψ."""
+        """Return the BSDF, 1/sr, and its ratio to `carrier` on grids `nodes` of specular angle, log r and azimuth ψ."""
         named = dict(self.coefficients)
         sine, r = np.sin(np.linspace(0, np.pi / 2, nodes[0])), np.geomspace(R_MIN, 2, nodes[1])
         sine, r, psi = np.ix_(sine, r, np.linspace(0, np.pi, nodes[2]))

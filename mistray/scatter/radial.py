@@ -69,7 +69,7 @@ class RadialTable:
         return _table(np.log2(np.maximum(values, FLOOR * largest)).tobytes())
 
     def value(self, r: np.ndarray) -> np.ndarray:
-        """Return the table's f, 1/sr, at radii r, (m,); it is constant below the first node."""
+        """Return the profile f, 1/sr, at distances r, (m,); it is constant below the first node."""
         with np.errstate(divide="ignore"):
             place = np.clip((np.log2(r / R_MAX) + OCTAVES) * PER_OCTAVE, 0, RINGS)
         return np.asarray(2.0 ** np.interp(place, np.arange(RINGS + 1), self.log2_values))
@@ -79,7 +79,7 @@ class RadialTable:
         return replace(self, log2_values=self.log2_values + 2 * np.log2(node_radii()))
 
     def within(self, r: np.ndarray) -> np.ndarray:
-        """Return the integral of 2π r f over the disc of radius r, (m,)."""
+        """Return the integral of 2π r f, the flux, over the disc of each radius r, (m,)."""
         nodes = node_radii()
         before = np.concatenate([[0.0], np.cumsum(ring_flux(nodes[:-1], self.log2_values))])
         before += np.pi * nodes[0] ** 2 * 2.0 ** self.log2_values[0]
@@ -119,7 +119,7 @@ def _table(log2_values: bytes) -> RadialTable:
 
 
 def _alias_table(shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return Walker's alias table of a discrete distribution, (n,): probabilities to keep a cell, and aliases."""
+    """Return Walker's alias table of a discrete distribution, (n,): probability to keep each cell, and its alias."""
     count = len(shares)
     scaled = shares * count
     probability, alias = np.ones(count), np.arange(count)

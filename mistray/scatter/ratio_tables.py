@@ -1,4 +1,4 @@
-"""Tables of the ratios that multiply lobes, made from functions of the directions of light."""
+"""Tables of the ratios that multiply lobes, computed from functions of the incident and scattered directions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RADIAL, R_MIN = (49, 121, 49), 1e-3  # nodes of the cosine of the specular direc
 @dataclass(frozen=True, eq=False)
 class Directions:
     """
-    Arrays of the directions of incident and scattered light, which broadcast together.
+    Cosines of incident, specular and scattered directions, as arrays that broadcast together.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ def over_cosines(
 
 
 def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) -> RatioTable:
-    """Return a table of a ratio over the specular cosine, log r and ψ; for parameters see `over_cosines`."""
+    """Return a table of a ratio over the specular cosine, log r and azimuth ψ; for parameters see `over_cosines`."""
     cosine = np.linspace(0, 1, RADIAL[0])[:, None, None]
     cos_i, refracted = _incidence(cosine, sine_ratio)
     r = np.geomspace(R_MIN, 2, RADIAL[1])[None, :, None]
@@ -76,11 +76,7 @@ def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) ->
 
 
 def _incidence(cosine: np.ndarray, sine_ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return the cosines of the angles of incidence and of the specular direction, given nodes of the latter.
-
-    Both are held above 0, at `GRAZING`.
-    """
+    """Return the cosines of incidence and of the specular direction at nodes of the latter, both above `GRAZING`."""
     cosine = np.maximum(cosine, GRAZING)
     cos_i = np.sqrt(np.maximum(GRAZING**2, 1 - sine_ratio**2 * (1 - cosine * cosine)))
     return cos_i, np.sqrt(np.maximum(GRAZING**2, 1 - (1 - cos_i * cos_i) / sine_ratio**2))

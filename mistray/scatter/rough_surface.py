@@ -1,4 +1,4 @@
-"""Surfaces with a roughness spectrum: theories of their scatter for any spectrum."""
+"""Surfaces with a roughness spectrum: scatter theories that apply to any spectrum."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ THEORIES = ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")
 
 
 class Substrate(Demand):
-    """Condition on a refractive index n + ik, given as a number or as text."""
+    """Condition that a value is a refractive index n + ik, given as a number or as text."""
 
     demand = "must be n+ik with n > 0 and k ≥ 0, as 0.96+6.69i"
 
@@ -109,12 +109,12 @@ class RoughSurface(Placement):
         raise NotImplementedError
 
     def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
-        """Return the rms roughness, µm, at frequencies 0 … n/λ, which scatter at normal incidence."""
+        """Return the rms roughness, µm, in the spatial frequencies 0 … n/λ that scatter light at normal incidence."""
         raise NotImplementedError
 
     @property
     def is_smooth_as_glass(self) -> bool:
-        """Whether the surface has no roughness at all."""
+        """True if the surface has no roughness at all."""
         raise NotImplementedError
 
     rougher = "use a paint or a table of measured values"
@@ -125,13 +125,17 @@ class RoughSurface(Placement):
         return {"ghs": self._smooth, "rayleigh_rice": self._scalar, "rayleigh_rice_vector": self._vector}
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return at most one lobe, see `Placement.event_lobes`."""
+        """Return the lobe of an event by the chosen theory, or (); see `Placement.event_lobes`."""
         if self.is_smooth_as_glass or not index_step(event, n_in, n_out) > 0:
             return ()
         return (self._theories()[self.theory](event, wavelength_nm, n_in, n_out),)
 
     def _spectrum(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Callable:
-        """Return the 2D roughness spectrum, µm⁴, as a function of r; raise `MistrayError` for too rough surfaces."""
+        """
+        Return the roughness spectrum, µm⁴, as a function of r = |β - β0|.
+
+        Raise `MistrayError` if the surface is too rough.
+        """
         wavelength_um, n = wavelength_nm * 1e-3, n_in if event == "reflection" else n_out
         rms_um, psd = self.relevant_rms_um(wavelength_nm, n), self.psd(wavelength_nm)
         need_smooth(self.title, event, rms_um, wavelength_um, index_step(event, n_in, n_out), self.rougher)
@@ -161,7 +165,11 @@ class RoughSurface(Placement):
         )
 
     def _vector(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """Return the lobe of vector Rayleigh-Rice: factor Q, over R or T of the bare surface unless absolute."""
+        """
+        Return the lobe of vector Rayleigh-Rice theory with the polarisation factor Q of a bare surface.
+
+        Q is over R or T of that surface, unless the total is absolute.
+        """
         absolute = self.relative_to == "incident"
         if event == "reflection":
             index = (self.substrate or n_out) / n_in
@@ -198,7 +206,7 @@ def _path_growth(n_in: float, n_out: float) -> RatioTable:
 @lru_cache(maxsize=32)
 def _reflected_polarization(index: complex, absolute: bool) -> RatioTable:
     """
-    Return a table of the factor Q of a bare surface in reflection, over its specular value R unless `absolute`.
+    Return a table of the Rayleigh-Rice factor Q in reflection, over its specular value R unless `absolute`.
 
     `index` is relative to the medium of the light.
     """
@@ -214,7 +222,7 @@ def _reflected_polarization(index: complex, absolute: bool) -> RatioTable:
 @lru_cache(maxsize=32)
 def _transmitted_polarization(n_in: float, n_out: float, absolute: bool) -> RatioTable:
     """
-    Return a table of the factor Q in transmission, over its specular value unless `absolute`.
+    Return a table of the Rayleigh-Rice factor Q in transmission, over its specular value unless `absolute`.
 
     It is multiplied by the squared path difference in the specular direction, relative to normal incidence.
     """

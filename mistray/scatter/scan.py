@@ -1,4 +1,4 @@
-"""Scatter in the plane of incidence at several angles, with the totals, for plots and tables."""
+"""BSDF in the plane of incidence at several angles of incidence, with total scatter, for plots and tables."""
 
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ class IncidentLight:
 
     @property
     def rotation(self) -> float:
-        """Rotation of the sample, rad; see `rotation_deg`."""
+        """Rotation of the sample about its normal, rad; see `rotation_deg`."""
         return float(np.radians(self.rotation_deg))
 
     def share(self, event: str) -> float:
-        """Return R or T of the coating for an event."""
+        """Return the coating's R for event "reflection" or T for "transmission" (fractions)."""
         return self.R if event == "reflection" else self.T
 
     def is_totally_reflected(self, angle_deg: float) -> bool:
-        """Return whether the light is totally reflected at an angle of incidence, degrees."""
+        """True if light at this angle of incidence, degrees, is totally reflected."""
         return bool(np.sin(np.radians(angle_deg)) * self.n_in >= self.n_out)
 
     def sin_specular(self, event: str, angle_deg: float) -> float:
@@ -235,7 +235,7 @@ def table(
 
 def _in_plane(sine: float) -> np.ndarray:
     """
-    Return ascending sines, (k,), of the scattered directions of a scan in the plane of incidence.
+    Return ascending sines, (k,), of scattered directions for a scan in the plane of incidence.
 
     They are densest about the specular direction, whose sine is given.
     """

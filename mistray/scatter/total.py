@@ -19,7 +19,7 @@ _GAUSS = np.polynomial.legendre.leggauss(NODES_PER_OCTAVE)
 
 
 def specular_cosine(event: str, cos_i: np.ndarray, n_in: float, n_out: float) -> np.ndarray:
-    """Return the cosine of the reflected or refracted direction with the normal; 0 in total reflection."""
+    """Return the cosine, with the normal, of the reflected or refracted direction; 0 in total reflection."""
     if event == "reflection":
         return cos_i
     return np.sqrt(np.maximum(0.0, 1 - (n_in / n_out) ** 2 * (1 - cos_i * cos_i)))
@@ -89,7 +89,7 @@ def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
-    """Return the integral over the unit disc, (m,), of a profile about points at distance sin θ from its centre."""
+    """Return the integral over the unit disc, (m,), of a profile about points at a distance sin θ from its centre."""
     b = np.sqrt(np.maximum(0.0, 1 - cosine * cosine))
     # 1 - b without cancellation at grazing incidence
     low = np.maximum(cosine * cosine / (1 + b), 1e-12)
@@ -198,7 +198,7 @@ def _ring_weights(
 @dataclass(frozen=True)
 class Totals:
     """
-    Total effect of a surface's scatter models on light from one side, by event, at (m,) angles of incidence.
+    Total scatter and specular loss of all models of a surface, for light from one side at (m,) angles of incidence.
 
     Attributes
     ----------
@@ -213,7 +213,7 @@ class Totals:
     terms: dict[str, np.ndarray]
 
     def scattered(self, event: str, x: np.ndarray) -> np.ndarray:
-        """Return the scattered fraction of the incident flux, (m,), if R or T of the coating is x."""
+        """Return the scattered fraction of the incident flux, (m,), for a coating with R or T = x, (m,)."""
         c0, c1, c2 = self.terms[event]
         return np.asarray(c0 + c1 * x + c2 * x * x)
 

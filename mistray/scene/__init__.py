@@ -1,4 +1,4 @@
-"""Optical systems as Mitsuba scenes: loading, checking, naming, coating."""
+"""Optical systems as Mitsuba scenes: loading, checking, editing, naming and coating."""
 
 from mistray.scene.add_structures import add_structures
 from mistray.scene.coat import Coated, coat, write_coated

@@ -1,4 +1,4 @@
-"""Addition of structures to a scene file; everything already in the file stays as it is."""
+"""Adding structures (baffles, barrels, stops) to a scene file while everything else in it stays as it is."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def add_structures(
 
 
 def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
-    """Coatings and scatter models with an id in a scene file, keyed by id; skipped if a value is not plain."""
+    """Return coatings and scatter models with an id in a scene file, by id; ones with non-plain values are skipped."""
     found: dict[str, Shared] = {}
     for element in file.root.children:
         name, kind = element.values.get("id"), element.values.get("type")
@@ -103,7 +103,7 @@ def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
 
 
 def _values(element: Element) -> dict[str, Value] | None:
-    """Return the values of an element by name if all children are plain numbers, texts or booleans; else None."""
+    """Return an element's property values by name if all are plain numbers, texts or booleans; else None."""
     values: dict[str, Value] = {}
     for child in element.children:
         name, text = child.values.get("name"), child.values.get("value")

@@ -1,5 +1,5 @@
 """
-Check of the plugins that a scene names: listed ones of Mitsuba, mistray's own, and ones registered in Python.
+Check that a scene names only safe plugins: listed ones of Mitsuba, mistray's, and ones registered in Python.
 
 Mitsuba takes an unknown type as the name of a library, ``plugins/TYPE.so``, and runs the code in it. It looks in the
 current folder, beside the scene, or wherever a path in the type leads. So mistray checks the types first, and puts
@@ -97,7 +97,7 @@ def check_dict(given: Mapping[str, Any]) -> None:
 
 
 def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield each dict that has a type, at any depth: its path of keys, its type, and the value of its file entry."""
+    """Yield every nested dict that has a type: its path of keys, its type, and the value of its file name entry."""
     waiting: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [((), given)]
     while waiting:
         path, item = waiting.pop()
@@ -115,7 +115,7 @@ def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
 
 
 def _crashes(key: str, value: Any) -> str:
-    """Return why a dict entry would crash Mitsuba's reader, or be reported without its name; empty if it is fine."""
+    """Return the reason why a dict entry would crash Mitsuba's reader or hide its name in errors; "" if it is fine."""
     if value is None:
         return f"{key} is None; give a value, or leave it out"
     for text in (key, value):
@@ -125,7 +125,7 @@ def _crashes(key: str, value: Any) -> str:
 
 
 def _special(name: Any) -> str:
-    """Return why the file of one of Mitsuba's plugins may not be opened; empty if it may, or does not exist."""
+    """Return the reason why the file that a Mitsuba plugin names must not be opened (pipe, device); "" if it may."""
     if isinstance(name, str) and not name.strip():  # Mitsuba finds its own folder by it
         return f"{FILE} is {name!r}; name a file"
     file = str(mi.file_resolver().resolve(name)) if isinstance(name, str) else ""
@@ -139,7 +139,7 @@ def _special(name: Any) -> str:
 
 
 def _refusal(name: str) -> str:
-    """Return why an unlisted plugin type may not be loaded; empty if it is registered, or unknown to Mitsuba too."""
+    """Return the reason why an unlisted plugin type is refused; "" if it is registered, or unknown to Mitsuba too."""
     remedy = "use a plugin of Mitsuba or of mistray, or one that you registered in Python"
     for kind, names in STOCK.items():
         if name in names:

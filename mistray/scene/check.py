@@ -47,7 +47,7 @@ def check_values(state: Any) -> None:
 
 def property_of(node: Any, key: str) -> Any:
     """
-    Return a property of a node without marking it as read.
+    Return a property of a parsed node without marking it as read.
 
     Mitsuba reports properties that nobody has read as unknown; reading one here would hide that.
     """
@@ -85,14 +85,18 @@ def _first_strange(numbers: np.ndarray) -> str:
 
 
 def require_scene(scene: Any, function: str) -> None:
-    """Raise `MistrayError` if an argument of a function is no loaded scene, such as the name of one."""
+    """
+    Raise `MistrayError` if an argument is not a loaded scene, for example its name.
+
+    `function` is for the message.
+    """
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"{function}() got {type(scene).__name__}; load the scene first: mistray.load(path)")
 
 
 @dataclass(frozen=True)
 class _Placed:
-    """An `asphere` on an axis: vertex z in mm, sign -1 if reversed, and inner and outer radius of its ring in mm."""
+    """`asphere` on a common axis: vertex z, mm; sign, -1 if reversed; inner and outer radius of its aperture, mm."""
 
     shape: Any
     z: float
@@ -101,11 +105,15 @@ class _Placed:
     outer: float
 
     def height(self, r: np.ndarray) -> np.ndarray:
-        """Position along the axis at the radii r, both in mm."""
+        """Return the surface's position along the axis, mm, at radii r, mm."""
         return np.asarray(self.z + self.sign * self.shape.sag(r))
 
     def material(self, ahead: bool) -> tuple[float, str]:
-        """Return refractive index, at or near the wavelength of the light, and name of the material behind or ahead."""
+        """
+        Return index and name of the material on the +axis side of the surface if `ahead`, else on the -axis side.
+
+        The index is that at or near the wavelength of the light.
+        """
         bsdf = self.shape.bsdf()
         front, back = bsdf.known_indices
         return (back, bsdf.back) if ahead == (self.sign > 0) else (front, bsdf.front)
@@ -118,14 +126,14 @@ class _Placed:
 
 @dataclass
 class _Axis:
-    """A line in space, given by a point (mm) and a unit vector, and the aspheres on it."""
+    """Straight line in space, given by a point (mm) and a unit vector, with the aspheres centred on it."""
 
     foot: np.ndarray
     along: np.ndarray
     placed: list[_Placed]
 
     def sign(self, shape: Any) -> float:
-        """Return 1 if a shape has this axis, -1 if it has it reversed, 0 if it has another axis."""
+        """Return 1 if a shape has this axis, -1 if it has it reversed, and 0 if it has another axis."""
         return float(_signs(self.foot[None], self.along[None], shape)[0])
 
     def add(self, shape: Any) -> None:
@@ -204,7 +212,7 @@ def _check_crossings(axis: _Axis) -> None:
 
 
 def _crosses(shape: Any, axis: _Axis) -> bool:
-    """Whether a shape may change the material on an axis; rings and tubes around the axis do not."""
+    """True if a shape may change the material along an axis; rings and tubes around the axis do not."""
     if shape.bsdf().opaque or any(item.shape.id() == shape.id() for item in axis.placed):
         return False
     around = hasattr(shape, "profile") and shape.profile()[:, 0].min() > 0
@@ -212,7 +220,7 @@ def _crosses(shape: Any, axis: _Axis) -> bool:
 
 
 def _check_materials(axis: _Axis) -> None:
-    """Raise `MistrayError` if the material behind a surface differs from the one ahead of the next on the axis."""
+    """Raise `MistrayError` if the material behind a surface differs from that in front of the next one on the axis."""
     for a, b in pairwise(item for item in axis.placed if item.inner == 0):
         touching = b.z - a.z <= TOLERANCE * max(a.outer, b.outer)
         if touching or a.shape.bsdf().opaque or b.shape.bsdf().opaque:
@@ -226,7 +234,7 @@ def _check_materials(axis: _Axis) -> None:
 
 
 def _check_ends(axis: _Axis, around: Mapping[float, str]) -> None:
-    """Raise `MistrayError` if the rear of a lens stands ahead of its front, so that light starts and ends in glass."""
+    """Raise `MistrayError` if light along the axis would start and end in glass, as in a lens with swapped faces."""
     passed = [item for item in axis.placed if item.inner == 0 and not item.shape.bsdf().opaque]
     if len(passed) < 2 or not around:
         return

@@ -1,4 +1,4 @@
-"""Coatings, paint and scatter models, put on the surfaces of a scene or prescription by patterns of their names."""
+"""Putting coatings, paint and scatter models on the surfaces of a scene or prescription, by patterns of names."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Coated:
     """
-    Result of putting coatings, paint and scatter on a system.
+    Record of the coatings, paint and scatter models that were put on a system.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated
 
 
 def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
-    """Return the text of a scene file after applying rules, to be stored in a folder, and the changes to surfaces."""
+    """Return the text of a scene file with rules applied, to be stored in `folder`, and the changes to its surfaces."""
     check_source(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))
@@ -295,7 +295,7 @@ def faces_of(file: SceneFile) -> list[Face]:
 
 
 def light_nm(file: SceneFile) -> tuple[float, ...]:
-    """Wavelengths that the first source of a scene file lists, nm; empty if it lists none."""
+    """Return the wavelengths, nm, listed by the first source of a scene file; empty if it lists none."""
     for element in file.root.children:
         if element.tag == "emitter":
             words = file.values(element).get("wavelength_nm", "").replace(",", " ").split()
@@ -304,7 +304,7 @@ def light_nm(file: SceneFile) -> tuple[float, ...]:
 
 
 def _is_opaque(coating: Mapping[str, str]) -> bool:
-    """Whether the values of a coating say that it transmits no light."""
+    """True if a coating's values say that it transmits no light."""
     if coating.get("opaque") == "true" or getattr(PRESETS.get(coating.get("preset", "")), "metal", None) is not None:
         return True
     return "R" in coating and number_of(coating.get("T", "0")) == 0

@@ -70,7 +70,7 @@ def check_source(path: Path, text: str | None = None) -> None:
 
 
 class _Look:
-    """Walk through a scene in Mitsuba's order: included files at their places, and parameters shared by all files."""
+    """Recursive check of a scene in Mitsuba's reading order, through included files and shared parameters."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -140,7 +140,11 @@ class _Look:
         return self.contents[path]
 
     def _filled(self, text: str, where: str) -> str:
-        """Return a value with its parameters substituted."""
+        """
+        Return a value with its parameters substituted.
+
+        Raise `MistrayError`, naming the place `where`, if it grows too long.
+        """
         if "$" not in text:
             return text
         try:
@@ -160,7 +164,7 @@ class _Look:
 
 
 def _where(element: SceneElement) -> str:
-    """Return the name of the object that an element belongs to, or of the element itself, to begin a message."""
+    """Return the start of a message, ``owner: ``: the object that an element belongs to, or the element itself."""
     operation = element.parent is not None and element.parent.tag == "transform"
     owner = element.parent.parent if operation and element.parent is not None else element.owner
     if owner is None or owner.tag in ("default", "scene", "include", "path"):
@@ -171,7 +175,7 @@ def _where(element: SceneElement) -> str:
 
 
 def _twice(element: SceneElement) -> str:
-    """Return a message if a value of an object is given twice, else ""; record the name of the value in the object."""
+    """Record the name of a value in its object; return a message if it was given before, else ""."""
     if element.tag not in VALUE_TAGS or element.parent is None or not element.name:
         return ""
     if element.name in element.parent.values:
@@ -181,7 +185,7 @@ def _twice(element: SceneElement) -> str:
 
 
 def _mistake(element: SceneElement, values: Mapping[str, str]) -> str:
-    """Return a message on the first wrong number of an element; empty if all numbers are valid."""
+    """Return a message about the first invalid number of an element; empty if all are valid."""
     tag = element.tag
     for key in NUMBERS.get(tag, ()):
         name = printable(element.name) if tag == "float" else f"{key} of {_named(element)}"
@@ -208,7 +212,7 @@ def _named(element: SceneElement) -> str:
 
 
 def _no_number(text: str) -> str:
-    """Return why a text is no number that Mitsuba reads as written; empty if it is one."""
+    """Return the reason why Mitsuba would not read a text as the number it states; empty if it would."""
     match = _NUMBER.fullmatch(text.strip())
     if match is None:
         return "it must be a number"

@@ -1,4 +1,4 @@
-"""List of all files that a scene is made of: its own, included ones, and files that its values name."""
+"""Finding all files that a scene depends on: its own, included ones, and files named in its values."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
 
 
 def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
-    """Yield existing files that a text may name, as a whole or in some of its words, relative to one of the folders."""
+    """Yield existing files that a text may name, whole or by some of its words, relative to any of the folders."""
     for name in _names(text):
         for folder in tuple(folders):
             # os.path.isfile, because that of Path raises for a text that is too long for a name
@@ -71,7 +71,7 @@ def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
 
 
 def _names(text: str) -> Iterator[str]:
-    """Yield possible file names in a value: the whole text, and runs of words with or without a suffix ``:entry``."""
+    """Yield possible file names within a text: all of it, and runs of its words with or without a suffix ``:entry``."""
     found = {text}
     for part in re.split(r"[,;\n]", text):
         words = part.split()

@@ -1,4 +1,4 @@
-"""Warnings about allowed but improbable numbers of a scene: a slip of a decimal point, of a unit, or of precision."""
+"""Warnings about allowed but improbable numbers in a scene, as by a misplaced decimal point or a wrong unit."""
 
 from __future__ import annotations
 

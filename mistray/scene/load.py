@@ -102,7 +102,7 @@ def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = Non
 
 
 def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sensors: Parts) -> mi.Scene:
-    """Return the scene of a dict, a file, or a text that replaces a file's content; warn of improbable numbers."""
+    """Load a scene from a dict, a file, or a text in place of a file's content, and warn of improbable numbers."""
     others, more = (
         [given_parts] if isinstance(given_parts, (str, Mapping)) else list(given_parts or ())
         for given_parts in (sources, sensors)
@@ -117,7 +117,7 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
 
 
 def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], more: list[Any]) -> mi.Scene:
-    """Return the scene of a file, its text or a dict, with sources and sensors added, after checking it."""
+    """Read and check a scene from a file, its text or a dict, with sources and sensors added."""
     if isinstance(given, Path):
         check_source(given, text)
         name = _utf8(given)
@@ -137,7 +137,7 @@ def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], mor
 
 
 def _light_interfaces(scene: mi.Scene) -> None:
-    """Pass each interface the reference wavelength: the first wavelength of the scene's first source."""
+    """Tell each interface its reference wavelength: the first wavelength of the scene's first source, nm."""
     lines = [getattr(emitter, "wavelengths_nm", (DEFAULT_NM,)) for emitter in scene.emitters()]
     for shape in scene.shapes():
         if lines and hasattr(shape.bsdf(), "lit_by"):
@@ -145,7 +145,7 @@ def _light_interfaces(scene: mi.Scene) -> None:
 
 
 def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part]) -> mi.Scene:
-    """Return the scene with other sources and further sensors."""
+    """Return the scene with its sources replaced, if others are given, and further sensors added."""
     light, seen = source_dicts(sources), sensor_dicts(sensors)
     try:
         check_values(mi.parser.parse_dict(_config(), {"type": "scene"} | light | seen))
@@ -160,7 +160,7 @@ def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part
 
 
 def _from_file(name: str, text: str | None) -> Any:
-    """Return the scene of a file, or of a text that replaces it; its folder is searched first for included files."""
+    """Build the scene in a file, or in a text that replaces it; includes are first searched in its folder."""
     with _search(os.path.dirname(name)):
         state = mi.parser.parse_file(_config(), name) if text is None else mi.parser.parse_string(_config(), text)
         check_file(state)
@@ -168,7 +168,7 @@ def _from_file(name: str, text: str | None) -> Any:
 
 
 def _from_dict(given: dict[str, Any]) -> Any:
-    """Return the object that a scene dict describes, after checking its plugins."""
+    """Build the object that a scene dict describes, after checking its plugins."""
     folders = {
         key: str(item.get("path", ""))
         for key, item in given.items()
@@ -197,7 +197,7 @@ def _config() -> Any:
 
 @contextmanager
 def _search(*folders: str) -> Iterator[None]:
-    """Search further folders for files within a context; the last folder comes first, after Mitsuba's own."""
+    """Search further folders for files within a block; the last folder is searched first, after Mitsuba's own."""
     usual = mi.file_resolver()
     mi.set_file_resolver(resolver := mi.FileResolver(usual))
     for folder in folders:
@@ -210,7 +210,7 @@ def _search(*folders: str) -> Iterator[None]:
 
 
 def _built(state: Any) -> Any:
-    """Check a parsed scene, build its objects and return the scene."""
+    """Check a parsed scene, build its objects, and return the scene."""
     check_values(state)
     config = _config()
     mi.parser.transform_all(config, state)
@@ -227,7 +227,7 @@ def _utf8(path: Path) -> str:
 
 
 def shipped_scenes() -> dict[str, Path]:
-    """Files of the scenes that come with mistray, keyed by name."""
+    """Return the files of the scenes that come with mistray, by name."""
     from mistray import scenes
 
     return {name: Path(scenes.__path__[0]) / name / "scene.xml" for name in scenes.__all__}

@@ -39,7 +39,7 @@ _LOADING = re.compile(r"(Error while loading|While loading|At) (XML file )?\S+( 
 @dataclass
 class SceneElement:
     """
-    One object or value of a scene description.
+    One object or value in a scene description.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class SceneElement:
 
 def explain(error: Exception, source: Path | dict[str, Any], content: str | None = None) -> str:
     """
-    Say in one line why Mitsuba could not load a scene.
+    Return a one-line explanation of why Mitsuba could not load a scene.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def explain(error: Exception, source: Path | dict[str, Any], content: str | None
 
 def is_interrupt(error: Exception) -> bool:
     """
-    Whether Ctrl-C came while a plugin was built.
+    True if Ctrl-C was pressed while a plugin was built.
 
     Mitsuba then raises an error of its own, whose text is the traceback.
     """
@@ -120,7 +120,7 @@ def is_interrupt(error: Exception) -> bool:
 
 
 def _reason(text: str, element: SceneElement, source: Path | dict[str, Any]) -> str:
-    """Return the part of a message that says what is wrong and how to correct it."""
+    """Return the part of an error message that says what is wrong with an element and how to correct it."""
     own = text.rpartition("MistrayError: ")[2].strip() if "MistrayError: " in text else ""
     unknown = dict(re.findall(r"- \w+ \"([^\"]+)\": (.*)", text)) if "unreferenced" in text else {}
     known = parameters(element.plugin)
@@ -156,7 +156,7 @@ def _reason(text: str, element: SceneElement, source: Path | dict[str, Any]) -> 
 
 
 def _is_model(name: str, plugin: str) -> bool:
-    """Whether the class name of a scatter model matches a plugin name, as HarveyShack matches harvey_shack."""
+    """True if the class name of a scatter model matches a plugin name, as HarveyShack matches harvey_shack."""
     return plugin.replace("_", "").startswith(name.lower().replace("_", ""))
 
 
@@ -227,7 +227,7 @@ _REASONS: list[tuple[str | re.Pattern[str], Callable[[re.Match[str], SceneElemen
 
 
 def parameters(plugin: str) -> list[str]:
-    """Names of the parameters of one of mistray's plugins; empty for other plugins."""
+    """Return the parameter names of one of mistray's plugins; empty for other plugins."""
     module = _plugins().get(plugin)
     owners = (
         [one for one in vars(module).values() if getattr(one, "__module__", "") == module.__name__] if module else []
@@ -237,12 +237,12 @@ def parameters(plugin: str) -> list[str]:
 
 
 def _numbered(name: str) -> str:
-    """Return a name with each number, or the letter that stands for it, replaced by #: ``xy_i_j`` gives ``xy_#_#``."""
+    """Return a parameter name with each number, or the letter that stands for one, replaced by #: ``xy_#_#``."""
     return re.sub(r"\d+", "#", re.sub(r"_[ijkmn](?=_|$)", "_#", name))
 
 
 def _plugins() -> dict[str, Any]:
-    """Modules of mistray's plugins that are registered with Mitsuba, keyed by plugin name."""
+    """Return the modules of mistray's plugins that are registered with Mitsuba, by plugin name."""
     return {
         name.rpartition(".")[2]: module
         for name, module in sys.modules.items()
@@ -259,7 +259,7 @@ def _choose(word: str, known: list[str], otherwise: str) -> str:
 
 
 def _short(text: str, most: int) -> str:
-    """Return a text that is too long for a message, shortened to its beginning and its end."""
+    """Return a text cut to about `most` characters, keeping its beginning and its end."""
     return text if len(text) <= most else f"{text[: most * 2 // 3]} … {text[-most // 3 :]}"
 
 
@@ -277,7 +277,7 @@ def _in_file(path: Path, line: int, column: int, data: bytes | None) -> SceneEle
 
 
 def _of_file(found: Element) -> SceneElement:
-    """Return an element of a file, with its values and with what it belongs to."""
+    """Convert an element of a scene file to a `SceneElement`, with its values and parents."""
     get = found.values.get
     parent = _of_file(found.parent) if found.parent is not None else None
     element = SceneElement(found.tag, get("type", ""), get("id", ""), get("name", ""), {}, parent)
@@ -288,7 +288,7 @@ def _of_file(found: Element) -> SceneElement:
 
 
 def _in_dict(scene: dict[str, Any], path: list[str]) -> SceneElement:
-    """Return the element of a scene dict at a path of keys."""
+    """Return the element of a scene dict that a path of keys leads to."""
     element, here = SceneElement(tag="scene", plugin="scene"), scene
     for key in path if path != ["root"] else []:
         here = here.get(key, {})

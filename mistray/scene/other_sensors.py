@@ -1,4 +1,4 @@
-"""Further sensors of a scene, such as probes, far fields and maps of walls, from a text or a dict."""
+"""Sensors added to a scene, such as probes, far fields and maps of walls, from a text or a dict."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_surfaces(text: str) -> dict[str, Any]:
-    """Parse the text of a sensor `surface_maps` or `flux_split`, and return the dict of its plugin."""
+    """Parse the text of a sensor `surface_maps` or `flux_split` into the dict of its plugin."""
     kind, _, rest = text.partition(":")
     kind = kind.strip()
     owner, known = f"{kind.replace('_', ' ')} '{rest}'", OF_SURFACES[kind]
@@ -96,7 +96,7 @@ def _of_surfaces(text: str) -> dict[str, Any]:
 
 
 def _numbers(text: str, what: str, owner: str) -> np.ndarray:
-    """Parse three numbers that are not all 0; return them, (3,), scaled so that the largest magnitude is 1."""
+    """Parse a vector of three numbers, not all 0; return it, (3,), scaled so that the largest magnitude is 1."""
     try:
         numbers = np.array([float(part) for part in text.split(",") if part])
     except ValueError:
@@ -107,7 +107,7 @@ def _numbers(text: str, what: str, owner: str) -> np.ndarray:
 
 
 def _whole(text: str, owner: str) -> tuple[int, int]:
-    """Parse and return the numbers of pixels across and down; a single number stands for both."""
+    """Parse the numbers of pixels across and down, and return them; a single number stands for both."""
     parts = [part for part in text.split(",") if part]
     if not 1 <= len(parts) <= 2 or not all(part.isdecimal() and int(part) for part in parts):
         raise MistrayError(

@@ -1,4 +1,4 @@
-"""Sources that replace those of a scene file, from a line of text or a dict."""
+"""Sources that replace those of a scene, from a line of text or a dict."""
 
 from __future__ import annotations
 
@@ -96,19 +96,19 @@ def parsed(
 
 
 def source_dicts(sources: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Source dicts keyed by id; raises `MistrayError` if one is not understood, or two have the same id."""
+    """Return source dicts by id; raise `MistrayError` if one is not understood, or two have the same id."""
     return keyed("source", [source_dict(source) for source in sources], ["source"] * len(sources))
 
 
 def given_dict(what: str, part: Any, example: str) -> dict[str, Any]:
-    """Return a part of a scene that is given as a dict; raise `MistrayError` if it is none, or has no type."""
+    """Return a source or sensor given as a dict; raise `MistrayError` if it is no dict or has no type."""
     if not isinstance(part, Mapping) or "type" not in part:
         raise MistrayError(f"{what} {part!r}: give a text such as '{example}', or a dict with a 'type'")
     return dict(part)
 
 
 def keyed(what: str, parts: Sequence[dict[str, Any]], words: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return parts of a scene by id. A part without id is named by its word, with a number if that word comes again."""
+    """Return sources or sensors by id. One without id is named by its word in `words`, numbered if the word repeats."""
     result: dict[str, dict[str, Any]] = {}
     for number, (found, word) in enumerate(zip(parts, words, strict=True)):
         numbered = f"{word}_{list(words[:number]).count(word) + 1}"

@@ -126,7 +126,7 @@ class _Reader:
         return None
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
-        """Return the values of a `thinfilm` or `interface` that define its coating; R and T are numbers."""
+        """Return the values of a `thinfilm` or `interface` that define its coating; R and T as numbers (fractions)."""
         recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table") if key in values}
         return recipe | {key: self._number(where, values, key) for key in ("R", "T") if key in values}
 
@@ -223,6 +223,10 @@ class _Reader:
 
 
 def _placed(pose: np.ndarray) -> dict[str, Any]:
-    """Convert a pose to tilts in degrees about the world's x, y, z, in order, and the vertex in mm; see `Placed`."""
+    """
+    Return position x, y, z (mm) and `tilt_deg`, tilts about the world's x, y and z in degrees, of a 4 × 4 pose matrix.
+
+    See `Placed`.
+    """
     tilt = tuple(round(angle, 10) + 0.0 for angle in fixed_angles_deg(pose[:3, :3]))
     return {"x": float(pose[0, 3]), "y": float(pose[1, 3]), "z": float(pose[2, 3]), "tilt_deg": tilt}

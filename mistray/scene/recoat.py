@@ -30,7 +30,7 @@ DESIGN_NM = 550.0  # of the plugin
 @dataclass(frozen=True)
 class SharedCoating:
     """
-    One coating design for several surfaces.
+    Coating design for one or several surfaces of a scene file.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class SharedCoating:
     design_nm: float = DESIGN_NM
 
     def as_shared(self, name: str) -> Coating:
-        """Return the coating, with its layers as text, under a name, in the form for scene files."""
+        """Return the coating under a name, with its layers as text, as scene files state it."""
         layers = layer_text(self.stack.layers)
         return Coating(layers=layers, first=self.stack.first, design_nm=self.design_nm, name=name)
 
@@ -58,7 +58,7 @@ class SharedCoating:
 @dataclass(frozen=True)
 class Refit:
     """
-    Changes to the interface of a surface.
+    Changes to make to the interface of one surface: elements to add, coating and scatter models to remove.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Refit:
     scatter: frozenset[str] = frozenset()
 
     def drops(self, file: SceneFile, child: Element) -> bool:
-        """Whether a child element of the interface is removed."""
+        """True if these changes remove the given child element of the interface."""
         if _is_coating(file, child):
             return self.coating
         return (file.meant(child) or child).values.get("type") in self.scatter
@@ -197,7 +197,11 @@ def _interface(file: SceneFile, surface: str) -> tuple[Element, Element]:
 
 
 def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
-    """Yield edits that remove shared coatings; ones that `recoated` wrote also lose their note and an empty line."""
+    """
+    Yield edits that remove shared coatings from the text.
+
+    For ones that `recoated` wrote, their note and empty line too.
+    """
     end_of_ours = -1
     for coating in coatings:
         start, end = file.with_blanks(coating)
@@ -213,7 +217,7 @@ def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
 
 
 def _refit(file: SceneFile, interface: Element, refit: Refit) -> Edit:
-    """Return the edit that replaces the interface of a shape by one with other children."""
+    """Return the edit that replaces a shape's interface by one with the changes of `refit`."""
     text = file.text(interface)
     tag = re.sub(
         rb"(\stype\s*=\s*[\"'])thinfilm([\"'])", rb"\1interface\2", text[: interface.inside - interface.start], count=1
@@ -235,7 +239,7 @@ def _refit(file: SceneFile, interface: Element, refit: Refit) -> Edit:
 
 
 def _is_coating(file: SceneFile, child: Element) -> bool:
-    """Whether a child of an interface defines its coating."""
+    """True if a child of an interface defines its coating."""
     child = file.meant(child) or child
     if child.tag == "bsdf":
         return child.values.get("type") == "thinfilm"
@@ -243,7 +247,7 @@ def _is_coating(file: SceneFile, child: Element) -> bool:
 
 
 def _names(file: SceneFile, coatings: Sequence[SharedCoating]) -> list[str]:
-    """Return new ids for the coatings; ids in the file are free only if their shared coatings will be removed."""
+    """Return new ids for coatings, none of them used in the file, except by shared coatings that will be removed."""
     recoated_shapes = {surface for coating in coatings for surface in coating.surfaces}
     taken = set(file.ids) - {element.values["id"] for element in _forsaken(file, recoated_shapes)}
     names = []
@@ -257,7 +261,7 @@ def _names(file: SceneFile, coatings: Sequence[SharedCoating]) -> list[str]:
 
 
 def _forsaken(file: SceneFile, surfaces: set[str]) -> list[Element]:
-    """Return shared coatings that only the given surfaces refer to."""
+    """Return the shared coatings to which only the given surfaces refer, so that they can be removed."""
     found = []
     for child in file.root.children:
         if child.tag != "bsdf" or child.values.get("type") != "thinfilm" or "id" not in child.values:

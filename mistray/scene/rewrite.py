@@ -133,7 +133,7 @@ def _plugin(file: SceneFile, params: Any, key: str) -> Any:
 
 
 def _curvature(element: Element, curvature: float) -> str:
-    """Return XML for a curvature in 1/mm, as a radius if the file has one and the reciprocal is exact."""
+    """Return the XML value for a curvature, 1/mm; as a radius if the file has one and the reciprocal is exact."""
     given = {child.values.get("name") for child in element.children}
     radius = 1 / curvature if curvature else 0.0
     if "radius" in given and (not curvature or 1 / radius == curvature):

@@ -1,4 +1,4 @@
-"""Source of a scene, from which another process can load the same one: its text and the files that it names."""
+"""Description of where a scene came from, from which another process can load it: its text and files named there."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SCENE_NAME = "scene-that-travels.xml"
 @dataclass(frozen=True)
 class PackedScene:
     """
-    A scene file with its contents, for loading on another machine.
+    Scene file with its content and the files it names, for loading on another machine.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class PackedScene:
         return scene
 
     def unpack(self, folder: Path) -> Path:
-        """Write the files into a folder and return the path of the scene file; raises as `load` does."""
+        """Write the files into a folder and return the path of the scene file; raise as `load` does."""
         for path, digest in self.checked.items():
             found = file_fingerprint(Path(path)) if os.path.isfile(path) else None
             if found != digest:
@@ -89,21 +89,21 @@ class PackedScene:
 
 @dataclass(frozen=True)
 class SceneDict:
-    """A scene given as a dict, with sources that replace its own and sensors that were added."""
+    """Scene given as a dict, with replaced sources and added sensors."""
 
     given: Mapping[str, Any]
     sources: tuple[Any, ...] = ()
     sensors: tuple[Any, ...] = ()
 
     def load(self) -> mi.Scene:
-        """Load the scene; raises as `mistray.scene.load` does."""
+        """Load the scene; raise as `mistray.scene.load` does."""
         from mistray.scene.load import load
 
         return load(dict(self.given), self.sources, self.sensors)
 
 
 class _Folder:
-    """A temporary folder that is removed with this object, or with the process."""
+    """Temporary folder that is deleted together with this object, or at the end of the process."""
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="mistray-"))
@@ -112,7 +112,11 @@ class _Folder:
 
 @dataclass(frozen=True)
 class _Origin:
-    """Arguments of `load`: an absolute path and the file's text at that time, or a dict; other sources and sensors."""
+    """
+    Arguments with which a scene was loaded: absolute path and text of the file, or a dict.
+
+    Replaced sources, added sensors.
+    """
 
     path: Path | None
     text: bytes
@@ -129,7 +133,7 @@ def remember(
     text: str | None = None,
 ) -> None:
     """
-    Attach to a plugin of a scene the arguments that the scene was loaded with.
+    Attach the arguments with which a scene was loaded to one of its plugins.
 
     `text` is the text that replaced the content of the file, if any.
     """
@@ -181,7 +185,7 @@ def _owners(scene: mi.Scene) -> Iterator[Any]:
 
 
 def _packed(path: Path, text: bytes) -> PackedScene:
-    """Pack a scene file with all files that it names."""
+    """Pack a scene file together with all files that it names."""
     require_file(path, "scene")
     first, *others = scene_files(path, text)
     contents = {file: read_file(file) for file in others}

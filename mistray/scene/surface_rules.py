@@ -1,4 +1,4 @@
-"""Rules that assign coatings, paint and scatter models to the surfaces of a system by patterns."""
+"""Rules that assign coatings, paint and scatter models to surfaces of a system by patterns of names."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Face:
     back: str = "air"
 
     def fits(self, pattern: str) -> bool:
-        """Whether a pattern matches the name of the surface, or the name of its part."""
+        """True if a pattern matches the name of the surface or of its part."""
         return fits(self.name, pattern) or (self.part is not None and fits(self.part, pattern))
 
 
@@ -119,7 +119,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Left:
-    """A surface that a pattern matches but that stays as it is, and the reason why."""
+    """Surface that matches a pattern but stays as it is, with the reason."""
 
     surface: str
     pattern: str
@@ -128,7 +128,7 @@ class Left:
 
 class Painter:
     """
-    Application of rules to the surfaces of a system.
+    Application of rules for coatings, paint and scatter to the surfaces of a system.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class Painter:
 
     def apply(self, rules: Rules) -> None:
         """
-        Find the changes of the surfaces: later patterns override earlier ones, and paint overrides coatings.
+        Determine the changes to all surfaces: later patterns override earlier ones, and paint overrides coatings.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class Painter:
         return able
 
     def _on_body(self, coating: Coating | None, face: Face, rule: str) -> Coating | None:
-        """Fit a preset to the substrate of a surface in air, as layers; return any other coating unchanged."""
+        """Return a coating preset as layers fitted to the substrate of a surface in air; other coatings unchanged."""
         body = face.back if is_gas(face.front) else face.front
         if coating is None or coating.preset is None or coating.opaque or face.cemented or is_gas(body):
             return coating
@@ -267,7 +267,7 @@ class Painter:
         return Coating(layers=layer_text(fitted.stack.layers), first=coating.first, name=name)
 
     def _closed(self, coating: Coating | None) -> bool:
-        """Whether a coating transmits no light."""
+        """True if a coating transmits no light."""
         if coating is None or coating.table is None:
             return coating is not None and coating.opaque
         home = f"{self._home}/" if self._home and self._coatings.get(coating.name or "") == coating else ""
@@ -297,7 +297,11 @@ class Painter:
         return found
 
     def _named(self, item: Any) -> Any:
-        """Return an item under a unique name; an item without a name is not shared and stays as it is."""
+        """
+        Return a coating or model under a name not yet in use.
+
+        One without a name is not shared and stays as it is.
+        """
         if item is None or item.name is None:
             return item
         name, number = item.name, 2
@@ -309,14 +313,14 @@ class Painter:
 
 
 def _design_nm(light_nm: Sequence[float]) -> float:
-    """Return the default reference wavelength, nm, of layer thicknesses in waves, for the light of a source."""
+    """Return the default reference wavelength, nm, of layers given in waves, for the source wavelengths, nm."""
     if not light_nm or any(VISIBLE_NM[0] <= nm <= VISIBLE_NM[1] for nm in light_nm):
         return Coating.design_nm
     return (min(light_nm) + max(light_nm)) / 2
 
 
 def _refusal(face: Face, named: bool, transmits: bool) -> str:
-    """Return why a surface takes no coating; empty if it does."""
+    """Return the reason why a surface takes no coating; empty if it takes one. `named`: its exact name was given."""
     if face.opaque and (transmits or not (named or face.mirror)):
         return OPAQUE
     return CEMENTED if face.cemented and not named else ""

@@ -1,4 +1,4 @@
-"""Names of scenes in titles and results."""
+"""Names of scenes for titles and results."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mistray.scene.source import file_of
 
 
 def title_of_file(path: Path) -> str:
-    """Return the name of a scene file for titles: that of its folder if the file is called scene.xml."""
+    """Return the name of a scene for titles: the file's name, or its folder's if the file is called scene.xml."""
     return path.parent.name if path.name == "scene.xml" else path.stem
 
 

@@ -1,4 +1,4 @@
-"""Scene files in which every surface has its own scatter models, so that each can be made rougher or cleaner."""
+"""Scene files rewritten so that each surface has scatter models of its own, which can be changed one by one."""
 
 from __future__ import annotations
 
@@ -67,12 +67,12 @@ class SceneText:
         self._values.append((model, name, f'<float name="{name}" value="{float(value)!r}"/>'))
 
     def text(self, folder: str | Path) -> str:
-        """Return the scene as XML text to be stored in a folder, see `SceneFile.edited`."""
+        """Return the changed scene as XML text, to be stored in `folder`; see `SceneFile.edited`."""
         return self.file.edited(self.file.with_values(self._values), Path(folder))
 
 
 def _shared(file: SceneFile) -> Mapping[str, Element]:
-    """Return the elements, keyed by id, of top-level scatter models and of interfaces with a scatter model."""
+    """Return the top-level scatter models of a file, and interfaces that have one, by id."""
     return {
         element.values["id"]: element
         for element in file.root.children
@@ -81,13 +81,13 @@ def _shared(file: SceneFile) -> Mapping[str, Element]:
 
 
 def _scatters(file: SceneFile, element: Element) -> bool:
-    """Whether a BSDF is a scatter model, or an interface that has one."""
+    """True if a BSDF is a scatter model, or an interface that has one."""
     found = (element, *(file.meant(child) for child in element.children))
     return any(one is not None and one.values.get("type") in KINDS for one in found)
 
 
 def _references(file: SceneFile, within: str) -> Iterator[Element]:
-    """Yield the references to shared models directly within elements of tag `within`: shapes, or BSDFs in shapes."""
+    """Yield references to shared scatter models directly in elements with tag `within`: shapes or BSDFs in them."""
     shared = _shared(file)
     for element in file.root.walk():
         if element.tag == "ref" and element.values.get("id") in shared and element.parent is not None:
@@ -97,7 +97,7 @@ def _references(file: SceneFile, within: str) -> Iterator[Element]:
 
 
 def _unused(file: SceneFile) -> list[Element]:
-    """Return shared scatter models and interfaces, see `_shared`, referred to by nothing, or by such elements only."""
+    """Return shared scatter models and interfaces (see `_shared`) that nothing in use refers to."""
     gone: list[Element] = []
     shared = _shared(file)
     for name, element in sorted(shared.items(), key=lambda item: item[1].values.get("type") in KINDS):

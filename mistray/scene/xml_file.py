@@ -33,7 +33,7 @@ _ID = re.compile(rb"\s+id\s*=\s*(\"[^\"]*\"|'[^']*')")
 @dataclass
 class Element:
     """
-    An XML element and its byte offsets in the file.
+    XML element with its byte offsets in the file.
 
     ``<tag …>`` spans start … inside, and ``</tag>`` spans close … end.
     """
@@ -56,7 +56,7 @@ class Element:
 
 class SceneFile:
     """
-    A scene file: its bytes and its elements.
+    Scene file, as bytes to edit and as a tree of elements.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class SceneFile:
         return roots[0]
 
     def _end_of_tag(self, index: int) -> int:
-        """Return the byte offset behind the ``>`` that ends the tag at `index`; one within quotes does not count."""
+        """Return the byte offset after the ``>`` that ends the tag at `index`, ignoring any in quotes."""
         match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(self.data, index)
         assert match is not None  # expat has read it
         return match.end()
@@ -128,7 +128,7 @@ class SceneFile:
         return self.data[element.start : element.end]
 
     def indent(self, element: Element) -> str:
-        """Return the blanks before an element that begins its line; "" for any other element."""
+        """Return the blanks before an element that is first on its line; "" otherwise."""
         line = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
         return line.decode() if not line.strip() else ""
 
@@ -154,7 +154,7 @@ class SceneFile:
 
     @cached_property
     def defaults(self) -> dict[str, str]:
-        """Values of the parameters ``$name`` of the file, keyed by name; the first of several counts, as in Mitsuba."""
+        """Default values of the file's parameters ``$name``, by name; the first of several counts, as in Mitsuba."""
         found: dict[str, str] = {}
         for element in self.root.walk():
             if element.tag == "default":
@@ -170,11 +170,11 @@ class SceneFile:
         }
 
     def meant(self, element: Element) -> Element | None:
-        """Return the object that an element is or refers to; None if it is not in the file."""
+        """Return the element itself, or for a reference the object with that id; None if it is not in the file."""
         return self.ids.get(element.values.get("id", "")) if element.tag == "ref" else element
 
     def surface(self, shape: Element) -> tuple[Element, Element] | None:
-        """Return the BSDF child of a shape, and the BSDF that the child is or refers to; None if there is none."""
+        """Return the BSDF element within a shape and the BSDF that it is or refers to; None without a BSDF."""
         for child in shape.children:
             meant = self.meant(child)
             if meant is not None and meant.tag == "bsdf":
@@ -208,7 +208,7 @@ class SceneFile:
 
     def with_values(self, values: Iterable[tuple[Element, str, str]]) -> list[Edit]:
         """
-        Return edits that put values into elements: each in place of the old one, or behind the last value.
+        Return edits that set values of elements: in place of the old one, or after the last value.
 
         Parameters
         ----------
@@ -246,7 +246,7 @@ class SceneFile:
         return [*edits, (element.inside, element.inside, added.encode())]
 
     def with_copies(self, references: Iterable[Element]) -> SceneFile:
-        """Return the file with a copy, without an id, in place of each of some references to objects of the file."""
+        """Return the file with given references replaced by copies of the objects they refer to, without id."""
         return self.changed(
             [(place.start, place.end, self._copy(place, self.ids[place.values["id"]])) for place in references]
         )
@@ -257,7 +257,7 @@ class SceneFile:
         return (_ID.sub(b"", tag, count=1) + rest).replace(b"\n", b"\n" + deeper)
 
     def changed(self, edits: Iterable[Edit]) -> SceneFile:
-        """Return the file with some edits: byte ranges, which must not overlap, and their new contents."""
+        """Return the file after edits, each a byte range and its new content; ranges must not overlap."""
         data = self.data
         for start, end, new in sorted(edits, key=lambda edit: edit[:2], reverse=True):
             data = data[:start] + new + data[end:]
@@ -283,7 +283,7 @@ class SceneFile:
         return self.changed(edits).data.decode("utf-8")
 
     def _names_files(self) -> bool:
-        """Whether a value of the scene is, or contains, the name of a file relative to the scene's folder."""
+        """True if any value in the scene is, or contains, the name of a file relative to the scene's folder."""
         return any(
             names_a_file(element.values.get(key, ""), self.path.parent)
             for element in self.root.walk()
@@ -292,12 +292,12 @@ class SceneFile:
 
 
 def too_deep(path: Path, line: int, tag: str) -> MistrayError:
-    """Return the error for a file whose elements are nested deeper than `DEEPEST` levels."""
+    """Return the error for a scene file whose elements are nested more than `DEEPEST` levels deep."""
     return MistrayError(f"scene '{path}', line {line}: <{tag}> lies within {DEEPEST} other elements; close them first")
 
 
 def names_a_file(text: str, folder: Path) -> bool:
-    """Whether a value of a scene is, or contains, the name of a file relative to a folder."""
+    """True if a text is, or contains, the name of an existing file relative to a folder."""
     words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
     # os.path.isfile, because that of Path raises for a text that is too long for a name, such as a list of layers
     return any(not os.path.isabs(word) and os.path.isfile(folder / word) for word in words)

@@ -1,5 +1,5 @@
 """
-Wavelengths of spectral lines by name, nm.
+Wavelengths, nm, of spectral lines by name.
 
 The values are wavelengths in air, as in glass catalogues, because indices of glass are tabulated against them. They are
 0.03 % shorter than in vacuum. Letters from "TIE-29: Refractive index and dispersion", Schott, 2016; the others from the

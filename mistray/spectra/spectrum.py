@@ -66,7 +66,7 @@ class SpectrumSamples:
 @dataclass(frozen=True)
 class Spectrum:
     """
-    A continuous spectrum.
+    Continuous spectrum of light.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Spectrum:
 
     def energy(self, low_nm: float, high_nm: float) -> float:
         """
-        Integral over a band: in W/mm² for "am0", W/(mm² sr) for a blackbody, else the unit of the values times nm.
+        Return the integral over a band: W/mm² for "am0", W/(mm² sr) for a blackbody, else unit of the values times nm.
 
         Raises
         ------
@@ -100,7 +100,7 @@ class Spectrum:
 
     def light(self, band_nm: Sequence[float] | None = None, bands: int = DEFAULT_BANDS) -> SpectrumSamples:
         """
-        Divide a band into parts of equal width, and return their wavelengths and weights; dark parts are left out.
+        Return the wavelengths and weights of equally wide parts of a band; dark parts are left out.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class Spectrum:
 
 def spectrum(text: str) -> Spectrum:
     """
-    Make a continuous spectrum from its name.
+    Return a continuous spectrum given by its name.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def light_of(
     weights: Sequence[float] | None = None,
 ) -> SpectrumSamples:
     """
-    Choose the wavelengths that represent a spectrum, continuous or of lines.
+    Return the wavelengths that represent a spectrum, continuous or of lines, and their weights.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def light_of(
 
 def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = None) -> SpectrumSamples:
     """
-    Make samples of spectral lines at given wavelengths, nm; weights are scaled to a sum of 1, and equal by default.
+    Return spectral lines at given wavelengths, nm, as samples; weights are scaled to a sum of 1, and equal by default.
 
     Raises
     ------

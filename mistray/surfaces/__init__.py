@@ -1,4 +1,4 @@
-"""Surfaces as the kernel and the host intersect them: their geometry, nearest hits, media and coatings."""
+"""Surfaces as the kernel and the host intersect them: geometry, nearest hits, media and coatings."""
 
 from mistray._variant import active_variant, ensure_variant
 

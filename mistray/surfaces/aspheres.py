@@ -68,7 +68,11 @@ class AsphereSearch:
         """
 
         def choose(best: mi.Float, searched: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
-            """Return number and bit of the asphere to search next, and whether any is entered before the best hit."""
+            """
+            Return the index and bit of the next asphere to search, and a mask of rays that have one.
+
+            It is the nearest not yet searched that a ray enters before its best hit, mm.
+            """
             nearest, number, bit = mi.Float(best), mi.UInt32(0), mi.UInt32(0)
             for k, (piece, entry) in enumerate(zip(self.pieces, entries, strict=True)):
                 take = (entry < nearest) & ((searched & (1 << k)) == 0)

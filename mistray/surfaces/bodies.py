@@ -32,14 +32,18 @@ class Bodies:
 
     @cached_property
     def size(self) -> float:
-        """Diagonal of the scene's bounding box, mm; no body in the scene is thicker."""
+        """Diagonal of the scene's bounding box, mm, an upper limit of any body's thickness."""
         boxes = [shape.bbox() for shape in self._table.shapes]
         low = np.min([np.array(box.min, dtype=np.float64).ravel() for box in boxes], axis=0)
         high = np.max([np.array(box.max, dtype=np.float64).ravel() for box in boxes], axis=0)
         return float(np.linalg.norm(high - low))
 
     def thickness(self, surface: int) -> np.ndarray:
-        """Return the least distances along the normal to the surfaces in front and behind, (2,), mm; inf for none."""
+        """
+        Return the least distances along the normals to the next surface in front and behind, (2,), mm.
+
+        They are infinite if there is none.
+        """
         if surface not in self._thickness:
             points, normal = self._points(surface)
             result = np.full(2, np.inf)
@@ -50,7 +54,7 @@ class Bodies:
         return self._thickness[surface]
 
     def _points(self, surface: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return points (n, 3), mm, of a surface away from its rims, and the unit normals there, from front to back."""
+        """Return points (n, 3), mm, on a surface away from its rims, and the unit normals from front to back."""
         table, shape = self._table, self._table.shapes[surface]
         if surface >= len(table.pieces):
             u = (np.stack(np.meshgrid(*2 * [np.arange(ACROSS)]), axis=-1).reshape(-1, 2) + 0.5) / ACROSS

@@ -33,7 +33,7 @@ ROW = (
 @dataclass
 class Numbers:
     """
-    Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers. Bounds include the overlap.
+    Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers. Bounds include the overlap with neighbours.
 
     Attributes
     ----------
@@ -126,13 +126,17 @@ def _values(surface: TracedSurface) -> dict[str, Any]:
 
 
 def turned(turn: Sequence[mi.Float], v: mi.Vector3f) -> mi.Vector3f:
-    """Return a vector of the scene in the frame whose axes are the columns of a matrix, given row by row."""
+    """
+    Rotate a vector of the scene into a local frame.
+
+    `turn` has the nine elements of a matrix whose columns are the frame's axes.
+    """
     return mi.Vector3f(*(turn[k] * v.x + turn[3 + k] * v.y + turn[6 + k] * v.z for k in range(3)))
 
 
 @dataclass
 class AxisRay:
-    """Ray in the frame of an axis, with products that all surfaces on the axis share; lengths in mm."""
+    """Ray in the frame of a surface axis, with products that all surfaces on the axis share; lengths in mm."""
 
     ox: mi.Float
     oy: mi.Float
@@ -176,7 +180,7 @@ class AxisRay:
 
 
 def _inside(ray: AxisRay, t: mi.Float, p: SagSurface, n: Numbers) -> mi.Bool:
-    """Whether the ray's point at the distance t, mm, lies within the aperture."""
+    """Return a mask of rays whose point at the distance t, mm, lies within the surface's aperture."""
     x, y = ray.lateral(t)
     if not p.outer:
         return (dr.abs(x) <= n.half_width) & (dr.abs(y) <= n.half_height)
@@ -240,12 +244,11 @@ def conic_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.
 
 def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple[mi.Float, mi.Bool]:
     """
-    Return the distance, mm, at which a ray hits an asphere close to its conic, and whether it is unsafe.
+    Return the distance, mm, at which a ray hits an asphere close to its conic, and a mask of unsafe rays.
 
-    One or two Newton steps lead there from the conic's hit; the distance is infinite without a hit.
-
-    A ray is unsafe if it meets the conic twice within the aperture, nearly touches it, or could come back to the
-    surface that it leaves. It is unsafe, too, if the steps do not converge. Unsafe rays need the full search.
+    One or two Newton steps lead there from the conic's hit; the distance is infinite without a hit. A ray is unsafe if
+    it meets the conic twice within the aperture, nearly touches it, or could come back to the surface that it leaves.
+    It is unsafe, too, if the steps do not converge. Unsafe rays need the full search.
     """
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
     ta, tb, discriminant, real = _conic_roots(ray, n, own)
@@ -300,9 +303,10 @@ def stretch(
     ray: AxisRay, oz: mi.Float, outer2: mi.Float, z_low: mi.Float, z_high: mi.Float
 ) -> tuple[mi.Float, mi.Float]:
     """
-    Return the distances, mm, at which a ray enters and leaves a cylinder cut off by a slab.
+    Return the distances, mm, at which a ray enters and leaves a cylinder about z with flat ends.
 
-    `oz` is the ray's height at its origin, mm. If the end is not beyond the start, the ray misses the cylinder.
+    `oz` is the ray's height at its origin, mm. If the second is not greater than the first, the ray misses the
+    cylinder.
     """
     t0 = ray.closest()
     x, y = ray.lateral(t0)

@@ -1,4 +1,4 @@
-"""Device tables of the surfaces whose implicit function F is a formula of their family."""
+"""Device tables of surfaces that are defined by an implicit function F = 0, a formula of their family."""
 
 from __future__ import annotations
 
@@ -15,12 +15,10 @@ from mistray.surfaces.upload import upload
 
 class FamilyTable:
     """
-    Device table of the surfaces whose implicit function F is a formula of their family.
+    Device table of surfaces that are defined by an implicit function F = 0, a formula of their family.
 
-    Without such surfaces the table is False and adds nothing to a kernel.
-
-    Such a surface has `family` and `values`. Its family has `numbers`, the names of the values, and the functions
-    `residual`, `gradient` and `coordinate`.
+    Without such surfaces the table is False and adds nothing to a kernel. Such a surface has `family` and `values`. Its
+    family has `numbers`, the names of the values, and the functions `residual`, `gradient` and `coordinate`.
 
     Parameters
     ----------
@@ -46,17 +44,17 @@ class FamilyTable:
         return bool(self.families)
 
     def members(self, s: mi.UInt32, active: mi.Bool) -> Iterator[tuple[mi.Bool, Any]]:
-        """Yield each family with the mask of the surfaces s that belong to it."""
+        """Yield each family of surfaces with a mask of the lanes whose surface s belongs to it."""
         number = dr.gather(mi.UInt32, self._numbers, s, active) if self.families else None
         for k, family in enumerate(self.families, start=1):
             yield active & (number == k), family
 
     def holds(self, s: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """Whether the surfaces s belong to one of the families."""
+        """Return a mask of the lanes whose surface s belongs to any of the families."""
         return active & (dr.gather(mi.UInt32, self._numbers, s, active) > 0) if self.families else mi.Bool(False)
 
     def numbers(self, family: Any, s: mi.UInt32, here: mi.Bool) -> dict[str, mi.Float]:
-        """Return the values of a family's numbers, by name, for the surfaces s that belong to it."""
+        """Return the parameter values of a family by name, for the lanes in `here` whose surface s belongs to it."""
         vectors = [
             dr.gather(mi.Vector4f, self._rows, self._vectors * s + k, here) for k in range(-(-len(family.numbers) // 4))
         ]

@@ -70,7 +70,7 @@ class FreeSpace:
         self._x, self._y, self._z, self._per_mm = (dr.opaque(mi.Float, float(v)) for v in (x, y, self._first, per_mm))
 
     def holds(self, o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Bool:
-        """Return whether segments of length t, mm, stay clear of all Mitsuba shapes; False for infinite ones."""
+        """Return a mask of segments of length t, mm, that stay clear of all Mitsuba shapes; False for infinite ones."""
         a = [dr.dot(row, o) for row in self._rows]
         b = [dr.fma(t, dr.dot(row, d), start) for row, start in zip(self._rows, a, strict=True)]
         outer = dr.maximum(*(dr.square(p[0] - self._x) + dr.square(p[1] - self._y) for p in (a, b)))
@@ -124,7 +124,11 @@ def stock_extents(
 
 
 def _triangles(shape: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners (n, 3), mm, in the world and triangles (m, 3) of a mesh, or of another shape's bounding box."""
+    """
+    Return corners (n, 3), mm, and triangles (m, 3) of a mesh in the world frame.
+
+    Of another shape, those of its bounding box.
+    """
     if isinstance(shape, mi.Mesh) and not str(shape).startswith("Rectangle"):  # which keeps its triangles to itself
         points, faces = mesh_arrays(shape)
         if len(faces):
@@ -136,7 +140,7 @@ def _triangles(shape: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _distance(corners: np.ndarray) -> np.ndarray:
-    """Return the distances of triangles in a plane, (n, 3, 2), from its origin, (n,), mm; 0 if it lies inside."""
+    """Return the distance of each plane triangle, (n, 3, 2), from the origin, (n,), mm; 0 if the origin is inside."""
     sides = np.roll(corners, -1, axis=1) - corners
     turn = corners[..., 0] * sides[..., 1] - corners[..., 1] * sides[..., 0]
     inside = (np.all(turn >= 0, axis=1) | np.all(turn <= 0, axis=1)) & np.any(turn != 0, axis=1)

@@ -1,4 +1,4 @@
-"""Random and even points on the surfaces of a scene in float64, on the host."""
+"""Random and evenly spread points on the surfaces of a scene, in float64 on the host."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEPS, MARGIN = 256, 1.05  # steps over the unit square for areas; factor above 
 
 
 def across(axis: np.ndarray) -> np.ndarray:
-    """Return two unit vectors at right angles to a unit vector and to each other, (3, 2)."""
+    """Return two unit vectors at right angles to a unit vector and to each other, as columns, (3, 2)."""
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first)], axis=1)
@@ -32,19 +32,19 @@ def sphere_points(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def lambertian_directions(outward: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return random unit directions, (n, 3), Lambertian about outward unit vectors, (n, 3)."""
+    """Return random unit directions, (n, 3), with cosine (Lambertian) density about outward unit vectors, (n, 3)."""
     d = outward + sphere_points(rng, len(outward))
     return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
 def box_corners(boxes: Iterable[Any]) -> np.ndarray:
-    """Return the corners of the box around some bounding boxes, (8, 3), mm, in ascending order."""
+    """Return the corners of the smallest box around bounding boxes, (8, 3), mm, in ascending order."""
     ends = np.array([[box.min, box.max] for box in boxes], dtype=np.float64)
     return np.array(list(product(*zip(ends[:, 0].min(axis=0), ends[:, 1].max(axis=0), strict=True))))
 
 
 def stock_points(shape: Any, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points of a shape of Mitsuba, (n, 3), mm, for u and v in 0 … 1, and the unit normals there."""
+    """Return points (n, 3), mm, and unit normals of one of Mitsuba's own shapes, for u and v in 0 … 1, (n,) each."""
     found = shape.sample_position(0.0, mi.Point2f(upload(mi.Float, u), upload(mi.Float, v)))
     p, n = (np.broadcast_to(download(one), (len(u), 3)).copy() for one in (found.p, found.n))
     return p, n

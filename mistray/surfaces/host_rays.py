@@ -1,4 +1,4 @@
-"""Rays in float64 on the host: a few hundred rays that set a trace up, through the surfaces that the kernel traces."""
+"""Rays traced in float64 on the host through the kernel's surfaces, a few hundred to set up a trace."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TINY = 1e-150  # least direction cosine; a ray with a smaller one counts as para
 
 
 def local(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return world points, mm, and directions, (n, 3) each, in the frame of an analytic surface's vertex."""
+    """Transform points, mm, and directions, (n, 3) each, from world to vertex frame of an analytic surface."""
     return _place(table, surface, o), d @ table.rotations[surface]
 
 
@@ -62,7 +62,11 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
 
 
 def inside(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
-    """Return whether world points, (n, 3), mm, of an analytic surface's sheet lie within its bounds; False for NaN."""
+    """
+    Return a mask of world points (n, 3), mm, on an analytic surface's sheet, that lie within its bounds.
+
+    The result is False for NaN.
+    """
     with np.errstate(invalid="ignore"):
         return table.pieces[surface].inside(_place(table, surface, p))
 
@@ -79,7 +83,7 @@ def first_hit(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, last: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the surfaces that rays meet first, with the points of the hits, mm, and the normals there.
+    Return the first surface that each ray meets, the point of the hit, mm, and the unit normal there.
 
     Parameters
     ----------
@@ -121,7 +125,7 @@ def first_hit(
 
 
 def _place(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
-    """Return world points (n, 3), mm, in the frame of an analytic surface's vertex."""
+    """Transform points (n, 3), mm, from the world into the vertex frame of an analytic surface."""
     return np.asarray((p - table.vertices[surface]) @ table.rotations[surface])
 
 
@@ -129,7 +133,7 @@ def _nearest_first(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, best: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """
-    Yield rays and surfaces that they may meet, as pairs of numbers: (n,) int each.
+    Yield ray indices and the surfaces that they may meet, (n,) int each.
 
     Surfaces of the tree come first, then those whose boxes a ray enters, the nearest first, up to `best`, mm, the
     nearest hit of each ray so far.
@@ -159,7 +163,7 @@ def _nearest_first(
 @dataclass(frozen=True)
 class _Boxes:
     """
-    Boxes around surfaces of one orientation, in that orientation.
+    Bounding boxes of surfaces with the same orientation, aligned with their frame.
 
     Attributes
     ----------
@@ -178,7 +182,7 @@ class _Boxes:
 
     @staticmethod
     def of(table: SurfaceTable, pieces: list[TracedSurface]) -> _Boxes:
-        """Return the boxes around surfaces of one frame."""
+        """Return the bounding boxes, with a margin, of surfaces that share one frame."""
         frame = table.frames[pieces[0].frame]
         size = np.array([piece.size for piece in pieces])
         low, high = np.array([piece.z_range for piece in pieces]).T
@@ -206,7 +210,7 @@ class _Boxes:
 
 class HostSurfaces:
     """
-    Analytic surfaces of a scene as arrays, by which rays meet many quadrics in one evaluation, in float64.
+    Analytic surfaces of a scene as arrays, for float64 intersection of many rays with many quadrics at once.
 
     Parameters
     ----------
@@ -242,14 +246,18 @@ class HostSurfaces:
         self._sign = np.array([piece.sign for piece in table.pieces])
 
     def _inward(self, v: np.ndarray, members: np.ndarray) -> np.ndarray:
-        """Return vectors of the world, (n, 3), in the frames of surfaces."""
+        """
+        Rotate world vectors, (n, 3), into the frame of one surface each.
+
+        `members` are the numbers of the surfaces.
+        """
         return np.einsum("ij,ijk->ik", v, self._rotations[members]) if self._rotated else v
 
     def hits(
         self, o: np.ndarray, d: np.ndarray, members: np.ndarray, last: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the hits of rays with one surface each.
+        Return the hits of rays with one candidate surface each.
 
         Parameters
         ----------
@@ -294,7 +302,7 @@ class HostSurfaces:
         return np.concatenate([rays for rays, _ in found]), np.concatenate([t for _, t in found])
 
     def normals(self, p: np.ndarray, members: np.ndarray) -> np.ndarray:
-        """Return the unit normals, (n, 3), from front to back, at world points, (n, 3), mm, of one surface each."""
+        """Return unit normals, (n, 3), from front to back, at world points p, mm, each on the surface in `members`."""
         q = self._inward(p - self._vertices[members], members)
         a, b, e, _ = self._quadric[members].T
         normal = quadric_gradient(a, b, e, q)
@@ -327,7 +335,7 @@ def _stock_hit(
 
 def specular(d: np.ndarray, normal: np.ndarray, eta: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the directions of specular reflection and refraction at surfaces.
+    Return the directions into which rays are specularly reflected and refracted at surfaces.
 
     Parameters
     ----------
@@ -355,7 +363,7 @@ def onward(
     table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the directions in which rays leave surfaces along the design path, and whether they are reflected.
+    Return the directions in which rays leave surfaces along the design path, and a mask of the reflected ones.
 
     They are reflected at mirrors and in total reflection, and transmitted elsewhere.
 
@@ -390,7 +398,7 @@ def onward(
 
 def indices_along(before: np.ndarray, behind: np.ndarray) -> np.ndarray:
     """
-    Return the refractive indices of the media in which light arrives at each surface on its way.
+    Return the refractive index of the medium in which light arrives at each surface along its path.
 
     The materials of an opaque surface do not count, and a mirror does not change the medium. The index before such a
     surface is that of the medium the ray was in, or else the index before the next refracting surface.

@@ -103,7 +103,7 @@ class Intersector:
         def follow(
             stack: _Stack, backward: bool, here: mi.Bool, best: mi.Float, surface: mi.UInt32
         ) -> tuple[mi.Float, mi.UInt32]:
-            """Return the nearest hit, mm, and its surface, after tests of the groups of a stack that may be nearer."""
+            """Return the nearest hit, mm, and its surface, after tests of groups that may be nearer than `best`."""
             o, d = frames[stack.frame]
             far = _z_at(o, d, best)
             for group in reversed(stack.groups) if backward else stack.groups:
@@ -199,7 +199,7 @@ class Intersector:
 
 @dataclass
 class _Group:
-    """Surfaces tested together, their extent along the axis, mm, and the square of their least radius, mm²."""
+    """Surfaces tested together, their range along the axis, mm, and the square of their least radius, mm²."""
 
     axis: int
     members: list[int]
@@ -219,7 +219,7 @@ class _Group:
 
 @dataclass
 class _Stack:
-    """Surfaces of one orientation that are not walls, from front to back."""
+    """Groups of surfaces with one orientation, ordered from front to back; walls are left out."""
 
     frame: int
     groups: list[_Group]
@@ -227,7 +227,7 @@ class _Stack:
 
 def _stacks(pieces: list[TracedSurface], singles: list[int]) -> list[_Stack]:
     """
-    Return stacks of surfaces that are not walls, one for each orientation.
+    Return a stack for each orientation, of surfaces that are not walls.
 
     Each surface is a group of its own, except rectangles that share no axis with another surface. These mostly form the
     board around the detector and are tested together.
@@ -255,12 +255,12 @@ def _groups(pieces: list[TracedSurface], walls: list[int]) -> list[_Group]:
 
 
 def _z_at(o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Float:
-    """Return the position along the axis, mm, of a ray's point at the distance t, mm, which may be infinite."""
+    """Return a ray's z coordinate, mm, at the distance t, mm, which may be infinite."""
     return dr.fma(smaller(t, FAR), d.z, o.z)
 
 
 def _reaches(ray: AxisRay, best: mi.Float, z_low: mi.Float, z_high: mi.Float) -> mi.Bool:
-    """Whether a ray up to the distance `best`, mm, has a part between the planes at `z_low` and `z_high`, mm."""
+    """Return a mask of rays that, up to the distance `best`, pass between planes at `z_low` and `z_high`; in mm."""
     far = dr.fma(smaller(best, FAR), ray.dz, ray.oz)
     forward = ray.dz >= 0
     return (dr.select(forward, far, ray.oz) >= z_low) & (dr.select(forward, ray.oz, far) <= z_high)

@@ -1,4 +1,4 @@
-"""Nearest hit of rays with many freeforms of one sort, such as segments of a mirror or lenslets of an array.
+"""Nearest hit of rays with many freeform surfaces of one sort, such as segments of a mirror or lenslets of an array.
 
 A ray comes near few of them. Bounding spheres of all members are tested one after the other, at a few instructions
 each. The code that searches a crossing exists once, in a loop over the members that the ray comes near. Numbers that
@@ -29,7 +29,7 @@ SLACK = 1e-5  # margin for rounding, in units of a sphere's size and of its dist
 
 
 def mosaics(pieces: Sequence[object], members: Sequence[int]) -> list[list[int]]:
-    """Return groups of at most `BITS` members that are freeforms of one sort; of fewer than `FEWEST` there is none."""
+    """Group freeforms of one sort for `MosaicSearch`; return lists of `FEWEST` to `BITS` surface numbers each."""
     sorts: dict[tuple[object, ...], list[int]] = {}
     for k in members:
         piece = pieces[k]
@@ -141,7 +141,7 @@ class MosaicSearch:
 
 
 def _about_middle(piece: Freeform) -> dict[str, float]:
-    """Return the numbers of a member for the kernel, by name; the position of a polygon is added to its corners."""
+    """Return the kernel numbers of a freeform by name, with its polygon's position added to the corners, mm."""
     found = {name: float(value) for name, value in piece.kernel_values().items()}
     for k, figure in enumerate(piece.outline.figures, start=1):
         if figure.kind == "polygon" and not figure.angle_deg:
@@ -154,7 +154,7 @@ def _about_middle(piece: Freeform) -> dict[str, float]:
 
 
 def _common(name: str, values: np.ndarray) -> float | None:
-    """Return the value that a number has in all members; None if their values differ."""
+    """Return the value of a kernel number shared by all members, within rounding; None if the values differ."""
     most, least = float(values.max()), float(values.min())
     if name in BOUNDS and most <= ALIKE * least:
         return most

@@ -1,4 +1,4 @@
-"""Effect of the surfaces of a scene on the flux, for the kernel: words, indices, media, tables of R and T.
+"""Optical properties of surfaces for the kernel: flag words, refractive indices, media, tables of R and T.
 
 A coating is evaluated on the host in float64 and enters the kernel as a table over the angle of incidence. So the cost
 of a hit does not depend on the number of its layers. A table has two parts:
@@ -86,7 +86,7 @@ def absorption_per_mm(n: Any, wavelength_nm: float) -> Any:
 
 def is_dark(n: Any, wavelength_nm: float, length_mm: Any) -> Any:
     """
-    Return whether light is absorbed entirely in bodies of given complex indices and lengths, mm.
+    Return a mask of bodies, of complex indices and lengths (mm), that absorb all light.
 
     No light passes a metal, however thin the body that rays describe. In other materials exp(-4πkd/λ) must be below
     `DARK`.
@@ -120,7 +120,7 @@ def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarr
 
 
 def _channels(response: Response, reflection: bool, stokes: bool) -> np.ndarray:
-    """Return the values of one channel of a table, (m, c): of R or of T."""
+    """Return R or T of a coating's response as columns of a table, (m, c), for s and p or their mean."""
     values, phase = (response.R, response.phase_r) if reflection else (response.T, response.phase_t)
     if not stokes:
         return values.mean(axis=1, keepdims=True)
@@ -179,7 +179,11 @@ def _known_table(
     opaque: bool,
     stokes: bool,
 ) -> AngleTable:
-    """Return the table of `angle_table`; the indices of the layers distinguish two contents of one file."""
+    """
+    Return the cached table of `angle_table`.
+
+    The layers' indices are part of the key, as a file's contents may change.
+    """
     sides = n_front, n_back
 
     def refraction(x: np.ndarray) -> np.ndarray:
@@ -256,7 +260,7 @@ def unpolarized_shares(
 
 
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """Return values at enough uniform nodes of 0 … 1 for linear interpolation, and a bound of the error of that."""
+    """Sample a function at uniform nodes of 0 … 1, enough to interpolate linearly; return values and error bound."""
     intervals = FIRST_INTERVALS
     # All of the first levels in one call, which costs as much as a thousand values
     known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))
@@ -379,7 +383,7 @@ class Optics:
         declared = np.zeros((count, 2), dtype=np.int64)
 
         def number(n: complex, spec: str) -> int:
-            """Return the number of a medium, by index and not by name: "air" and "vacuum", "1.5" and "1.50" are one."""
+            """Return the number of a medium. Media of equal index and scatter share one, such as "1.5" and "1.50"."""
             cloud = bulk_scatter(spec)
             key = (round(n.real, 9), float(f"{n.imag:.9g}"), cloud.per_mm, cloud.g)
             if key not in numbers:
@@ -463,7 +467,7 @@ class Optics:
         dr.eval(self.extinction, self.albedo, self.asymmetry, self.media_n)
 
     def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
-        """Return the complex indices in front and behind; 1 for a surface that is opaque whatever lies behind it."""
+        """Return complex refractive indices before and behind a surface; 1 for opaque ones, except multilayers."""
         if bsdf.opaque and not isinstance(bsdf.coating, Stack):
             return 1 + 0j, 1 + 0j
         with errors_of(f"surface '{name}'"):
@@ -471,7 +475,7 @@ class Optics:
         return complex(front), complex(back)
 
     def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[Note]]:
-        """Return the sides of the surfaces on which no light travels, (s, 2) bool, and notes on them for the user."""
+        """Return a mask of the sides of surfaces where no light travels, (s, 2), and notes about them for the user."""
         n = np.array(self.complex_indices)
         if not n.imag.any():
             return np.zeros(n.shape, dtype=bool), []
@@ -508,7 +512,7 @@ class Optics:
         return dark, list(notes.values())
 
     def _unfitted(self) -> list[Note]:
-        """Return notes on presets that were written into the scene for another body than the one they are on."""
+        """Return notes on coating presets that were made for another body than the one they are on."""
         found: dict[Note, None] = {}
         for bsdf, sides in zip(self.bsdfs, self.complex_indices, strict=True):
             outside, inside = sorted((0, 1), key=lambda side: sides[side].real)
@@ -526,7 +530,7 @@ class Optics:
 
     @cached_property
     def mostly_reflects(self) -> np.ndarray:
-        """Whether each surface is opaque and reflects more than half the light at normal incidence, (s,) bool."""
+        """Return a mask of opaque surfaces that reflect more than half the light at normal incidence, (s,) bool."""
         found = np.zeros(len(self.bsdfs), dtype=bool)
         for i in np.flatnonzero(self.host_words & OPAQUE).tolist():
             if self.bsdfs[i].ideal:
@@ -552,7 +556,7 @@ class Optics:
         return left, clouded, taken
 
     def response(self, surface: int, from_front: bool, cosines: np.ndarray) -> Response:
-        """Return the exact response of a surface's coating to light from one side, at cosines of incidence, (m,)."""
+        """Return the exact R and T (s and p) of a surface's coating from one side, at cosines of incidence, (m,)."""
         sides = self.complex_indices[surface]
         if self.host_words[surface] & OPAQUE and sides[0 if from_front else 1].imag > METAL_K:
             from_front = not from_front  # nothing travels in a metal
@@ -566,13 +570,13 @@ class Optics:
         return unpolarized_shares(coating, self.wavelength_nm, sides, opaque, from_front, cosines)
 
     def _rows(self, part: np.ndarray) -> np.ndarray:
-        """Return the rows of a table in the layout that the kernel reads, (nodes, row_floats)."""
+        """Return a table of R and T in the kernel's layout, (nodes, row_floats)."""
         if self.stokes:
             return part.reshape(len(part), 12)
         return np.concatenate([part[:, :, 0], np.zeros((len(part), 1))], axis=1)
 
     def _absorbs_nothing(self, surface: int) -> bool:
-        """Whether an interface absorbs less than the rounding at every angle, so that a detector there stays dark."""
+        """True if a surface absorbs less than rounding at every angle, so that a detector there would stay dark."""
         bsdf, table = self.bsdfs[surface], self.tables[surface]
         if table is not None:
             shares = table.refraction if not self.stokes else table.refraction[:, :, :2].mean(axis=2, keepdims=True)

@@ -98,14 +98,14 @@ class WallRims:
         self._rows = upload(mi.Float, rows)
 
     def at_rim(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Return whether points q, mm, in frames of the surfaces s, lie on a wall within some roundings of its rim."""
+        """Return a mask of points q, mm, in frames of the walls s, that lie within a few rounding errors of a rim."""
         along, across, low, high = dr.gather(mi.Vector4f, self._rows, s, active)
         place = dr.fma(along, q.z, across * dr.fma(q.x, q.x, q.y * q.y))
         return active & ((place < low) | (place > high))
 
 
 def _smooth_rims(walls: Sequence[TracedSurface]) -> dict[int, set[int]]:
-    """Return the rims of each wall at which another wall continues it, by the number of the wall."""
+    """Return, for each wall by number, the set of its rims where another wall continues it smoothly."""
     found: dict[int, set[int]] = {piece.index: set() for piece in walls}
     meeting: dict[tuple[int, float, float], list[tuple[int, int, np.ndarray]]] = {}
     for piece in walls:

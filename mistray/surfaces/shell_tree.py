@@ -26,7 +26,7 @@ Axis = tuple[int, float, float]
 
 @dataclass(frozen=True)
 class _Body:
-    """Surfaces on one axis: their positions among the members of the tree, and the box around them, mm."""
+    """Surfaces on one axis: their indices among the tree's members, and the bounding box around them, mm."""
 
     axis: Axis
     members: np.ndarray
@@ -199,19 +199,19 @@ def many(pieces: Sequence[TracedSurface]) -> list[int]:
 
 
 def _around(shells: np.ndarray) -> np.ndarray:
-    """Return the smallest shell that holds the shells (n, 4)."""
+    """Return the smallest shell that holds the given shells, (n, 4): least and greatest z and radius, mm."""
     low, high = shells.min(axis=0), shells.max(axis=0)
     return np.array([low[0], high[1], low[2], high[3]])
 
 
 def _halves(middles: np.ndarray) -> list[np.ndarray]:
-    """Return the indices of points (n, k) in two halves, divided along the coordinate in which they differ most."""
+    """Split points (n, k) in two halves along the coordinate with the widest range; return the indices of each."""
     order = np.argsort(middles[:, np.argmax(np.ptp(middles, axis=0))], kind="stable")
     return [order[: len(order) // 2], order[len(order) // 2 :]]
 
 
 def _meets(rays: np.ndarray, shell: np.ndarray) -> np.ndarray:
-    """Whether rays (6, n) meet a shell about the z axis, neither beside it nor through its hole."""
+    """Return a mask of rays (6, n) that meet a shell about the z axis: pass neither beside it nor through its hole."""
     x, y, z, dx, dy, dz = rays
     low, high, inner2, outer2 = shell
     with np.errstate(all="ignore"):

@@ -35,7 +35,7 @@ AREA_STEPS = 64  # steps along a surface with uniformly drawn points, for its ar
 @dataclass(frozen=True)
 class Opening:
     """
-    Flat ellipse or rectangle across the axis, for the clear aperture of a surface.
+    Clear aperture of a surface as a flat ellipse or rectangle across the axis.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class TracedSurface(ABC):
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Least and greatest position of the surface along its axis, mm."""
+        """Least and greatest position of the surface along its axis in the device's frame, mm."""
         return self.z + self.z_range[0], self.z + self.z_range[1]
 
     @property
@@ -136,13 +136,13 @@ class TracedSurface(ABC):
 
     @property
     def self_hit(self) -> float:
-        """Least distance, mm, at which a ray that leaves the surface may meet it again; nearer hits are rounding."""
+        """Least distance, mm, from a point on the surface to a second hit of it; nearer hits are rounding errors."""
         return SELF_HIT * self.size
 
     @property
     @abstractmethod
     def least_radius(self) -> float:
-        """Least distance of the surface's points from its axis, mm, or a lower bound of it."""
+        """Lower bound of the distance of the surface's points from its axis, mm."""
 
     @property
     @abstractmethod
@@ -155,12 +155,12 @@ class TracedSurface(ABC):
 
     @property
     def sort(self) -> tuple[object, ...]:
-        """Properties of the surface that the kernel's code for it depends on; surfaces of a sort share code."""
+        """Hashable properties that determine the kernel's code; surfaces of equal sort share it."""
         return (type(self),)
 
     @property
     def searched(self) -> bool:
-        """Whether the kernel searches the surface by `mistray.surfaces.aspheres` and not by `crossing`."""
+        """True if the kernel finds hits by the search in `mistray.surfaces.aspheres` and not by `crossing`."""
         return False
 
     @property
@@ -170,7 +170,11 @@ class TracedSurface(ABC):
 
     @property
     def clip(self) -> tuple[float, float]:
-        """Half width and half height, mm, of a rectangle; or inner radius squared, mm², and 0. With the overlap."""
+        """
+        Half width and half height (mm) of a rectangular aperture, else inner radius squared (mm²) and 0.
+
+        The overlap with neighbours is included.
+        """
         return 0.0, 0.0
 
     @property
@@ -180,14 +184,14 @@ class TracedSurface(ABC):
 
     @property
     def detector_half(self) -> tuple[float, float] | None:
-        """Half width and half height, mm, of a detector's map on the surface; None if it cannot be a detector."""
+        """Half width and half height, mm, of the map if the surface is a detector; None if it cannot be one."""
         return None
 
     # ---- rays on the host
 
     @property
     def bounds(self) -> Bounds | None:
-        """Bounds of the surface's points, by which many quadrics are tested at once; None if `inside` tests others."""
+        """Bounds of the surface's points, for tests of many quadrics at once; None if only `inside` can test them."""
         return None
 
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -200,7 +204,11 @@ class TracedSurface(ABC):
         return quadric_crossings(self.quadric, self.bounds.sheet, o, d)
 
     def inside(self, q: np.ndarray) -> np.ndarray:
-        """Return whether points (n, 3) of the surface's sheet lie within its bounds, (n,) bool; False for NaN."""
+        """
+        Return a mask of points (n, 3) of the surface's sheet that lie within its bounds, (n,) bool.
+
+        The result is False for NaN.
+        """
         assert self.bounds is not None
         return within_bounds(self.bounds, q)
 
@@ -226,7 +234,7 @@ class TracedSurface(ABC):
 
     @abstractmethod
     def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the surface coordinates of points (n, 3), mm: two arrays (n,), each 0 … 1 over the surface."""
+        """Map points (n, 3), mm, of the surface to two coordinates, (n,) each, that run from 0 to 1 over it."""
 
     @abstractmethod
     def areas(self, first: int, second: int) -> np.ndarray:
@@ -234,7 +242,7 @@ class TracedSurface(ABC):
 
     def hull(self, polygon: np.ndarray) -> np.ndarray:
         """
-        Return points (n, 3), mm, whose convex hull holds the surface.
+        Return points (n, 3), mm, whose convex hull contains the surface.
 
         `polygon` holds the corners (m, 2) of a polygon around the unit circle.
         """
@@ -245,7 +253,7 @@ class TracedSurface(ABC):
     @property
     @abstractmethod
     def rim_coordinate(self) -> int:
-        """Kind of the coordinate that is constant along a rim: `ROUND`, `RECTANGLE` or `ENDS`."""
+        """Kind of coordinate that is constant along each rim: radius (`ROUND`), x and y (`RECTANGLE`) or z (`ENDS`)."""
 
     @property
     @abstractmethod
@@ -255,10 +263,10 @@ class TracedSurface(ABC):
     @property
     @abstractmethod
     def reach(self) -> tuple[float, float]:
-        """Least and greatest value of the coordinate in which the rims lie, mm; for a rectangle those of the radius."""
+        """Least and greatest value, mm, of the coordinate that defines the rims; for a rectangle, of the radius."""
 
     def rim_place(self, q: np.ndarray) -> np.ndarray:
-        """Return the coordinate in which the rims lie, (n,), mm, at points (n, 3) of the sheet; not for rectangles."""
+        """Return the coordinate that defines the rims (radius or z), (n,), mm, of points (n, 3); not for rectangles."""
         return q[:, 2] if self.rim_coordinate == ENDS else np.hypot(q[:, 0], q[:, 1])
 
     def rim_depths(self, q: np.ndarray) -> dict[int, np.ndarray]:
@@ -299,18 +307,18 @@ class TracedSurface(ABC):
         """
 
     def rim_stretch(self, point: np.ndarray) -> float:
-        """Return the change of the rims' coordinate per length along the profile at a point (radius, z), mm/mm."""
+        """Return how fast the coordinate of the rims changes along the profile at a point (radius, z), mm per mm."""
         return float(abs(self.tangent(point)[1 if self.rim_coordinate == ENDS else 0]))
 
     # ---- kernel
 
     def numbers(self) -> Any:
-        """Return the numbers that `crossing` needs, as Dr.Jit variables."""
+        """Return the surface's parameters that `crossing` needs, as Dr.Jit variables."""
         return Numbers.of(self)
 
     @abstractmethod
     def kernel_values(self) -> Mapping[str, Any]:
-        """Return the numbers that only this family's `crossing` needs, by name."""
+        """Return parameters that only this family's `crossing` needs, by name."""
 
     @abstractmethod
     def crossing(self, ray: AxisRay, numbers: Any, own: mi.Bool) -> mi.Float:
@@ -340,7 +348,11 @@ def quadric_crossings(quadric: Sequence[Any], sheet: Any, o: np.ndarray, d: np.n
 
 
 def within_bounds(bounds: Sequence[Any], q: np.ndarray) -> np.ndarray:
-    """Return whether points (n, 3), mm, of a surface's sheet lie within its `Bounds`, (n,) bool; False for NaN."""
+    """
+    Return a mask of points (n, 3), mm, of a surface's sheet that lie within its `Bounds`, (n,) bool.
+
+    The result is False for NaN.
+    """
     (_, low2, high2, half_x, half_y, low_z, high_z), (x, y, z) = bounds, q.T
     r2 = x**2 + y**2
     beside = (np.abs(x) <= half_x) & (np.abs(y) <= half_y)

@@ -1,4 +1,4 @@
-"""Numbers of a surface that its interaction with light needs, read by the number of the surface."""
+"""Parameters of surfaces that the interaction with light needs, looked up by surface number."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_ROWS = 14  # rows of the largest table copied to the lanes, 52 bytes for ea
 @dataclass
 class SurfaceRow:
     """
-    Shape, place and optics of the surfaces that rays are at, one per lane.
+    Shape, position and optical properties of the surface at which each lane's ray is.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class LaneRows:
 
     @staticmethod
     def pay(table: SurfaceTable) -> bool:
-        """Return whether a copy in each lane is faster than gathers: True for few surfaces on the CPU."""
+        """True if a copy in each lane is faster than gathers: for few surfaces, on the CPU."""
         return table.count <= MOST_ROWS and not on_gpu()
 
     def row(self, s: mi.UInt32, active: mi.Bool) -> SurfaceRow:

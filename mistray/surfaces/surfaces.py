@@ -48,7 +48,7 @@ TINY_BEND, LARGE_BEND = 1e-30, 1e30
 
 class LocalFrame:
     """
-    Axes of surfaces, to rotate directions into the surfaces' own frames and back.
+    Rotation of directions between the scene's frame and the frames of surfaces, one surface per lane.
 
     Parameters
     ----------
@@ -60,14 +60,14 @@ class LocalFrame:
         self._rows = rows
 
     def inward(self, v: mi.Vector3f) -> mi.Vector3f:
-        """Return a vector of the scene in the frame of the surface."""
+        """Rotate a vector from the scene's frame into the surface's frame."""
         if self._rows is None:
             return v
         rows = self._rows
         return mi.Vector3f(*(rows[0][k] * v.x + rows[1][k] * v.y + rows[2][k] * v.z for k in range(3)))
 
     def outward(self, v: mi.Vector3f) -> mi.Vector3f:
-        """Return a vector of the surface's frame in that of the scene."""
+        """Rotate a vector from the surface's frame into the scene's frame."""
         if self._rows is None:
             return v
         return mi.Vector3f(*(row.x * v.x + row.y * v.y + row.z * v.z for row in self._rows))
@@ -146,7 +146,7 @@ class SurfaceTable:
 
     @cached_property
     def host(self) -> HostSurfaces:
-        """Analytic surfaces as arrays in float64, for rays on the host."""
+        """Analytic surfaces as float64 arrays, to intersect rays on the host; built on first use."""
         return HostSurfaces(self)
 
     def at(self, wavelength_nm: float) -> SurfaceTable:
@@ -154,13 +154,13 @@ class SurfaceTable:
         return self._changed(wavelength_nm, self.detectors, self.design_mirrors)
 
     def on(self, detector: int) -> SurfaceTable:
-        """Return the surfaces of the scene with one detector alone; other detectors count as ordinary surfaces."""
+        """Return the table with one detector only; other detectors become ordinary surfaces."""
         if self.detectors == [detector]:
             return self
         return self._changed(self.wavelength_nm, [detector], self.design_mirrors)
 
     def with_mirrors(self, surfaces: frozenset[int]) -> SurfaceTable:
-        """Return the surfaces of the scene with some opaque ones marked as mirrors of the design."""
+        """Return the table with the given opaque surfaces marked as mirrors of the design."""
         return self._changed(self.wavelength_nm, self.detectors, surfaces) if surfaces else self
 
     def __copy__(self) -> SurfaceTable:
@@ -215,7 +215,7 @@ class SurfaceTable:
         return np.concatenate([self.optics.host_words | sensors, np.zeros(len(self.optics.media), dtype=np.uint32)])
 
     def upload_point(self, point: np.ndarray) -> mi.Vector3f:
-        """Return a world point, (3,), mm, as an opaque device vector relative to `centre`."""
+        """Return a world point, (3,), mm, as an opaque device vector relative to `centre`, mm."""
         return opaque(mi.Vector3f, point - self.centre)
 
     def upload_points(self, points: np.ndarray) -> mi.Vector3f:
@@ -223,11 +223,11 @@ class SurfaceTable:
         return mi.Vector3f(*(upload(mi.Float, column) for column in (points - self.centre).T))
 
     def download_points(self, points: mi.Vector3f) -> np.ndarray:
-        """Return world points, (n, 3) float64, mm, from points on the device."""
+        """Return device points, which are relative to `centre`, as world points on the host, (n, 3) float64, mm."""
         return download(points) + self.centre
 
     def frame(self, s: mi.UInt32, active: mi.Bool | bool = True) -> LocalFrame:
-        """Return the axes of the surfaces s, which rotate directions into the surfaces' frames and back."""
+        """Return the rotations between the scene and the frames of the surfaces s, one per lane."""
         if not self.rotated:
             return LocalFrame(None)
         return LocalFrame([dr.gather(mi.Vector4f, self.rotation, 3 * s + k, active) for k in range(3)])
@@ -320,7 +320,7 @@ class SurfaceTable:
         self.rotation = upload(mi.Float, np.concatenate([self.rotations, np.zeros((self.count, 3, 1))], axis=2))
 
     def _stock(self, shapes: list[Any]) -> None:
-        """Build a Mitsuba scene of all shapes that are not analytic, and the table of their surface numbers."""
+        """Build a Mitsuba scene of shapes that are not analytic, and the table from its shapes to surface numbers."""
         self.mitsuba_scene, self.free_space = None, None
         if not shapes:
             return
@@ -349,7 +349,7 @@ class SurfaceTable:
         return download(found.n)
 
     def _flags(self) -> np.ndarray:
-        """Return the bits of the surfaces' words that follow from the geometry, (s,) uint32."""
+        """Return the flag bits of all surfaces that follow from geometry, (s,) uint32."""
         flags = np.zeros(self.count, dtype=np.uint32)
         for i in range(self.count):
             piece = self.pieces[i] if i < len(self.pieces) else None
@@ -364,7 +364,7 @@ class SurfaceTable:
 
     def film(self, detector: int | None = None) -> tuple[int, int, tuple[float, float, float, float]]:
         """
-        Return the pixels across and down a detector, and its extent (x0, x1, y0, y1) in its own frame, mm.
+        Return a detector's numbers of pixel columns and rows, and its extent (x0, x1, y0, y1) in its own frame, mm.
 
         The only detector is the default.
         """
@@ -383,13 +383,17 @@ class SurfaceTable:
         return width, height, (-half[0], half[0], -half[1], half[1])
 
     def _detector_frame(self, detector: int) -> np.ndarray:
-        """Return the middle of a detector that is Mitsuba's rectangle, and half sides along x and y, (3, 3), mm."""
+        """Return centre and half sides along x and y, as rows (3, 3), mm, of a detector that is a Mitsuba rectangle."""
         matrix = _rectangle_matrix(self.shapes[detector], self.ids[detector])
         return matrix[:3, [3, 0, 1]].T
 
 
 def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarray:
-    """Return the middle of surfaces with given vertices and radii, (3,), mm; the origin if they extend beyond it."""
+    """
+    Return the centre of surfaces from their vertices and radii, mm, (3,).
+
+    It is the origin if the scene extends beyond it.
+    """
     if not vertices:
         return np.zeros(3)
     places, reach = np.array(vertices), np.array(radii)[:, None]
@@ -399,7 +403,7 @@ def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarra
 
 
 def is_analytic(shape: Any) -> bool:
-    """Return whether a shape describes its own analytic surface; all other shapes are hit through Mitsuba."""
+    """True if a shape describes its own analytic surface; all other shapes are intersected by Mitsuba."""
     return hasattr(shape, "surface")
 
 
@@ -427,7 +431,7 @@ def part_of(name: str, shape: Any) -> str:
 
 
 def medium_id(medium: str) -> str:
-    """Return the name under which events in a medium are listed: in brackets, without spaces."""
+    """Return the name under which events in a medium are listed, such as ``(air)``, without spaces."""
     return f"({medium})".replace(" ", "_")
 
 

@@ -1,4 +1,4 @@
-"""Gaps between surfaces that are thinner than the rounding of positions on the device: light is lost in them."""
+"""Detection of gaps between surfaces that are thinner than float32 rounding of positions, in which light is lost."""
 
 from __future__ import annotations
 
@@ -43,5 +43,5 @@ def thin_gaps(table: SurfaceTable) -> list[Note]:
 
 
 def _height(piece: SagSurface, r2: np.ndarray) -> np.ndarray:
-    """Return the positions along the axis, mm, of a surface at squared radii, mm²."""
+    """Return the z coordinate of a surface, mm, at squared radii r2, mm², in the frame of its axis."""
     return piece.z + piece.sag(np.minimum(r2, conic_end(piece.curvature, piece.conic) ** 2 * (1 - 1e-12)))

@@ -18,13 +18,13 @@ DTYPES = {
 
 
 def opaque(kind: Any, values: Any) -> Any:
-    """Return numbers as a vector of opaque Dr.Jit variables, such as ``mi.Vector3f``; no number becomes a literal."""
+    """Return numbers as a vector of opaque Dr.Jit variables, such as ``mi.Vector3f``, so that kernels omit them."""
     return kind(*(dr.opaque(dr.value_t(kind), float(value)) for value in values))
 
 
 def upload(kind: Any, values: np.ndarray) -> Any:
     """
-    Return numbers as a Dr.Jit array whose memory always has the same alignment.
+    Copy numbers to a Dr.Jit array whose memory always has the same alignment.
 
     Dr.Jit's array types adopt the memory of a NumPy array in place, and its alignment becomes part of the kernels that
     read it. Without a fixed alignment one trace could compile to different kernels.

@@ -113,7 +113,7 @@ def _arguments(
 
 
 def _in_order(known: list[inspect.Parameter], positional: Sequence[str]) -> list[inspect.Parameter]:
-    """Return the arguments, those of `positional` first and all others keyword-only; unchanged if it is empty."""
+    """Return the arguments with those of `positional` first and all others keyword-only; unchanged if it is empty."""
     if not positional:
         return known
     kinds, by_name = inspect.Parameter, {one.name: one for one in known}
@@ -122,7 +122,7 @@ def _in_order(known: list[inspect.Parameter], positional: Sequence[str]) -> list
 
 
 def _docstring(doc: str, declared: list[Declared], signature: inspect.Signature) -> str:
-    """Return the docstring of `run`, with the fields of the request in place of the request itself."""
+    """Return the docstring of `run` with the fields of the request listed as parameters instead of the request."""
     lines = inspect.cleandoc(doc).splitlines()
     first = lines.index("Parameters") + 2
     last = next((k - 1 for k in range(first, len(lines)) if lines[k].startswith("---")), len(lines))
@@ -136,7 +136,7 @@ def _docstring(doc: str, declared: list[Declared], signature: inspect.Signature)
 
 
 def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
-    """Return the type accepted for a field as an argument, which can be wider than the type it is stored in."""
+    """Return the annotation of a field as an argument, as text; it may be wider than the stored type."""
     demand = demand_of(field)
     kind = type_of(field.type).replace(" | None", "")
     if isinstance(demand, OfType) and demand.kind is str:
@@ -157,7 +157,7 @@ def range_text(demand: Demand | None) -> str:
 
 
 def entry(field: dataclasses.Field[Any]) -> str:
-    """Return the entry of a field under Parameters: name, type, allowed values, and description."""
+    """Return a field's numpydoc entry for the section Parameters: name, type, allowed values and description."""
     kind = annotation_of(field).replace(" | None", "").replace("Any", "object")
     demand = demand_of(field)
     if isinstance(demand, Words):

@@ -1,4 +1,4 @@
-"""Parser that the commands share, and the types of their arguments."""
+"""Argument parser that all commands share, and types of its arguments."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, wrong)
 
     def declare_when_used(self, declare: Callable[[Parser], None]) -> None:
-        """Postpone the declaration of arguments until this parser is used."""
+        """Postpone a function that declares arguments until this parser is used."""
         self._later.append(declare)
 
     def declare_all(self) -> None:
-        """Declare the arguments whose declaration was postponed."""
+        """Call the postponed functions that declare arguments."""
         while self._later:
             self._later.pop(0)(self)
 
@@ -97,7 +97,7 @@ class Angles:
         return "0:80:2" if 0 in self.within else "400:700:5"
 
     def __call__(self, text: str) -> list[float]:
-        """Return the values of a text, one number or first:last:step with both ends, in the unit of `within`."""
+        """Parse one number or a range first:last:step with both ends; return the values in the unit of `within`."""
         parts = text.split(":")
         if len(parts) == 1:
             return [self.within(text)]
@@ -116,7 +116,7 @@ class Joined(argparse.Action):
     """Action that joins the lists parsed from the values of an argument into one list."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
-        """Set the argument to the joined list."""
+        """Store the joined list as the value of the argument."""
         setattr(namespace, self.dest, list(chain(*values)))
 
 
@@ -124,25 +124,25 @@ class OrAlone(argparse.Action):
     """Action of an option that may have no value; it is then set to a list of one empty string."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
-        """Set the option to its values, or to a list of one empty string if it has none."""
+        """Store the values of the option, or [""] if it was given without any."""
         setattr(namespace, self.dest, values or [""])
 
 
 def place(text: str) -> Path:
-    """Return the path of a file or folder; refuse an empty text, which would mean the current folder."""
+    """Return a text as the path of a file or folder; refuse an empty text, which would mean the current folder."""
     if not text.strip():
         raise argparse.ArgumentTypeError(f"'{text}' names nothing; give a file or folder, . for the current folder")
     return Path(text)
 
 
 def as_text(name: str) -> str:
-    """Return a file name as printable text: undecodable bytes as UTF-8, or else as replacement characters."""
+    """Return a file name as printable text: undecodable bytes are read as UTF-8, else become replacement characters."""
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
 def pairs(wrong: str, kind: Callable[[str], Any] = str) -> Callable[[str], tuple[str, Any]]:
     """
-    Return the function that parses an argument NAME=VALUE, such as PATTERN=COATING; the first = ends the name.
+    Return an argument parser for NAME=VALUE, such as PATTERN=COATING; the first = ends the name.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Command as data: its texts and options, from which its parser and its shell completion are made."""
+"""Description of a command as data: texts and options, from which parser and shell completion are made."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Option:
 
     @property
     def dest(self) -> str:
-        """Name of the option among the parsed options, without dashes."""
+        """Name under which the parsed value is stored, without dashes."""
         return self.name.split()[-1].removeprefix("--").replace("-", "_")
 
     def declare(self, target: Any) -> None:
@@ -70,7 +70,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Group:
-    """Options under a common heading of the help."""
+    """Options listed under a common heading in the help."""
 
     title: str
     options: tuple[Option, ...]
@@ -79,7 +79,7 @@ class Group:
 @dataclass(frozen=True)
 class Command:
     """
-    Command of the program, with its texts and options.
+    Command of the program: its texts and options.
 
     Attributes
     ----------
@@ -103,13 +103,13 @@ class Command:
 
     @property
     def options(self) -> Iterator[Option]:
-        """Yield all options, of every group."""
+        """Yield all options of the command, from every group."""
         for part in self._made:
             yield from part.options if isinstance(part, Group) else (part,)
 
     @property
     def requests(self) -> Any:
-        """Module ``request`` of the analysis, which holds its request classes."""
+        """Module ``request`` of the analysis package, which holds its request classes."""
         return importlib.import_module(f"{self.package}.request")
 
     @cached_property

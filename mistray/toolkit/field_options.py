@@ -18,13 +18,13 @@ MARKS = {"µm": "UM", "degrees": "DEG", "1/mm": "F", "cm √Hz/W": "D"}  # place
 
 
 def flag(name: str) -> str:
-    """Return the name of the command-line option for a field of a request, such as "--field-deg"."""
+    """Return the command-line option for a request field, such as "--field-deg" for field_deg."""
     return f"--{name.replace('_', '-')}"
 
 
 def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     """
-    Return the option of a command for a field of a request; for a flag set by default, "--no-…" unsets it.
+    Return the command-line option for a field of a request. For a flag set by default, "--no-…" unsets it.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def options_of(request: type, *names: str) -> tuple[Option, ...]:
 
 
 def group(title: str, request: type, *names: str) -> Group:
-    """Return some fields of a request as options under a heading."""
+    """Return the options for some fields of a request, under a common heading."""
     return Group(title, options_of(request, *names))
 
 
@@ -143,7 +143,7 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
 
 
 def _refuse_alone(request: Any, field: dataclasses.Field[Any], value: Any, options: Mapping[str, Any]) -> None:
-    """Raise `MistrayError` if an option is given without the other one that it needs, see `field`."""
+    """Raise `MistrayError` if an option is given without one that it needs, see `mistray.toolkit.fields.field`."""
     needs = field.metadata.get(NEEDS)
     if needs and value is not False:
         needed = option_of(request.__dataclass_fields__[needs])
@@ -152,7 +152,11 @@ def _refuse_alone(request: Any, field: dataclasses.Field[Any], value: Any, optio
 
 
 def _object_of(nested: Nested, options: Mapping[str, Any]) -> Any:
-    """Return the object that options describe, or None without any; raise `MistrayError` if some are missing."""
+    """
+    Return the nested object whose fields are given as options.
+
+    The result is None if none is given. Raise `MistrayError` if some are missing.
+    """
     fields = dataclasses.fields(nested.kind)
     given = {field.name: value for field in fields if (value := options.get(field.name)) is not None}
     missing = [flag(field.name) for field in fields if field.default is dataclasses.MISSING and field.name not in given]

@@ -1,4 +1,4 @@
-"""Fields of a request: each has a demand, a default and one sentence, from which keywords and options are made.
+"""Fields of requests: each declares condition, default and description, from which keywords and options are made.
 
 A request is a frozen dataclass. A function takes its fields as keywords, a command takes them as options, and both
 check and describe them from these declarations.
@@ -39,7 +39,8 @@ class Nested(OfType):
         object.__setattr__(self, "demand", f"must be a {self.kind.__name__}")
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the object, made from a mapping of its fields if necessary.
+        """
+        Return the object, built from a mapping of its fields if necessary.
 
         Raise `MistrayError` if it is of another type.
         """
@@ -68,7 +69,7 @@ class Several(Demand):
         return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
-        """Return the values as a tuple; raise `MistrayError` if there are too few, or one fails the demand."""
+        """Return the values as a tuple; raise `MistrayError` if there are too few, or one fails its condition."""
         values: tuple[Any, ...] = (value,)
         if not isinstance(value, str):
             with contextlib.suppress(TypeError):  # it is one
@@ -112,7 +113,11 @@ class FieldSubset(Demand):
         return tuple(field for field in dataclasses.fields(self.kind) if field.name in self.names)
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
-        """Return the given values except None; raise `MistrayError` if a name is unknown or a value out of range."""
+        """
+        Return the given values by name, without None.
+
+        Raise `MistrayError` for an unknown name or a value out of range.
+        """
         OfType(Mapping, self.demand).check(name, value, owner)
         unknown = next((key for key in value if key not in self.names), None)
         if unknown is not None:
@@ -159,13 +164,13 @@ def field(
 
 
 def field_of(kind: Any, name: str, default: Any) -> Any:
-    """Return the declaration of a request field that copies a field of another dataclass, with another default."""
+    """Declare a request field that copies the field `name` of another dataclass, with its own default."""
     return dataclasses.field(default=default, metadata=kind.__dataclass_fields__[name].metadata)
 
 
 @dataclass(frozen=True)
 class Request:
-    """Base of the requests of analyses: all arguments except the scene. The constructor checks the fields."""
+    """Base class of the requests of analyses: all arguments except the scene. The constructor checks the fields."""
 
     def __post_init__(self) -> None:
         for declared in dataclasses.fields(self):
@@ -176,18 +181,18 @@ class Request:
 
     @classmethod
     def of(cls, **given: Any) -> Self:
-        """Return the request with these keywords of its analysis function; raise `MistrayError` for an unknown one."""
+        """Create the request from keywords of its analysis function; raise `MistrayError` for an unknown one."""
         return object_of(cls, given)
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
-        """Return the JSON schema (draft 2020-12) of an object of these keywords, with units and descriptions."""
+        """Return the JSON schema (draft 2020-12) of the request's keywords, with units and descriptions."""
         from mistray.toolkit.json_schema import DRAFT, schema_of
 
         return {"$schema": DRAFT, **schema_of(cls)}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the keywords of the request as JSON-serialisable values, from which `of` makes an equal request."""
+        """Return the request as JSON-serialisable values by keyword, from which `of` restores it."""
         return _plain(self)
 
 
@@ -227,7 +232,7 @@ def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return a request, or a value in it, as JSON-serialisable values; optional fields that are None are left out."""
+    """Convert a request, or a value in it, to JSON-serialisable values; optional fields that are None are left out."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, tuple | list):
@@ -245,7 +250,7 @@ def _plain(value: Any) -> Any:
 
 
 def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:
-    """Yield the fields of a request that are separate keywords, each with the field that groups it, if any."""
+    """Yield each field of a request that is a keyword of its own, with the `FieldSubset` that contains it, or None."""
     for declared in dataclasses.fields(request):
         part = demand_of(declared)
         if isinstance(part, FieldSubset):
@@ -255,7 +260,7 @@ def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSu
 
 
 def from_flat(request: type, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a request by name, from values by keyword; those of a `FieldSubset` form a mapping."""
+    """Convert values by keyword into values by field of a request; those of a `FieldSubset` form a mapping."""
     found: dict[str, Any] = {}
     for declared in dataclasses.fields(request):
         part = demand_of(declared)

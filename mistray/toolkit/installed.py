@@ -1,4 +1,4 @@
-"""Installed analyses: folders of `mistray.analyses`, and packages of other distributions."""
+"""Discovery of installed analyses: subpackages of `mistray.analyses`, and packages of other distributions."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def analysis_commands() -> tuple[list[ModuleType], list[str]]:
 
 
 def modules_in(package: str) -> list[ModuleType]:
-    """Return all modules of a package."""
+    """Import and return all modules of a package."""
     return [importlib.import_module(name) for name, _ in _names_in(package)]
 
 
 def _names_in(package: str) -> list[tuple[str, bool]]:
-    """Return full names of the modules of a package, and whether each is a package; none if not installed."""
+    """Return full names of a package's modules, each with True if it is a package; empty if it is not installed."""
     if importlib.util.find_spec(package) is None:
         return []
     folder = importlib.import_module(package).__path__

@@ -89,7 +89,7 @@ def statistics(irradiance: Map, irradiance_se: Map, extent: Extent, incident_ray
 
 
 def brightest(image: Sampled) -> Sampled:
-    """Return the brightest pixel of a map with its standard error, in the unit of the map."""
+    """Return the brightest pixel of a map, with its noise by batch, in the unit of the map."""
     return image[np.unravel_index(int(np.argmax(image.value)), image.value.shape)]
 
 
@@ -107,7 +107,7 @@ def pixel_size(irradiance: Map, extent: Extent) -> tuple[float, float]:
 
 
 def pixels_averaged(image: Map, cells: int) -> int:
-    """Return the side, in pixels, of the square blocks that divide a map into at most `cells` by `cells` blocks."""
+    """Return the side, in pixels, of square blocks such that a map has at most `cells` blocks along either side."""
     return max(-(-max(image.shape) // cells), 1)
 
 

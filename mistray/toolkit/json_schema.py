@@ -35,7 +35,7 @@ def schema_of(kind: type) -> dict[str, Any]:
 
 
 def _property(field: dataclasses.Field[Any], may_be_left_out: bool) -> dict[str, Any]:
-    """Return the JSON schema of a field: its description, allowed values and default."""
+    """Return the JSON schema of one field: description, allowed values and default."""
     usual, kinds = field.default, _kinds(demand_of(field))
     if usual == "":
         kinds.append({"const": ""})

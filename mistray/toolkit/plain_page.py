@@ -1,4 +1,4 @@
-"""Text, JSON and page of an analysis without a page of its own: its tables and figures, one after the other."""
+"""Generic text, JSON and report page for analyses without their own: tables and figures, one after the other."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ Rows = tuple[type, Sequence[Any]]
 
 
 class Tabled(Protocol):
-    """Interface of a result that a `PlainPage` shows; attributes `notes` and `facts` are optional."""
+    """Interface of a result that a `PlainPage` can show; its attributes `notes` and `facts` are optional."""
 
     def tables(self) -> Mapping[str, Rows]:
-        """Return the class of the rows, and the rows, by name of the table."""
+        """Return the row class and the rows of each table, by name of the table."""
 
     def figures(self) -> Mapping[str, Callable[[], Figure]]:
-        """Return the functions that draw the figures, by name of the figure."""
+        """Return a function that draws each figure, by name of the figure."""
 
 
 @dataclass(frozen=True)
 class PlainPage:
     """
-    Output of a result: text, JSON and report.
+    Generic output of a result: text, JSON and report page.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class PlainPage:
     heading: str
 
     def text(self, result: Tabled) -> str:
-        """Return all tables as text, with the notes below."""
+        """Return all tables as text, followed by the notes."""
         shown = [table(*rows, name) for name, rows in result.tables().items()]
         return "\n".join([parts_text(shown), *(f"warning: {note}" for note in _notes(result))])
 
@@ -56,7 +56,7 @@ class PlainPage:
         return dict(plain(found | {"notes": _notes(result), "facts": _facts(result)}))
 
     def page(self, result: Tabled, title: str, command: str) -> Report:
-        """Return the report: a section for each figure and each table, with CSV, JSON and PNG files."""
+        """Return the report: a section for each figure and each table, with the CSV, JSON and PNG files."""
         drawn, tables = result.figures(), result.tables()
         pictures = [Section(f"figure-{name}", _words(name), [FigurePart(draw)]) for name, draw in drawn.items()]
         shown = [

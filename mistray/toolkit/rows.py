@@ -1,4 +1,4 @@
-"""Rows of a result: dataclasses whose fields describe their display; frames, tables, CSV and JSON come from them.
+"""Rows of results: dataclasses whose fields state how they are shown in DataFrames, tables, CSV and JSON.
 
 A field of type `Estimate` becomes two columns of a frame, "x" and "x_se", and one of a page, with its error.
 """
@@ -25,7 +25,7 @@ _COLUMN = "column"
 
 @dataclass(frozen=True)
 class _Shown:
-    """Display of a field of a row in tables: heading, number format and unit; see `column` for the fields."""
+    """How a field of a row is shown in tables: heading, number format and unit; see `column` for the attributes."""
 
     doc: str
     head: str = ""
@@ -37,11 +37,11 @@ class _Shown:
     kind: str = ""
 
     def name(self, field: str) -> str:
-        """Return the name of the column of a field."""
+        """Return the column name of a field: the field's name, with ``_percent`` if it is shown in percent."""
         return f"{field}_percent" if self.percent is True else field
 
     def value(self, row: Any, field: str, in_table: bool = False) -> Any:
-        """Return the value of a field of a row, for a table of a page or for a frame."""
+        """Return the value of a field as shown in a DataFrame or, if `in_table`, in a page's table."""
         value = getattr(row, field)
         if value is None:
             return UNKNOWN if "Estimate" in self.kind and not in_table else None
@@ -54,7 +54,7 @@ class _Shown:
 
 def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     """
-    Return the declaration of a field of a row of a result, with its display in tables.
+    Declare a field of a result's row, with the way it is shown in tables.
 
     Parameters
     ----------
@@ -73,13 +73,13 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
 
 
 class derived(property):
-    """Property that is a column of its row: ``@derived.column("sentence", head=…)``."""
+    """Property that is also a column of its row: ``@derived.column("sentence", head=…)``."""
 
     shown: _Shown
 
     @classmethod
     def column(cls, doc: str, **how: Any) -> Callable[[Callable[[Any], Any]], derived]:
-        """Return the decorator of a property that is a column; arguments as for the function `column`."""
+        """Return a decorator that makes a property a column; arguments as for the function `column`."""
 
         def decorate(function: Callable[[Any], Any]) -> derived:
             made = cls(function)
@@ -90,7 +90,7 @@ class derived(property):
 
 
 def _declared(kind: type) -> dict[str, _Shown]:
-    """Return the displayed columns of a class of rows by name: fields first, then properties."""
+    """Return the columns that a row class shows, by name: fields first, then properties."""
     fields = {
         field.name: dataclasses.replace(field.metadata[_COLUMN], kind=type_of(field.type))
         for field in dataclasses.fields(kind)
@@ -101,7 +101,7 @@ def _declared(kind: type) -> dict[str, _Shown]:
 
 def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     """
-    Return rows as a DataFrame, with all columns of their class even without rows.
+    Return rows as a DataFrame, which has all columns of their class even without rows.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def table(
 
 
 def _head(name: str, shown: _Shown) -> Column:
-    """Return the heading of a column; text is flush left."""
+    """Return the heading of a column; columns of text are left-aligned."""
     found = Column.of(shown.head) if shown.head else Column(*heading_of(shown.name(name)))
     return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool", "tuple[str, ...]") else "")
 

@@ -1,4 +1,4 @@
-"""Results in files: one archive of JSON and arrays, without pickle, from which no code can run."""
+"""Saving and loading of results as archives of JSON and arrays, without pickle, so that loading runs no code."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ _DAMAGES = (
 
 
 class _NotSaved(Exception):
-    """Value that no file holds."""
+    """Raised for a value that cannot be stored in a file, such as rays or a scene."""
 
 
 def save_result(result: Result, path: str | Path) -> Path:
-    """Write a result to a file, complete or not at all, see `mistray.result.Result.save`."""
+    """Save a result to a file, completely or not at all, and return the path; see `mistray.result.Result.save`."""
     name = type(result).__name__
     arrays: list[np.ndarray] = []
     try:
@@ -109,7 +109,7 @@ def load_result(path: str | Path) -> Result:
 
 @contextmanager
 def _told(path: str | Path) -> Iterator[None]:
-    """Convert what reading a file raises into a `MistrayError` of one line."""
+    """Convert any exception from reading a result file within a block into a one-line `MistrayError`."""
     try:
         yield
     except MistrayError as error:
@@ -123,7 +123,11 @@ def _told(path: str | Path) -> Iterator[None]:
 
 
 def _encoded(value: Any, arrays: list[np.ndarray]) -> Any:
-    """Return a value as one of JSON; arrays are added to a list. Raise `_NotSaved` for what is no data."""
+    """
+    Return a value in JSON form, its arrays moved to the list `arrays`.
+
+    Raise `_NotSaved` for values that are no data.
+    """
 
     def inside(item: Any) -> Any:
         return _encoded(item, arrays)
@@ -165,7 +169,7 @@ def _encoded(value: Any, arrays: list[np.ndarray]) -> Any:
 
 
 def _fields(value: Any, arrays: list[np.ndarray]) -> dict[str, Any]:
-    """Return the fields of a dataclass as JSON; one that belongs to the process becomes None where that is allowed."""
+    """Return a dataclass's fields in JSON form; values that cannot be stored become None where the field allows it."""
     found = {}
     for field in dataclasses.fields(value):
         before = len(arrays)
@@ -188,7 +192,7 @@ def _name(kind: type) -> str:
 
 
 def _class(name: str) -> Any:
-    """Return a class of data of mistray by module and name; raise `ValueError` for any other."""
+    """Return one of mistray's data classes by module and name; raise `ValueError` for any other."""
     found = _CLASS.fullmatch(name)
     kind: Any = getattr(importlib.import_module(found[1]), found[2]) if found else None
     if not isinstance(kind, type) or f"{kind.__module__}:{kind.__qualname__}" != name:
@@ -199,7 +203,7 @@ def _class(name: str) -> Any:
 
 
 def _decoded(value: Any, arrays: list[np.ndarray]) -> Any:
-    """Return the value that `_encoded` has made one of JSON of."""
+    """Return the value whose JSON form `_encoded` produced, with its arrays taken from the list `arrays`."""
 
     def inside(item: Any) -> Any:
         return _decoded(item, arrays)
@@ -236,7 +240,7 @@ def _decoded(value: Any, arrays: list[np.ndarray]) -> Any:
 
 
 def _object(kind: Any, fields: dict[str, Any]) -> Any:
-    """Return an instance of a dataclass with these fields, as copies are made: nothing is computed or checked."""
+    """Return an instance of a dataclass with these field values; its constructor is not run."""
     made: Any = object.__new__(kind)
     if isinstance(made, Result) and "scene_name" in fields:
         made.of_scene(str(fields.pop("scene_name")))

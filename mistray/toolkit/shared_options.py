@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Command-line options that several commands share."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAMES = tuple(setting.name for setting in fields(Settings))
 
 
 def setting(name: str, default: str = "") -> Option:
-    """Return the option of a setting; `default` is the text of the default if the command has another one."""
+    """Return the option for a trace setting. `default` is the text of the default, where the command's differs."""
     usual = getattr(Settings, name)
     return option_of(
         Settings.__dataclass_fields__[name], default or {NO_LIMIT: "no limit", NOTHING_CUT: "none"}.get(usual, "")
@@ -29,7 +29,7 @@ def setting(name: str, default: str = "") -> Option:
 
 
 def ray_tree(rays: str | type[Request], *more: Option) -> Group:
-    """Return the settings of the ray tree, and more options; `rays` is the help of --rays, or its request."""
+    """Return the group of options for the ray tree. `rays` is the help text of --rays, or the request that has it."""
     names = NAMES[NAMES.index("rays") + 1 : NAMES.index("max_scatters")]
     own = Option("--rays", rays, RAYS, "N") if isinstance(rays, str) else option_of(rays.__dataclass_fields__["rays"])
     return Group(f"ray tree {ELSE}", (own, *map(setting, names), *MACHINE, *more))
@@ -103,7 +103,7 @@ def output(
     files: str, names: Sequence[str], *more: Option, shown: str = "tables", formats: Sequence[str] = ()
 ) -> Group:
     """
-    Return the options for the destination of results.
+    Return the group of options for where and how results are written.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a Python session shows of a result: one line, a summary for notebooks, and its figure."""
+"""Display of a result in a Python session: one line, a summary for notebooks, and its figure."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def one_line(result: Result) -> str:
 
 
 def _text(name: str, value: KeyNumber) -> str:
-    """Return a key number as text with its name and unit."""
+    """Return a key number as text, with its name and unit, for the one-line summary."""
     if isinstance(value, str):
         return f"{name}: {value}"
     if isinstance(value, int):
@@ -74,7 +74,7 @@ def html_summary(result: Result) -> str:
 
 
 def _parts(result: Result) -> Iterator[PagePart]:
-    """Yield key numbers, table and figure of a result."""
+    """Yield key numbers, table and figure of a result as parts of an HTML summary."""
     numbers = result.key_numbers()
     yield Terms([_pair(*pair) for pair in numbers.items()])
     found = main_table(result)
@@ -97,7 +97,7 @@ def _pair(name: str, value: KeyNumber) -> tuple[str, str]:
 
 
 def main_table(result: Result) -> Table | None:
-    """Return the table that a summary shows of a result; None if it has none."""
+    """Return the table shown in the summary of a result; None if it has none."""
     if "table" in result.shown_by:
         shown: Table = _function(result, "table")(result)
         return shown
@@ -106,12 +106,12 @@ def main_table(result: Result) -> Table | None:
 
 
 def has_figure(result: Result) -> bool:
-    """Whether a result has a figure."""
+    """True if a result has a figure."""
     return "figure" in result.shown_by or bool(getattr(result, "figures", dict)())
 
 
 def main_figure(result: Result, title: str = "") -> Figure:
-    """Return the figure that a summary shows of a result."""
+    """Return the figure shown in the summary of a result."""
     if "figure" in result.shown_by:
         drawn: Figure = _function(result, "figure")(result, title)
     else:
@@ -120,13 +120,17 @@ def main_figure(result: Result, title: str = "") -> Figure:
 
 
 def _function(result: Result, what: str) -> Any:
-    """Return the function that a class of results names for its table or figure."""
+    """Return the function that a result's class names for its `what`: "table" or "figure"."""
     module, _, name = result.shown_by[what].partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 def plotted(result: Result, title: str = "") -> Axes | tuple[Axes, ...]:
-    """Draw the figure of a result as a new one of pyplot, and return the axes of its panels."""
+    """
+    Draw the figure of a result with pyplot, and return the axes of its panels.
+
+    Raise `MistrayError` if it has none.
+    """
     if not has_figure(result):
         raise MistrayError(f"{type(result).__name__} has no figure; use its numbers, see help({type(result).__name__})")
     panels = main_figure(result, title or result.scene_name).in_pyplot()

@@ -1,4 +1,4 @@
-"""Table of a study in TOML; every message is one line with the file, the key and the remedy."""
+"""Reading of a TOML table of a study with checks; errors are one line with file, key and remedy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def keys_of(kind: Any) -> tuple[str, ...]:
 
 class TomlSection:
     """
-    Table of a TOML file, with its file and place for messages.
+    Table within a TOML file, with the file's name and its place there for messages.
 
     Parameters
     ----------
@@ -77,29 +77,41 @@ class TomlSection:
         return key in self.content
 
     def inner(self, place: str, content: Mapping[str, Any]) -> TomlSection:
-        """Return a section for a table within this one."""
+        """Return the section for a table `content` within this one, at `place`."""
         return TomlSection(self.title, f"{self.place}{place}.", content, self.folder)
 
     def fail(self, key: str, text: str) -> MistrayError:
-        """Return an error about a key; an empty key means the table itself."""
+        """
+        Return the error for a key of this table (to be raised by the caller).
+
+        An empty key means the table itself.
+        """
         return MistrayError(f"{self.title}: {f'{self.place}{key}'.rstrip('.')} {text}")
 
     def known(self, keys: Iterable[str]) -> None:
-        """Raise `MistrayError` if the table has a key that is not among these."""
+        """Raise `MistrayError` if the table has a key not among the given ones."""
         choice = tuple(keys)
         for key in self.content:
             if key not in choice:
                 raise self.fail(key, f"is unknown; {nearest(str(key), choice)}")
 
     def table(self, key: str) -> TomlSection:
-        """Return a table within this one, or an empty one if it is missing; raise `MistrayError` if it is none."""
+        """
+        Return the inner table at a key, empty if the key is missing.
+
+        Raise `MistrayError` if the value is no table.
+        """
         value = self.content.get(key, {})
         if not isinstance(value, Mapping):
             raise self.fail(key, f"is {value!r}; write a section [{key}]")
         return self.inner(key, value)
 
     def tables(self, key: str) -> list[TomlSection]:
-        """Return all tables of a list, none if it is missing; raise `MistrayError` if it is no such list."""
+        """
+        Return the list of tables at a key, empty if the key is missing.
+
+        Raise `MistrayError` if it is no such list.
+        """
         value = self.content.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
             raise self.fail(key, f"is no list of sections; write each one as [[{key}]]")
@@ -117,7 +129,7 @@ class TomlSection:
 
     def make(self, kind: type[T], read: Mapping[str, Any] | None = None, /, **missing: Any) -> T:
         """
-        Return the dataclass that the table describes, see `keys_of`; its constructor checks the values.
+        Create a dataclass from the table, see `keys_of`; its constructor checks the values.
 
         Parameters
         ----------
@@ -158,7 +170,11 @@ class TomlSection:
         return tuple(value)
 
     def spaced(self, key: str, within: Range) -> tuple[float, ...]:
-        """Return the numbers of a key, each once: a number, a list, or start, stop and step, all `within` a range."""
+        """
+        Return the distinct numbers of a key, given as a number, a list, or start, stop and step.
+
+        All must lie `within` the range.
+        """
         value = self.content[key]
         if isinstance(value, Mapping):
             inner = self.inner(key, value)

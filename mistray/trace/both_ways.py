@@ -90,21 +90,21 @@ class Branches:
     codes: Whole
 
     def take(self, chosen: np.ndarray) -> Branches:
-        """Return the branches that an array of numbers or a mask chooses."""
+        """Return the branches selected by an array of indices or by a boolean mask."""
         return Branches(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
     @property
     def bright(self) -> npt.NDArray[np.bool_]:
-        """Whether each branch is followed, (n,); also one that is dark in one of the modes."""
+        """Return a mask of the branches bright enough to follow, (n,): either mode's flux exceeds the floor."""
         return np.asarray(np.maximum(self.mean, self.light[:, 0]) > self.floor)
 
     @staticmethod
     def together(parts: list[Branches]) -> Branches:
-        """Return the branches of all parts, concatenated; there is at least one part."""
+        """Return the branches of all parts, concatenated; `parts` must not be empty."""
         return Branches(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Branches)))
 
     def after(self, code: Whole, d: Floats, axis: Floats, mean: Floats, light: Floats) -> Branches:
-        """Return the branches after one more event, with new directions, axes of the Stokes vectors and flux."""
+        """Return the branches after one more event of given `code`. Flux by both modes is in units of a start ray."""
         codes = np.concatenate([self.codes, code[:, None]], axis=1)
         return replace(self, d=d, axis=axis, mean=mean, light=light, last=code >> EVENT_BITS, codes=codes)
 
@@ -145,13 +145,13 @@ class Arrivals:
     name: str = ""
 
     def plus(self, other: Arrivals) -> Arrivals:
-        """Return the light of both paths together; its spread is the larger of the two, as an approximation."""
+        """Return the sum of two paths' flux at the detector; its spread is the larger of the two, an approximation."""
         sums = {name: getattr(self, name) + getattr(other, name) for name in ("mean", "stokes", "residual", "hits")}
         return replace(self, **sums, spread=max(self.spread, other.spread))
 
     @property
     def stray(self) -> bool:
-        """Whether it is stray light rather than direct light."""
+        """True if the light was scattered or reflected, that is stray light rather than direct light."""
         return self.scattered or self.reflections > 0
 
     @property
@@ -161,12 +161,12 @@ class Arrivals:
 
     @property
     def error(self) -> float:
-        """Standard error of `change` over the branches."""
+        """Standard error of `change` (a fraction), estimated from the branches."""
         return math.sqrt(self.residual) / self.mean if self.mean > 0 else 0.0
 
     @property
     def words(self) -> str:
-        """Name of the light and its change in percent, as text."""
+        """Path name and relative change of its flux in percent, formatted as text, with the error where it matters."""
         shown = self.error > ROUNDED * abs(self.change)
         return f"{self.name} by {100 * self.change:+.3g}{f' ± {100 * self.error:.1g}' if shown else ''} %"
 
@@ -241,7 +241,7 @@ class _Lit:
 
     @property
     def flux(self) -> Floats:
-        """Scattered flux of each branch, (n,), in units of a start ray."""
+        """Scattered flux of each branch by the mean of s and p, (n,), in units of a start ray."""
         # Mean over the rotations of the sample, and the terms of a polynomial in R or T
         _, *terms = (np.interp(self.cosine, _NODES, column) for column in self.case.rows.mean(axis=0).T)
         return np.asarray(self.branches.mean * sum(term * self.mean**power for power, term in enumerate(terms)))
@@ -249,9 +249,9 @@ class _Lit:
     @property
     def cosine(self) -> Floats:
         """
-        Cosines of incidence, (n,).
+        Cosines of the angle of incidence, (n,).
 
-        Transmission is tabulated over the cosine in the rarer medium, for which they are an approximation.
+        For transmission, tabulated in the rarer medium, they are an approximation.
         """
         return np.abs(np.einsum("ij,ij->i", self.branches.d, self.outward))
 
@@ -299,7 +299,7 @@ class _Tree:
                 break
 
     def scatter(self) -> Branches:
-        """Return scattered rays that start from hits sampled in proportion to their scattered flux."""
+        """Return scattered rays from hits sampled in proportion to scattered flux, and empty the list of hits."""
         flux = np.concatenate([lit.flux for lit in self.dim])
         lit, self.dim = self.dim, []
         edges = np.cumsum(np.maximum(flux, 0))
@@ -400,7 +400,7 @@ class _Tree:
         normal: Floats,
         sent: dict[str, tuple[Floats, Floats]],
     ) -> None:
-        """Record the hits of surfaces that scatter; `sent` has R or T and the Stokes vectors of children by event."""
+        """Record branches that meet scattering surfaces; `sent` maps events to R or T and children's Stokes vectors."""
         for (number, side, event), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side) & ~b.scattered)
             reflects = event == "reflection"
@@ -413,7 +413,7 @@ class _Tree:
             self.dim.append(_Lit(case, b.take(here), outward, X[here].mean(axis=1), own))
 
     def _rays(self, lit: _Lit, chosen: Whole, weight: Floats) -> Branches:
-        """Return rays that a case scatters: towards a target where it has one, else as a Lambertian surface does."""
+        """Return one scattered ray per chosen hit, with the factor `weight`, to a target if any, else Lambertian."""
         case, b, outward = lit.case, lit.branches.take(chosen), lit.outward[chosen]
         to_back = case.from_front == (case.event == "transmission")
         d, per_sr = self._directions(b.o, outward, self._aims.get((case.surface, to_back)))
@@ -447,7 +447,7 @@ class _Tree:
         )
 
     def _directions(self, o: Floats, outward: Floats, aim: AimSet | None) -> tuple[Floats, Floats]:
-        """Return sampled unit directions of scattered rays, (n, 3), and their pdf, 1/sr."""
+        """Return sampled scattered rays at origins (mm), with outward normals: directions, (n, 3), pdf, (n,), 1/sr."""
         flat = [target for target in aim.targets if isinstance(target, Target)] if aim is not None else []
         if not flat:
             d = lambertian_directions(outward, self._rng)
@@ -467,7 +467,7 @@ class _Tree:
 
 
 def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[Arrivals]:
-    """Return the light of each path, from branches of equally many events; `unit` is the flux of a start ray, W."""
+    """Return the flux of each path to the detector, W, from branches; `unit` is the flux of a start ray, W."""
     paths, number = np.unique(end.codes, axis=0, return_inverse=True)
     number = number.ravel()
     found = []
@@ -494,19 +494,19 @@ def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[A
 
 
 def _across(d: Floats) -> Floats:
-    """Return unit vectors perpendicular to directions, (n, 3)."""
+    """Return a unit vector perpendicular to each direction, (n, 3)."""
     found = np.cross(d, np.eye(3)[np.argmin(np.abs(d), axis=1)])
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Return the cross products of vectors, (n, 3): for few of them `np.cross` takes three times as long."""
+    """Return row-wise cross products of two arrays of vectors, (n, 3); faster than `np.cross` for short arrays."""
     (x, y, z), (u, v, w) = a.T, b.T
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def _turned(b: Branches, normal: Floats) -> Branches:
-    """Return the branches with Stokes vectors that refer to axes across the planes of incidence."""
+    """Return branches with Stokes vectors rotated so that their axes are perpendicular to planes of incidence."""
     s = _cross(b.d, normal)
     size = np.sqrt(np.einsum("ij,ij->i", s, s))[:, None]
     s = np.where(size**2 > NORMAL_INCIDENCE, s / np.maximum(size, 1e-30), b.axis)
@@ -517,7 +517,11 @@ def _turned(b: Branches, normal: Floats) -> Branches:
 
 
 def _child(light: Floats, X: Floats) -> Floats:
-    """Return the Stokes vectors of a child, (n, 4), by R or T of s and p and the product of their amplitudes."""
+    """
+    Return Stokes vectors after a reflection or transmission, (n, 4).
+
+    `X` holds R or T of s and p, and Re and Im of the amplitude product.
+    """
     flux, q, u, v = light.T
     s, p, re, im = X.T
     half, difference = 0.5 * (s + p), 0.5 * (s - p)
@@ -525,7 +529,7 @@ def _child(light: Floats, X: Floats) -> Floats:
 
 
 class _Coatings:
-    """R and T of all surfaces for s and p: Fresnel's equations, and tables over the angle of incidence."""
+    """R and T of every surface for s and p, from Fresnel's equations or coating tables over angle of incidence."""
 
     def __init__(self, optics: Optics) -> None:
         self._indices = optics.host_indices
@@ -548,7 +552,7 @@ class _Coatings:
         self, surface: Whole, from_front: np.ndarray, cos_i: Floats, eta: Floats, opaque: np.ndarray
     ) -> tuple[Floats, Floats]:
         """
-        Return the coefficients of reflection and of transmission at hits of surfaces.
+        Return R and T of s and p, with their amplitude products, at hits of surfaces.
 
         Parameters
         ----------

@@ -24,7 +24,7 @@ COLUMNS = {f.name: np.zeros(0, dtype=object if f.type == "str" else np.float64) 
 
 def check_paths(scene: mi.Scene | None, selections: Iterable[str], of_rays: bool = False) -> None:
     """
-    Raise `MistrayError` if filters, see `mistray.trace.path_filter`, are invalid or name what a scene lacks.
+    Raise `MistrayError` if filters (see `mistray.trace.path_filter`) are invalid or name something the scene lacks.
 
     Parameters
     ----------

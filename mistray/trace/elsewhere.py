@@ -1,4 +1,4 @@
-"""Light on any surface, or that leaves the scene, whether or not the detector sees it: its rays, maps and filters."""
+"""Light that reaches any surface or leaves the scene, whether or not a detector sees it: rays, maps and filters."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def rays_elsewhere(
 
 
 def _ends(table: pd.DataFrame) -> pd.DataFrame:
-    """Return one row for each ray of a table of nodes: its last node, with the direction in which it arrives there."""
+    """Return the last node of each ray in a table of nodes, with the unit direction in which the ray arrives there."""
     last = table.groupby("ray").tail(1).reset_index(drop=True)
     before = table[table.node == table.groupby("ray").node.transform("max") - 1].reset_index(drop=True)
     # A ray that ends on a surface has no direction after its last node
@@ -77,7 +77,7 @@ def _ends(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) -> list[Ray]:
-    """Return enough rays of one run, from growing portions of its start rays, each spread over the beam."""
+    """Return at least `n` rays of a run that reach named places and pass the filter, by tracing more and more rays."""
     check_where(words)
     departs = any(word in (ESCAPED, RETURNED) for word in words)
     chosen = np.zeros(run.table.count, dtype=bool) if departs else _chosen(run, words)
@@ -114,7 +114,7 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
 
 
 def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilter) -> list[Ray]:
-    """Return the rays that the filter selects among the first `count` of a recorder."""
+    """Return the rays that pass the filter, among the first `count` branches of a recorder."""
     slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
     slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
     rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
@@ -155,7 +155,7 @@ def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFil
 
 
 def _flux_of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[Sampled]:
-    """Return the flux that filters select by cell, with its noise, (cells,) each, W."""
+    """Return the flux that each filter selects in every cell of the maps, with its noise, W, (cells,) each."""
     maps.attach(run.scene)
     sums = np.zeros((len(filters), maps.groups, maps.cells))
     recorder = CellRecorder(MAP_CAPACITY, run.settings.max_events, maps=maps)
@@ -185,7 +185,7 @@ def _flux_of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> 
 
 
 def check_columns(requested: PathFilter) -> None:
-    """Raise `MistrayError` if a filter compares a column that only light on a detector has, such as its power."""
+    """Raise `MistrayError` if a filter compares a column that exists only for light on a detector, such as power_W."""
     missing = requested.columns - set(COLUMNS)
     if missing:
         raise MistrayError(

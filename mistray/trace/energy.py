@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, repr=False)
 class Energy(Result, table="..toolkit.tables.traces:energy_table", figure="..toolkit.figures.traces:energy_figure"):
     """
-    Energy ledger of a trace: where its flux went; all in W, ``_se`` are standard errors.
+    Energy ledger of a trace: the launched flux and where it went, W; names with ``_se`` are standard errors, W.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Energy(Result, table="..toolkit.tables.traces:energy_table", figure="..too
 @dataclass(frozen=True)
 class SurfaceFlux:
     """
-    Flux at one surface of a trace.
+    Hits, incident flux and absorbed flux (W) at one surface of a trace, with standard errors.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ class FluxReport(
         return len(self._rows)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of surfaces, that of the hits, and the flux that surfaces absorb, W."""
+        """Return the number of surfaces, the total number of hits, and the flux absorbed at surfaces, W, by label."""
         absorbed = sum(row.absorbed_W for row in self)
         return {"surfaces": len(self), "hits": sum(row.hits for row in self), "absorbed [W]": float(absorbed)}
 

@@ -1,4 +1,4 @@
-"""Rows that a filter of paths and rays is evaluated on: events, columns, and names that exist."""
+"""Rows of a path or ray table on which filters are evaluated, and checks that the names in a filter exist."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ SURFACE_COLUMNS = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")
 
 
 class Bounds(NamedTuple):
-    """Masks of the rows where a filter holds for certain, and where it may hold, depending on the ray; (n,) each."""
+    """Bounds of a filter as masks of rows, (n,): rows that pass for certain, and rows of which rays may pass."""
 
     certain: np.ndarray
     possible: np.ndarray
 
 
 def exactly(held: np.ndarray) -> Bounds:
-    """Return equal bounds, for a filter that depends on no ray; `held` is the mask of rows where it holds, (n,)."""
+    """Return `held`, a mask of rows, (n,), as both bounds, for a filter that treats all rays of a path alike."""
     return Bounds(held, held)
 
 
@@ -63,11 +63,11 @@ class Rows:
 
 
 class UnknownError(Exception):
-    """Error for a name that the scene or the table does not have."""
+    """Raised if a filter names a surface, medium or column that the scene or the table does not have."""
 
 
 def places(name: str, rows: Rows) -> np.ndarray:
-    """Return a mask of the surfaces and media that a name means, (s,) bool; raise `UnknownError` if none."""
+    """Return a mask of the surfaces and media that match a name, (s,) bool; raise `UnknownError` if none does."""
     # A misspelt name is an error: that it selects nothing would go unnoticed
     found = named_like(name, rows.events.ids, rows.parts)
     if not found.any():
@@ -76,26 +76,26 @@ def places(name: str, rows: Rows) -> np.ndarray:
 
 
 def named_like(name: str, ids: Sequence[str], parts: Sequence[str]) -> np.ndarray:
-    """Return a mask of surfaces or media with this name or part, (s,) bool; * stands for any letters, ? for one."""
+    """Return a mask of surfaces or media whose id or part matches a name, (s,) bool. * is any text, ? one character."""
     # A surface has both an id and a part, and either may be meant
     fits = like_pattern(name)
     return np.array([any(map(fits, pair)) for pair in zip(ids, parts, strict=True)], dtype=bool)
 
 
 def unknown_name(name: str, ids: Sequence[str], parts: Sequence[str]) -> str:
-    """Return the error message for a name of no surface, part or material, with a suggestion."""
+    """Return an error message for a name that matches no surface, part or material, with the closest known name."""
     return f"no surface, part or material is called '{name}'{like(name, [*ids, *parts])}"
 
 
 def like_pattern(name: str) -> Callable[[str], bool]:
-    """Return a predicate, True for a text that fits a name in which * stands for any letters and ? for one letter."""
+    """Return a function that tests whether a text matches `name`, where * stands for any text, ? for a character."""
     # Not `fnmatch`, in which square brackets would be classes of letters
     pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
     return lambda text: pattern.fullmatch(text) is not None
 
 
 def like(name: str, known: Iterable[str]) -> str:
-    """Return the end of an error message: the most similar known name, or a list of the first twelve."""
+    """Return the end of an error message for an unknown name: the closest known name, or the first twelve names."""
     names = list(dict.fromkeys(known))
     # A single suggestion where one is close, by difflib's ratio of at least 0.5
     near = difflib.get_close_matches(name, names, 1, 0.5)

@@ -37,7 +37,7 @@ from mistray.trace.result import Trace
 
 @lru_cache(maxsize=1)
 def versions() -> dict[str, str]:
-    """Return the version of each package that a result depends on, by its name."""
+    """Return the versions of mistray, Mitsuba, Dr.Jit and NumPy, by package name, for the record of a result."""
     return {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")}
 
 
@@ -199,7 +199,11 @@ def _traced(
     recorders: Sequence[Recorder],
     result: Callable[..., Trace],
 ) -> Trace:
-    """Trace planned runs, here or by workers; an interrupt keeps what is finished, as `result` makes it."""
+    """
+    Trace planned runs in this process or on workers.
+
+    If interrupted, keep the finished part as a partial `result`.
+    """
     workers = current_workers()
     if workers is None:
         with later():
@@ -219,7 +223,7 @@ def _traced(
 
 
 def _preparing(scene: mi.Scene) -> Callable[[Settings, Light], list[Run]]:
-    """Return a function that prepares runs of a scene, each once: a pilot and the trace often need the same."""
+    """Return a function that prepares the runs for given settings and light, and caches them for repeated calls."""
     known: dict[str, list[Run]] = {}
 
     def runs_of(settings: Settings, light: Light) -> list[Run]:
@@ -239,7 +243,11 @@ def _spectral_choices(
     limited: bool,
     runs_of: Callable[[Settings, Light], list[Run]],
 ) -> tuple[Light, WavelengthChoice | None, PolarizationChoice]:
-    """Return the light that is traced, the choice of its wavelengths (None: all are traced), and the polarisation."""
+    """
+    Resolve "auto" choices.
+
+    Return the light to trace, the choice of its wavelengths (None if all are traced), and the polarisation.
+    """
     lines = light.wavelength_nm if isinstance(light.wavelength_nm, WavelengthChoice) else None
     light = replace(light, **lines.arguments) if lines else light
     choice = made or chosen_polarization(scene, settings, [light], runs_of)
@@ -252,12 +260,12 @@ def _spectral_choices(
 
 
 def _timed(scene: mi.Scene, settings: Settings, light: Light, rays: int, **lines: Any) -> None:
-    """Trace few rays of the scene and discard the result; the caller measures the time."""
+    """Trace `rays` start rays and discard the result, so that the caller can time a trace at the given wavelengths."""
     _execute(prepare(scene, replace(settings, rays=rays), replace(light, **lines)), True, None, ())
 
 
 def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> float | None:
-    """Return the field angle of a call, degrees; None: that of the sources."""
+    """Return the field angle, degrees, given as angle or as image height `field_mm`; None keeps that of sources."""
     if field_mm is None:
         return field_deg
     if field_deg is not None:
@@ -266,7 +274,7 @@ def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> 
 
 
 def _refuse_recorders(recorders: Sequence[Recorder]) -> None:
-    """Raise if workers trace and there are recorders."""
+    """Raise `MistrayError` if recorders were given for a trace on workers, which cannot run them."""
     if recorders:
         names = ", ".join(f"'{recorder.name}'" for recorder in recorders if recorder.name)
         raise MistrayError(
@@ -276,7 +284,7 @@ def _refuse_recorders(recorders: Sequence[Recorder]) -> None:
 
 
 def _with_own(scene: mi.Scene, given: Sequence[Recorder]) -> list[Recorder]:
-    """Return the recorders of the sensors of a scene, then those of a call; raise if two have the same name."""
+    """Return the recorders of the scene's sensors followed by the given ones; raise `MistrayError` if names repeat."""
     recorders = [*(sensor.recorder() for sensor in scene.sensors() if hasattr(sensor, "recorder")), *given]
     names = [recorder.name for recorder in recorders if recorder.name]
     for name in names:
@@ -292,9 +300,9 @@ def _execute(
     recorders: Sequence[Recorder],
 ) -> list[Run]:
     """
-    Trace runs here, one after the other, until one of them hits nothing, or an interrupt, and return those traced.
+    Trace runs in this process one by one and return those traced.
 
-    The rays of a run that are traced when its share of the time is over, or at an interrupt, stand for all its light.
+    Stop at a run without hits or at an interrupt; a run cut short is scaled to its full flux.
     """
     planned = sum(run.rays for run in runs)
     forecast = Forecast(planned, not is_limited())
@@ -319,7 +327,11 @@ def _execute(
 
 
 def _check_budget(runs: Sequence[Run]) -> None:
-    """Raise if a time budget is set and a grid of start rays takes several passes: its first rows are no sample."""
+    """
+    Raise `MistrayError` for a time limit on grid start rays of several passes.
+
+    The first rows of a grid are no fair sample.
+    """
     for run in runs:
         # A grid comes row by row if it takes several passes
         if is_limited() and run.source.pattern == "grid" and run.passes > 1:
@@ -330,12 +342,12 @@ def _check_budget(runs: Sequence[Run]) -> None:
 
 
 def _emitter(run: Run) -> Any:
-    """Return the object of the scene that emits the light of a run; the warm sides of surfaces have one in common."""
+    """Return the scene object that emits the light of a run; thermally emitting surfaces share one."""
     return getattr(run.source, "emitter", run.source)
 
 
 def _require_hits(runs: Sequence[Run]) -> None:
-    """Raise if none of the light of an emitter meets a surface."""
+    """Raise `MistrayError` if none of the rays of an emitter meets a surface."""
     for _, found in itertools.groupby(runs, _emitter):
         own = list(found)
         if all(run.sums.channels[FIRST_MISS].sum() == run.started.sum() for run in own):
@@ -360,7 +372,7 @@ def _keep(planned_runs: Sequence[Run], runs: list[Run], result: Callable[[list[R
 
 
 def _explain(error: UnfinishedError, result: Callable[[list[Run]], Trace]) -> None:
-    """Replace the finished runs in `error.partial` by their `Trace`, if they are a sample of all the light."""
+    """Replace the finished runs in `error.partial` by a `Trace` made of them, if these rays sample all of the light."""
     runs, error.partial = error.partial, None
     planned = sum(run.rays for run in runs)
     if not all(run.is_sample for run in runs):
@@ -378,7 +390,7 @@ def _result(
     ledger: bool,
     task: SceneTask | None,
 ) -> Trace:
-    """Return the `Trace` of traced runs, with all settings, so that it can be repeated."""
+    """Return the `Trace` of finished runs, with all settings needed to repeat it."""
     emitter = source_emitters(scene)[0]
     # Everything that determines the result, so that it can be repeated
     wavelengths = sorted({run.source.wavelength_nm for run in runs})

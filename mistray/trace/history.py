@@ -1,4 +1,4 @@
-"""Rays on demand: polylines and the ray history table."""
+"""Rays traced on demand, as polylines and as a table of their events (ray history)."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..t
         return RayHistory(self._run, [self._rays[number] for number in numbers])
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of rays, that of their nodes, and their wavelength, nm."""
+        """Return the number of rays, the number of their nodes, and their wavelength (nm), by label."""
         nodes = sum(len(ray.points) for ray in self._rays)
         return {"rays": len(self), "nodes": nodes, "wavelength [nm]": self._run.source.wavelength_nm}
 
@@ -137,14 +137,14 @@ def joined_histories(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
 
 
 def spread(count: int, most: int | None) -> np.ndarray:
-    """Return at most `most` evenly spaced integers from 0 to count - 1, (n,); None: all of them."""
+    """Return at most `most` evenly spaced indices from 0 to count - 1, (n,) int; all of them if `most` is None."""
     if most is None or count <= most:
         return np.arange(count)
     return np.linspace(0, count - 1, most).round().astype(int)
 
 
 def path_history(table: PathTable, path_id: int, most: int) -> RayHistory:
-    """Return at most `most` rays of a path, spread over the beam, with positions, mm, recomputed in float64."""
+    """Return up to `most` rays of a path, spread over the beam, with hit points recomputed in float64, mm."""
     if most < 1:
         raise MistrayError(f"n is {most}; ask for at least one ray")
     (own,) = (own for own in table.located([path_id]) if len(own.ids))
@@ -161,7 +161,7 @@ def rays_in_slots(
     run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> list[Ray]:
     """
-    Return the rays in some slots of a recorder, with positions, mm, recomputed in float64.
+    Return the rays stored in given slots of a recorder, with hit points recomputed in float64, mm.
 
     Parameters
     ----------
@@ -183,7 +183,11 @@ def rays_in_slots(
 
 
 class Bundle(NamedTuple):
-    """Rays of equal events: their numbers, (n,), and attributes of `Ray`, all but `codes` with a row for each ray."""
+    """
+    Rays with the same events: start ray numbers, (n,), and the attributes of `Ray`.
+
+    All but `codes` have a row per ray.
+    """
 
     numbers: np.ndarray
     codes: np.ndarray
@@ -193,7 +197,7 @@ class Bundle(NamedTuple):
     flux_W: np.ndarray
 
     def ray(self, row: int, start_ray: int) -> Ray:
-        """Return the ray of a row of the arrays, given the number of its start ray."""
+        """Return the ray in one row of the arrays as a `Ray`; `start_ray` is the number of its start ray."""
         return Ray(start_ray, self.codes, *(values[row] for values in self[2:]))
 
 
@@ -258,7 +262,7 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
 
 
 def _requested(recorder: BranchRecorder, keys: np.ndarray, most: int) -> np.ndarray:
-    """Return the recorder's slots of at most `most` branches of each path that is given by its key, (n,) int."""
+    """Return recorder slots of up to `most` branches of each path whose key is in `keys`, (n,) int."""
     paths = np.array(recorder.path)[: recorder.kept]
     order = np.argsort(paths, kind="stable")
     ends = [np.searchsorted(paths[order], keys, side) for side in ("left", "right")]

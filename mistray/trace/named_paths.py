@@ -40,13 +40,13 @@ _EVENT = re.compile(rf"(?:.*:[{EVENT_LETTERS}]|{PAST})", re.DOTALL)
 
 @dataclass(frozen=True)
 class Kind:
-    """Filter that selects all light, all stray light, or the paths of one kind, such as "ghost"."""
+    """Filter of paths by class: all light, all stray light, or one kind such as "ghost"."""
 
     kind: str
     columns: ClassVar = frozenset({"kind"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return the bounds of the filter, masks of the rows of this kind."""
+        """Return masks of the rows whose path is of this kind."""
         kinds = np.asarray(rows.columns["kind"])
         if self.kind == ALL:
             return exactly(np.full(len(kinds), True))
@@ -55,13 +55,13 @@ class Kind:
 
 @dataclass(frozen=True)
 class Whole:
-    """Filter that selects the path with exactly these events."""
+    """Filter that selects one path by its complete list of events."""
 
     text: str
     columns: ClassVar = frozenset({"events"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return the bounds of the filter, masks of the rows with exactly these events."""
+        """Return masks of the rows that have exactly these events."""
         _check_events(event_words(self.text), rows)
         requested = way_text([" ".join(event_words(self.text))])[0]
         return exactly(np.array([one == requested for one in way_text(rows.columns["events"])], dtype=bool))
@@ -69,13 +69,13 @@ class Whole:
 
 @dataclass(frozen=True)
 class Named:
-    """Filter that selects the paths of a given name, as tables and reports print it."""
+    """Filter that selects the paths whose name, as printed in tables and reports, matches a text."""
 
     text: str
     columns: ClassVar = frozenset({"label", "detector", "kind"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return the bounds of the filter, masks of the rows whose path has this name."""
+        """Return masks of the rows whose path has this name."""
         self.check(rows)
         fits = like_pattern(_typed_alike(self.text))
         labels = _way_labels(rows)
@@ -109,7 +109,11 @@ class Named:
 
 
 def read_name(text: str) -> Kind | Whole | Named | None:
-    """Return the filter of a text that is a kind or a name of paths; None for other text, such as an expression."""
+    """
+    Parse a text that is a kind, an event list or a path name into its filter.
+
+    None for other text, such as an expression.
+    """
     text = text.strip()
     if text in KINDS:
         return Kind(text)
@@ -122,7 +126,11 @@ def read_name(text: str) -> Kind | Whole | Named | None:
 
 
 def read_events(text: str) -> Whole | Named | None:
-    """Return the filter of a text of events: one path if it ends in a detector, else all of that name; else None."""
+    """
+    Parse a list of events: one exact path if it ends at a detector, else all paths of that name.
+
+    The result is None for other text.
+    """
     text = text.strip()
     if not (":" in text and all(_EVENT.fullmatch(word) for word in _name_words(text))):
         return None
@@ -130,7 +138,11 @@ def read_events(text: str) -> Whole | Named | None:
 
 
 def warn_unless_one(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
-    """Warn if a name means several paths, or none; `rows` are all paths of a trace, `held` masks of those meant."""
+    """
+    Warn if a path name matches several paths or none.
+
+    `rows` are all paths of a trace, `held` the masks of those matched.
+    """
     labels: dict[str, str] = {}
     meant: dict[str, str] = {}
     for one, here in zip(rows, held, strict=True):
@@ -150,12 +162,12 @@ def warn_unless_one(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray])
 
 
 def _typed_alike(text: str) -> str:
-    """Return a name with arrows as reports print them."""
+    """Return a path name with ``->`` replaced by the arrow that reports print, and single blanks."""
     return _ARROW.sub(ARROW, " ".join(text.split()))
 
 
 def _name_words(text: str) -> list[str]:
-    """Return the events of a name, in which the word `PAST` may stand before one."""
+    """Split a path name into its events; the word `PAST` before an event becomes an item of its own."""
     found: list[str] = []
     for word in event_words(text):
         before, blank, event = word.partition(" ")
@@ -164,14 +176,14 @@ def _name_words(text: str) -> list[str]:
 
 
 def _forms(label: str, detector: str) -> set[str]:
-    """Return the name of a path and its shorter forms, without ``, on detector`` or without ``(structure)``."""
+    """Return all accepted forms of a path name: full, and without ``, on detector`` or ``(structure)``."""
     label = _typed_alike(label)
     short = label.removesuffix(f", on {detector}")
     return {label, short, _STRUCTURE.sub("", short), label.replace(short, _STRUCTURE.sub("", short), 1)}
 
 
 def _way_labels(rows: Rows) -> list[str]:
-    """Return the names of the rows' paths, in which aimed scatter is named as random scatter."""
+    """Return the path name of each row, with aimed scatter named as ordinary random scatter."""
     labels, e = list(rows.columns["label"]), rows.events
     codes = way(e.codes)
     aimed = np.flatnonzero((e.inside & (codes != e.codes) & (kind_of(e.codes) >= FIRST_SCATTERED)).any(axis=1))
@@ -186,7 +198,7 @@ def _all_known(pieces: Sequence[str], rows: Rows) -> bool:
 
 
 def _check_pieces(pieces: Sequence[str], between: str, rows: Rows) -> None:
-    """Raise `UnknownError` if pieces of a text are no ids; an id may contain the separator."""
+    """Raise `UnknownError` unless all pieces of a name, some joined by `between`, are ids of surfaces or media."""
     while pieces:
         # The longest known id first
         for count in range(len(pieces), 0, -1):
@@ -201,7 +213,7 @@ def _check_pieces(pieces: Sequence[str], between: str, rows: Rows) -> None:
 
 
 def _check_events(words: Sequence[str], rows: Rows) -> None:
-    """Raise `UnknownError` for an event whose surface or letter does not exist."""
+    """Raise `UnknownError` for an event such as ``lens:R`` whose surface or letter does not exist."""
     for event in words:
         surface, _, letter = event.rpartition(":")
         if event == PAST:

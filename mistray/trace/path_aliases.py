@@ -27,7 +27,7 @@ KEPT_APART = ("kind", "order", "scatters", "diffractions", "structure_bounces", 
 
 def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[str]:
     """
-    Return the name, an alias or its own, under which each surface and medium is reported, by number.
+    Return the name under which each surface and medium is reported, an alias or its id, in order of their numbers.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.
 
 
 def _short(events: Sequence[int]) -> list[int]:
-    """Return events without transmissions beside another event of the same name; of transmissions alone, the first."""
+    """Drop transmissions next to another event at the same place; of transmissions alone keep the first."""
     kept: list[int] = []
     for _, same in groupby(events, place_of):
         run = list(same)

@@ -70,7 +70,7 @@ _TOKEN = re.compile(
 
 class PathFilter:
     """
-    Filter of paths and rays; `mistray.trace.path_filter` describes the language.
+    Filter of paths and rays, parsed from a text; `mistray.trace.path_filter` describes the language.
 
     Parameters
     ----------
@@ -101,20 +101,28 @@ class PathFilter:
 
     @classmethod
     def in_order(cls, words: Sequence[str]) -> PathFilter:
-        """Return a filter of light that meets surfaces in this order, each with an optional letter of its event."""
+        """
+        Return a filter for light that meets these surfaces in this order.
+
+        Each may end in an event letter, as ``lens:R``.
+        """
         found = cls("")
         found.text, found._term = " ".join(words), _Sequence(tuple(words))
         return found
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return masks of the rows where the filter holds; raise `MistrayError` for unknown names and columns."""
+        """
+        Return masks of the rows where the filter certainly holds and may hold.
+
+        Raise `MistrayError` for unknown names and columns.
+        """
         try:
             return self._term.bounds(rows)
         except UnknownError as error:
             raise MistrayError(f"filter '{self.text}': {error}") from None
 
     def holds(self, rows: Rows) -> np.ndarray:
-        """Return a mask of the rows where the filter certainly holds, (n,) bool."""
+        """Return a mask of the rows where the filter holds for every ray, (n,) bool."""
         return self.bounds(rows).certain
 
     def __repr__(self) -> str:
@@ -157,7 +165,11 @@ def _either(a: Bounds, b: Bounds) -> Bounds:
 
 @dataclass(frozen=True)
 class _Flag:
-    """Flag of a filter: it compares a path's number of such events; without a comparison, at least one."""
+    """
+    Flag of a filter, such as ``S(barrel)``.
+
+    It compares a path's count of such events with a number; by default at least 1.
+    """
 
     letter: str
     name: str
@@ -224,7 +236,7 @@ class _Compare:
 
 @dataclass(frozen=True)
 class _Sequence:
-    """Filter of light that meets these surfaces in this order, each with an optional letter of the event there."""
+    """Filter for light that meets given surfaces in order; each may have the letter of its event there."""
 
     words: tuple[str, ...]
 
@@ -259,7 +271,7 @@ class _Parser:
         self.columns: set[str] = set()
 
     def filter(self) -> _Term:
-        """Parse the whole text; events of a path need no quotation marks where they cannot be a filter."""
+        """Parse the whole text into a filter; a bare event list is accepted where it cannot be an expression."""
         if not self._text.strip():
             return _Sequence(())  # everything holds
         try:
@@ -339,7 +351,7 @@ class _Parser:
         return _Compare(word, *compared)
 
     def _name(self, letter: str) -> str | None:
-        """Return the name in brackets after a flag; None: there are no brackets."""
+        """Return the surface name in brackets after a flag letter; None if there are no brackets."""
         if not self._take("("):
             return None
         rest = self._text[self._at :].lstrip()
@@ -370,7 +382,7 @@ class _Parser:
         return found["compare"], value["word"] or value["text"][1:-1]
 
     def _look(self) -> re.Match[str] | None:
-        """Return the next token; None at the end."""
+        """Return the next token without consuming it; None at the end of the text."""
         if not self._text[self._at :].strip():
             return None
         found = _TOKEN.match(self._text, self._at)
@@ -394,5 +406,5 @@ class _Parser:
 
 
 def _short(text: str) -> str:
-    """Return a text cut to `MOST_SHOWN` characters, for a message."""
+    """Return a text cut to `MOST_SHOWN` characters for an error message."""
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"

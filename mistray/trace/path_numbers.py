@@ -65,7 +65,7 @@ class HitSums(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Number of hits of each path, and sums of their absorbed flux to the powers k = 1, 2 and 4, (p, 4), in Wᵏ."""
+        """Return the number of hits of each path and Σ Φᵏ of their absorbed flux Φ for k = 1, 2, 4, in Wᵏ; (p, 4)."""
         powers = self.unit ** np.array([0.0, 1.0, 2.0, 4.0])
         return np.asarray(powers * self.sums[:, :, [RAYS, ABSORBED, SQUARES, FOURTHS]].sum(axis=1))
 
@@ -187,7 +187,11 @@ def _chunk(runs: Sequence[HitSums]) -> PathNumbers:
 
 
 def _shape(sums: np.ndarray) -> np.ndarray:
-    """Return x, y, RMS radius, RMS irradiance, degree of polarisation and s1, s2, s3 of sums (…, 9) in W, (8, …)."""
+    """
+    Return figures of `sums` (…, 9), as an array (8, …).
+
+    They are centroid x and y, mm, RMS radius, mm, RMS irradiance, W/mm², degree of polarisation, s1, s2 and s3.
+    """
     power = sums[..., ABSORBED]
     with np.errstate(divide="ignore", invalid="ignore"):
         x, y = sums[..., BY_X] / power, sums[..., BY_Y] / power
@@ -198,12 +202,16 @@ def _shape(sums: np.ndarray) -> np.ndarray:
 
 
 def percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the columns ``percent`` and ``percent_se`` of powers of paths or groups; no error where `few` rays."""
+    """
+    Return columns ``percent`` and ``percent_se``: powers relative to `of`, %.
+
+    The error is NaN where `few` is True.
+    """
     found = light.over(of[None]).scaled(100.0)
     return {"percent": found.value, "percent_se": np.where(few, np.nan, found.se)}
 
 
 def alike(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Return a group number for each path, (p,), equal for paths that agree in all columns, (p,) each."""
+    """Return a group number for each path, (p,) int; paths that agree in all given columns share a number."""
     keys = [np.unique(column, return_inverse=True)[1] for column in columns]
     return np.asarray(np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)[1]).ravel()

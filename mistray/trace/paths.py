@@ -236,7 +236,7 @@ class PathTable(
         self.runs, self._run, self._place = list(runs), run, place
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of paths, the power of the stray ones, W, and the strongest path."""
+        """Return the number of paths, the stray power (W) and the name of the strongest path, by label."""
         found: dict[str, KeyNumber] = {"paths": len(self), "stray [W]": self.stray_W}
         return found | ({"strongest": self[0].label} if len(self) else {})
 
@@ -265,7 +265,7 @@ class PathTable(
         return (PathRow(*values) for values in zip(*columns, strict=True))
 
     def located(self, path_ids: int | Iterable[int] | None = None) -> list[LocatedPaths]:
-        """Return the paths of these ids (None: all) for each run; raise `MistrayError` for an unknown id."""
+        """Return, for each run, its paths among the given ids (None: all); raise `MistrayError` for an unknown id."""
         ids = np.arange(len(self)) if path_ids is None else np.array(several(path_ids), dtype=np.int64)
         for path_id in ids[(ids < 0) | (ids >= len(self))]:
             raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
@@ -313,7 +313,7 @@ class PathTable(
 
     def chosen(self, requested: PathFilter, by_ray: frozenset[str] = frozenset()) -> list[LocatedPaths]:
         """
-        Return the paths that a filter may select, run by run.
+        Return, for each run, the paths that a filter may select.
 
         Parameters
         ----------
@@ -335,7 +335,7 @@ class PathTable(
         return self.located(np.concatenate([own.ids[here] for own, here in zip(of_runs, held, strict=True)]))
 
     def column(self, name: str) -> np.ndarray:
-        """Return an attribute of `PathRow` for all paths, (p,)."""
+        """Return one column of the table, an attribute of `PathRow` for all paths, (p,)."""
         return self._columns[name]
 
     def power(self, path_ids: int | Sequence[int] | np.ndarray) -> tuple[float, float]:
@@ -349,19 +349,19 @@ class PathTable(
         return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
-        """Return the ids of the direct paths, or of all others, (n,) int; at one wavelength, nm, or at all."""
+        """Return the ids of direct paths, or of all stray ones, (n,), optionally at one wavelength (nm) only."""
         chosen = (self._columns["kind"] == DIRECT) == direct
         if wavelength_nm is not None:
             chosen &= self._columns["wavelength_nm"] == wavelength_nm
         return np.flatnonzero(chosen)
 
     def light(self, path_ids: int | Sequence[int] | np.ndarray) -> Sampled:
-        """Return the total power of some paths, W, with its noise by batch, which correlates it to other numbers."""
+        """Return the total power of some paths, W, with its noise by batch, which keeps correlations of errors."""
         return self._numbers.light[np.atleast_1d(np.asarray(path_ids, dtype=np.int64))].total()
 
     @property
     def stray_W(self) -> Estimate:
-        """Power of all paths but the direct ones, W."""
+        """Total power of all stray paths on the detectors, W, with its standard error."""
         return Estimate(*self.light(self.ids(direct=False)).whole)
 
     def numbers(self, groups: Sequence[Sequence[int]]) -> PathNumbers:
@@ -391,7 +391,11 @@ class PathTable(
         return PathNumbers.joined([alone[counts == 1], *parts])[order]
 
     def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> HitSums:
-        """Return the sums of a run over groups of paths; `group` is ascending and has the group of each path."""
+        """
+        Return the flux sums of one run added up by group of paths.
+
+        `group` is ascending, the group number of each of `ids`.
+        """
         one, here = self.runs[run], self._run[ids] == run
         sums = np.zeros((int(group[-1]) + 1, *one.paths.sums.shape[1:]))
         np.add.at(sums, group[here], one.paths.sums[self._place[ids[here]]])
@@ -445,7 +449,7 @@ class PathTable(
 
     def by_way(self, aliases: Mapping[str, str] | str | None = None) -> pd.DataFrame:
         """
-        Return the table with randomly scattered and aimed rays merged: one row for each sequence of events.
+        Return the table with ordinary and aimed scatter merged: one row for each sequence of events.
 
         Parameters
         ----------
@@ -468,11 +472,11 @@ class PathTable(
 
     @cached_property
     def _by_way(self) -> pd.DataFrame:
-        """Table of `by_way` without aliases, which several parts of a report read."""
+        """Return `by_way` without aliases, cached because several parts of a report read it."""
         return self._merged(None)
 
     def _merged(self, aliases: Mapping[str, str] | str | None) -> pd.DataFrame:
-        """Return the table of `by_way`."""
+        """Compute the table of `by_way` for given aliases."""
         table = {name: column.copy() for name, column in self._columns.items()}
         for name, text in (("events", way_text), ("path", way_letters)):
             table[name][:] = text(table[name])
@@ -536,7 +540,7 @@ class PathTable(
 
 
 def _frame(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
-    """Return columns of a path table as a DataFrame; text has the type that pandas infers from strings."""
+    """Return columns of a path table as a DataFrame; text columns get the string type of pandas."""
     import pandas as pd
 
     text = {name: column.tolist() for name, column in columns.items() if column.dtype == object}
@@ -544,7 +548,7 @@ def _frame(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
 
 
 def path_table(runs: Sequence[Run]) -> PathTable:
-    """Return the table of the paths of runs with a ledger to their detectors; paths without a hit are left out."""
+    """Return the table of the paths that reach the detectors, from runs traced with a ledger."""
     parts, places, numbers = [], [], []
     for run in runs:
         place = np.flatnonzero(run.paths.sums[:, :, RAYS].any(axis=1))

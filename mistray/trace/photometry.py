@@ -23,7 +23,7 @@ from mistray.spectra.cie import VISIBLE_NM, luminous_efficacy
 
 def check_light(scene: mi.Scene, wavelength_nm: Sequence[float] | None) -> None:
     """
-    Raise `MistrayError` if light has no photometric units: a source states no wavelength, or none is visible.
+    Raise `MistrayError` if photometric units make no sense: a source states no wavelength, or none is visible.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def check_visible(wavelengths_nm: Sequence[float]) -> None:
 
 
 def luminous_flux(runs: Sequence[Run]) -> tuple[float, float]:
-    """Return the luminous flux that the detectors absorb and its standard error, lm; runs share no rays."""
+    """Return the luminous flux absorbed by the detectors and its standard error, lm; the runs must not share rays."""
     check_visible([run.source.wavelength_nm for run in runs])
     by_batch = [
         luminous_efficacy(run.source.wavelength_nm) * run.sums.surfaces[run.table.detectors, ABSORBED_HERE].sum(axis=0)
@@ -67,7 +67,7 @@ def luminous_flux(runs: Sequence[Run]) -> tuple[float, float]:
 
 
 def illuminance(runs: Sequence[Run]) -> Pixels:
-    """Return the illuminance map of the detector, from absorbed light, with its noise, (height, width), lx."""
+    """Return the illuminance map of the detector with its noise, (height, width), lx, from the absorbed flux."""
     check_visible([run.source.wavelength_nm for run in runs])
     pixel_m2 = runs[0].pixel_area / MM2_PER_M2
     first, *others = (

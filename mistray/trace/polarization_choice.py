@@ -82,13 +82,13 @@ class PolarizationChoice:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Mode, reason and relative change of flux by Stokes vectors, as entries for the settings of a result."""
+        """Return mode, reason and relative change of flux by Stokes vectors, as entries for `settings`."""
         change = {} if math.isnan(self.change) else {"polarization_change": self.change}
         return {"polarization": self.mode, "polarization_reason": self.reason, **change}
 
 
 def words_of(settings: Mapping[str, Any]) -> str:
-    """Return a line of text with the polarisation mode of a trace and its reason, from its settings."""
+    """Return a line of text that states the polarisation mode of a trace and the reason for it, from its settings."""
     return f"polarization: {settings['polarization']} ({settings['polarization_reason']})"
 
 
@@ -177,7 +177,7 @@ def unpolarized_notes(
 
 
 def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
-    """Return the flux, W, in both modes of the paths that a table would list, measured by a pilot of few rays."""
+    """Trace a few rays; return the flux (W) of the main paths, averaged over s and p and by Stokes vectors."""
     found: dict[tuple[Any, ...], Arrivals] = {}
     listed: list[Arrivals] = []
     own = [sum(1 for where, _ in runs if where == field) for field, _ in runs]
@@ -205,7 +205,7 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
 
 
 def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
-    """Return a hash of all that the pilot depends on: surfaces, coatings, scatter, settings and start rays."""
+    """Return a hash of everything the pilot depends on: surfaces, coatings, scatter, settings and start rays."""
     digest = hashlib.sha256()
     for field, run in runs:
         table = run.table
@@ -223,7 +223,7 @@ def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
 
 
 def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:
-    """Return the direct light, the stray paths that a table lists, and all stray light together."""
+    """Return the light that decides the choice: direct, the stray paths that a table lists, and the stray total."""
     direct = [row for row in rows if not row.stray]
     whole = sum(row.mean for row in direct)
     ghosts = [row for row in rows if row.stray and not row.scattered and row.hits >= LEAST_HITS]
@@ -245,7 +245,7 @@ def _name(found: Arrivals, table: SurfaceTable) -> str:
 
 
 def _polarizes(table: SurfaceTable) -> bool:
-    """Whether R or T of a coating differs between s and p at any angle."""
+    """True if R or T of any coating in the table differs between s and p at some angle."""
     for surface, interface in enumerate(table.interfaces):
         for side in (True, False) if not isinstance(interface.coating, Ideal) else ():
             found = table.optics.response(surface, side, PROBED)
@@ -255,7 +255,7 @@ def _polarizes(table: SurfaceTable) -> bool:
 
 
 def _with_few_wavelengths(beam: Light) -> Light:
-    """Return the light with at most `MOST_RUNS` of its wavelengths, spread over all."""
+    """Return the light with at most `MOST_RUNS` of its wavelengths, spread over its spectrum."""
     if beam.wavelength_nm is None:
         return beam
     nm, shares = spectrum(beam.wavelength_nm, beam.weights)
@@ -266,5 +266,5 @@ def _with_few_wavelengths(beam: Light) -> Light:
 
 
 def _spread(given: Sequence[Any], most: int) -> list[Any]:
-    """Return at most `most` of a list, the first and the last among them."""
+    """Return at most `most` evenly spaced items of a list, including the first and the last."""
     return [given[k] for k in spread(len(given), most)]

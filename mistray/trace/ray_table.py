@@ -1,4 +1,4 @@
-"""Tables of rays at the detector, chosen by a filter and by their position there."""
+"""Tables of rays at the detector, selected by a filter and by position."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Columns = dict[str, np.ndarray]
 
 
 def check_box(box: Sequence[float]) -> Sequence[float]:
-    """Return a rectangle x0, x1, y0, y1, mm; raise `MistrayError` if it is empty."""
+    """Return a rectangle (x0, x1, y0, y1, mm) unchanged; raise `MistrayError` if it is empty."""
     x0, x1, y0, y1 = box
     if not (x0 < x1 and y0 < y1):
         raise MistrayError(f"box is x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm; it needs x0 < x1 and y0 < y1")
@@ -109,7 +109,7 @@ def _check_pixels(pixels: Sequence[int], run: Run) -> None:
 
 
 class _Search:
-    """Search for the rays of some paths of one run that a filter, a box and pixels select."""
+    """Search for the rays of some paths of one run that pass a filter and hit a box or a pixel range."""
 
     def __init__(
         self,
@@ -126,7 +126,7 @@ class _Search:
         self._box = _corners(own.run, box, pixels)
 
     def rays(self, n: int | None) -> tuple[Columns, list[Ray]]:
-        """Return at most n rays of the paths; with `events` the rays themselves, too."""
+        """Return columns of up to `n` selected rays, and the rays themselves if events were requested."""
         parts, rays, found = [self._facts(Events.of(self._run.table, self._run.design, *padded([])), {})], [], 0
         if len(self._own.ids):
             recorder = self._run.recorder(CAPACITY, self._own.slots)
@@ -145,7 +145,7 @@ class _Search:
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
 
     def _read(self, recorder: BranchRecorder, count: int) -> tuple[Columns, list[Ray]]:
-        """Return columns of the selected rays among the first `count` recorded ones; with `events` also the rays."""
+        """Return columns of the selected rays among the first `count` recorded, and rays if events were requested."""
         slots = np.arange(count)
         lanes = np.array(recorder.lane)[:count]
         origins, directions = self._run.start_rays(lanes)
@@ -175,7 +175,7 @@ class _Search:
         return {name: values[kept] for name, values in columns.items()}, [rays[int(k)] for k in kept] if rays else []
 
     def _facts(self, events: Events, given: Columns) -> Columns:
-        """Return the columns of the ray table for rays with these events; without `given`, columns of no rays."""
+        """Return the columns of the ray table for rays with these events; without `given`, empty columns."""
         whole = ("path_id", "start_ray", "node")
         given = {name: np.zeros(0, dtype=np.int64 if name in whole else float) for name in COLUMNS} | given
         source, count, words = self._run.source, len(events), events.intercepts
@@ -199,7 +199,7 @@ class _Search:
         return {name: found[name] for name in COLUMNS}
 
     def _held(self, columns: Columns, events: Events) -> np.ndarray:
-        """Return a mask of the rays that the filter and the pixels select, (n,) bool."""
+        """Return a mask of the rays that pass the filter and lie in the pixel range, (n,) bool."""
         held = np.full(len(events), True)
         if self._pixels is not None:
             c0, c1, r0, r1 = self._pixels
@@ -217,7 +217,11 @@ class _Search:
 
 
 def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None) -> tuple[float, ...] | None:
-    """Return x0, x1, y0, y1, mm, within which to record: the box, cut to a rectangle that surely holds the pixels."""
+    """
+    Return the rectangle to record, x0, x1, y0, y1 in mm: the box, cut to the surroundings of the pixels.
+
+    None for the whole detector.
+    """
     if box is None and pixels is None:
         return None
     corners = [-math.inf, math.inf, -math.inf, math.inf] if box is None else [float(v) for v in box]
@@ -235,7 +239,7 @@ def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None
 
 def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Recorder | None) -> Iterator[int]:
     """
-    Trace start rays into a recorder; if they have more branches than it holds, trace them in halves.
+    Trace start rays into a recorder, in halves where it would overflow; yield the number of branches each time.
 
     Yields
     ------
@@ -258,7 +262,11 @@ def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Reco
 
 
 def portions(run: Run, grow: Callable[[int], int] = lambda size: 2 * size) -> Iterator[StartRays]:
-    """Yield the start rays of a run in growing portions, each of which is spread over the beam."""
+    """
+    Yield the start rays of a run in growing portions, each spread over the beam.
+
+    `grow` maps a portion's size to the next.
+    """
     for _, start in run.starts():
         count = dr.width(start.lane)
         # A stride of the golden ratio, coprime to the count, visits all rays, and any prefix is spread over all

@@ -1,7 +1,7 @@
 """
-Reliability of the numbers of a trace: light that was cut, and the sampling of scattered light.
+Reliability of a trace: light that was cut, and how well scattered light is sampled.
 
-Aimed rays are judged by the share of them that reaches the detector, scattered light by the number of its hits there.
+Aimed rays are judged by the share that reaches the detector, scattered light by the number of its hits there.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
-    """Return notes on light that was not followed, by the reasons of the energy ledger."""
+    """Return a note on flux not followed for each reason in the energy ledger, with the indices of the traces."""
     found = []
     for reason in dict.fromkeys(reason for t in traces for reason in t.energy.cut if reason not in ZERO_ON_AVERAGE):
         shares = [abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for t in traces]
@@ -82,7 +82,7 @@ def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def undeclared_images(trace: Trace) -> list[Note]:
-    """Return a note on each detector without design path that gets over `IMAGE` of its light by an unscattered path."""
+    """Return notes on detectors without design path. One unscattered path must carry over `IMAGE` of their light."""
     found = []
     table, design = trace.runs[0].table, trace.runs[0].design
     for detector in table.detectors:
@@ -102,7 +102,7 @@ def undeclared_images(trace: Trace) -> list[Note]:
 
 
 def _own(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
-    """Return the notes of traces on their scene, sources and rays."""
+    """Return the traces' own notes on scene, sources and rays, each with the indices of the traces that have it."""
     lines = dict.fromkeys(note for t in traces for note in t.own_notes)
     return [([k for k, t in enumerate(traces) if note in t.own_notes], note) for note in lines]
 
@@ -161,7 +161,7 @@ class SamplingCheck:
 
 
 def _names(found: Sequence[str]) -> str:
-    """Return the first of some names, and the number of others."""
+    """Return the first few names as text, and how many more there are."""
     more = f" and {len(found) - NAMES_SHOWN} more" if len(found) > NAMES_SHOWN else ""
     return ", ".join(found[:NAMES_SHOWN]) + more
 
@@ -187,7 +187,11 @@ def sampling_check(trace: Trace) -> SamplingCheck:
 def worst_note(
     message: Message, values: Sequence[float], limit: float, worst: Callable[..., float] = max
 ) -> list[tuple[list[int], Note]]:
-    """Return a note with the worst of the values beyond a limit, and the numbers of their traces; [] if none is."""
+    """
+    Return a note with the worst value beyond `limit`, and the indices of the traces beyond it.
+
+    The result is empty if there are none.
+    """
     at = [k for k, value in enumerate(values) if (value > limit if worst is max else value < limit)]
     return [(at, message.note(value=worst(values[k] for k in at), limit=limit))] if at else []
 
@@ -210,7 +214,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     rows = [_rows(t) for t in traces]
 
     def named(message: Message, values: Sequence[Mapping[str, float]], worst: Callable[..., float]) -> None:
-        """Add a note on the surfaces and media with a bad figure, the worst first."""
+        """Add a note that lists the surfaces and media whose figure is bad, the worst first."""
         at = [k for k, each in enumerate(values) if each]
         if not at:
             return
@@ -244,7 +248,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _rows(trace: Trace) -> tuple[AimedRow, ...]:
-    """Return how well the aimed rays of each surface or medium reach the detector."""
+    """Return a judgement of each surface or medium that aims rays: their number and the share that arrived."""
     return tuple(
         AimedRow(
             entry.id,
@@ -260,7 +264,7 @@ def _rows(trace: Trace) -> tuple[AimedRow, ...]:
 @dataclass(frozen=True)
 class AimedSurface:
     """
-    Number of scattered rays that a surface or medium aimed at targets, and of those that reached the detector.
+    Numbers of scattered rays that a surface or medium aimed at targets, and of those that reached the detector.
 
     Attributes
     ----------
@@ -281,7 +285,7 @@ class AimedSurface:
 
 
 def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
-    """Return the numbers of aimed rays of each surface and medium that aims, summed over runs, in the scene's order."""
+    """Return the counts of aimed rays for each surface and medium that aims, summed over runs, in the scene's order."""
     sums: dict[str, np.ndarray] = {}
     for run in runs:
         table, found = run.table, run.sums.surfaces[:, [AIMED, LANDED]].sum(axis=-1)
@@ -298,7 +302,7 @@ def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
 
 
 def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
-    """Return the names of the places that have a target which contains no detector."""
+    """Return the names of surfaces and media with a target that covers no detector."""
     names = set()
     for run in runs:
         table = run.table
@@ -316,7 +320,7 @@ def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
 
 
 def _covers(target: Target, detector: Target) -> bool:
-    """Whether a target has the centre of a detector and is at least as large."""
+    """True if a target contains the centre of a detector and is at least as large."""
     size = max(detector.size)
     return (
         float(np.linalg.norm(target.centre - detector.centre)) < SAME_SIZE * size
@@ -328,7 +332,7 @@ def _covers(target: Target, detector: Target) -> bool:
 @dataclass(frozen=True)
 class SilentPlace:
     """
-    Surface or medium that scatters and got light, none of which reached the detector.
+    Surface or medium that receives light and scatters it, while no scattered ray of it reached the detector.
 
     Attributes
     ----------
@@ -344,9 +348,9 @@ class SilentPlace:
 
 def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
     """
-    Return the surfaces and media that scatter but sent none of their light to the detector, most flux first.
+    Return the surfaces and media whose scattered light never reached the detector, most flux first.
 
-    The list is empty where paths were not kept, or nothing may scatter.
+    The list is empty if paths were not kept or nothing may scatter.
     """
     lit: dict[str, np.ndarray] = {}
     heard: set[str] = set()
@@ -373,7 +377,11 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
 
 
 def _lit_places(table: SurfaceTable, sums: np.ndarray) -> dict[int, np.ndarray]:
-    """Return hits and flux, W, of the places that scatter; for a medium those of its surface with most flux."""
+    """
+    Return hits and flux (W) by number of each surface or medium that scatters.
+
+    A medium has those of its brightest surface.
+    """
     lit = {i: sums[i] for i in table.listed if table.interfaces[i].scatter and i not in table.detectors}
     if table.optics.scatters:
         for i in table.listed:

@@ -1,4 +1,4 @@
-"""Result of a forward trace: irradiance, paths, energy ledger, and tables and maps from tracing its rays again."""
+"""Result of a forward trace: irradiance, paths, energy ledger, and more tables and maps by tracing its rays again."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     @property
     def detectors(self) -> list[str]:
-        """Ids of the detectors whose light was traced."""
+        """Ids of the detectors of the trace, in the scene's order."""
         table = self.runs[0].table
         return [table.ids[i] for i in table.detectors]
 
@@ -293,7 +293,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     def energy_of(self, source: str) -> Energy:
         """
-        Return the energy ledger, W, of one of the sources of the trace, by its name in the path table.
+        Return the energy ledger, W, of one source, by its name in the path table.
 
         Raises
         ------
@@ -312,7 +312,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     def irradiance_of(self, path_ids: int | Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the irradiance of some paths together, by tracing the same rays again.
+        Return the irradiance (W/mm²) that some paths together cause, by tracing the same rays again.
 
         Parameters
         ----------
@@ -407,7 +407,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     def history(self, path_id: int, n: int = 8) -> RayHistory:
         """
-        Return rays of a path, point by point with flux and optical path lengths, by tracing them again.
+        Return rays of a path with hit points (mm), flux (W) and optical path lengths (mm), by tracing them again.
 
         Parameters
         ----------
@@ -440,7 +440,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     def light_cones(self, path_ids: int | Sequence[int]) -> dict[int, LightCone]:
         """
-        Return the cone in which the light of each path comes to the detector, by tracing a sample of rays again.
+        Return the cone of directions of each path's light at the detector, by tracing a sample of rays again.
 
         Parameters
         ----------
@@ -456,7 +456,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[SampledHits]:
         """
-        Return the points and directions at which rays of all paths meet their surfaces, by tracing a sample again.
+        Return points and directions of sampled rays of all paths at their surfaces, by tracing again.
 
         Parameters
         ----------
@@ -474,7 +474,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     @property
     def tables(self) -> list[SurfaceTable]:
-        """Tables of the surfaces as the kernel reads them, one for each wavelength, ascending."""
+        """Surface tables that the kernel reads, one for each wavelength, in ascending order."""
         tables = {run.source.wavelength_nm: run.table for run in self.runs}
         return [tables[wavelength] for wavelength in sorted(tables)]
 
@@ -587,7 +587,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
             yield raw
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the detected and the stray flux, W, and the number of paths; also what is lost if all is dark."""
+        """
+        Return the detected and the stray flux (W) and the number of paths, by label.
+
+        For a dark detector also the largest loss.
+        """
         found: dict[str, KeyNumber] = {}
         if self.rays_traced != self.rays_planned:
             found["unfinished"] = f"{self.rays_traced} of {self.rays_planned} rays"

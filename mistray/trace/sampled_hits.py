@@ -75,13 +75,13 @@ class SampledHits:
     normal: Floats
 
     def polyline(self, ray: int) -> Floats:
-        """Return the points of one ray from its start to the detector, (length + 1, 3), mm."""
+        """Return the points of one ray from its start to the detector, (hits + 1, 3), mm."""
         return np.concatenate([self.start[ray][None], self.points[ray, : self.length[ray]]])
 
 
 def sampled_hits(own: LocatedPaths, start_rays: int, most: int) -> SampledHits:
     """
-    Return the hits of a sample of rays of a run, which are traced again.
+    Return the surface hits of a sample of rays of a run, by tracing them again.
 
     Parameters
     ----------
@@ -177,12 +177,16 @@ class LightCone(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether there are enough rays for a standard error, and they are no parallel beam."""
+        """True if the cone has enough rays for a standard error and the light is not parallel."""
         return self.rays >= ERROR_RAYS and self.aperture > 0
 
 
 def light_cones(paths: PathTable, path_ids: Sequence[int]) -> dict[int, LightCone]:
-    """Return the cone of directions of each path at the detector, by path id; without paths of fewer than two rays."""
+    """
+    Return the cone of directions of each path at the detector, by path id.
+
+    Paths of fewer than two rays are left out.
+    """
     found: dict[int, LightCone] = {}
     for own in paths.located(path_ids):
         if not len(own.ids):
@@ -200,11 +204,11 @@ def light_cones(paths: PathTable, path_ids: Sequence[int]) -> dict[int, LightCon
 
 def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
     """
-    Return the cone of the rays of one path.
+    Return the cone of directions of the rays of one path.
 
-    A spot in the plane of the detector is the Fourier transform of the pupil over the direction cosines along that
-    plane, times n/λ. The direction cosines of a round, evenly filled cone lie evenly in a disc of the radius sin u. Its
-    mean square distance from the centre is sin²u/2.
+    A spot in the detector plane is the Fourier transform of the pupil over the direction cosines along that plane,
+    times n/λ. The direction cosines of a round, evenly filled cone lie evenly in a disc of radius sin u. Their mean
+    square distance from the centre is sin²u/2.
     """
     way = bundle.points[:, -1] - bundle.points[:, -2]
     # Index of the last medium, from the optical and the geometric length of the last segment
@@ -219,7 +223,7 @@ def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
 
 
 def _axes(table: SurfaceTable) -> Floats:
-    """Return unit vectors along x and y of the detector, (2, 3)."""
+    """Return the unit vectors along x and y of the detector in scene coordinates, (2, 3)."""
     if table.detector in table.detector_frames:
         axes = table.detector_frames[table.detector][1:]
         return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))

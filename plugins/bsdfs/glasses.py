@@ -1,4 +1,4 @@
-"""Materials on both sides of an interface, with differentiable shifts of their indices."""
+"""Materials on the two sides of an interface, with differentiable shifts of their refractive indices."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MATERIALS = {**dict.fromkeys(("front", "back"), MATERIAL), **dict.fromkeys(SHIFT
 
 class Glasses:
     """
-    Materials in front and behind, each with a differentiable shift of its real index.
+    Materials in front of and behind an interface, each with a differentiable shift of its real index.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Glasses:
 
     def update(self, wavelength_nm: float) -> bool:
         """
-        Apply the index shifts in `parameters`, and return whether they have changed.
+        Apply the index shifts in `parameters`; return True if they have changed.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class Glasses:
         return changed
 
     def restore(self) -> None:
-        """Put the last valid values back into `parameters`."""
+        """Reset the index shifts in `parameters` to the last valid values."""
         for value, held in zip(self.parameters.values(), self._held, strict=True):
             mi.set_property(value, mi.Float(held))  # in place: mi.traverse has handed out this very object
 
@@ -114,7 +114,7 @@ class Glasses:
         return wavelength_nm
 
     def transparent(self, wavelength_nm: float) -> tuple[complex, complex]:
-        """Return the indices n + ik in front and behind for Mitsuba's own integrators; n alone if k is unknown."""
+        """Return the indices n + ik in front and behind, for Mitsuba's own integrators; n alone if k is unknown."""
         found = []
         for material in self._names:
             try:

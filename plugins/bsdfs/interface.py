@@ -172,13 +172,13 @@ class Interface(mi.BSDF):
         self.m_flags = reduce(or_, self.m_components)
 
     def _take(self, props: mi.Properties, name: str) -> Any:
-        """Return the value of a parameter in a scene, or its default, see `Param.of`."""
+        """Return the value that a scene sets for a parameter, or its default, see `Param.of`."""
         return self.properties[name].of(props, name, self.title)
 
     # -- the coating ---------------------------------------------------------------------------------------------
 
     def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:
-        """Return the nested thinfilm, or None; put nested scatter plugins into `scatterers`."""
+        """Return the nested `thinfilm` plugin, or None. Nested scatter plugins are stored in `scatterers`."""
         self.scatterers = tuple(item for item in nested if hasattr(item, "scatterers") and item.scatterers == (item,))
         for item in self.scatterers:
             item.nest(self)
@@ -201,7 +201,7 @@ class Interface(mi.BSDF):
         return film
 
     def _read_coating(self, props: mi.Properties) -> None:
-        """Read the coating from the parameters R and T or table."""
+        """Set the coating from the scene's parameters R and T or table, if any is given."""
         given = [key for key in ("R", "T", "table") if key in props]
         if "table" in given and len(given) > 1:
             raise MistrayError(f"{self.title}: give R and T or table, not both")
@@ -225,7 +225,7 @@ class Interface(mi.BSDF):
         return f"{self.kind} '{self.name}'" if self.name else self.kind
 
     def _parameters(self) -> dict[str, mi.Float]:
-        """Return the differentiable coating parameters that this plugin owns, by name."""
+        """Return the coating's differentiable parameters that this plugin owns, by name."""
         return {"R": self._R, "T": self._T} if self._own_ideal else {}
 
     def _rebuild(self) -> None:
@@ -244,7 +244,7 @@ class Interface(mi.BSDF):
 
     @property
     def _owner(self) -> Any:
-        """Plugin that owns the coating: the nested one, or this one."""
+        """Plugin that owns the coating: the nested `thinfilm`, or this one."""
         return self if self._nested is None else self._nested
 
     @property
@@ -254,12 +254,12 @@ class Interface(mi.BSDF):
 
     @property
     def film(self) -> Any:
-        """Plugin that owns differentiable parameters of the coating, this one or the nested one; or None."""
+        """Plugin that owns differentiable coating parameters, this one or the nested one; None if there are none."""
         return self._owner if self._owner._parameters() else None
 
     @property
     def ideal(self) -> bool:
-        """Whether the coating has constant R and T."""
+        """True if the coating has constant R and T."""
         return self._owner._own_ideal
 
     def _named_scatterers(self) -> dict[str, Any]:
@@ -271,7 +271,7 @@ class Interface(mi.BSDF):
 
     @property
     def scatter(self) -> tuple[LobeModel, ...]:
-        """Models of scatter with the current values of their parameters, in the given order; () for none."""
+        """Scatter models with the current values of their parameters, in the given order; () for none."""
         return tuple(item.model for item in self.scatterers)
 
     @property
@@ -286,7 +286,7 @@ class Interface(mi.BSDF):
 
     @property
     def opaque(self) -> bool:
-        """Whether the coating transmits nothing at any wavelength and angle."""
+        """True if the coating transmits nothing at any wavelength and angle."""
         return self.coating.opaque
 
     # -- the materials -------------------------------------------------------------------------------------------
@@ -302,7 +302,7 @@ class Interface(mi.BSDF):
         return self._glasses.back
 
     def _take_glasses(self) -> None:
-        """Apply new index shifts; an error leaves everything unchanged."""
+        """Apply new index shifts of the materials; an error leaves everything unchanged."""
         try:
             if self._glasses.update(self.wavelength_nm):
                 self._rendered = None
@@ -354,7 +354,7 @@ class Interface(mi.BSDF):
     def _meet(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: mi.Mask
     ) -> tuple[Interaction, RenderedScattering | None, list[mi.Float]]:
-        """Return a ray's interaction, its scatter or None, and the fractions of light in `COMPONENTS`."""
+        """Return the interaction at a hit, its scatter (or None), and the fraction of flux in each of `COMPONENTS`."""
         surface, active = self._rendered_surface(), mi.Bool(active)
         it, scattering = surface.meet(-si.wi, active), None
         shares = [it.R, it.T]
@@ -371,7 +371,7 @@ class Interface(mi.BSDF):
         return it, scattering, [share if lit else mi.Float(0) for share, lit in zip(shares, enabled, strict=False)]
 
     def carried(self, by: Any, turned: bool) -> None:
-        """Register a shape that carries this interface, and whether its mesh normals point to the front."""
+        """Register a shape that has this interface, and whether its mesh normals point to the front (`turned`)."""
         if self.turned not in (None, turned) and self.front != self.back:
             raise MistrayError(
                 f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector "
@@ -431,7 +431,7 @@ class Interface(mi.BSDF):
         wo: mi.Vector3f,
         active: mi.Mask,
     ) -> tuple[mi.Float, mi.Float]:
-        """Return BSDF times cosine of the direction wo, 1/sr, and the density of wo, 1/sr."""
+        """Return BSDF · cosine for the direction wo, 1/sr, and the pdf of wo, 1/sr."""
         reflect = wo.z * si.wi.z > 0
         enabled = [ctx.is_enabled(COMPONENTS[k], k) for k in (2, 3)]
         lit = mi.Bool(active) & dr.select(reflect, *map(mi.Bool, enabled))
@@ -485,21 +485,21 @@ class Interface(mi.BSDF):
         return f"{type(self).__name__}[{self.front} | {self.back}, {self._owner._summary()}{mirror}{scatter}]"
 
     def _summary(self) -> str:
-        """Return a summary of the coating in a few words."""
+        """Return a short text on the coating: its R and T, "Fresnel" or "table"."""
         if self._own_ideal:
             return f"R = {float(self._R[0]):g}, T = {float(self._T[0]):g}"
         return "Fresnel" if isinstance(self._own, Bare) else "table"
 
 
 def _resolve(path: str) -> str:
-    """Return the absolute path of a path relative to the scene file, if the file is found."""
+    """Return the absolute path of a file named relative to the scene file; unchanged if the file is not found."""
     found = Path(str(mi.file_resolver().resolve(path)))
     # A folder that is left by ".." may be gone when the file is read again
     return str(found.resolve() if ".." in found.parts and found.exists() else found)
 
 
 def _chances(shares: list[mi.Float]) -> list[mi.Float]:
-    """Return the probabilities with which components are drawn, in proportion to their fractions of the light."""
+    """Return the probability of drawing each component, in proportion to its fraction of the flux."""
     total = dr.detach(sum(shares, mi.Float(0)))
     return [dr.select(total > 0, dr.detach(share) / dr.select(total > 0, total, 1), 0) for share in shares]
 

@@ -1,4 +1,4 @@
-"""Surface for Mitsuba's own integrators: functions of the kernel in the local frame of a hit."""
+"""Surface for Mitsuba's own integrators, computed by the kernel's functions in the local frame of a hit."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class RenderedOptics(Optics):
 
 
 class RenderedTables(ScatterTables):
-    """Scatter tables of one surface; each hit has its own axis of the sample."""
+    """Scatter tables of one surface for Mitsuba's integrators, where each hit has its own sample axis."""
 
     @staticmethod
     def _frames(table: Any, turned: Sequence[int]) -> None:
@@ -66,7 +66,7 @@ class RenderedTables(ScatterTables):
 
 class ModelTables(ReplayTables):
     """
-    Scatter tables of one surface; a zero added to each entry carries its derivatives by parameters of the models.
+    Scatter tables of one surface whose entries carry derivatives by the parameters of the scatter models.
 
     Parameters
     ----------
@@ -140,11 +140,11 @@ class RenderedScattering(Scattering):
         return self._sample_x
 
     def shares(self, active: mi.Bool) -> ScatterBudget:
-        """Return the fractions of the incident flux that the hit scatters and absorbs."""
+        """Return the fractions of the incident flux that the surface scatters and absorbs at each hit."""
         return self.budget(mi.UInt32(NUMBER), self._it, active)
 
     def _lobes(self, reflect: mi.Bool) -> tuple[Any, list[dict[str, Any]], mi.Float, Any]:
-        """Return the scatter table's row for a side and event, its lobes, their total flux, and their frame."""
+        """Return the table row of the scatter case, its lobes, their total flux fraction, and their frame."""
         it = self._it
         case = dr.select(it.from_front, mi.UInt32(0), 2) + dr.select(reflect, mi.UInt32(1), 0)
         plan, lobes, frame = self._case(case, mi.UInt32(NUMBER), it, self._d, reflect)
@@ -156,7 +156,11 @@ class RenderedScattering(Scattering):
         return plan, lobes, sum((lobe["flux"] for lobe in lobes), mi.Float(0)), frame
 
     def draw(self, reflect: mi.Bool, u: mi.Float, v: mi.Point2f) -> mi.Vector3f:
-        """Return a unit direction sampled by numbers u, v in 0 … 1; one into the surface carries no light."""
+        """
+        Return a unit scatter direction sampled with u, v in 0 … 1.
+
+        One that points into the surface carries no light.
+        """
         _, lobes, total, frame = self._lobes(reflect)
         # The remainder of the first number after the choice of the lobe places the direction within a table cell
         rest, left = u * total, u
@@ -167,7 +171,7 @@ class RenderedScattering(Scattering):
         return self._random(lobes, total, [u, v.x, v.y, dr.minimum(left, ONE_LESS)], frame)
 
     def evaluate(self, reflect: mi.Bool, direction: mi.Vector3f, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
-        """Return BSDF · cosine of a direction, 1/sr, and the density with which it is drawn, 1/sr."""
+        """Return BSDF · cosine for a direction, 1/sr, and the pdf with which it is drawn, 1/sr."""
         _, lobes, total, frame = self._lobes(reflect)
         cos_s = dr.dot(direction, frame.outward)
         value, _, pdf = self._evaluate(lobes, total, direction, cos_s, frame)
@@ -229,7 +233,7 @@ class RenderedSurface:
 
     @cached_property
     def _tables(self) -> tuple[ScatterTables, ScatterTables]:
-        """Scatter tables for forward light, and for backward rays."""
+        """Scatter tables of the surface: for forward light, then for backward rays."""
         table: Any = self
         return RenderedTables(table, {}, False), RenderedTables(table, {}, True)
 
@@ -259,5 +263,5 @@ class RenderedSurface:
 
 
 def _has(case: Case, plugin: Any) -> bool:
-    """Whether a scatter plugin has a lobe for a side and event (a case)."""
+    """True if a scatter plugin has a lobe in a case (side of incidence and event)."""
     return any(member.plugin is plugin for member in case.members)

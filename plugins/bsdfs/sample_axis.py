@@ -36,7 +36,7 @@ PLACE = 4  # vectors of each shape: its row, and the rows of its frame with the 
 
 class SampleAxis:
     """
-    Direction of the x axis of a sample, see `mistray.kernel.sample_axes`.
+    Direction of the x axis of a scatter sample (such as brushed metal), see `mistray.kernel.sample_axes`.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class SampleAxis:
         self._known: tuple[list[np.ndarray], mi.Float] | None = None
 
     def carried(self, by: Any) -> None:
-        """Register a shape that carries the interface and has a frame of its own, ``matrix``."""
+        """Register a shape that carries the interface, whose ``matrix`` gives its own frame."""
         self._shapes.append(weakref.ref(by))
 
     def local(self, si: mi.SurfaceInteraction3f, turned: bool) -> mi.Vector3f:
@@ -105,7 +105,11 @@ class SampleAxis:
         return hash((self.axis, self.rotation_deg))
 
     def _rows(self) -> mi.Float | None:
-        """Return the vectors of the shapes that carry the interface, by number in Mitsuba's registry, else zeros."""
+        """
+        Return the encoded sample axes of the shapes that carry the interface, by number in Mitsuba's registry.
+
+        Zeros for others.
+        """
         shapes = [shape for shape in (reference() for reference in self._shapes) if shape is not None]
         if not shapes:
             return None

@@ -1,4 +1,4 @@
-"""Base class of the scatter plugins: a model of scatter, by itself or nested in an `interface`."""
+"""Base class of the scatter plugins: one scatter model, by itself or nested in an `interface`."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Scatterer(Interface):
         self.scatterers = (self,)
 
     def _read_model(self, props: mi.Properties) -> Placement:
-        """Return the model made from the properties that are its parameters."""
+        """Create the scatter model from the scene's properties."""
         known = {key: self.model_type.param(key) for key in list(props.keys())}
         given = {key: param.of(props, key, self.title) for key, param in known.items() if param is not None}
         return self.model_type.of(_resolve, **given, name=self.name)
@@ -89,7 +89,7 @@ class Scatterer(Interface):
         raise MistrayError(f"{self.title}: a BSDF is nested in it; nest both in an 'interface' instead")
 
     def nest(self, interface: Interface) -> None:
-        """Attach the scatter plugin to an interface, which then owns the materials and the coating."""
+        """Attach this plugin to an interface, which then owns materials and coating."""
         if self.alone:
             raise MistrayError(
                 f"{interface.title}: its {self.title} has {self.alone[0]} as well; give {self.alone[0]} at the "
@@ -98,7 +98,7 @@ class Scatterer(Interface):
         self.is_nested = True
 
     def rebuild_model(self) -> None:
-        """Rebuild the model from the current values; an error leaves everything unchanged."""
+        """Rebuild the scatter model from the current parameter values; an error leaves everything unchanged."""
         given = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.values.values())
         for name, value in zip(self.values, given, strict=True):
             if value.shape != (1,):

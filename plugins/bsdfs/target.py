@@ -113,7 +113,7 @@ class TargetMark(mi.BSDF):
         self.m_flags = self.m_components[0]
 
     def _check(self, title: str) -> None:
-        """Raise `MistrayError` for properties that no target can have, or that would be ignored."""
+        """Raise `MistrayError` for properties that are invalid for a target or would be ignored."""
         if self.about and self.about not in CONES:
             raise MistrayError(f"{title}: about is '{self.about}'; use {', '.join(CONES[:-1])} or {CONES[-1]}")
         if bool(self.about) != bool(self.cone_deg):
@@ -159,7 +159,7 @@ class TargetMark(mi.BSDF):
         return mi.Spectrum(1.0) & active
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        """Expose no parameters: no result depends on a target."""
+        """Expose no parameters to `mi.traverse`, as no result depends on a target."""
 
     def to_string(self) -> str:
         return f"Target[surfaces = {', '.join(self.surfaces)}, rays = {self.rays}]"

@@ -137,7 +137,7 @@ class ThinFilm(Interface):
         return read_coating(self._recipe, self.design_nm, self._opaque, _resolve)
 
     def _start_layers(self, stack: Stack, props: mi.Properties) -> None:
-        """Set the layers' parameters (thickness in nm, shifts of n and k) from a recipe of layers."""
+        """Create the layers' parameters from a design: thicknesses in nm, and shifts of n and k."""
         self._layers, self._opaque = stack.layers, stack.opaque or self._opaque
         if not stack.layers:
             raise MistrayError(f"{self.title}: it has no layer; leave it out for a bare surface")
@@ -147,7 +147,7 @@ class ThinFilm(Interface):
         self._rebuild()
 
     def _numbers(self, text: str, key: str) -> list[float]:
-        """Return the numbers in a text, one for each layer; zeros for an empty text."""
+        """Parse a text with one number per layer and return the numbers; zeros for an empty text."""
         assert self._layers is not None
         if not text:
             return [0.0] * len(self._layers)

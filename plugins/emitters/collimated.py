@@ -119,7 +119,7 @@ class Collimated(LightSource):
         return pivot, direction, u, v
 
     def source(self, request: SourceRequest, **facts: Any) -> Beam:
-        """Return the beam as the source of a trace at one wavelength."""
+        """Return the beam as the start ray source of a trace at one wavelength."""
         return Beam(distance=self.start_distance(request.bounds, facts["direction"], facts["pivot"]), **facts)
 
     def positions(self, sample: mi.Point2f) -> tuple[mi.Float, mi.Float]:
@@ -164,7 +164,11 @@ class Collimated(LightSource):
     def sample_direction(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
-        """Return the direction from which the beam lights a point, and its irradiance there, W/mm²; 0 outside it."""
+        """
+        Return, for Mitsuba's integrators, the direction towards the beam from a point and its irradiance, W/mm².
+
+        0 outside it.
+        """
         pivot, direction, u, v = self.frame()
         normal = np.cross(u, v)
         d, n = mi.Vector3f(*direction.tolist()), mi.Normal3f(*normal.tolist())
@@ -180,7 +184,7 @@ class Collimated(LightSource):
         return ds, dr.select(lit, mi.Spectrum(self.irradiance), 0)
 
     def within(self, x: mi.Float, y: mi.Float) -> mi.Mask:
-        """Return whether coordinates along u and v, mm, lie in the cross-section."""
+        """Return a mask of coordinates along u and v, mm, that lie in the beam's cross-section."""
         a, b = (dr.opaque(mi.Float, size if self.rectangular else size**2) for size in self.size)
         if self.rectangular:
             return (dr.abs(x) <= a) & (dr.abs(y) <= b)

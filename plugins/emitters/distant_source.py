@@ -34,25 +34,29 @@ class DistantSource(LightSource):
 
     @property
     def solid_angle(self) -> float:
-        """Ratio of the irradiance across the light to the radiance of its middle, ∫ L dΩ / L₀, sr."""
+        """Effective solid angle, sr: irradiance across the light over the radiance of its middle, ∫ L dΩ / L₀."""
         raise NotImplementedError
 
     @property
     def irradiance(self) -> float:
-        """Irradiance on planes normal to each of its directions, all together: ∫ L dΩ, W/mm²."""
+        """Irradiance by all directions, each on a plane normal to it: ∫ L dΩ, W/mm²."""
         key, value = self.given
         return value if key == "irradiance" else value * self.solid_angle
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the flux through a disc of 1 mm² across the light, W; a scene's flux is in proportion to its size."""
+        """
+        Return the flux through a disc of 1 mm² across the light, W.
+
+        In a scene it is scaled with the scene's size.
+        """
         return self.irradiance
 
     def directions(self, sample: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
-        """Return unit directions of equal flux for points of the unit square, in its own frame, whose z is its axis."""
+        """Map points of the unit square to unit directions of equal flux, in the source's frame with z as its axis."""
         raise NotImplementedError
 
     def direction_motion(self, name: str, d: mi.Vector3d) -> mi.Vector3d:
-        """Return the derivatives of directions in its own frame with respect to one of its numbers, per its unit."""
+        """Return derivatives of directions, in the source's frame, by its parameter `name`, per unit of that."""
         raise NotImplementedError
 
     def source(self, request: SourceRequest, **facts: Any) -> SceneSource:

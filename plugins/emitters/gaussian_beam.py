@@ -90,7 +90,7 @@ class GaussianBeam(NearSource):
 
 
 def _normal(point: mi.Point2d) -> tuple[mi.Float64, mi.Float64, mi.Float64]:
-    """Return radius and azimuth (cosine, sine) of two independent normal variables, for a point of the unit square."""
+    """Map a point of the unit square to two independent normal variables; return radius, cosine and sine of azimuth."""
     square, cosine, sine = polar(point)
     return gaussian(square), cosine, sine
 

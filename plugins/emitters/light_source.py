@@ -1,4 +1,4 @@
-"""Base class for light sources, those of mistray and those of users."""
+"""Base class of light sources, for mistray's plugins and for those of users."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class LightSource(mi.Emitter):
         self.stokes = polarization_state(self.owner, **{key: props[key] for key in POLARIZATION if key in props})
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
-        """Return wavelengths and weights of its spectrum, or of ``wavelength_nm`` and ``weights``."""
+        """Return the source's wavelengths and weights, from its spectrum or from ``wavelength_nm`` and ``weights``."""
         given = {key: self._numbers(key, props[key]) for key in ("wavelength_nm", "weights") if key in props}
         band, bands = self._band(props)
         try:
@@ -158,17 +158,17 @@ class LightSource(mi.Emitter):
             raise MistrayError(f"{self.owner}: {str(error).removeprefix(f'{self.owner}: ')}") from None
 
     def _band(self, props: mi.Properties) -> tuple[list[float] | None, int | None]:
-        """Return the values of ``band_nm`` and ``bands``; None if not given."""
+        """Return the limits ``band_nm`` (nm) and the number of ``bands``; None for what is not given."""
         band = self._numbers("band_nm", props["band_nm"]) if "band_nm" in props else None
         return band, BAND["bands"].of(props, "bands", self.owner)
 
     @property
     def polarized(self) -> bool:
-        """Whether the light is polarised."""
+        """True if the light is polarised."""
         return self.stokes is not None
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the flux, W, at its own field angle or another one, degrees."""
+        """Return the emitted flux, W, at the source's own field angle or another one, degrees."""
         raise NotImplementedError
 
     def rays(self, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]) -> tuple[mi.Vector3f, mi.Vector3f]:
@@ -209,7 +209,7 @@ class LightSource(mi.Emitter):
 
     def edge_samples(self, count: int, within: float) -> np.ndarray | None:
         """
-        Return points (2, count) of the unit square whose rays lie along the edge of its light.
+        Return points of the unit square, (2, count), whose rays lie along the edge of the light.
 
         They must lie inside the edge by a fraction `within` of its size, and go around once. None: the light has no
         such edge, because it fades out or fills the scene. Rims along which an edge runs have no derivative, and
@@ -223,7 +223,7 @@ class LightSource(mi.Emitter):
         return 1.0
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins o, mm, and directions d, in the source's frame, by its number `name`."""
+        """Return derivatives of ray origins o, mm, and directions d, in the source's frame, by its parameter `name`."""
         raise NotImplementedError
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
@@ -246,7 +246,11 @@ class LightSource(mi.Emitter):
         return self.matrix[:3, 3], rotation @ direction, rotation @ u, rotation @ v
 
     def field_of(self, height_mm: float) -> float:
-        """Return the field angle, degrees, of an object height, mm; raise `MistrayError` without an object plane."""
+        """
+        Return the field angle, degrees, for an object height, mm.
+
+        Raise `MistrayError` if there is no object plane.
+        """
         raise MistrayError(f"{self.owner}: its light comes from infinity; give its field in degrees")
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
@@ -268,7 +272,7 @@ class LightSource(mi.Emitter):
         ]
 
     def source(self, request: SourceRequest, **facts: Any) -> SceneSource:
-        """Return the source of start rays of a trace at one wavelength."""
+        """Return the start ray source of a trace at one wavelength."""
         return EmittedRays(scene=request.scene, **facts)
 
     def _keep_parameters(self, names: Container[str]) -> None:
@@ -280,7 +284,7 @@ class LightSource(mi.Emitter):
         raise MistrayError(f"{self.owner}: {what}")
 
     def _flux_given(self, props: mi.Properties, names: Sequence[str]) -> tuple[str, float]:
-        """Return name and value of the number that gives the amount of light; by default 1 of the first name."""
+        """Return name and value of the quantity in the scene that sets the flux; by default the first of `names`, 1."""
         found = [key for key in names if key in props]
         if len(found) > 1:
             self._fail(f"{' and '.join(found)} are given; give one of them")
@@ -347,7 +351,11 @@ class LightSource(mi.Emitter):
     def sample_direction(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
-        """Return no light for integrators that search for it from surfaces; subclasses may override this."""
+        """
+        Return no light to integrators that look for the source from a surface point.
+
+        Subclasses may override this.
+        """
         return dr.zeros(mi.DirectionSample3f, dr.width(it)), mi.Spectrum(0)
 
     def pdf_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: mi.Mask = True) -> mi.Float:
@@ -372,17 +380,17 @@ class LightSource(mi.Emitter):
 
 
 def tilted_axes(n: Mapping[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d]:
-    """Return the axes of a frame tilted by ``tilt_x`` and ``tilt_y``, degrees: columns of Rx(tilt_x) Ry(tilt_y)."""
+    """Return axes of a frame tilted by ``tilt_x`` and ``tilt_y`` (degrees), the columns of Rx(tilt_x) Ry(tilt_y)."""
     (sx, cx), (sy, cy) = (dr.sincos(dr.deg2rad(mi.Float64(n[key]))) for key in ("tilt_x", "tilt_y"))
     return mi.Vector3d(cy, sx * sy, -cx * sy), mi.Vector3d(0, cx, sx), mi.Vector3d(sy, -sx * cy, cx * cy)
 
 
 def out_of(axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector3d) -> mi.Vector3d:
-    """Return a vector, given by its components along three axes, in the frame of these axes."""
+    """Return a vector given by components along three axes, in the frame in which these axes are stated."""
     return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z
 
 
 def tilt_motion(name: str, axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector3d) -> mi.Vector3d:
-    """Return the derivative of a vector in a tilted frame by ``tilt_x`` or ``tilt_y``, per degree."""
+    """Return the derivative, per degree, of a vector in a tilted frame by ``tilt_x`` or ``tilt_y``."""
     about = mi.Vector3d(1, 0, 0) if name == "tilt_x" else axes[1]
     return dr.cross(about * (dr.pi / 180), vector)

@@ -1,4 +1,4 @@
-"""Base classes for sources with a position: a point, a surface, the end of a fibre, the waist of a laser beam."""
+"""Base classes of sources with a position: a point, a surface, a fibre end, the waist of a laser beam."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class NearSource(LightSource):
 
     @property
     def half_angle(self) -> float:
-        """Half angle of the cone of its light, rad; if the light fades out, at 1/e² across the narrower section."""
+        """Half angle of the emitted cone, rad; for light that fades out, at 1/e² across the narrower section."""
         raise NotImplementedError
 
     def advice(self) -> str | None:
@@ -67,7 +67,7 @@ class NearSource(LightSource):
         )
 
     def power_per(self, density: str) -> float:
-        """Return the flux, W, for which `density`, one of `densities`, is 1 in its unit."""
+        """Return the flux, W, that corresponds to 1 unit of `density`, one of `densities`."""
         raise NotImplementedError
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
@@ -82,25 +82,25 @@ class NearSource(LightSource):
         return pivot + self.matrix[:3, :3] @ shift, direction, u, v
 
     def field_of(self, height_mm: float) -> float:
-        """Return the field angle, degrees, that displaces the source by a height along y of its frame, mm."""
+        """Return the field angle, degrees, that displaces the source by a height, mm, along y of its frame."""
         z = self.values["z"]
         if not self.in_object_plane or z == 0:
             self._fail("a field in mm needs an object plane at z other than 0; give it in degrees")
         return float(np.degrees(np.arctan(height_mm / z))) + 0.0
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the flux, W, which is the same at all field angles."""
+        """Return the emitted flux, W, which is equal at all field angles."""
         key, value = self.given
         return value if key == "power" else value * self.power_per(key)
 
     def local(
         self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, mi.Float64]
     ) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return rays in its own frame, see `LightSource.rays_from`; origins in mm, with z = 0."""
+        """Return ray origins, mm, with z = 0, and directions in the source's own frame, see `LightSource.rays_from`."""
         raise NotImplementedError
 
     def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins, mm, with z = 0, and of directions, in its own frame, by number `name`."""
+        """Return derivatives of ray origins, mm, z = 0, and directions in the source's frame by parameter `name`."""
         raise NotImplementedError
 
     def rays_from(
@@ -190,7 +190,7 @@ class ConeSource(NearSource):
             self.given = "power", float(POSITIVE.check("power", self.table.flux / per_watt, self.owner))
 
     def _pairs(self, text: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return angles, degrees, and relative intensities, (n,) each, in the text of a profile."""
+        """Parse the text of an intensity profile; return angles, degrees, and relative intensities, (n,) each."""
         try:
             pairs = [[float(word) for word in pair.split(":")] for pair in text.split(",")]
             angles, values = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
@@ -210,15 +210,19 @@ class ConeSource(NearSource):
         return perimeter(count, within) if self.table is None else self.table.edge_samples(count, within)
 
     def offset(self, place: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
-        """Return start points of rays in its own frame, mm, for points of the unit square."""
+        """Map points of the unit square to start points of rays in the source's own frame, mm."""
         return mi.Vector3d(0)
 
     def offset_motion(self, name: str, o: mi.Vector3d) -> mi.Vector3d:
-        """Return the derivatives of the start points of `offset`, mm, with respect to a number of the source."""
+        """Return the derivatives of the start points of `offset`, mm, by parameter `name` of the source."""
         raise NotImplementedError
 
     def _limit_cone(self, props: mi.Properties, sizes: Sequence[str] = ()) -> None:
-        """Limit cosⁿ θ to a hemisphere; if a density is given, exclude parameters that would change the flux."""
+        """
+        Limit a cone of cosⁿ θ to a hemisphere.
+
+        If a density sets the flux, derivatives by parameters that change it are excluded.
+        """
         exponent, angle = self.values["exponent"], self.values["half_angle_deg"]
         if exponent and angle > 90:
             if "half_angle_deg" in props:
@@ -235,7 +239,7 @@ class ConeSource(NearSource):
 
     @property
     def solid_angle(self) -> float:
-        """Solid angle ∫ I dΩ for an intensity of 1 on the axis, sr."""
+        """Effective solid angle ∫ I dΩ for an intensity of 1 on the axis, sr."""
         if self.table is not None:
             if not self.table.on_axis > 0:
                 self._fail(f"{self.given[0]} is that on the axis, where its light is 0; give power")
@@ -252,7 +256,7 @@ class ConeSource(NearSource):
         return self.offset(place, n), laws.direction(height, cosine, sine)
 
     def density(self, place: mi.Point2d, d: mi.Vector3d, n: Mapping[str, mi.Float64]) -> mi.Float64:
-        """Return the density of directions d, 1/sr; d is in the frame before the tilts."""
+        """Return the pdf of emission directions d, 1/sr; d is in the frame before the tilts."""
         local = mi.Vector3d(*(dr.dot(d, axis) for axis in tilted_axes(n)))
         if self.table is not None:
             return self.table.density(local)

@@ -93,7 +93,7 @@ class RayFile(LightSource):
         self.weights = sums / sums.sum()
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the flux of all rays, W."""
+        """Return the total flux of the file's rays, W."""
         return self.given
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
@@ -108,7 +108,7 @@ class RayFile(LightSource):
 
 
 class _Rays:
-    """Subset of the rays of a file, with the interface that a trace needs."""
+    """Subset of a file's rays, with the methods that a trace needs of a source."""
 
     extended: ClassVar[bool] = False
     precise: ClassVar[bool] = True
@@ -128,7 +128,7 @@ class _Rays:
     def rays_from(
         self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, Any]
     ) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return origins, mm, and directions of the rays at the fractions `sample.x` of the cumulative flux."""
+        """Return origins, mm, and directions of rays drawn at the fractions `sample.x` of the cumulative flux."""
         # The other coordinate gives digits that a float32 lacks: a file may have more rays than float32 numbers
         u = dr.fma(sample.y - 0.5, 2.0**-24, sample.x)
         k = dr.binary_search(0, self._count - 1, lambda i: dr.gather(mi.Float64, self._ends, i) <= u)

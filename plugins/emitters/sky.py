@@ -92,7 +92,7 @@ class Sky(DistantSource):
         self.lay(environment(around), height)
 
     def lay(self, radiance: Callable[[np.ndarray], np.ndarray], height: int) -> None:
-        """Use a relative radiance over directions in the frame of ``to_world``, from a picture of `height` rows."""
+        """Set a relative radiance by direction, in the frame of ``to_world``, from a picture of `height` rows."""
         self.picture = SkyMap(radiance, FINER * height)
         if not 0 < self.picture.irradiance < np.inf:
             self._fail(f"the picture has a mean radiance of {self.picture.irradiance:g}; give one with light")

@@ -84,14 +84,14 @@ class Thermal(LightSource):
     }
 
     def _rules(self, text: str) -> dict[str, float]:
-        """Return temperatures, K, by the name pattern of surfaces or parts, from a text."""
+        """Parse the text of ``parts`` into temperatures, K, by pattern of surface or part names."""
         owner = f"{self.owner}: parts"
         named = named_values(filter(str.strip, text.split(";")), owner, like="detector=77; shield_*=80")
         kelvins = {name: as_number(kelvin, f"temperature of '{name}'", owner) for name, kelvin in named.items()}
         return ByName(TEMPERATURE_K, "detector=77").check("temperature", kelvins, self.owner)
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
-        """Return wavelengths of the parts of the band, weighted by the blackbody spectrum of the warmest surface."""
+        """Return the wavelengths of the band's parts, nm, with weights by the warmest surface's blackbody spectrum."""
         if given := [key for key in ("power", *LIGHT) if key in props and key not in BAND]:
             self._fail(
                 f"{given[0]} is given; the scene's own emission takes temperature_K, parts, band_nm and bands alone"
@@ -108,7 +108,7 @@ class Thermal(LightSource):
         return spectrum(f"blackbody:{warmest!r}").light((low, high), bands or DEFAULT_BANDS)
 
     def kelvin(self, *names: str) -> float:
-        """Return the temperature of a surface or part with given names, K."""
+        """Return the temperature, K, of a surface or part with the given names."""
         found = self.values["temperature_K"]
         for pattern, value in self.rules.items():
             if any(fits(name, pattern) for name in names):
@@ -116,7 +116,7 @@ class Thermal(LightSource):
         return found
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
-        """Return the sources that a trace starts: each side of a surface at each wavelength at which it emits."""
+        """Return the start ray sources of a trace: each side of each surface at each wavelength at which it emits."""
         first = SurfaceTable(request.system, float(request.wavelengths_nm[0]))
         for pattern in self.rules:
             if not any(fits(name, pattern) for name in (*first.ids, *first.parts)):
@@ -146,7 +146,7 @@ class Thermal(LightSource):
         return found
 
     def _tell_of_bulk(self, table: SurfaceTable, wavelength_nm: float) -> None:
-        """Warn of media that absorb, because they also emit."""
+        """Warn of absorbing media, whose own thermal emission is not traced."""
         for material in table.optics.media[1:]:
             if 0 < complex_index(material, wavelength_nm).imag <= METAL_K:
                 warnings.warn(
@@ -161,7 +161,7 @@ class Thermal(LightSource):
 
     @staticmethod
     def _index(table: SurfaceTable, surface: int, side: int, wavelength_nm: float) -> float:
-        """Return the refractive index of the material on a side of a surface; 0 for a metal, which is opaque."""
+        """Return the real refractive index of the medium on one side of a surface; 0 for a metal."""
         index = complex_index(material_of(table, surface, side), wavelength_nm)
         return 0.0 if index.imag > METAL_K else float(index.real)
 
@@ -188,12 +188,12 @@ class Thermal(LightSource):
         )
 
     def to_string(self) -> str:
-        """Return a text without the power, which is not known before the scene is."""
+        """Return a text for Mitsuba without the power, which depends on the scene."""
         low, high = self.edges_nm[[0, -1]]
         return f"Thermal[{self.values['temperature_K']:g} K, {self.rules}, {low:g} to {high:g} nm]"
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return 0, for Mitsuba's own integrators: the emitted flux is not known before the scene is."""
+        """Return 0 W to Mitsuba's own integrators, as the emitted flux depends on the scene."""
         return 0.0
 
     def sample_ray(
@@ -204,7 +204,7 @@ class Thermal(LightSource):
 
 
 def _law(theta_deg: np.ndarray, emitted: np.ndarray) -> IntensityTable:
-    """Return intensity against the angle from the normal, degrees, equal at all azimuths."""
+    """Return a rotationally symmetric intensity table from values at angles from the normal, degrees."""
     return IntensityTable(theta_deg, np.array([0.0, 360.0]), np.repeat(emitted[:, None], 2, axis=1))
 
 

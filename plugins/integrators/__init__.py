@@ -1,1 +1,1 @@
-"""Integrator plugins, one per file; the file is named after the plugin."""
+"""Plugins for integrators, one per file, which is named after the plugin."""

@@ -1,4 +1,4 @@
-"""Plugin `straylight`: the ray tree as a Mitsuba integrator."""
+"""Plugin `straylight`: the ray tree of mistray as a Mitsuba integrator."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class StrayLight(mi.CppADIntegrator):
         self.edge_width: float | None = take(self, props, "edge_width")
 
     def _settings(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
-        """Return the own settings with the arguments of a call: ``spp`` sets the number of rays, ``seed`` is added."""
+        """Return the integrator's settings with ``spp``, which sets the number of rays, and ``seed`` added."""
         size = sensor.film().size()
         rays = spp * int(size[0]) * int(size[1]) if spp else self.settings.rays
         own = self.settings.resolved(scene)
@@ -195,7 +195,7 @@ class StrayLight(mi.CppADIntegrator):
 
 
 def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
-    """Return kinds and values of the scene's parameters that carry derivatives, by plugin and name."""
+    """Return kind ("source", …) and value of each scene parameter that carries derivatives, by plugin and name."""
     found = {
         (id(emitter), name): ("source", value)
         for emitter in source_emitters(scene)

@@ -1,1 +1,1 @@
-"""Sensor plugins, one per file; the file is named after the plugin."""
+"""Plugins for sensors, one per file, which is named after the plugin."""

@@ -1,4 +1,4 @@
-"""Plugin `far_field`: light that leaves a scene, by direction."""
+"""Plugin `far_field`: radiant intensity of the light that leaves a scene, by direction."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class FarFieldSensor(PassingSensor):
         self.recorder()  # refuses what a far field cannot be
 
     def _edges(self, text: str) -> list[float]:
-        """Return the numbers in a list, or in a range with both of its ends, degrees."""
+        """Return cell borders, degrees, from the text of a list, or of a range with both of its ends."""
         try:
             numbers = [float(part) for part in text.replace(":", " ").replace(",", " ").split()]
         except ValueError:

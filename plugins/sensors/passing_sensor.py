@@ -18,7 +18,7 @@ FRAME = {"to_world": fixed("transform", OBJECT, "its frame", within="rigid", oth
 
 class PassingSensor(mi.Sensor):
     """
-    Sensor of a scene, from which every trace makes a recorder.
+    Base class of sensors of a scene, from which every trace makes a recorder of light in passing.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class PassingSensor(mi.Sensor):
         raise NotImplementedError
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        """Expose nothing: no parameter has a derivative."""
+        """Expose no parameters, since none has a derivative."""
 
     def to_string(self) -> str:
         return f"{type(self).__name__}[{self.name}]"

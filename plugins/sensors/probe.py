@@ -88,7 +88,11 @@ class ProbeSensor(PassingSensor):
         aperture_sample: mi.Point2f,
         active: mi.Bool = True,
     ) -> tuple[mi.Ray3f, mi.Color3f]:
-        """Return a ray from a point of the rectangle back along its light, by the cosine law, and the weight π."""
+        """
+        Return a ray from a random point of the rectangle back along its light, and the weight π.
+
+        Directions follow the cosine law.
+        """
         right, up, normal = (mi.Vector3f(*map(float, axis)) for axis in self.matrix[:3, :3].T)
         centre = mi.Point3f(*map(float, self.matrix[:3, 3]))
         x, y = ((2 * s - 1) * half for s, half in zip(position_sample, self.half, strict=True))

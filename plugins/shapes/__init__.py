@@ -1,1 +1,1 @@
-"""Shape plugins, one per file; the file is named after the plugin."""
+"""Plugins for shapes, one per file, which is named after the plugin."""

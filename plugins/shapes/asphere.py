@@ -114,7 +114,7 @@ class Asphere(Revolution):
 
     @property
     def rectangular(self) -> bool:
-        """Whether the surface is clipped to a rectangle and not to a circle."""
+        """True if the surface is clipped to a rectangle and not to a circle."""
         return "half_width" in self.values
 
     @property
@@ -127,7 +127,7 @@ class Asphere(Revolution):
 
     @property
     def plane(self) -> bool:
-        """Whether the surface is flat."""
+        """True if the surface is flat."""
         return self.values["curvature"] == 0 and not any(self.coefficients)
 
     @property
@@ -184,7 +184,7 @@ class Asphere(Revolution):
             )
 
     def _check_single_precision(self) -> None:
-        """Raise `MistrayError` if a number is too large for the ray tree, which works in float32."""
+        """Raise `MistrayError` if a number of the surface is too large for the ray tree, which works in float32."""
         v, size = self.values, self.outer_radius
         numbers = {"product": v["curvature"] * (1 + v["conic"])}
         numbers |= dict(zip(COEFFICIENTS, in_proportion(self.coefficients, size)[0], strict=True))

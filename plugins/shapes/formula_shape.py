@@ -1,4 +1,4 @@
-"""Base class of the shapes of mistray: a mesh for Mitsuba, a formula for the ray tree."""
+"""Base class of shapes that are given by a formula: a mesh for Mitsuba, the formula for the ray tree."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class FormulaShape(mi.Mesh):
 
     @property
     def matrix(self) -> np.ndarray:
-        """Frame of the surface, displaced and tilted: (4, 4) float64 transform to the world, mm."""
+        """Transform from the displaced and tilted frame of the surface to the world, (4, 4) float64, mm."""
         return moved(self.base, *(self.values[key] for key in POSE))
 
     @property
@@ -132,29 +132,29 @@ class FormulaShape(mi.Mesh):
 
     @staticmethod
     def vertex_frame(values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:
-        """Return the vertex's frame, (4, 4) float64, mm, of a surface with given parameters in the frame `matrix`."""
+        """Return the frame of the vertex, (4, 4) float64, mm, of a surface with given parameters and frame `matrix`."""
         return matrix
 
     @property
     def held(self) -> set[str]:
-        """Names of the parameters without derivative."""
+        """Names of the parameters for which there are no derivatives."""
         return set()
 
     @property
     def differentiable(self) -> tuple[str, ...]:
-        """Names of the parameters with a derivative."""
+        """Names of the parameters for which there are derivatives."""
         held = self.held
         return tuple(key for key in self.values if key not in held)
 
     def step(self, name: str) -> float:
-        """Return the step of finite differences for a parameter, in its unit."""
+        """Return the step of a parameter for finite differences, in the parameter's unit."""
         if name in POSE:
             return DEGREES if name.startswith("tilt") else MM
         return RELATIVE * self.outer_radius
 
     @property
     def figure(self) -> str:
-        """Kind of the surface's figure, in one or two words."""
+        """Kind of the surface, such as "asphere", for messages."""
         return type(self).__name__.lower()
 
     mechanics = True
@@ -162,15 +162,19 @@ class FormulaShape(mi.Mesh):
 
     @property
     def sheet(self) -> bool:
-        """Whether the surface lies across its axis, so that rays are aimed at its outline alone."""
+        """True if the surface lies across its axis, so that rays are aimed at its outline alone."""
         return False
 
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return vertices (n, 3) in the local frame, mm, and faces (m, 3) of the mesh."""
+        """Return the mesh in the local frame: vertices, (n, 3), mm, and faces as vertex indices, (m, 3)."""
         raise NotImplementedError
 
     def _checked_mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return vertices, (n, 3), in world space, mm, and faces, (m, 3); raise `MistrayError` if too large."""
+        """
+        Return vertices in the world, (n, 3), mm, and faces, (m, 3).
+
+        Raise `MistrayError` if the mesh is too large.
+        """
         with np.errstate(over="ignore", invalid="ignore"):
             vertices, faces = self._tessellate()
             check_reach(vertices, self.name)
@@ -221,7 +225,7 @@ class FormulaShape(mi.Mesh):
 
 
 def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mesh of a rectangle of count × count cells: xy (n, 2) float64 and faces (m, 3) uint32, towards +z."""
+    """Return the mesh of a rectangle with count × count cells: x and y, (n, 2), mm, and faces towards +z, (m, 3)."""
     x, y = np.meshgrid(
         np.linspace(-half_width, half_width, count + 1), np.linspace(-half_height, half_height, count + 1)
     )
@@ -251,7 +255,7 @@ def curvature_of(shape: FormulaShape, props: mi.Properties, radius: str, curvatu
 
 
 def check_reach(vertices: np.ndarray, name: str) -> None:
-    """Raise `MistrayError` if vertices of a shape, mm in world space, are far too large."""
+    """Raise `MistrayError` if vertices of a shape, mm in the world, are farther away than any real system is large."""
     farthest = float(np.abs(vertices).max())
     if not farthest < FARTHEST_MM:
         raise MistrayError(

@@ -203,7 +203,7 @@ class FreeformShape(FormulaShape):
 
     @property
     def outline(self) -> Outline:
-        """Outline in the frame of the vertex, mm."""
+        """Outline of the surface, mm, in the frame of the vertex."""
         return self._outline(self.values)
 
     def _outline(self, v: Mapping[str, float]) -> Outline:
@@ -218,7 +218,7 @@ class FreeformShape(FormulaShape):
         return Outline(tuple(forms)).with_numbers(v)
 
     def _sag_numbers_of(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the numbers of the sag by name, with its grid."""
+        """Return the numbers of the sag by name, mm and powers of it, together with its grid, if any."""
         return {key: values[key] for key in self.values if length_power(key) is not None} | self._grid
 
     def check(self) -> None:
@@ -260,7 +260,7 @@ class FreeformShape(FormulaShape):
             )
 
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the sag over the vertex plane at points of the vertex frame, mm, float64."""
+        """Return the sag over the vertex plane, mm, float64, at points x, y, mm, of the vertex frame."""
         return sag(x, y, self._sag_numbers_of(self.values))
 
     def surface(self, values: Mapping[str, float]) -> Freeform:  # type: ignore[override, unused-ignore]
@@ -281,7 +281,11 @@ class FreeformShape(FormulaShape):
 
     @property
     def held(self) -> set[str]:
-        """Parameters without derivative: radii of polynomials, a hole of radius 0; all but the pose if too many."""
+        """
+        Names of parameters without derivative: radii of polynomials, and a hole of radius 0.
+
+        If there are too many parameters, all but the pose.
+        """
         if len(self._local.sag.numbers) + len(self.outline.numbers()) > len(OWN):
             return set(self.values) - set(MOVES)
         return {key for key in self.values if key in LENGTHS or (key == "inner_semi_diameter" and not self.values[key])}
@@ -317,7 +321,7 @@ class FreeformShape(FormulaShape):
 
 
 def _read_grid(props: mi.Properties, owner: str) -> dict[str, Grid]:
-    """Return the grid that a property names, by `GRID`; empty without the property."""
+    """Return the grid of sags that a property names, under the key `GRID`; empty without the property."""
     if GRID not in props:
         return {}
     name = props[GRID]
@@ -329,7 +333,7 @@ def _read_grid(props: mi.Properties, owner: str) -> dict[str, Grid]:
 
 
 def _order(name: str) -> tuple[int, str]:
-    """Return the sort key of a number's name: base before coefficients, coefficients in numerical order."""
+    """Return the sort key of a parameter's name: others before coefficients, these in numerical order."""
     digits = "".join(f"{int(part):04d}" if part.isdigit() else part for part in name.replace("_", " ").split())
     return (0 if name in FIXED or name in RADII else 1, digits)
 

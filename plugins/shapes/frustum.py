@@ -67,7 +67,7 @@ class Frustum(Revolution):
 
     @property
     def flat(self) -> bool:
-        """Whether the surface is a flat annulus."""
+        """True if the surface is a flat annulus."""
         return self.values["z0"] == self.values["z1"]
 
     @property
@@ -82,14 +82,14 @@ class Frustum(Revolution):
 
     @staticmethod
     def vertex_frame(values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:
-        """Return the frame of the vertex, which lies on the axis at the first rim, (4, 4), mm."""
+        """Return the frame, (4, 4), mm, whose origin lies on the axis at the first rim."""
         vertex = matrix.copy()
         vertex[:3, 3] += matrix[:3, 2] * values["z0"]
         return vertex
 
     @property
     def differentiable(self) -> tuple[str, ...]:
-        """Names of the parameters with a derivative: not ``z0`` and ``z1`` of a flat annulus, nor a radius of 0."""
+        """Names of parameters with a derivative, without ``z0`` and ``z1`` of a flat annulus and a radius of 0."""
         without = {name for name in ("r0", "r1") if self.values[name] == 0}
         without |= {"z0", "z1"} if self.flat else set()
         return tuple(name for name in self.values if name not in without)

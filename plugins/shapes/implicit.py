@@ -47,27 +47,31 @@ class Implicit(Revolution):
 
     @staticmethod
     def residual(x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Return F; values close to the distance from the surface in mm are best in float32."""
+        """
+        Return F at points, mm, of which the surface is F = 0.
+
+        Values close to the distance from the surface in mm are best in float32.
+        """
         raise NotImplementedError
 
     @staticmethod
     def gradient(x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """Return the derivatives of F with respect to x, y and z."""
+        """Return the derivatives of F with respect to x, y and z at points, mm."""
         raise NotImplementedError
 
     @staticmethod
     def coordinate(x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Return the coordinate of points of the surface along its profile, mm."""
+        """Return the coordinate u, mm, of points of the surface along its profile."""
         raise NotImplementedError
 
     @staticmethod
     def generatrix(u: Any, n: Mapping[str, Any]) -> tuple[Any, Any]:
-        """Return the distance from the axis and z of the profile at the coordinate u, mm; NumPy only."""
+        """Return the distance from the axis and the z of the profile, mm, at the coordinate u, mm; NumPy only."""
         raise NotImplementedError
 
     @staticmethod
     def ends(values: Mapping[str, float]) -> tuple[float, float]:
-        """Return the least and the greatest coordinate of a surface with given parameters, mm."""
+        """Return the least and the greatest coordinate u, mm, along the profile of a surface with given parameters."""
         raise NotImplementedError
 
     def __init_subclass__(cls) -> None:

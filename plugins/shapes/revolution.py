@@ -1,4 +1,4 @@
-"""Surfaces of revolution: a generatrix in the plane of r and z, rotated about the local z axis."""
+"""Base class of surfaces of revolution: a generatrix in r and z, rotated about the local z axis."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ class Revolution(FormulaShape):
     """Base class of surfaces of revolution about the local z axis; a subclass also provides `profile`."""
 
     def profile(self, count: int = 65) -> np.ndarray:
-        """Return the generatrix as (count, 2) float64: r and z in the local frame, mm."""
+        """Return `count` points of the generatrix, r and z in the local frame, (count, 2), mm."""
         raise NotImplementedError
 
     @property
     def flipped(self) -> bool:
-        """Whether the mesh made from `profile` must be reversed to have the surface's normal."""
+        """True if the mesh made from `profile` must be reversed to have the surface's normal."""
         return False
 
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:

@@ -1,1 +1,1 @@
-"""Evaluate scatter models on their own: BSDF, total integrated scatter and fits to measured data."""
+"""Scatter models evaluated on their own: BSDF, total integrated scatter and fits to measured data."""

@@ -1,4 +1,4 @@
-"""Command `mistray bsdf`: BSDF and total integrated scatter of a scatter model."""
+"""Command `mistray bsdf`, which prints BSDF and total integrated scatter of a scatter model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 
 
 def model_argument() -> Option:
-    """Return the argument that names the model; made on demand, because its help lists the models and needs NumPy."""
+    """
+    Return the argument that names the scatter model.
+
+    It is made on demand, as its help lists all models and needs NumPy.
+    """
     from mistray.analyses.bsdf.models import known_models
 
     return Option("model", known_models(), metavar="MODEL")

@@ -77,14 +77,14 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
 
 
 def _label(scan: Scan, scans: Sequence[Scan]) -> str:
-    """Return the angle of incidence, degrees, as a curve label, with the sample's azimuth if the scans differ in it."""
+    """Return the label of a curve: angle of incidence, degrees, and the sample's azimuth if scans differ in it."""
     turned = any(other.rotation_deg != scan.rotation_deg for other in scans)
     return f"{scan.incidence_deg:g}°" + (f", sample {scan.rotation_deg:g}°" if turned else "")
 
 
 def _against_distance(axes: Axes, scan: Scan, colour: str, label: str) -> bool:
     """
-    Draw a BSDF against |β - β0| and return whether it needs two curves.
+    Draw a BSDF against |β - β0|; return True if it needs two curves.
 
     Scatter from the normal to the specular direction is solid. Scatter beyond the specular direction is dashed, and
     drawn only where it differs by more than 2 %.
@@ -108,7 +108,7 @@ def _positive(scan: Scan) -> np.ndarray:
 
 
 def _is_one_curve(scans: Sequence[Scan]) -> bool:
-    """Return whether the BSDF of all scans depends on |β - β0| alone, to within 2 %."""
+    """True if the BSDF of all scans depends on |β - β0| alone, to within 2 %."""
     widest = max(scans, key=lambda scan: scan.incidence_deg)
     order = np.argsort(widest.distance)
     r, f = widest.distance[order], widest.values[order]
@@ -127,7 +127,7 @@ def _first_distance(scans: Sequence[Scan]) -> float:
 
 
 def _range(scans: Sequence[Scan]) -> tuple[float, float]:
-    """Return the lower and the upper end of the axis of the BSDF, 1/sr, at most 12 decades apart."""
+    """Return the lower and upper end of the BSDF axis, 1/sr, at most 12 decades apart."""
     values = np.concatenate([scan.values for scan in scans])
     values = values[values > 0]
     if not len(values):

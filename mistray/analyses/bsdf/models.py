@@ -37,25 +37,25 @@ TABLES = (".bsdf", ".anisotropicbsdf", ".csv")
 
 
 def _kinds() -> Mapping[str, Any]:
-    """Return the models by name; those of other packages are known once their plugins are imported, with Mitsuba."""
+    """Return the classes of scatter models by name; plugins of other packages are imported first, with Mitsuba."""
     if plugins_of_others():
         ensure_variant()
     return KINDS
 
 
 def known_models() -> str:
-    """Return what may be given as a model, as text."""
+    """Return the names that are accepted as a scatter model, as text."""
     return f"{', '.join(_kinds())}, a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME"
 
 
 def parameters(kind: str) -> dict[str, Param]:
-    """Return the parameters of a kind of model by name, as options; the placement, such as `event`, is left out."""
+    """Return the parameters of a kind of model, by name, without those of the placement, such as `event`."""
     own = KINDS[kind].params().items()
     return {name: param for name, param in own if name not in PLACEMENT} | MADE_OF.get(kind, {})
 
 
 def parameter_options() -> Group:
-    """Return the parameters of all models as options; a parameter shared by several models is one option."""
+    """Return the parameters of all models as command-line options; models share one that has the same name."""
     shared: dict[str, dict[str, Param]] = {}
     for kind in _kinds():
         for key, param in parameters(kind).items():
@@ -72,7 +72,7 @@ def parameter_options() -> Group:
 
 
 def _default(kind: str, key: str) -> str:
-    """Return the default of a model parameter as text in parentheses; empty if it has none."""
+    """Return the default of a model's parameter as text in parentheses; "" if it has none."""
     default = {field.name: field.default for field in fields(KINDS[kind])}.get(key)
     if not default or default is MISSING:
         return ""
@@ -80,7 +80,7 @@ def _default(kind: str, key: str) -> str:
 
 
 def _form(params: list[Param]) -> tuple[Any, str | None]:
-    """Return the type and the placeholder of a command-line option; the models themselves check ranges."""
+    """Return the type and placeholder of the command-line option for a parameter, given as declared by its models."""
     values = params[0].values
     if values is FLAG:
         return bool, None
@@ -107,7 +107,7 @@ def kind_of(name: str) -> str:
 
 def given(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """
-    Return the parameters of a model that the command line sets, by name.
+    Return the parameters of a scatter model that the command line sets, by name.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def given(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
 
 def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tuple[Placement, str, AbgFromRms | None]:
     """
-    Return a model, its title with the given parameters, and the calculation of A, B and g from a roughness or None.
+    Return a scatter model, its title, and the calculation of A, B and g from a roughness, or None.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tup
 
 
 def _roughness_sheet(found: Mapping[str, Any], request: BsdfRequest) -> AbgFromRms:
-    """Return the ABg parameters that follow from an RMS roughness in nm and a correlation length in µm."""
+    """Return A, B and g of an ABg model that follow from an rms roughness, nm, and a correlation length, µm."""
     for key in ("A", "B", "g", "reference_nm", "file"):
         if key in found:
             raise MistrayError(f"abg: --rms-nm gives A, B and g; leave {flag(key)} out")
@@ -176,6 +176,6 @@ def _roughness_sheet(found: Mapping[str, Any], request: BsdfRequest) -> AbgFromR
 
 
 def _coefficients(text: str) -> dict[str, float]:
-    """Return the coefficients of a polynomial model by name, read from text such as NAME=X,…."""
+    """Return the coefficients of a polynomial scatter model by name, from text such as NAME=X,…."""
     owner = f"--coefficients '{text}'"
     return {name: as_number(value, name, owner) for name, value in named_values(text.split(","), owner).items()}

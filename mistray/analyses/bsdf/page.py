@@ -1,4 +1,4 @@
-"""Text, JSON values, picture and files of an evaluated scatter model."""
+"""Output of an evaluated scatter model: text, JSON values, picture and files."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def notes(found: BsdfResult) -> list[str]:
 
 
 def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
-    """Return label and value of each result for the small detector, by JSON name; empty without such a detector."""
+    """Return label and value of each result on the small detector, by JSON name; empty without one."""
     unaimed = found.unaimed
     if unaimed is None:
         return {}
@@ -122,7 +122,7 @@ def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
 
 
 def _totals(found: list[dict[str, Any]]) -> str:
-    """Return the table of TIS in percent, loss of the specular beam in percent, and peak BSDF in 1/sr, as text."""
+    """Return a text table of total scatter, percent, loss of the specular beam, percent, and peak BSDF, 1/sr."""
     places = dict.fromkeys((row.get("rotation_deg"), row["incidence_deg"]) for row in found)
     heads, cells = ["incidence [deg]"], [[f"{angle:g}" for _, angle in places]]
     if "rotation_deg" in found[0]:

@@ -1,4 +1,4 @@
-"""Evaluate a scatter model at several angles of incidence, with the share that the specular beam loses."""
+"""Evaluation of a scatter model at several angles of incidence, with the share that the specular beam loses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DEFAULT_ROTATIONS = (0.0, 90.0)
 @dataclass(frozen=True)
 class BsdfResult:
     """
-    Evaluation of a scatter model: BSDF curves, 1/sr, and scattered shares.
+    Evaluated scatter model: BSDF curves, 1/sr, and scattered fractions of the light.
 
     Attributes
     ----------

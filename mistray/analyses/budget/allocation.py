@@ -23,7 +23,7 @@ STEP = 1e-4  # of ln(level), for the slope of its law
 
 def relative_scatter(name: str, value: np.ndarray, slope: float = CLEANED_SLOPE) -> np.ndarray:
     """
-    Compute the relative scatter of a surface, up to a constant factor, from its roughness, cleanliness or amplitude.
+    Return the scatter of a surface, up to a constant factor, from its roughness, cleanliness or amplitude.
 
     Smooth surfaces scatter in proportion to σ² (Rayleigh-Rice, Harvey-Shack), other models in proportion to their
     factors A, b0 and reflectance. Particles scatter about in proportion to the area that they cover, which follows from
@@ -59,7 +59,7 @@ def elasticity(name: str, value: float, slope: float = CLEANED_SLOPE) -> float:
 @dataclass(frozen=True)
 class PowerCost(Request):
     """
-    Cost (reference / value)^exponent · weight: a number half as large costs 2^exponent times as much.
+    Cost (reference / value)^exponent · weight: a value half as large costs 2^exponent times as much.
 
     The fields are the keys ``cost`` of a section ``[[choose]]`` in a budget file.
     """
@@ -94,7 +94,11 @@ class StepCost(Request):
             )
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
-        """Return the cost of the coarsest grade that is at least as good as each value, or that of the best grade."""
+        """
+        Return the cost of the coarsest grade at least as good as each value, or that of the best grade.
+
+        The cost has the shape of the values and the unit of `costs`.
+        """
         place = np.searchsorted(self.values, np.asarray(value) * (1 + 1e-9), side="right") - 1
         return np.asarray(np.array(self.costs)[np.maximum(place, 0)])
 
@@ -102,7 +106,7 @@ class StepCost(Request):
 @dataclass(frozen=True)
 class ToleranceChoice:
     """
-    One roughness, cleanliness level or amplitude to be chosen.
+    Parameter of a surface's scatter to be chosen: a roughness, cleanliness level or amplitude.
 
     Attributes
     ----------
@@ -126,17 +130,17 @@ class ToleranceChoice:
     slope: float = CLEANED_SLOPE
 
     def ratio(self, value: np.ndarray) -> np.ndarray:
-        """Return the scatter at values divided by that at the present value, an array of the same shape."""
+        """Return the surface's scatter at values of the parameter divided by that at its present value."""
         return relative_scatter(self.name, value, self.slope) / relative_scatter(
             self.name, np.array(self.value), self.slope
         )
 
     def ratio_slope(self, value: float) -> float:
-        """Return the derivative of `ratio` with respect to ln(value)."""
+        """Return the derivative of `ratio` with respect to the logarithm of the parameter, at a value."""
         return float(self.ratio(np.array(value))) * elasticity(self.name, value, self.slope)
 
     def grades(self) -> np.ndarray:
-        """Return the values to choose from: the grades of the cost in the range, or 400 on a logarithmic scale."""
+        """Return values of the parameter to choose from: the grades within its range, or 400 on a logarithmic scale."""
         if isinstance(self.cost, StepCost):
             return np.array([v for v in self.cost.values if self.best <= v <= self.worst])
         return np.geomspace(self.best, self.worst, GRID)
@@ -161,7 +165,7 @@ class Model:
     @classmethod
     def of(cls, variables: Sequence[ToleranceChoice], values: np.ndarray, derivatives: np.ndarray) -> Model:
         """
-        Make the model from metrics and their derivatives.
+        Return the model made from metrics and their derivatives.
 
         With T ~ p^ε the contribution of a surface is ∂M/∂p · p/ε. Contributions below 0, which noise can make, are set
         to 0.
@@ -180,7 +184,7 @@ class Model:
         return cls(values - parts.sum(axis=1), parts)
 
     def metrics(self, variables: Sequence[ToleranceChoice], numbers: np.ndarray) -> np.ndarray:
-        """Return the metrics, (metrics,), that the model predicts for other values of the variables, (variables,)."""
+        """Return the metrics, (metrics,), that the model predicts for values of the variables, (variables,)."""
         ratios = np.array([float(v.ratio(np.array(p))) for v, p in zip(variables, numbers, strict=True)])
         return np.asarray(self.fixed + self.parts @ ratios)
 
@@ -224,7 +228,11 @@ def allocate(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndar
 
 
 def excess(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> float:
-    """Return the largest ratio of a metric to its limit, all variables at their best; above 1 no choice is enough."""
+    """
+    Return the largest ratio of a metric to its limit with all variables at their best.
+
+    Above 1 no choice meets the limits.
+    """
     best = np.array([v.grades().min() for v in variables])
     return float(np.max(model.metrics(variables, best) / limits))
 
@@ -257,7 +265,11 @@ def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarr
 def _descend(
     variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray, start: np.ndarray, free: Sequence[int]
 ) -> np.ndarray:
-    """Return all variables, (variables,); those of the indices `free` minimise the cost, the others stay at `start`."""
+    """
+    Return values of all variables, (variables,).
+
+    Those of the indices `free` minimise the cost, the others stay at `start`.
+    """
     chosen = [variables[k] for k in free]
     held = [k for k in range(len(variables)) if k not in free]
     fixed = model.fixed + sum(model.parts[:, k] * float(variables[k].ratio(np.array(start[k]))) for k in held)

@@ -1,4 +1,4 @@
-"""Picture of a contamination and roughness budget."""
+"""Picture of a budget of roughness and cleanliness."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mistray.toolkit.tables.text import number
 
 
 def budget_figure(result: Budget, title: str = "") -> Figure:
-    """Draw the chosen values before and after, a panel per parameter, beside their shares of the metric in percent."""
+    """Draw chosen values before and after, by parameter, beside their shares of the metric in percent."""
     kinds = list(dict.fromkeys(chosen.parameter for chosen in result.chosen))
     counts = [sum(chosen.parameter == kind for chosen in result.chosen) for kind in kinds]
     height, ratios = 1.4 + 0.6 * len(kinds) + 0.24 * sum(counts), [count + 2 for count in counts]

@@ -1,4 +1,4 @@
-"""A contamination and roughness budget as text, JSON values, tables and a report."""
+"""Output of a budget of roughness and cleanliness: text, JSON values, tables and a report."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def requirements_table(result: Budget) -> Table:
 
 
 def text(result: Budget) -> str:
-    """Return the text that `mistray budget` prints: the requirements before and after, the numbers, the costs."""
+    """Return the text that `mistray budget` prints: requirements before and after, chosen values and costs."""
     before, after = result.cost
     parts = [
         table_text(requirements_table(result)),
@@ -80,7 +80,7 @@ def numbers_table(result: Budget) -> Table:
 
 
 def _shares(chosen: Chosen) -> Iterable[tuple[float, float]]:
-    """Return the share, 0 … 1, of each metric that depends on a chosen value, as pairs before and after."""
+    """Return the share, 0 … 1, of each metric that comes from a chosen value, as pairs before and after."""
     return zip(chosen.shares_before, chosen.shares_after, strict=True)
 
 
@@ -90,7 +90,7 @@ def _numbers(result: Budget, after: Table, shares: Table) -> Table:
 
 
 def budget_frame(result: Budget) -> pd.DataFrame:
-    """Return a row for each chosen value, with its percentage of each metric as ``share_1_before_percent``, …."""
+    """Return a DataFrame of the chosen values, with the percentages of metrics as ``share_1_before_percent``, …."""
     shares = {
         f"share_{k}_{when}_percent": [100 * getattr(chosen, f"shares_{when}")[k - 1] for chosen in result.chosen]
         for k in range(1, len(result.requirements) + 1)
@@ -119,9 +119,9 @@ def record(result: Budget) -> dict[str, Any]:
 
 def page(result: Budget, title: str = "scene", command: str = "") -> Report:
     """
-    Return the report of a budget, apart from the scene.
+    Return the report of a budget.
 
-    `title` names the optical system; `command` is the command line.
+    `title` is the name of the optical system, `command` the command line quoted there.
     """
     from mistray.analyses.budget.figures import budget_figure
     from mistray.toolkit.figures.plots import as_png

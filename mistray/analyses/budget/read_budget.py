@@ -1,4 +1,4 @@
-"""Read the requirements of a budget from TOML; every error message is one line with the file, the key and a remedy."""
+"""Reader of the requirements of a budget in TOML; every error message is one line with file, key and remedy."""
 
 from __future__ import annotations
 

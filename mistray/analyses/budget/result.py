@@ -1,4 +1,4 @@
-"""Result of a budget: the chosen values, and the requirements before and after."""
+"""Result of a budget: chosen values, and requirements before and after the choice."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mistray.toolkit.rows import column, derived
 @dataclass(frozen=True)
 class Chosen:
     """
-    Roughness, cleanliness level or amplitude that the budget has chosen.
+    Roughness, cleanliness level or amplitude of a surface, as the budget has chosen it.
 
     `before` and `after` are its values, `best` and `worst` the ends of its range, all in `unit`; the costs are those of
     both values. `shares_before` and `shares_after` are the shares, 0 … 1, of each metric that depend on it, from the
@@ -38,7 +38,7 @@ class Chosen:
 
     @property
     def at_bound(self) -> bool:
-        """Return whether the chosen value lies at the best or worst end of its range, to within 1e-4."""
+        """True if the chosen value lies at the best or worst end of its range, to within 1e-4."""
         return min(abs(self.after / bound - 1) for bound in (self.best, self.worst)) < 1e-4
 
 
@@ -54,12 +54,12 @@ class Met:
 
     @derived.column("whether the number after is at most the limit")
     def met(self) -> bool:
-        """Return whether the metric after the budget is at most the limit."""
+        """True if the metric after the budget is at most the limit."""
         return self.after.value <= self.limit
 
     @property
     def distance(self) -> float:
-        """Return the distance of the metric after the budget below its limit, in standard errors; negative if above."""
+        """Limit minus metric after the budget, in standard errors; negative if the limit is exceeded."""
         room = self.limit - self.after.value
         return room / self.after.se if self.after.se > 0 else math.copysign(math.inf, room)
 
@@ -107,7 +107,7 @@ class Budget(Result, table=".page:numbers_table", figure=".figures:budget_figure
     seconds: float
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return whether all requirements are met, the metrics after, and the total cost before and after."""
+        """Return if all requirements are met, metrics after, and total costs before and after, by label."""
         before, after = self.cost
         metrics = {f"{item.requirement} [{item.unit}]": item.after for item in self.requirements}
         verdict = "met" if self.holds else "NOT met"
@@ -115,7 +115,7 @@ class Budget(Result, table=".page:numbers_table", figure=".figures:budget_figure
 
     @property
     def holds(self) -> bool:
-        """Return whether all requirements are met."""
+        """True if all requirements are met."""
         return all(item.met for item in self.requirements)
 
     @property
@@ -124,7 +124,7 @@ class Budget(Result, table=".page:numbers_table", figure=".figures:budget_figure
         return sum(c.cost_before for c in self.chosen), sum(c.cost_after for c in self.chosen)
 
     def scene_text(self, folder: str | Path) -> str:
-        """Return the text of a scene file for `folder` with the chosen values in it."""
+        """Return the text of a scene file, to be placed in `folder`, with the chosen values."""
         file = SceneText(self.source, own=not self.study.shared)
         for item in self.chosen:
             file.set(item.key, item.after)

@@ -1,4 +1,4 @@
-"""Contamination and roughness budgets: how clean and smooth each surface must be to meet a limit at the least cost."""
+"""Budget of roughness and cleanliness: how smooth and clean surfaces must be to meet limits at the least cost."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class _Search:
         return result
 
     def derive(self, numbers: np.ndarray) -> tuple[Model, np.ndarray, np.ndarray]:
-        """Return the model at given values, and the metrics there with their standard errors, each (metrics,)."""
+        """Return the model at given values, and the metrics there and their standard errors, (metrics,) each."""
         assign(self.params, {key: np.array([p]) for key, p in zip(self.keys, numbers, strict=True)})
         values, errors, rows = [], [], []
         for metric in self.metrics:
@@ -128,7 +128,7 @@ class _Search:
         return Model.of(self.choices(numbers), np.array(values), np.array(rows)), np.array(values), np.array(errors)
 
     def run(self) -> tuple[tuple[Chosen, ...], int]:
-        """Choose values until they settle or iterations run out; return them and the number of gradients computed."""
+        """Choose values until they settle or iterations run out. Return them and the number of gradients computed."""
         numbers, first, gradients = self.start, np.zeros(0), 0
         while True:
             model, values, errors = self.derive(numbers)

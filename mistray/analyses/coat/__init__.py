@@ -1,1 +1,1 @@
-"""Put coatings, paint and scatter on surfaces of a scene by name."""
+"""Coatings, paint and scatter put on surfaces of a scene by name."""

@@ -1,4 +1,4 @@
-"""Command `mistray coat`: put coatings, paint and scatter on surfaces of a scene."""
+"""Command `mistray coat`, which puts coatings, paint and scatter on surfaces of a scene."""
 
 from __future__ import annotations
 

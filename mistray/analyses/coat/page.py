@@ -1,4 +1,4 @@
-"""JSON values and text that report which coatings, paint and scatter were put on surfaces."""
+"""Report on which coatings, paint and scatter were put on surfaces, as JSON values and text."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def record(coated: Coated) -> dict[str, Any]:
 
 
 def text(found: Mapping[str, Any], output: Path) -> str:
-    """Return the changes as text; surfaces with the same coating and scatter share a line."""
+    """Return the changes of surfaces as text; those with the same coating and scatter share a line."""
     changes = found["changes"]
     looks = [([one["coating"]] if one["recoated"] else []) + one["scatter"] for one in changes]
     lines = _grouped((" + ".join(look) or "no scatter", one) for look, one in zip(looks, changes, strict=True))
@@ -40,7 +40,7 @@ def text(found: Mapping[str, Any], output: Path) -> str:
 
 
 def _grouped(rows: Iterable[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """Return a line for each distinct text, with the names that share it after the text."""
+    """Return a line for each distinct text, with the names of the surfaces that share it."""
     groups: dict[str, dict[str, None]] = {}
     for what, row in rows:
         groups.setdefault(what, {})[row["surface"]] = None

@@ -1,1 +1,1 @@
-"""Evaluate coatings on their own: reflectance and transmittance by wavelength and angle."""
+"""Coatings evaluated on their own: reflectance and transmittance by wavelength and angle."""

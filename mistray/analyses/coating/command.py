@@ -1,4 +1,4 @@
-"""Command `mistray coating`: reflectance of a coating over wavelength and angle."""
+"""Command `mistray coating`, which prints the reflectance of a coating by wavelength and angle."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ ANGLE_AXIS: dict[str, Any] = {"xlim": (0, 90), "xticks": range(0, 91, 15)}
 @dataclass(frozen=True)
 class CoatedSurfaces:
     """
-    Surfaces of a scene with the same coating between the same materials.
+    Surfaces of a scene that have the same coating between the same materials.
 
     Attributes
     ----------
@@ -176,7 +176,7 @@ def surfaces_figure(
 
 
 def _lines(axes: Axes, x: np.ndarray, values: CoatingSpectrum, part: Any, colour: str, label: str) -> None:
-    """Draw R in percent over `x`: the mean of s and p polarisation, and both alone where they differ."""
+    """Draw R, percent, against wavelengths or angles `x`: mean of s and p polarisation, and each alone if unlike."""
     axes.plot(x, 100 * values.mean()[part], color=colour, lw=1.4, label=label)
     s, p = values.R[..., 0][part], values.R[..., 1][part]
     if np.max(np.abs(s - p)) > 1e-9:

@@ -1,4 +1,4 @@
-"""Text, JSON values and picture of evaluated coatings."""
+"""Output of evaluated coatings: text, JSON values and picture."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def text(found: CoatingResult | SurfacesResult) -> str:
 
 
 def record(found: CoatingResult | SurfacesResult) -> dict[str, Any]:
-    """Return a result as JSON-serialisable values; for a single coating with its whole spectrum."""
+    """Return a result as JSON-serialisable values; that of a single coating includes its whole spectrum."""
     asked = found.request
     if isinstance(found, SurfacesResult):
         surfaces = [
@@ -66,7 +66,11 @@ def figure(found: CoatingResult | SurfacesResult) -> Figure:
 
 
 def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
-    """Return a row per layer of a stack: thickness in nm, n, k, and waves at the design wavelength; else empty."""
+    """
+    Return a row per layer of a stack: thickness, nm, n, k, and waves at the design wavelength.
+
+    The list is empty for other coatings.
+    """
     if not isinstance(found.coating, Stack):
         return []
     design_nm, rows = found.request.design_nm, []
@@ -77,7 +81,7 @@ def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
 
 
 def band_rows(values: CoatingSpectrum) -> list[dict[str, Any]]:
-    """Return for each angle R, T and A of unpolarised light, mean over wavelengths, and the least and greatest R."""
+    """Return for each angle the mean over wavelengths of R, T and A, unpolarised, and the least and greatest R."""
     rows = []
     for k, angle in enumerate(values.angle_deg):
         row = {"angle_deg": angle} | {f"{share}_mean": values.mean(share)[:, k].mean() for share in SHARES}
@@ -131,7 +135,7 @@ def _over_band(values: CoatingSpectrum) -> Table:
 
 
 def _sample(values: CoatingSpectrum) -> Table:
-    """Return the table of R in percent at up to 7 wavelengths: unpolarised, and s and p off normal incidence."""
+    """Return a table of R, percent, at up to 7 wavelengths: unpolarised, and also s and p off normal incidence."""
     lam = values.wavelength_nm
     shown = np.unique(np.linspace(0, len(lam) - 1, min(ROWS_SHOWN, len(lam))).round().astype(int))
     heads, curves = ["wavelength [nm]"], list[np.ndarray]()

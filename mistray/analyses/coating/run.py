@@ -1,4 +1,4 @@
-"""Spectrum of one coating, and the mean reflectances of the coatings of a scene."""
+"""Evaluation of a coating by wavelength and angle, and of the coatings on the surfaces of a scene."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ VISIBLE_TO_NM, POINTS = 780.0, 61
 @dataclass(frozen=True)
 class CoatingResult:
     """
-    Evaluation of a coating between two materials: R, T and A by wavelength and angle.
+    Reflectance, transmittance and absorptance of a coating between two materials, by wavelength and angle.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class CoatingResult:
 @dataclass(frozen=True)
 class SurfacesResult:
     """
-    Evaluation of the coatings on the surfaces of a scene.
+    Mean reflectances of the coatings on the surfaces of a scene.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class SurfacesResult:
 
 
 def run_coating(request: CoatingRequest) -> CoatingResult:
-    """Evaluate a coating; by default an infrared preset is evaluated in its own band, on germanium."""
+    """Return R, T and A of a coating. By default an infrared preset is evaluated in its own band, on germanium."""
     coating, design = coating_from_text(request.coating, request.design_nm), PRESETS.get(request.coating)
     design_nm, body, band = request.design_nm, "N-BK7", VISIBLE_NM
     if design is not None and design.design_nm > VISIBLE_TO_NM:
@@ -70,7 +70,7 @@ def run_coating(request: CoatingRequest) -> CoatingResult:
 
 
 def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
-    """Evaluate the coatings of a scene, by default from 400 to 700 nm or over the band of its infrared light."""
+    """Return mean reflectances of a scene's coatings, by default from 400 to 700 nm or over an infrared band."""
     light = next((getattr(emitter, "wavelengths_nm", ()) for emitter in scene.emitters()), ())
     invisible = len(light) > 1 and min(light) > VISIBLE_TO_NM
     full, means = _lit(request, (min(light), max(light)) if invisible else VISIBLE_NM), []
@@ -84,12 +84,12 @@ def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
 
 
 def _lit(request: CoatingRequest, band: tuple[float, float]) -> CoatingRequest:
-    """Return the request with its own wavelengths, or with 61 wavelengths over a band in nm if it has none."""
+    """Return the request with its own wavelengths, else with 61 wavelengths over `band`, nm."""
     return replace(request, wavelength_nm=request.wavelength_nm or np.linspace(*band, POINTS).tolist())
 
 
 def is_scene(text: str) -> bool:
-    """Return whether a text names a scene: an XML file, a folder with one, or a shipped scene."""
+    """True if a text names a scene: an XML file, a folder with one, or a shipped scene."""
     if " " in text or text in PRESETS or text == "bare" or ".csv" in text.lower() or ".dat" in text.lower():
         return text.lower().endswith(".xml")
     from mistray._variant import ensure_variant

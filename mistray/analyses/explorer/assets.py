@@ -1,4 +1,4 @@
-"""Front-end files that the local page and the notebook widget share."""
+"""Front-end files (HTML, CSS, JavaScript) shared by the explorer's local page and notebook widget."""
 
 from __future__ import annotations
 

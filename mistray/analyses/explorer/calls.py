@@ -1,4 +1,4 @@
-"""Calls that a page may make to an explorer, by name; the local page and the widget share this list."""
+"""Calls that the explorer's page may make, by name; the local page and the notebook widget share this list."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CALLS: dict[str, Callable[[Explorer, dict[str, Any]], Any]] = {
 
 def answer(explorer: Explorer, call: Any, given: Any) -> Any:
     """
-    Carry out the call of a page and return its answer.
+    Carry out a call from the page and return its answer as JSON-serialisable values.
 
     Parameters
     ----------

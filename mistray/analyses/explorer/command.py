@@ -1,4 +1,4 @@
-"""Command `mistray app`: explore the stray light of a scene live on a local page."""
+"""Command `mistray app`, which explores the stray light of a scene live on a local web page."""
 
 from __future__ import annotations
 

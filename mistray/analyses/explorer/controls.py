@@ -38,7 +38,7 @@ VALUES = str | float
 @dataclass(frozen=True)
 class Control:
     """
-    Choice or slider of the live explorer.
+    Choice or slider of the live explorer, which sets a quantity of the scene.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Control:
     keys: tuple[str, ...] = ()
 
     def coatings(self, choice: str) -> dict[str, CoatingModel]:
-        """Return the coating of a choice for each surface, by shape id, fitted to the material of its body."""
+        """Return the coating that a choice means for each surface, by shape id, fitted to the material of its body."""
         on = {body: _coating(choice, body) for body in set(self.bodies)}
         return {surface: on[body] for surface, body in zip(self.surfaces, self.bodies, strict=True)}
 
@@ -109,7 +109,7 @@ class Control:
 
     @property
     def way(self) -> str:
-        """Return how estimates follow it: "exact", "held rays" (as traced), "first order" or "grid" (of fields)."""
+        """Return how estimates treat a change: "exact", "held rays" (traced), "first order", "grid" (of fields)."""
         if self.kind in (COATING, LAYERS):
             return "exact"
         if self.kind == NUMBER:
@@ -158,7 +158,7 @@ def controls_of(
 
 
 def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[str, VALUES]:
-    """Return the checked values of some controls; raise `MistrayError` for an unknown control or impossible value."""
+    """Return the values of some controls after checks; raise `MistrayError` for an unknown control or invalid value."""
     found = {}
     for name, value in values.items():
         if name not in controls:
@@ -168,7 +168,7 @@ def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[
 
 
 def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> dict[str, str]:
-    """Return the chosen coatings by shape id; surfaces left as in the scene are not included."""
+    """Return the coatings chosen by the controls, by shape id, without surfaces left as in the scene."""
     return {
         surface: str(state[name])
         for name, one in controls.items()
@@ -206,7 +206,7 @@ def _coatings(path: Path, scene: Any) -> list[Control]:
 
 
 def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
-    """Return the coatings offered for a part: its own, none, and presets whose band and material suit it."""
+    """Return the names of coatings offered for a part: as it is, bare, and presets whose band and material suit it."""
     found = [AS_IT_IS, BARE]
     for name, design in PRESETS.items():
         middle = (min(light) + max(light)) / 2 if light else design.design_nm
@@ -220,7 +220,7 @@ def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
 
 
 def _coating(choice: str, body: str) -> CoatingModel:
-    """Return the coating of a choice on a body of a material in air, fitted as `mistray coat` does."""
+    """Return the coating that a choice means on a body of some material in air, fitted as `mistray coat` does."""
     if choice in PRESETS and not is_gas(body):
         return fitted_preset(choice, body).stack
     return coating_from_text(choice)
@@ -236,7 +236,7 @@ def _numbers(scene: Any, patterns: Iterable[str] | None) -> list[Control]:
 
 
 def _apertures(known: Iterable[Parameter]) -> list[Control]:
-    """Return a control for the clear radius of each vane, stop or baffle; rims that meet there move together."""
+    """Return a slider for the clear radius of each vane, stop or baffle; rims that meet there move together."""
     parts: dict[str, list[Parameter]] = {}
     for one in known:
         if one.kind == "rim" and one.name in ("r0", "r1") and any(RIMS.search(name) for name in one.shapes):
@@ -251,7 +251,7 @@ def _apertures(known: Iterable[Parameter]) -> list[Control]:
 
 
 def _is_offered(one: Parameter) -> bool:
-    """Whether a parameter gets its own control by default: R of a detector or an amount of scatter, unless it is 0."""
+    """True if a parameter gets a control by default: R of a detector or an amount of scatter, unless it is 0."""
     if one.value.size > 1 or not one.value[0]:
         return False
     if one.kind == "share":

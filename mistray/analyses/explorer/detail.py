@@ -1,4 +1,4 @@
-"""Details of one path in the explorer: its rays, the surfaces where it turns, and coatings that would weaken it."""
+"""Details of one path in the explorer: its rays, the surfaces where it turns, and coatings that weaken it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def path_detail(
     digits: int,
 ) -> dict[str, Any]:
     """
-    Return the details of a path for the page.
+    Return the details of a path as JSON-serialisable values for the page.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def path_detail(
 
 
 def _share(ways: Any, surface: str) -> float:
-    """Return the percentage of the stray power of all paths that is reflected or scattered at a surface."""
+    """Return the percentage of all stray power on paths that are reflected or scattered at a surface."""
     stray = ways[ways.kind != DIRECT]
     total = stray.power_W.sum()
     there = [
@@ -99,7 +99,11 @@ def _remedies(
     turns: list[str],
     row: int,
 ) -> list[dict[str, Any]]:
-    """Return, for each part where the path turns, the coating that leaves the least stray light; best part first."""
+    """
+    Return, for each part where the path turns, the coating that leaves the least stray light.
+
+    The best part is first.
+    """
     here = {**state, **({"field": of.state["field"]} if "field" in state else {})}
     found = []
     for name, control in controls.items():

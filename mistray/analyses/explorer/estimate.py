@@ -1,4 +1,4 @@
-"""Estimate for other values of the controls: the traced power of each path times the change along it."""
+"""Estimate of stray light for changed controls: the traced power of each path, scaled by the changes along it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ IN_PROPORTION = [name for name in COLUMNS if "_W" in name]  # to the power, the 
 @dataclass(frozen=True)
 class Guess:
     """
-    Estimate of the light for values of the controls that were not traced.
+    Estimate of the light for control values that have not been traced.
 
     Attributes
     ----------
@@ -58,11 +58,11 @@ class Guess:
 
 def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> Guess:
     """
-    Estimate the light for values of the controls from a trace with other values.
+    Estimate the light for changed control values from a trace.
 
-    Each sampled ray is multiplied, at its own angles of incidence, by a ratio for each of its surfaces: the fraction
-    of light that goes its way now over that in the trace. A path is multiplied by the mean over its rays. Paths
-    without rays in the sample follow those of their kind.
+    Each sampled ray is multiplied, at its own angles of incidence, by a ratio for each of its surfaces: the fraction of
+    light that goes its way now over that in the trace. A path is multiplied by the mean over its rays. Paths without
+    rays in the sample follow those of their kind.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def _beyond(near: Guess, note: str) -> Guess:
 
 
 def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: list[Control]) -> Floats:
-    """Return the factor on the flux of each ray of the sample, (rays,), by the changes of its surfaces."""
+    """Return the factor by which changed surfaces scale the flux of each sampled ray, (rays,)."""
     found = np.ones(len(of.sample.way))
     before, now = looks.of(of.state), looks.of(state)
     nm = next((float(state[c.name]) for c in moved if c.kind == WAVELENGTH), None)
@@ -189,12 +189,12 @@ def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: l
 
 
 def _quotient(was: Floats, becomes: Floats) -> Floats:
-    """Return the ratio of two factors; 1 if the first is 0, because precision differs near the critical angle."""
+    """Return `becomes` / `was`; 1 where `was` is 0, as rounding differs near the critical angle."""
     return np.where(was > 0, becomes / np.where(was > 0, was, 1.0), 1.0)
 
 
 def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
-    """Return the factors on the powers of the paths, (paths,), and their standard errors from the spread over rays."""
+    """Return the factor on each path's power, (paths,), and its standard error, from the factors of its rays."""
     count, sample = len(of.ways), of.sample
     weight = np.bincount(sample.way, sample.weight, minlength=count)
     changed = np.bincount(sample.way, sample.weight * by_ray, minlength=count)
@@ -226,7 +226,7 @@ def _in_proportion(traced: Estimate, value: float) -> Estimate:
 
 
 def _left_out(of: Traced, moved: list[Control]) -> list[str]:
-    """Describe the effects that an estimate neglects, one line each."""
+    """Return one line of text on each effect that the estimate neglects."""
     found = []
     for c in moved:
         if c.kind == WAVELENGTH:

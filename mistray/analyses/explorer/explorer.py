@@ -1,4 +1,4 @@
-"""Model behind both front ends of the live explorer: a scene, its controls, and its estimated or traced stray light."""
+"""Model behind the live explorer's page and widget: a scene, its controls, and its estimated or traced stray light."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ class Explorer:
     # -- what answers at once --------------------------------------------------------------------------------------
 
     def page(self) -> dict[str, Any]:
-        """Return the constant data of a page: title, number of rays, fields, controls and the section of the system."""
+        """Return the page's constant data as JSON values: title, number of rays, fields, controls, section."""
         name = self.path.parent.name if self.path.name == "scene.xml" else self.path.stem
         return {
             "title": name,
@@ -161,7 +161,7 @@ class Explorer:
         }
 
     def view(self) -> dict[str, Any]:
-        """Return the present state as JSON-serialisable values: powers, paths and map, estimated or traced."""
+        """Return the present state as JSON-serialisable values: powers (W), paths and map, estimated or traced."""
         with self._changed:
             return self._view()
 
@@ -233,7 +233,7 @@ class Explorer:
         return self.saving.study(state, self._field(state))
 
     def wait(self, since: int, seconds: float) -> dict[str, Any]:
-        """Return the view once it is newer than the version `since`, at the latest after `seconds`, s."""
+        """Return the view as soon as it is newer than version `since`, at the latest after `seconds`."""
         with self._changed:
             self._changed.wait_for(lambda: self.version > since, seconds)
             return self._view()
@@ -301,12 +301,12 @@ class Explorer:
 
     @property
     def idle(self) -> bool:
-        """Return whether the present state is traced and no job is left."""
+        """True if the present state is traced and no background job is left."""
         with self._changed:
             return self._job(quiet=False) is None and not self._busy
 
     def _stale(self) -> bool:
-        """Return whether the present state has not been traced yet."""
+        """True if the present state has not been traced yet."""
         return (self._traced is None or self._traced.state != self.state) and _key(self.state) not in self._tried
 
     def _job(self, quiet: bool = True) -> Callable[[dict[str, VALUES]], None] | None:
@@ -340,7 +340,11 @@ class Explorer:
             self._note()
 
     def _compared(self, before: Traced, found: Traced) -> dict[str, Any] | None:
-        """Return estimated and traced stray power of a state, W, and their difference in percent; None without any."""
+        """
+        Return estimated and traced stray power of a traced state, W, and their difference in percent.
+
+        None if it is dark.
+        """
         made = self._guessed(before, found.state)
         stray = found.stray_W
         if not stray.value > 0:
@@ -369,7 +373,7 @@ class Explorer:
                 self._grid[field] = found
 
     def _find_slopes(self, state: dict[str, VALUES]) -> None:
-        """Compute the derivatives of the stray power by the numbers that estimates follow to first order."""
+        """Compute derivatives of the stray power by the parameters that estimates follow to first order."""
         assert self._traced is not None
         self._begin("derivatives")
         turned, field = self._first_order(), self._field(state)
@@ -391,7 +395,7 @@ class Explorer:
 
     @contextlib.contextmanager
     def _ahead(self, what: Any) -> Iterator[None]:
-        """Run a background job within a block; if it fails, report the error and do not try it again."""
+        """Run a background job within a block; if it fails, report the error and never retry it."""
         try:
             yield
         except (MistrayError, RuntimeError) as error:
@@ -456,7 +460,7 @@ class Explorer:
         return wanted
 
     def _loaded(self, state: Mapping[str, VALUES]) -> Any:
-        """Return the scene with the coatings and parameters of a state of the controls."""
+        """Return the scene with coatings and parameters set to a state of the controls."""
         coatings = coatings_of(self.controls, state)
         key = tuple(sorted(coatings.items()))
         if key not in self._scenes:
@@ -531,7 +535,7 @@ class Explorer:
 
 
 def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES]]:
-    """Return states of the coatings whose kernels may differ: a bare part, a layered part, and both."""
+    """Return control states with different kernels, to be compiled ahead: a bare part, a layered part, and both."""
     names = [name for name, one in controls.items() if one.kind == COATING]
     if not names:
         return []
@@ -544,7 +548,7 @@ def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:
 
 
 def _shapes(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
-    """Return the control values of a trace that move its rays: field, wavelength, and shapes that estimates follow."""
+    """Return the control values that change the rays of a trace: field, wavelength, shapes that estimates follow."""
     return {
         name: value
         for name, value in of.state.items()

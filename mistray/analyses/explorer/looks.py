@@ -1,4 +1,4 @@
-"""Coatings and scatter models of a scene's surfaces on the host, for any state of the controls.
+"""Coatings and scatter models of surfaces for any state of the controls, evaluated on the host.
 
 An estimate evaluates them at the angles of rays that were traced in another state. The scene itself is not touched, so
 that it may be traced meanwhile.
@@ -39,7 +39,7 @@ THROUGH = (RANDOM_TRANSMITTED, AIMED_TRANSMITTED)  # scattered to the other side
 @dataclass(frozen=True)
 class SurfaceLook:
     """
-    Coating and scatter models of one surface in one state of the controls.
+    Coating and scatter models of one surface for one state of the controls.
 
     Attributes
     ----------
@@ -93,9 +93,10 @@ class Looks:
         return found
 
     def _changed(self, look: SurfaceLook, surface: str, control: Control, value: float) -> SurfaceLook:
-        """Return the look of a surface with a new parameter value.
+        """
+        Return a surface's coating and scatter with a new parameter value.
 
-        It is unchanged unless that of an ideal coating or scatter.
+        Only R or T of ideal coatings and scatter amounts change.
         """
         one = control.parameter
         assert one is not None

@@ -1,4 +1,4 @@
-"""Data that the page of the live explorer draws, as JSON: what is known of a state."""
+"""JSON data for the page of the live explorer: powers, paths and map of a state."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PATHS = 25  # rows of the table, by either rank
 
 
 def view_data(found: Guess) -> dict[str, Any]:
-    """Return powers in W, the worst paths and the map of a state as JSON-serialisable values."""
+    """Return powers (W), the worst paths and the map of a state as JSON-serialisable values."""
     stray = found.ways[found.ways.kind != DIRECT].sort_values("power_W", ascending=False)
     stray = stray.assign(rank_power=range(len(stray)), low=bounds(stray)[0])
     stray = stray.sort_values("low", ascending=False, kind="stable").assign(rank_rms=range(len(stray)))

@@ -1,4 +1,4 @@
-"""Save a state of the explorer as a scene with its coatings and parameters, or as a study that continues from it."""
+"""Saving a state of the explorer as a scene with its coatings and parameters, or as a study that continues from it."""
 
 from __future__ import annotations
 
@@ -156,5 +156,5 @@ class Saving:
 
 
 def _text(value: str) -> str:
-    """Return a text as a basic string of TOML, escaped as in JSON."""
+    """Return a text as a quoted TOML string, escaped as in JSON."""
     return json.dumps(value, ensure_ascii=False)

@@ -39,7 +39,7 @@ FILES = {"": ("page.html", "text/html"), "page.js": ("page.js", "text/javascript
 
 class PageServer(ThreadingHTTPServer):
     """
-    Server of the page of an explorer, until it is shut down.
+    Local web server for the page of an explorer.
 
     Parameters
     ----------
@@ -72,17 +72,17 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def port(self) -> int:
-        """Return the port that the server listens on."""
+        """Port that the server listens on."""
         return int(self.server_address[1])
 
     @property
     def address(self) -> str:
-        """Return the address to open in a browser, with the token."""
+        """Address to open in a browser, with the secret token."""
         return f"http://{LOOPBACK}:{self.port}/{self.token}/"
 
     @property
     def hosts(self) -> tuple[str, ...]:
-        """Return the hosts, with port, that a request may name."""
+        """Host names, with port, that a request may be addressed to."""
         return (f"{LOOPBACK}:{self.port}", f"localhost:{self.port}")
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -97,17 +97,17 @@ class PageServer(ThreadingHTTPServer):
         super().process_request(request, client_address)
 
     def trust(self, connection: Any) -> None:
-        """Keep a connection open, since it has sent the token."""
+        """Mark a connection as trusted, since it has sent the token, so that it stays open."""
         with self._lock:
             self._strange.pop(connection, None)
 
     def shutdown_request(self, request: Any) -> None:
-        """Close a connection."""
+        """Close a connection and forget it."""
         self.trust(request)
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore errors of connections that the page closes during an answer."""
+        """Ignore errors on connections that the page closes before an answer is sent."""
 
 
 @contextlib.contextmanager
@@ -144,7 +144,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, asset(file).encode(), f"{kind}; charset=utf-8")
 
     def do_POST(self) -> None:
-        """Answer a POST request, which is a call of the page, in JSON."""
+        """Answer a POST request, a call from the page, with JSON."""
         name = self._name()
         if name is None:
             return
@@ -169,7 +169,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, json.dumps(found, allow_nan=False).encode(), "application/json")
 
     def _name(self) -> str | None:
-        """Return the name after the token in the requested address; None if the request is refused."""
+        """Return the path after the token in the requested address; None if the request was refused."""
         parts = self.path.partition("?")[0].split("/", 2)
         token, name = (parts[1], parts[2]) if len(parts) == 3 else ("", "")
         known = hmac.compare_digest(token.encode("utf-8", "replace"), self.server.token.encode())
@@ -197,4 +197,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing, because requests contain the token."""
+        """Suppress logging, because requests contain the token."""

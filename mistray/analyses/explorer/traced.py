@@ -1,4 +1,4 @@
-"""Data of a trace for estimates: powers of all paths, maps of the strongest, and sampled rays with their angles."""
+"""Data of a trace that estimates use: powers of all paths, maps of the strongest, sampled rays with their angles."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class Traced:
 
     @property
     def stray(self) -> npt.NDArray[np.bool_]:
-        """Return whether each path is stray light, (paths,) bool."""
+        """Mask of the paths that are stray light, (paths,) bool."""
         return np.asarray(self.ways.kind != DIRECT)
 
 
@@ -211,7 +211,7 @@ def _groups(hits: SampledHits, before: int) -> list[HitGroup]:
 
 
 def _scattered(hits: SampledHits, event: int, ray: Whole, place: Whole) -> Floats:
-    """Return unit directions of scattered light, (n, 3), in the frame of `mistray.scatter.evaluate.bsdf`."""
+    """Return unit directions of scattered light, (n, 3), in the local frame of `mistray.scatter.evaluate.bsdf`."""
     arrival, leaving = hits.arrival[ray, place], hits.arrival[ray, place + 1]
     normal = hits.normal[ray, place]
     along = np.sum(arrival * normal, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Explorer as a Jupyter widget; needs the extra ``widget``."""
+"""Jupyter widget that shows the explorer; needs the extra ``widget``."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ExplorerWidget(anywidget.AnyWidget):
         super().close()
 
     def _answer(self, _: Any, asked: Any, __: Any) -> None:
-        """Answer a message of the page, and start the threads of the widget at the first one."""
+        """Answer a message from the page; at the first message, start the widget's threads."""
         if not isinstance(asked, dict):
             return
         try:

@@ -1,1 +1,1 @@
-"""Export scenes as STEP files: lenses, mirrors, mechanics, clear beams and stray paths."""
+"""Export of scenes as STEP files: lenses, mirrors, mechanics, clear beams and stray paths."""

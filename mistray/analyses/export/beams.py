@@ -1,4 +1,4 @@
-"""Clear beams: the volume that the light of a field fills on its way to the detector, as solids between surfaces.
+"""Clear beams, the volumes that the light of a field fills on its way to the detector, as solids between surfaces.
 
 Rays at the rim are found in float64: along many directions in the entrance, the last ray that passes all apertures.
 Their convex hull is the rim, so that the shadow of a spider or a secondary mirror counts as light. Between two
@@ -41,7 +41,7 @@ CAP = 5  # rings of a cap, from its middle to its rim
 @dataclass(frozen=True, eq=False)
 class FieldBeam:
     """
-    Clear beam of a field: rays at its rim and in its middle, from the start to the detector.
+    Clear beam of one field: rays at its rim and through its middle, from the start to the detector.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class FieldBeam:
         return solids, sides
 
     def _cap(self, file: StepFile, k: int, stretch: _Stretch, end: int, outwards: bool) -> int:
-        """Add the end surface of a beam stretch at place `k`, facing outwards or not, and return its number."""
+        """Add the end face of a beam section at place `k` to the file, facing outwards or not. Return its number."""
         rings = self.caps[k]
         normal = polygon_normal(rings[:, -1])
         away = (rings - self.middle[k]) @ normal
@@ -123,7 +123,11 @@ class FieldBeam:
 
 
 class _Stretch:
-    """A part of the beam between two rims, (n, 3) mm each, of which one may be a point; its side is a ruled surface."""
+    """
+    Section of a beam between two rims, (n, 3), mm, each, one of which may be a point.
+
+    Its side is a ruled surface.
+    """
 
     def __init__(self, file: StepFile, rims: tuple[Array, Array], smooth: bool) -> None:
         self.file, self.rims, self.degree = file, rims, 3 if smooth else 1
@@ -135,7 +139,11 @@ class _Stretch:
         ]
 
     def side(self, name: str, outwards: bool) -> int:
-        """Add the side face and return its number; `outwards`: its rims run counter-clockwise about the light."""
+        """
+        Add the side face to the file and return its entity number.
+
+        `outwards`: its rims run counter-clockwise about the light.
+        """
         file, (first, last) = self.file, self.circles
         seam = file.edge(self.starts[0], self.starts[1], file.line(self.rims[0][0], self.rims[1][0]))
         poles = np.stack([poles for poles, _ in self.splines], axis=1)
@@ -149,13 +157,17 @@ def _point(rim: Array) -> bool:
 
 
 def _face(file: StepFile, name: str, surface: int, loop: list[tuple[int, bool]], along: bool) -> int:
-    """Add a face with its border counter-clockwise about the normal, or reversed if not `along`; return its number."""
+    """
+    Add a face to a STEP file, its border counter-clockwise about the normal if `along`, else reversed.
+
+    Return its number.
+    """
     edges = loop if along else [(edge, not forwards) for edge, forwards in loop[::-1]]
     return file.face(name, surface, along, [file.loop(edges)])
 
 
 def _sense(rim: Array, along: Array) -> int:
-    """Return 1 if rim points run counter-clockwise about a direction, -1 if clockwise, 0 if it varies."""
+    """Return 1 if rim points (n, 3) run counter-clockwise about direction `along`, -1 if clockwise, 0 if it varies."""
     middle = rim.mean(axis=0)
     turns = np.cross(rim - middle, np.roll(rim, -1, axis=0) - middle) @ along
     return int(np.sign(turns[0])) if np.all(turns * turns[0] > 0) else 0
@@ -175,7 +187,7 @@ def _round(points: Array, smooth: bool) -> tuple[Array, Array]:
 
 class BeamFinder:
     """
-    Finder of the clear beams along the design path of a scene.
+    Construction of clear beams along the design path of a scene.
 
     Parameters
     ----------
@@ -206,7 +218,7 @@ class BeamFinder:
 
     @property
     def lit(self) -> dict[str, int]:
-        """Return the lit side of each mirror of the path, by shape id: -1 the front, 1 the back."""
+        """Lit side of each mirror on the path, by shape id: -1 for the front, 1 for the back."""
         ids = self.path.table.ids
         return {ids[step.surface]: -1 if step.from_front else 1 for step in self.path.steps if step.reflects}
 
@@ -240,14 +252,14 @@ class BeamFinder:
         return FieldBeam(field_deg, *_with_foci(places, points[:, 0], caps), smooth, error)
 
     def _at_rim(self, outermost: _Rim, bundle: PointBundle, turns: Array, between: Array) -> tuple[Array, Array]:
-        """Return points of the middle ray and of rays at the rim, (p, 1 + n, 3), and of rays between these, mm."""
+        """Return points, mm, of middle ray and rim rays at `turns`, (p, 1 + n, 3), and of rim rays at `between`."""
         others = outermost.at(between)
         rim = outermost.at(turns)
         points = self._follow(bundle, np.concatenate([rim.mean(axis=0)[None], rim, others]))
         return points[:, : len(rim) + 1], points[:, len(rim) + 1 :]
 
     def _follow(self, bundle: PointBundle, x: Array) -> Array:
-        """Return the points of rays, given by entrance coordinates, at start and all surfaces, (p, n, 3), mm."""
+        """Return points of rays at the start and at all surfaces, (p, n, 3), mm, from entrance coordinates (n, 2)."""
         o, d = bundle.rays(x)
         points = [o]
         for step in self.path.steps:
@@ -272,14 +284,18 @@ class BeamFinder:
 
 
 def _off(rim: Array, between: Array) -> float:
-    """Return the largest distance, mm, of the smooth curve through points (n, 3) from rays half-way between them."""
+    """Return the largest distance, mm, between the rim curve through (n, 3) points and the rays half-way between."""
     poles, knots = _round(rim, True)
     half = (np.arange(len(rim)) + 0.5) / len(rim)
     return float(np.linalg.norm(BSpline(knots, poles, 3)(half) - between, axis=1).max())
 
 
 def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[list[str], Array, Array]:
-    """Insert the points where the light is focused; return places, points of the middle ray, (p, 3), and caps, mm."""
+    """
+    Insert points where the beam is focused.
+
+    Return place names, points of the middle ray, (p, 3), mm, and end faces.
+    """
     spread = [float(np.ptp(cap[:, -1], axis=0).max()) for cap in caps]
     for k, cap in enumerate(caps):
         beside = max(spread[k - 1] if k else 0.0, spread[k + 1] if k + 1 < len(caps) else 0.0)
@@ -302,7 +318,7 @@ def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[lis
 
 
 class _Rim:
-    """Rim of the light in the entrance: the convex hull of the outermost rays that arrive, found in some directions."""
+    """Rim of a field's light in the entrance plane: the convex hull of the outermost rays that reach the detector."""
 
     def __init__(self, path: DesignPath, bundle: PointBundle, region: Region) -> None:
         self._path, self._bundle = path, bundle
@@ -311,7 +327,7 @@ class _Rim:
         self._known: dict[float, float] = {}  # direction → distance
 
     def at(self, turns: Array) -> Array:
-        """Return coordinates (n, 2), mm, of rays at the rim in directions (n,), rad, about the middle of the light."""
+        """Return entrance coordinates, (n, 2), mm, of rim rays in directions `turns`, (n,), rad, about the middle."""
         new = np.setdiff1d(turns, list(self._known))
         self._known |= dict(zip(new.tolist(), self._outermost(_unit(new)).tolist(), strict=True))
         reached = np.array(list(self._known.values()))[:, None] * _unit(np.array(list(self._known)))
@@ -323,7 +339,7 @@ class _Rim:
         return np.asarray(self._middle + reach[:, None] * along)
 
     def refined(self, turns: Array) -> tuple[Array, Array]:
-        """Add directions, rad, between two where the rim bends; return them and the directions half-way between."""
+        """Insert directions, rad, where the rim bends; return all directions and those half-way between them."""
         for _ in range(ROUNDS):
             between = turns + 0.5 * np.diff(turns, append=turns[0] + 2 * np.pi)
             middles = self.at(between)
@@ -351,12 +367,12 @@ class _Rim:
 
 
 def _unit(turns: Array) -> Array:
-    """Return the unit vectors, (n, 2), of directions, (n,), in radians."""
+    """Return the unit vectors, (n, 2), at angles (n,), rad, from the x axis."""
     return np.column_stack([np.cos(turns), np.sin(turns)])
 
 
 def _aside(points: Array, corners: Array) -> Array:
-    """Return the distance of each point, (n, d), from the polygon side that begins at the corner of the same index."""
+    """Return the distance, mm, of each point, (n, d), from the polygon side that begins at the corner of its index."""
     side = np.roll(corners, -1, axis=0) - corners
     away = points - corners
     share = np.sum(away * side, axis=1) / np.maximum(np.sum(side * side, axis=1), 1e-300)

@@ -1,4 +1,4 @@
-"""Bodies of a scene for STEP files: closed volumes as solids, everything else as sheets."""
+"""Bodies of a scene for a STEP file: closed volumes as solids, everything else as sheets."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GROUPS = {"glass": OPTICS, "mirror": OPTICS, "structure": MECHANICS, "detector":
 @dataclass(frozen=True, eq=False)
 class Ring:
     """
-    Surface of revolution in the frame of its axis.
+    Surface of revolution about an axis, in the axis's frame.
 
     `minus` and `plus` are the materials on the sides of lower and higher z. `mirror_side` is the side that light comes
     from, -1 or 1, and 0 if no light to the detector meets the surface.
@@ -49,7 +49,7 @@ class Ring:
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """Surfaces of revolution about one axis; `matrix`, (4, 4), is the transform from its frame to the world, mm."""
+    """Group of surfaces of revolution about one axis; `matrix`, (4, 4), transforms its frame to the world, mm."""
 
     matrix: Array
     rings: list[Ring] = field(default_factory=list)
@@ -58,7 +58,7 @@ class Axis:
 @dataclass(frozen=True, eq=False)
 class StepBody:
     """
-    Body that becomes one STEP product.
+    Body that becomes one product in a STEP file.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class StepBody:
 
 @dataclass
 class Found:
-    """Bodies found in a scene, remarks on them, and the reason for each shape that is left out."""
+    """Bodies found in a scene, notes on them, and why other shapes are left out."""
 
     bodies: list[StepBody] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -191,7 +191,7 @@ def _solid(name: str, role: str, axis: Axis, loop: list[Profile]) -> StepBody:
 
 
 def _turned(name: str, shape: Any) -> tuple[Array, Profile] | None:
-    """Return transform, (4, 4), and profile of a surface of revolution, mm, or None for other shapes."""
+    """Return transform, (4, 4), and profile (mm) of a shape that is a surface of revolution; None for other shapes."""
     if hasattr(shape, "profile"):
         if getattr(shape, "rectangular", False):
             return None
@@ -207,7 +207,7 @@ def _turned(name: str, shape: Any) -> tuple[Array, Profile] | None:
 
 
 def _patch(name: str, shape: Any, tolerance: float) -> Patch | str:
-    """Return a surface within an outline as a patch, or the reason why it cannot be written."""
+    """Return a non-rotational surface within an outline as a patch, or the reason why it cannot be written."""
     if getattr(shape, "rectangular", False):
         outline = rectangle(shape.values["half_width"], shape.values["half_height"])
         return Patch(name, lambda x, y: shape.sag(np.hypot(x, y)), outline.figures, shape.matrix, tolerance)
@@ -251,7 +251,7 @@ def _add(
 
 
 def _lenses(axis: Axis, found: Found) -> set[str]:
-    """Add the lenses about an axis to the bodies found, and return the names of the surfaces used for them."""
+    """Add the lenses about an axis to the bodies in `found`; return the names of the surfaces they use."""
     faces = sorted((ring for ring in axis.rings if ring.refracts), key=lambda ring: float(ring.profile.points(3)[0, 1]))
     used: set[str] = set()
     for k, face in enumerate(faces):
@@ -296,7 +296,7 @@ def _lenses(axis: Axis, found: Found) -> set[str]:
 
 
 def _mirror(axis: Axis, ring: Ring, thickness: float, found: Found) -> StepBody | None:
-    """Return a mirror with a substrate of a thickness in mm behind it, or None if there can be none."""
+    """Return a mirror as a body with a substrate of given thickness, mm, behind it; None if that is impossible."""
     if not ring.mirror_side:
         found.notes.append(f"{ring.name}: the light to the detector does not meet it; it stays a sheet")
         return None
@@ -318,7 +318,7 @@ def _mirror(axis: Axis, ring: Ring, thickness: float, found: Found) -> StepBody 
 
 
 def _closed(rings: Sequence[Ring]) -> tuple[list[list[Profile]], list[Ring]]:
-    """Return closed chains of profiles, one for each body, and the surfaces that close none."""
+    """Return closed chains of profiles, one per body, and the surfaces that belong to none."""
     profiles = [ring.profile for ring in rings]
     ends = np.array([[profile.start, profile.end] for profile in profiles])
     near = _near(profiles)
@@ -342,7 +342,11 @@ def _closed(rings: Sequence[Ring]) -> tuple[list[list[Profile]], list[Ring]]:
 
 
 def _components(numbers: npt.NDArray[np.int_]) -> Iterator[list[int]]:
-    """Yield groups of profiles, as indices, that are connected at their end points."""
+    """
+    Yield groups of profiles connected at their ends, as lists of indices.
+
+    `numbers` holds the ends' point numbers.
+    """
     left = set(range(len(numbers)))
     while left:
         group = [left.pop()]
@@ -407,7 +411,7 @@ def _tidy(loop: Sequence[Profile]) -> list[Profile] | None:
 
 
 def _crosses(points: Array, ring: bool) -> bool:
-    """Return whether a polyline, (n, 2), crosses itself."""
+    """True if a polyline, (n, 2), crosses itself; with `ring` its ends coincide."""
     a, b = points[:-1], points[1:]
     k, n = np.triu_indices(len(a), 2)
     if ring:

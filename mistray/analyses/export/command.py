@@ -1,4 +1,4 @@
-"""Command `mistray export`: write a scene as a lens file, a STEP file or critical rays."""
+"""Command `mistray export`, which writes a scene as a lens file, a STEP file or critical rays."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _lens(output: Path, options: Options) -> Found:
 
 
 def _critical_rays(output: Path, options: Options) -> Found:
-    """Write the critical rays as CSV; return the record for JSON and the lines to print."""
+    """Write the critical rays as a CSV file; return the record for JSON and the lines to print."""
     from mistray.analyses.export.request import CriticalRaysRequest
 
     request = request_of(CriticalRaysRequest, vars(options))

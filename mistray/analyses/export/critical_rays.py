@@ -1,4 +1,4 @@
-"""Critical rays for checking a mechanical design: the centre and the rim of the beam of each field.
+"""Critical rays to check a mechanical design: the centre and the rim of the beam of each field.
 
 They are like OpticStudio's critical ray set. After a change of a mount or baffle, tracing them again shows whether the
 image keeps its light.
@@ -77,7 +77,7 @@ critical_rays = analysis("critical_rays", CriticalRaysRequest, run)
 
 
 def _outermost(starts: np.ndarray, along: np.ndarray, rim: int) -> dict[str, int]:
-    """Return the indices of the ray nearest to the beam's centre and of those at its rim, by name of the ray."""
+    """Return the index of the ray nearest the beam's centre and those of `rim` rays at its rim, by ray name."""
     along = along / np.linalg.norm(along)
     across = np.array([1.0, 0.0, 0.0]) - along[0] * along
     if np.linalg.norm(across) < 1e-6:

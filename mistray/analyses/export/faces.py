@@ -1,4 +1,4 @@
-"""Faces of a STEP file: profiles revolved about an axis, flat polygons, and sags within outlines."""
+"""Faces of STEP files: profiles revolved about an axis, flat polygons, and sags within outlines."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Turner:
         self.origin, self.x, self.axis = matrix[:3, 3], matrix[:3, 0], matrix[:3, 2]
 
     def place(self, point: Array) -> Array:
-        """Return a profile point (r, z) in world coordinates, mm, in the half plane where faces of revolution begin."""
+        """Return a profile point (r, z) in world coordinates, (3,), mm, in the half plane where revolution starts."""
         return np.asarray(self.origin + point[0] * self.x + point[1] * self.axis)
 
     def frame(self, z: float, sign: float = 1.0) -> int:
@@ -84,7 +84,7 @@ class Turner:
         return file.face(profile.name, surface, along, [file.loop([edge for edge in loop if edge[0]])])
 
     def _surface(self, profile: Profile) -> tuple[int, int, bool]:
-        """Add the surface and the curve of a profile; return their numbers, and whether the normal leaves the body."""
+        """Add surface and curve of a profile; return their numbers, and whether the normal leaves the body."""
         file, (r0, z0), (r1, z1) = self.file, profile.start, profile.end
         if profile.kind == "line":
             curve = file.line(self.place(profile.start), self.place(profile.end))
@@ -118,14 +118,14 @@ def polygon_normal(corners: Array) -> Array:
 
 
 def polygon_plane(file: StepFile, corners: Array) -> int:
-    """Add the plane of a polygon with corners (n, 3), mm, and return its number."""
+    """Add the plane of a polygon with corners, (n, 3), mm, to the file; return its entity number."""
     along = corners[1] - corners[0]
     return file.plane(file.placement(corners[0], polygon_normal(corners), along / np.linalg.norm(along)))
 
 
 def polyhedron(polygons: Sequence[Array]) -> list[list[int]] | None:
     """
-    Return flat polygons as the closed surface of a body, with shared corners and outward orientation.
+    Join flat polygons into the closed surface of a body, with shared corners and outward orientation.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def polyhedron_faces(
 
 class Patch:
     """
-    Sag within an outline, as one face of a STEP file.
+    Sag surface within an outline, as one face of a STEP file.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ class Patch:
 
     @property
     def polygon(self) -> Array | None:
-        """Return the corners, (n, 3), mm, in world coordinates if it is a flat polygon without holes, else None."""
+        """Return its corners in world coordinates, (n, 3), mm, if it is a flat polygon without holes; else None."""
         if not self.flat or len(self.figures) > 1 or self.figures[0].kind not in ("polygon", "rectangle"):
             return None
         return self.world(self._lift(corners_of(self.figures[0])))
@@ -296,7 +296,7 @@ class Patch:
         )
 
     def _loop(self, file: StepFile, figure: OutlineFigure, outer: bool) -> int:
-        """Add the border of a figure, counter-clockwise about the normal if it is the outer one; return its number."""
+        """Add the border of a figure, counter-clockwise about the normal if it is outermost; return its number."""
         pieces: list[Callable[[Array], Array]] = []
         if figure.kind in ("circle", "ellipse"):
             pieces.append(partial(round_border, figure))

@@ -31,7 +31,7 @@ BETWEEN = 4  # points between two of these at which it is compared
 @dataclass(frozen=True, eq=False)
 class Profile:
     """
-    One side of the cross-section of a body of revolution.
+    One side of the cross-section (r, z) of a body of revolution.
 
     Attributes
     ----------
@@ -65,22 +65,22 @@ class Profile:
 
     @property
     def start(self) -> Array:
-        """Return the first end (r, z), mm."""
+        """Return the first end point (r, z), (2,), mm."""
         return np.asarray(self.poles[0])
 
     @property
     def end(self) -> Array:
-        """Return the last end (r, z), mm."""
+        """Return the last end point (r, z), (2,), mm."""
         return np.asarray(self.poles[-1])
 
     def reversed(self) -> Profile:
-        """Return the profile in the opposite direction."""
+        """Return the profile traversed in the opposite direction."""
         knots = None if self.knots is None else (self.knots[0] + self.knots[-1] - self.knots)[::-1]
         weights = None if self.weights is None else self.weights[::-1]
         return replace(self, poles=self.poles[::-1], knots=knots, weights=weights)
 
     def moved(self, along: float, shift: float) -> Profile:
-        """Return the profile in another frame on the axis, whose z is `along` z + `shift`, mm; `along` is 1 or -1."""
+        """Return the profile in another frame on the same axis, whose z is `along` (±1) times z plus `shift`, mm."""
         poles = self.poles * [1.0, along] + [0.0, shift]
         return replace(self, poles=poles, centre=along * self.centre + shift)
 
@@ -141,7 +141,7 @@ def _conic(name: str, ends: Array, piece: SagSurface) -> Profile:
 
 
 def _even(shape: Any, piece: SagSurface, count: int) -> Array:
-    """Return points (r, z), mm, of an asphere; for an ellipse at even angles about its centre, to resolve its end."""
+    """Return `count` points (r, z), mm, along an asphere, for an ellipse at even angles about its centre."""
     product = (1 + piece.conic) * piece.curvature**2
     if product > 0:
         end = 1 / np.sqrt(product)

@@ -1,4 +1,4 @@
-"""Requests of an export: the light, and the further contents of a STEP file."""
+"""Requests of an export: light of the critical rays, and contents of a STEP file."""
 
 from __future__ import annotations
 

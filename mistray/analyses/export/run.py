@@ -1,4 +1,4 @@
-"""Export of a scene and its light as a STEP file."""
+"""Export of a scene and its beams and stray paths as a STEP file."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class StepExport(Result):
     notes: tuple[str, ...]
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the file, the numbers of its products, and the largest error of its surfaces, mm."""
+        """Return the file name, numbers of products by kind, and the largest error of surfaces (mm), by label."""
         counts = {name: len(getattr(self, name)) for name in ("solids", "sheets", "beams", "paths")}
         return {"file": self.path.name, **counts, "error [mm]": self.error_mm}
 
@@ -155,7 +155,7 @@ def run(scene: mi.Scene, request: StepRequest, *, path: str | Path, name: str = 
 
 
 def _beam(file: StepFile, beam: FieldBeam) -> tuple[int, int]:
-    """Add the product of a beam to a file, and return its entity numbers."""
+    """Add a clear beam to a file as a product, and return the entity numbers of the product."""
     solids, sides = beam.write(file)
     items = solids + ([file.sheets(beam.name, sides)] if sides else [])
     for item in items:
@@ -170,7 +170,7 @@ export_step = analysis("export_step", StepRequest, run, ("path", "field_deg"))
 def _paths(
     file: StepFile, scene: mi.Scene, fields: Sequence[float], request: StepRequest
 ) -> list[tuple[str, tuple[int, int]]]:
-    """Add the products of the strongest stray paths to a file, and return their names and entity numbers."""
+    """Add the strongest stray paths to a file as products; return their names and entity numbers."""
     written = []
     asked: Sequence[float | None] = fields or [None]
     for field in asked:

@@ -1,1 +1,1 @@
-"""Fit parameters of a scene to measured values."""
+"""Fits of parameters of a scene to measured values."""

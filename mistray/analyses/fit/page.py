@@ -1,4 +1,4 @@
-"""Table of a fit: its parameters."""
+"""Table of the parameters that a fit has estimated."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mistray.toolkit.tables.text import number
 
 
 def parameter_table(found: Fit) -> Table:
-    """Return the table of the parameters: estimate, confidence interval, and bounds, in their units."""
+    """Return the table of fitted parameters: estimate, confidence interval and bounds, in their units."""
     rows: list[list[Value]] = []
     errors = found.standard_error.tolist()
     for name, value, se, *bounds in zip(found.names, found.value, errors, found.low, found.high, strict=True):

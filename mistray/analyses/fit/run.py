@@ -1,4 +1,4 @@
-"""Inverse problem: parameters of a model from measured data, with confidence regions."""
+"""Fit of model parameters to measured data, with confidence regions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PART = 1e-3  # of a direction that the data do not tell, for a parameter to belo
 
 class Evaluations:
     """
-    Model that stores its evaluations, for fits to many data sets.
+    Model of data, a function of parameters, that stores its evaluations for fits to many data sets.
 
     The model does not depend on the data, and its derivatives at a point count as valid within `settled` standard
     deviations. A fit that comes this near to a point of an earlier fit uses its evaluation instead of another one. So
@@ -152,7 +152,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
     evaluations: int
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the estimates with their standard errors, in the units of the parameters, and χ²."""
+        """Return estimates with standard errors, in the parameters' units, χ² and degrees of freedom, by label."""
         values = {
             name: Estimate(*pair)
             for name, *pair in zip(self.names, self.value.tolist(), self.standard_error.tolist(), strict=True)
@@ -166,7 +166,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of the parameters in their scales, (k, k), bounds ignored; ∞ or NaN for undetermined ones."""
+        """Covariance of the scaled parameters, (k, k), without regard to bounds; ∞ or NaN if undetermined."""
         size, weights, directions = self._directions()
         told = weights > ALIKE
         scaled = directions[:, told] / size[:, None]
@@ -178,7 +178,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def standard_error(self) -> np.ndarray:
-        """Standard errors in the units of the parameters, (k,), bounds ignored; infinite at 0 if `power` exceeds 1."""
+        """Standard errors, (k,), in the parameters' units, bounds ignored; infinite at 0 if `power` exceeds 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.sqrt(np.diag(self.covariance)) / _stretch(self.value, self.power))
 
@@ -191,7 +191,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def untold(self) -> dict[str, tuple[str, ...]]:
-        """Parameters that the data do not determine, each with those that have a similar effect; may be empty."""
+        """Parameters that the data do not determine, each with others that have a similar effect on them."""
         blind = np.abs(self._blind())
         return {
             name: tuple(other for other, part in zip(self.names, row, strict=True) if part > PART**2 and other != name)
@@ -241,7 +241,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
         return self._chi_square(_scaled(given, self.power) - _scaled(self.value, self.power)) - self.chi_square
 
     def covers(self, values: Mapping[str, float], probability: float = LIKELY) -> bool:
-        """Return whether values lie in the confidence region of a probability."""
+        """True if values of the parameters lie in the confidence region of a probability."""
         return self.distance(values) <= float(chi2.ppf(probability, max(self.told, 1)))
 
     def interval(self, name: str, probability: float = LIKELY) -> tuple[float, float]:
@@ -336,12 +336,12 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
         return size, *np.linalg.eigh((rows / size).T @ (rows / size))
 
     def _blind(self) -> np.ndarray:
-        """Return the projection, (k, k), onto those directions in parameter space that the data do not determine."""
+        """Return the projection, (k, k), of scaled parameters onto directions that the data do not determine."""
         _, weights, directions = self._directions()
         return np.asarray(directions[:, weights <= ALIKE] @ directions[:, weights <= ALIKE].T)
 
     def _room(self) -> np.ndarray:
-        """Return the distances of the estimate from its lower and upper bounds, in the parameters' scales, (2, k)."""
+        """Return the distances of the estimate to the lower and upper bounds, (2, k), in the parameters' scales."""
         return np.stack([_scaled(end, self.power) for end in (self.low, self.high)]) - _scaled(self.value, self.power)
 
 
@@ -493,7 +493,7 @@ def _checked_data(
 
 
 def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the largest steps down and up, (2, k), in the scales of the parameters; none ends on a bound."""
+    """Return the largest allowed steps down and up, (2, k), in the parameters' scales; none ends on a bound."""
     error = 1 / np.sqrt(np.where(scale > 0, scale, np.inf))  # what no datum depends on does not move
     low, high = np.minimum(room[0] + OFF_BOUND * error, 0.0), np.maximum(room[1] - OFF_BOUND * error, 0.0)
     most = np.where(power == 0, LONGEST_LOG, np.where(np.isfinite(room[0]), LONGEST * -room[0], np.inf))
@@ -503,20 +503,24 @@ def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray
 
 
 def _range(room: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the range of each parameter in its scale, (k,), from the distances to its bounds, (2, k); may be ∞."""
+    """
+    Return the width of each parameter's range in its scale, (k,), from the distances to its bounds, (2, k).
+
+    It may be infinite.
+    """
     above = np.where(np.isfinite(room[0]) & (room[0] < 0), FARTHEST * -room[0], np.inf)
     finite = np.all(np.isfinite(room), axis=0)
     return np.where(power == 0, FARTHEST, np.where(finite, room[1] - room[0], above))
 
 
 def _whitened(rows: np.ndarray, aims: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives (n, k) and residuals (n,) in units in which the noise is independent with unit variance."""
+    """Return derivatives, (n, k), and residuals, (n,), in units in which noise is independent with variance 1."""
     root = cholesky(noise, lower=True)
     return solve_triangular(root, rows, lower=True), solve_triangular(root, aims, lower=True)
 
 
 def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Return the step (k,) within bounds (2, k) that minimises |rows step - aims|; of several the shortest."""
+    """Return the step, (k,), within bounds, (2, k), that minimises |rows step - aims|; the shortest of several."""
     size = np.linalg.norm(rows, axis=0)
     free = (room[1] > room[0]) & (size > 0)
     step = np.zeros(rows.shape[1])
@@ -529,7 +533,7 @@ def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.n
 
 
 def _squared(point: np.ndarray, aim: np.ndarray, power: np.ndarray, metric: np.ndarray) -> float:
-    """Return the squared distance from a point, in parameter units, to an aim in the scales, with weights `metric`."""
+    """Return the squared distance, with weights `metric`, from a point in parameter units to a scaled one."""
     apart = _scaled(point, power) - aim
     return float(apart @ metric @ apart)
 

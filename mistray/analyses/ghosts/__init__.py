@@ -1,1 +1,1 @@
-"""Ghosts and scattered light by path: power, images on the detector, and ratio to the direct image."""
+"""Ghosts and scattered light path by path: power, images on the detector, and ratio to the direct image."""

@@ -1,4 +1,4 @@
-"""Diffraction limit of the RMS radius of a path, mm: the Airy radius of its light cone."""
+"""Diffraction limit of a path's RMS radius on the detector, mm: the Airy radius of its light cone."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def tight(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of a path table with an RMS radius below the Airy radius at F/100, where diffraction counts."""
+    """Return rows of a path table whose RMS radius is below the Airy radius at F/100: diffraction may count there."""
     return table[table.rms_radius_mm < 0.5 * airy_diameter(1.0, SLOWEST) * MM_PER_NM * table.wavelength_nm]
 
 

@@ -1,4 +1,4 @@
-"""Checks of a ghost analysis before its trace, and preparation of its further tables after it."""
+"""Checks of a ghost analysis before tracing, and computation of its further tables afterwards."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mistray.trace.photometry import check_light
 
 
 def check_tables(scene: mi.Scene, request: GhostsRequest, shown: GhostTables) -> None:
-    """Raise `MistrayError` for surfaces, filters and wavelengths that the scene does not have."""
+    """Raise `MistrayError` if requested tables name surfaces, filters or wavelengths that the scene lacks."""
     selections = [shown.filter] if shown.filter else []
     check_paths(scene, [*selections, *(shown.maps or ())])
     if shown.rays_at:

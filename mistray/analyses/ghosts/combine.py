@@ -1,4 +1,4 @@
-"""Combination of a path at all its wavelengths into one row of a path table."""
+"""Merging the rows of one path at several wavelengths into one row of a path table."""
 
 from __future__ import annotations
 

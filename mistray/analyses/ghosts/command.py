@@ -1,4 +1,4 @@
-"""Command `mistray ghosts`: trace ghosts and scattered light of a scene and rank them."""
+"""Command `mistray ghosts`, which traces the ghosts and scattered light of a scene and ranks them."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def run(options: Options) -> int:
 
 
 def _refuse(options: Options) -> None:
-    """Raise `MistrayError` for options without the option that they need, and for output without a destination."""
+    """Raise `MistrayError` for options given without another one that they need, or output without a destination."""
     from mistray.analyses.ghosts.request import ALL_SURFACES
 
     for words, needed, why in (
@@ -183,7 +183,7 @@ def _refuse(options: Options) -> None:
 
 
 def _seconds_of_trace(options: Options, request: GhostsRequest) -> float | None:
-    """Return the part of --seconds for the trace, s, so that time is left to write the report; None without limit."""
+    """Return the part of --seconds available to the trace, s, leaving time for the report; None without a limit."""
     fields = request.field_deg or request.field_mm or [0.0]
     left = options.seconds_left(PAGE_S + FIELD_S * len(fields))
     if left is None or options.out is None:
@@ -210,7 +210,7 @@ def _write(report: GhostReport, shown: GhostTables, options: Options) -> list[Pa
 
 
 def _write_unfinished(error: UnfinishedError, shown: GhostTables, options: Options) -> None:
-    """Write a report of the finished fields and of the unfinished one with the rays that it has so far."""
+    """After an interrupt, write a report of the finished fields, and of the unfinished one with the rays it has."""
     from mistray.analyses.ghosts.page.output import page
     from mistray.analyses.ghosts.request import GhostTables
     from mistray.analyses.ghosts.result import GhostReport
@@ -224,7 +224,11 @@ def _write_unfinished(error: UnfinishedError, shown: GhostTables, options: Optio
 
 
 def _write_tables(report: Any, shown: GhostTables, options: Options) -> list[Path]:
-    """Write the finished tables and return their paths; maps are left out, as they would take a trace's time."""
+    """
+    Write the finished tables and return their paths.
+
+    Irradiance maps are left out, as they take as long as a trace.
+    """
     from mistray.analyses.ghosts.result import GhostReport
     from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
     from mistray.replace_file import replace_file

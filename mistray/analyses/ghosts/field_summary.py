@@ -18,7 +18,7 @@ from mistray.trace import Trace
 @dataclass(frozen=True, kw_only=True)
 class FieldSummary:
     """
-    Row of the main table: one field, for all light or for one wavelength.
+    Row of a ghost report's main table: one field angle, for all light or for one wavelength.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ def power_of(t: Trace, path_ids: Iterable[Iterable[int]]) -> Estimate:
 
 
 def _incident(t: Trace, rows: pd.DataFrame, chosen: pd.Series) -> Estimate:
-    """Return the incident power of chosen path rows, W; its relative error is that of their absorbed power."""
+    """Return the incident power of selected path rows, W, with the relative error of their absorbed power."""
     power, se = power_of(t, rows.path_ids[chosen])
     incident = float(rows.incident_W[chosen].sum())
     return Estimate(incident, se * incident / power if power > 0 else 0.0)

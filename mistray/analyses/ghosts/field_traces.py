@@ -1,4 +1,4 @@
-"""Traces of a ghost analysis: one for each field, and the reference on axis."""
+"""Traces of a ghost analysis: one for each field angle, and the reference on axis."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class FieldTraces:
 
     def trace(self, wanted: Sequence[float | None], finish: Callable[[float], None]) -> None:
         """
-        Trace fields, the one on axis first, because a report after an interrupt needs it.
+        Trace the requested fields, the one on axis first, because a report after an interrupt needs it.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class FieldTraces:
 
     def trace_again(self, rays: Mapping[float, int]) -> None:
         """
-        Trace fields again with other numbers of rays, and replace their traces.
+        Trace some fields again with other numbers of rays, in place of their first traces.
 
         Parameters
         ----------
@@ -128,7 +128,7 @@ class FieldTraces:
         self.at_extra = False
 
     def _trace_yardstick(self) -> None:
-        """Trace the direct image on axis as the reference for all fields, if the field on axis was not requested."""
+        """Trace the direct image on axis, the reference for all fields, if that field was not requested."""
         bare = {**self._arguments, "max_reflections": 0, "max_scatters": 0}
         self.at_extra = True
         self.nominal = trace(self._scene, field_deg=NOMINAL_FIELD_DEG, **bare)
@@ -136,7 +136,7 @@ class FieldTraces:
 
 
 def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> PolarizationChoice:
-    """Choose one polarization for the traces of several fields, see `mistray.trace.polarization_choice`."""
+    """Return one polarisation mode for the traces of several fields, see `mistray.trace.polarization_choice`."""
     given = arguments.get("polarization")
     if isinstance(given, PolarizationChoice):
         return given
@@ -147,7 +147,7 @@ def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: M
 
 
 def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return changed arguments with fewer wavelengths if the time is too short for all of them; else empty."""
+    """Return arguments of a trace with fewer wavelengths if the time is too short for all; otherwise an empty dict."""
 
     def timed(**few: Any) -> None:
         _ = trace(scene, field_deg=wanted[0], **{**arguments, **few}).irradiance  # the sum of an image of each
@@ -157,7 +157,11 @@ def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments
 
 
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:
-    """Return a callback for one trace that reports its progress as part of the progress of all fields."""
+    """
+    Return a progress callback for one trace, which reports it as part of the progress of all fields.
+
+    None without `progress`.
+    """
     if progress is None:
         return None
     return lambda rays, of: progress(done + rays / of, fields)

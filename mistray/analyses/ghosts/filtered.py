@@ -1,4 +1,4 @@
-"""Paths that pass a filter, with their power and share of the stray light."""
+"""Selection of the paths that pass a filter, with their power and share of the stray light."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mistray.trace import Trace
 @dataclass(frozen=True)
 class Filtered:
     """
-    Paths of a trace that pass a filter.
+    Paths of a trace that pass a filter, with their total power.
 
     Attributes
     ----------

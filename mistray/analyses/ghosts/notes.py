@@ -17,7 +17,7 @@ WORST = 4  # paths of a field whose errors must be known
 
 
 def ghost_notes(report: GhostReport) -> list[Note]:
-    """Return the notes on the traces, each once with the fields it applies to, and on the ranking; may be empty."""
+    """Return notes on the traces, each once with its field angles, and on the ranking; the list may be empty."""
     found: list[Note] = []
     if missing := [f"{field:g}" for field in report.not_traced]:
         text = not_traced(missing, len(missing) + len(report), "fields, deg")
@@ -43,5 +43,5 @@ def ghost_notes(report: GhostReport) -> list[Note]:
 
 
 def fields_text(field_deg: Sequence[float]) -> str:
-    """Return "field … deg" with the angles of fields, the prefix of a note on them."""
+    """Return the text "field … deg" with field angles, as the prefix of a note."""
     return f"field {', '.join(f'{field:g}' for field in field_deg)} deg"

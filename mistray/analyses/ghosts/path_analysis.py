@@ -1,4 +1,4 @@
-"""Path analysis as in OpticStudio: the paths of a trace sorted by one of seven keys, with weak ones combined."""
+"""Path analysis as in OpticStudio: the paths of a trace sorted by one of seven keys, weak ones combined."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ UNCATEGORISED = "uncategorised"
 
 @dataclass(frozen=True, kw_only=True)
 class AnalysedPath:
-    """Row of a path analysis: one path, or all weak paths combined, with only their power (W), share and branches."""
+    """
+    Row of a path analysis: one path, or all weak paths together.
+
+    The latter has only power (W), share and branches.
+    """
 
     path_id: int = column("number of the path; -1: the uncategorised ones", -1, head="path", absent=-1)
     wavelength_nm: float = column("its vacuum wavelength", math.nan)

@@ -56,7 +56,7 @@ class SortedPath:
 
     @property
     def intercepts(self) -> str:
-        """Return a summary of the intercepts such as "(4 SpecTran)(2 SpecRefl)", in the order of first occurrence."""
+        """Return the types of a path's events with counts, in order of first occurrence: "(4 SpecTran)(2 SpecRefl)"."""
         counts = Counter(kind for kind, _, _ in self.events if kind not in ENDS)
         return "".join(f"({count} {kind})" for kind, count in counts.items()) or "(none)"
 

@@ -1,4 +1,4 @@
-"""Brightest pixel of every path, and the ranking by it."""
+"""Irradiance of the brightest pixel of every path, and ranking by it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Requests of a ghost analysis: its arguments, and its further tables and pictures."""
+"""Requests of a ghost analysis: its arguments, and its optional tables and pictures."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ ALL_SURFACES = ("part", "space")  # aliases of all surfaces
 
 @dataclass(frozen=True)
 class GhostsRequest(Request):
-    """Fields, light, rank and ray tree of a ghost analysis."""
+    """Arguments of a ghost analysis: fields, light, ranking and limits of the ray tree."""
 
     field_deg: tuple[float, ...] | None = field(
         Each(FIELD_DEG), None, "field angles, degrees; without them that of the scene's source"
@@ -122,7 +122,7 @@ class Alias(Demand):
     _pair = staticmethod(pairs("no alias; give PATTERN=NAME, part or space"))
 
     def __call__(self, text: str) -> str | tuple[str, str]:
-        """Return the alias that a text of the command line stands for: a word, or a pair of pattern and name."""
+        """Parse an alias from the command line: a word, or a pair of pattern and name."""
         return text if text in ALL_SURFACES else self._pair(text)
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
@@ -136,7 +136,7 @@ class Alias(Demand):
 
 @dataclass(frozen=True, kw_only=True)
 class GhostTables(Request):
-    """Further tables and pictures of a ghost analysis, besides the main ones."""
+    """Optional tables and pictures of a ghost analysis, besides the main ones."""
 
     per_wavelength: bool = field(FLAG, False, "add paths and ledgers at each wavelength")
     levels: bool = field(FLAG, False, "print stray light by level of scatter or splitting and by critical surface")
@@ -186,18 +186,18 @@ class GhostTables(Request):
 
     @property
     def aliases(self) -> Mapping[str, str] | str | None:
-        """Return the aliases in the form that `mistray.trace.PathTable.by_way` takes, or None."""
+        """Aliases in the form that `mistray.trace.PathTable.by_way` takes, or None."""
         words = [word for word in self.alias or () if isinstance(word, str)]
         return words[0] if words else dict(self.alias) if self.alias else None  # type: ignore[arg-type]  # pairs
 
     @property
     def sorted_by(self) -> tuple[str, float]:
-        """Return the key of the path analysis, and the share of power, 0 … 1, below which paths are combined."""
+        """Sort key of the path analysis, and the fraction of power, 0 … 1, below which paths are combined."""
         return self.path_analysis or "power_W", self.least_share or 0.0
 
     @property
     def developed(self) -> Look | None:
-        """Return the settings of the colour pictures, or None if there are no colour pictures."""
+        """Settings of the colour pictures; None if none are requested."""
         return (self.look or Look()) if self.colour else None
 
 

@@ -116,7 +116,7 @@ class GhostReport(
         self.nominal = direct_image(nominal_trace.paths)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of fields, and the most stray light of a field, W and over the direct image on axis."""
+        """Return the number of fields, and the most stray light of a field in W and over the direct image on axis."""
         stray = {field: t.paths.stray_W for field, t in self.items()}
         found: dict[str, KeyNumber] = {"fields": len(self)}
         if not stray:
@@ -143,7 +143,7 @@ class GhostReport(
         return len(self._traces)
 
     def of(self, traces: Mapping[float, Trace], not_traced: Sequence[float] = ()) -> GhostReport:
-        """Return a report on other traces, by field angle (degrees), that shares results computed with this one."""
+        """Return a report for other traces, by field angle (degrees), that reuses results computed for this one."""
         found = copy.copy(self)
         found._traces, found.not_traced = dict(traces), tuple(not_traced)
         return found
@@ -174,7 +174,7 @@ class GhostReport(
             yield from ((field, one) for one in t.recorders.values() if isinstance(one, kind))
 
     def rivals(self, field_deg: float) -> pd.DataFrame:
-        """Return the rows of `table` that may be the brightest path, within errors, by upper bound of irradiance."""
+        """Return the rows of `table` that may be the brightest path within errors, by upper bound of irradiance."""
         table = self.table(field_deg)
         table = table[table.contested]
         return table.iloc[np.argsort(-bounds(table)[1], kind="stable")]
@@ -222,7 +222,7 @@ class GhostReport(
         return self._tables[key]
 
     def _once(self, key: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """Return the result of `make` for a key; `make` is called only the first time."""
+        """Return the result of `make` stored under a key, calling `make` only the first time."""
         if key not in self._made:
             self._made[key] = make()
         found: T = self._made[key]
@@ -238,7 +238,7 @@ class GhostReport(
         return self._tables[key]
 
     def _rows(self, t: Trace) -> pd.DataFrame:
-        """Return the path table ``by_way`` of a trace, made once."""
+        """Return the path table ``by_way`` of a trace, computed once."""
         return self._once(("rows", t), t.paths.by_way)
 
     def _by_wavelength(self, t: Trace) -> pd.DataFrame:
@@ -293,7 +293,7 @@ class GhostReport(
 
     @property
     def scatters(self) -> bool:
-        """Return whether scattered light reaches the detector at any field."""
+        """True if scattered light reaches the detector at any field."""
         return any(bool((self._rows(t).scatters > 0).any()) for t in self._traces.values())
 
     def scatter_surfaces(self, field_deg: float, wavelength_nm: float | None = None) -> pd.DataFrame:
@@ -374,18 +374,18 @@ class GhostReport(
         return stray.value, stray.se
 
     def stray_light(self, field_deg: float) -> Pixels:
-        """Return the image of all but the direct paths, W/mm²."""
+        """Return the irradiance image of all but the direct paths, with its noise, W/mm²."""
         return self._images(field_deg).stray
 
     def stray_statistics(self, field_deg: float) -> MapStatistics:
-        """Return the statistics of the irradiance map without the direct image."""
+        """Return extremes, mean and flux of the irradiance map without the direct image (W/mm², W)."""
         table = self.table(field_deg)
         return statistics(
             *self.stray_map(field_deg), self[field_deg].extent, int(table.rays[table.kind != DIRECT].sum())
         )
 
     def peak_to_nominal(self, field_deg: float) -> Estimate:
-        """Return the ratio of the brightest stray pixel of a field to that of the direct image on axis."""
+        """Return the peak irradiance of a field's stray light over that of the direct image on axis."""
         stray, nominal = self._images(field_deg).stray, self._nominal_map()
         found = brightest(stray).over(brightest(nominal))
         return Estimate(float(found.value), float(found.se))
@@ -450,14 +450,14 @@ class GhostReport(
         return image
 
     def _images(self, field_deg: float) -> ImagesOfField:
-        """Return the images of a field, W/mm², made once by tracing its rays again."""
+        """Return the irradiance images of a field, W/mm², computed once by tracing its rays again."""
         worst = [int(path_id) for path_id in self.listed(field_deg, MAPPED_PATHS).path_id]
         t, table = self[field_deg], self.table(field_deg)
         return self._once(("images", field_deg), lambda: images_of_field(t, table, worst))
 
     def summary(self, field_deg: float, wavelength_nm: float | None = None) -> FieldSummary:
         """
-        Return the summary of one field.
+        Return the summary of one field, a row of the main table.
 
         Parameters
         ----------

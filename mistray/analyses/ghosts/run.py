@@ -1,4 +1,4 @@
-"""Ghost analysis: every path to the detector at several field angles, set against the direct image on axis."""
+"""Ghost analysis: every path to the detector at several field angles, compared with the direct image on axis."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def run(
     report: Any = {}
 
     def tabulate(field: float) -> None:
-        """Make the ranked table of a field, and the maps that its rank needs."""
+        """Compute the ranked table of a field, and the maps that its ranking needs."""
         nonlocal report
         report = report.of(fields_of.traces) if report else _report(scene, fields_of, None, arguments, rank)
         report.summary(field)
@@ -124,7 +124,7 @@ def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float,
 
 
 def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
-    """Describe, for an error message, which fields are finished."""
+    """Return a text on which fields are finished, for an error message."""
     left = ", ".join(f"{field:g}" for field in wanted if field is not None and field not in found.traces)
     return f"{len(found.traces)} of {len(wanted)} fields are finished" + (f", not {left} deg" if left else "")
 

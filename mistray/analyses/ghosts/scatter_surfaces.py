@@ -17,7 +17,7 @@ from mistray.trace import Trace
 
 @dataclass(frozen=True)
 class ScatteredBy:
-    """Light on the detector that a surface was the first to scatter."""
+    """Light on the detector that a surface was the first to scatter: a row of the table."""
 
     surface: str = column("the surface, or a material", head="first scatter at")
     part: str = column("part that it belongs to")

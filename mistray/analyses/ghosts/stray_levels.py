@@ -19,7 +19,7 @@ COLUMNS = ("level", "surface", "part", "paths", "rays", "power_W", "power_se_W",
 
 def stray_levels(trace: Trace, table: pd.DataFrame, by: str = "scatter") -> pd.DataFrame:
     """
-    Return the power of the stray light by level and by critical surface, the last at which it is scattered or split.
+    Return the power of stray light, W, by level and by critical surface, the last one that scatters or splits it.
 
     Parameters
     ----------

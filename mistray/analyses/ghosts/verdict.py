@@ -1,4 +1,4 @@
-"""Verdict of a ghost analysis: the worst paths of all fields, and the surface that is worth changing first."""
+"""Verdict of a ghost analysis: the worst paths over all fields, and the surface worth changing first."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DEEDS = {"T": "passes", "R": "reflects", "I": "reflects"}  # all other letters: 
 @dataclass(frozen=True, kw_only=True)
 class WorstPath:
     """
-    A stray path at the field where it is worst; its numbers are those of ``report.table``.
+    Stray path at the field where it is worst; its numbers are those of ``report.table``.
 
     Attributes
     ----------
@@ -191,13 +191,13 @@ def _stray(report: GhostReport, field_deg: float) -> pd.DataFrame:
 
 
 def _design_events(report: GhostReport) -> set[str]:
-    """Return the events on the direct images of all fields, each as a surface and a letter for the event."""
+    """Return the events on the direct images of all fields, such as ``L1_front:T``."""
     tables = [report[field].paths.by_way() for field in report] + [report.nominal_trace.paths.by_way()]
     return {word for table in tables for text in table.events[table.kind == DIRECT] for word in event_words(text)}
 
 
 def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.DataFrame:
-    """Return each interaction of a stray path with a surface: surface, deed (reflects, …), row of the path, power_W."""
+    """Return a row per event of a stray path at a surface: surface, deed (reflects, …), row of its path, power_W."""
     found = []
     for number, (text, power) in enumerate(zip(way_text(rows.events), rows.power_W, strict=True)):
         for word in event_words(text):
@@ -210,7 +210,7 @@ def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.Data
 
 
 def _percent(report: GhostReport, field_deg: float, rows: pd.DataFrame, of: pd.DataFrame) -> Estimate:
-    """Return the power of some rows as a percentage of that of others; its error allows for rays in both."""
+    """Return the power of path rows as a percentage of that of others; its error allows for rays common to both."""
     groups: Sequence[list[int]] = [[i for path_ids in part.path_ids for i in path_ids] for part in (rows, of)]
     light: Sampled = report[field_deg].paths.numbers(groups).light
     share = light[np.array([0])].over(light[np.array([1])])

@@ -1,4 +1,4 @@
-"""Rays of one object point, at infinity or near, that are addressed by two coordinates."""
+"""Rays of one object point, at infinity or near, addressed by two coordinates."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ class PointBundle:
         return self.origin + x[:, :1] * self.u + x[:, 1:] * self.v, np.tile(self.axis, (len(x), 1))
 
     def density(self, x: Array) -> Array:
-        """Return the relative flux per unit area of the coordinates, (n,), for a uniform beam or an isotropic point."""
+        """Return relative flux per area of the ray coordinates (n, 2), (n,), for a uniform beam or isotropic point."""
         if not self.near:
             return np.ones(len(x))
         return np.asarray((1 + (x**2).sum(axis=1)) ** -1.5)
 
     def shifted(self, shift: Array) -> PointBundle:
-        """Return the light of a neighbouring point: shifted by (3,) mm, or turned by (3,) tangents of angles."""
+        """Return rays of a neighbouring object point: shifted by (3,), mm, if near, else turned by (3,) tangents."""
         if self.near:
             return replace(self, origin=self.origin + shift)
         axis = self.axis + shift
@@ -68,7 +68,7 @@ class PointBundle:
         return replace(self, axis=axis, u=u, v=np.cross(axis, u))
 
     def coordinates(self, sphere: Sphere) -> tuple[Array, float]:
-        """Return a sphere's centre, (2,), and radius in ray coordinates: mm, or tangents for a near point."""
+        """Return a sphere's centre, (2,), and radius in the bundle's coordinates: mm, or slopes for a near point."""
         away = sphere.centre - self.origin
         across = np.array([away @ self.u, away @ self.v])
         if not self.near:
@@ -79,7 +79,7 @@ class PointBundle:
 
 def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, aperture: Sphere) -> PointBundle:
     """
-    Return the light of a field point of the first source of a scene.
+    Return the rays of a field point of the first source of a scene as a bundle.
 
     Parameters
     ----------
@@ -118,6 +118,6 @@ def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, apertu
 
 
 def object_point(source: SceneSource) -> Array:
-    """Return the centre of a near source in world coordinates, (3,) mm."""
+    """Return the centre of a near source in world coordinates, (3,), mm."""
     x, y, z = (source.emitter.values[key] for key in "xyz")
     return np.asarray(source.pivot + x * source.u + y * source.v + z * source.direction)

@@ -1,4 +1,4 @@
-"""Command `mistray image`: image quality of the direct light of a scene."""
+"""Command `mistray image`, which computes the image quality of the direct light of a scene."""
 
 from __future__ import annotations
 

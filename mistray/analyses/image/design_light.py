@@ -1,4 +1,4 @@
-"""Rays of the design path in float64: points, directions, optical path lengths and throughput."""
+"""Float64 rays along the design path: points, directions, optical path lengths and throughput."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 @dataclass(frozen=True)
 class DesignLight:
     """
-    Rays at the end of a design path, NaN where a ray is lost; the bounds of surfaces are ignored.
+    Rays at the end of a design path; NaN for lost rays. Apertures of surfaces are ignored.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class DesignLight:
 
 
 def check_sheets(path: DesignPath) -> None:
-    """Raise `MistrayError` if a surface of the path is a mesh, because its facets give no wavefront."""
+    """Raise `MistrayError` if a surface of the path is a mesh, whose facets give no smooth wavefront."""
     for step in path.steps[:-1]:
         if step.surface >= len(path.table.pieces):
             raise MistrayError(
@@ -56,7 +56,7 @@ def check_sheets(path: DesignPath) -> None:
 
 
 def media(path: DesignPath) -> list[complex]:
-    """Return the complex index n + ik in front of each step of the path; 1 if all surfaces are mirrors."""
+    """Return the complex refractive index n + ik in front of each step of the path; 1 if all surfaces are mirrors."""
     optics = path.table.optics
     before, behind = (np.full(len(path.steps), np.nan, dtype=complex) for _ in range(2))
     for k, step in enumerate(path.steps):
@@ -70,7 +70,7 @@ def media(path: DesignPath) -> list[complex]:
 
 def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False) -> DesignLight:
     """
-    Return the light at the end of a design path, from rays traced along it.
+    Trace rays along a design path, and return the light at its end.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False)
 
 def stop_crossing(path: DesignPath, o: Array, d: Array, place: int, at_surface: bool, centre: Array,
                   normal: Array) -> Array:  # fmt: skip
-    """Return the points, (n, 3) mm, where rays cross a stop before step `place`, or meet the surface of that step."""
+    """Return the points, (n, 3), mm, where rays cross the stop's plane before step `place`, or meet its surface."""
     for step in path.steps[:place]:
         p, along = path.meet(step, o, d)
         o, d = p, path.leave(step, d, along)

@@ -1,4 +1,4 @@
-"""Chief rays of a system and their neighbours: image points, exit pupils, image scale, and foci."""
+"""Chief rays of a system and their neighbours: image points, exit pupils, image scale and foci."""
 
 from __future__ import annotations
 
@@ -49,11 +49,15 @@ class ChiefRay:
 
     @property
     def exit_pupil(self) -> Array | None:
-        """Return the middle of the exit pupil, (3,) mm, or None if it lies at infinity."""
+        """Centre of the exit pupil, (3,), mm; None if it lies at infinity."""
         return None if np.isinf(self.pupil_distance) else self.point - self.pupil_distance * self.direction
 
     def distance_from(self, pupil: Array | None) -> float:
-        """Return the distance of the image point behind an exit pupil, mm; negative in front, ``inf`` for None."""
+        """
+        Return the distance, mm, from an exit pupil to the image point, negative if the pupil lies behind it.
+
+        Infinite for None.
+        """
         if pupil is None:
             return np.inf
         away = self.point - pupil

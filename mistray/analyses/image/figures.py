@@ -150,7 +150,7 @@ def field_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def _half(image: FieldImage) -> float:
-    """Return half the width, mm, of the area that the picture of a point spread function shows."""
+    """Return half the side, mm, of the square that the picture of a point spread function shows."""
     radius = image.encircled_radius_mm(ENERGY)
     around = float(np.linalg.norm(image.centroid_mm)) + RADII * (
         radius if np.isfinite(radius) else image.spot_radius_mm()

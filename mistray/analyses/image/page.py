@@ -1,4 +1,4 @@
-"""Image quality as text, JSON values, tables, pictures and a report."""
+"""Image quality as printed text, JSON values, tables, pictures and a report page."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CURVE_POINTS = 101
 
 
 def heading(found: ImageQuality) -> str:
-    """Describe in one line wavelengths (nm), stop, and magnification or image scale (mm)."""
+    """Return a line of text with wavelengths (nm), stop, and magnification or image scale (mm)."""
     waves = ", ".join(f"{wave:g}" for wave in found.wavelengths_nm)
     scale = (
         f"magnification {found.magnification:.5g}"
@@ -63,7 +63,7 @@ def quality_table(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> T
 
 
 def field_image_table(image: FieldImage) -> Table:
-    """Return the table of a field at each wavelength: weight, spot, wavefront and Strehl ratio."""
+    """Return the table of one field, a row per wavelength: weight, spot, wavefront and Strehl ratio."""
     rows: list[list[Value]] = [
         [f"{line.wavelength_nm:g}", f"{line.weight:.3g}", f"{line.rms_waves():.4f}", f"{line.pv_waves():.4f}",
          _number(line.strehl, "{:.4f}")]
@@ -77,7 +77,7 @@ def _number(value: float, form: str) -> str:
 
 
 def zernike_frame(found: ImageQuality) -> pd.DataFrame:
-    """Return the coefficients of Noll's polynomials in waves, by field and wavelength, as a frame."""
+    """Return a DataFrame of Noll's Zernike coefficients in waves, by field and wavelength."""
     rows = []
     for image in found:
         for line in image.lines:
@@ -91,7 +91,7 @@ def zernike_frame(found: ImageQuality) -> pd.DataFrame:
 
 
 def curve_frame(found: ImageQuality) -> pd.DataFrame:
-    """Return the MTF of each field at 101 frequencies, 1/mm, up to its cut-off, as a frame."""
+    """Return a DataFrame of the MTF of each field at 101 frequencies, 1/mm, up to its cut-off."""
     parts = []
     for image in found:
         last = max(image.cut_off_per_mm("tangential"), image.cut_off_per_mm("sagittal"))
@@ -133,7 +133,7 @@ def record(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> dict[str
 
 
 def page(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES, title: str = "scene", command: str = "") -> Report:
-    """Return the report; `title` is the name of the optical system, `command` the command line that made it."""
+    """Return the report page. `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.analyses.image import figures as drawn
     from mistray.toolkit.figures.plots import as_png
 
@@ -197,7 +197,7 @@ def _tables(frequencies: float | Sequence[float] | None) -> ImageTables:
 
 def quality_text(found: ImageQuality, frequencies: float | Sequence[float]) -> str:
     """
-    Return `text` with the MTF at given spatial frequencies, 1/mm.
+    Return the printed text with the MTF at the given spatial frequencies, 1/mm.
 
     Examples
     --------

@@ -175,7 +175,7 @@ def sample_pupil(
 
 
 def _near(wanted: Array, known: Array, margin: float) -> npt.NDArray[np.bool_]:
-    """Return which points (n, 2) lie within the convex hull of known points, or at most a margin outside, (n,) bool."""
+    """Return a mask of points (n, 2) within the convex hull of known points or at most `margin` outside, (n,) bool."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -231,7 +231,7 @@ def _rays_to(
 
 
 def _guess(wanted: Array, points: Array, known: Array) -> Array:
-    """Return first guesses of ray coordinates, (n, 2), for wanted cosines, from polynomials fitted to known rays."""
+    """Return first guesses of ray coordinates, (n, 2), for `wanted` direction cosines, by a fit to known rays."""
     middle = 0.5 * (known.min(axis=0) + known.max(axis=0))
     scale = max(0.5 * float(np.ptp(known, axis=0).max()), 1e-300)
     order = next(n for n in ORDERS if n == ORDERS[-1] or len(points) >= RAYS_PER_TERM * (n + 1) * (n + 2) // 2)
@@ -258,14 +258,14 @@ def _shares(
     moved = np.random.default_rng(0).random((len(x), 2))
 
     def look(cells: npt.NDArray[np.intp], count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Return offsets of rays from the middles of cells, (m, count, 2), and whether the rays pass, (m, count)."""
+        """Return offsets of test rays from cell centres, (m, count, 2), and a mask of rays that pass, (m, count)."""
         at = step * ((_net(count) + moved[cells, None]) % 1 - 0.5)
         moves = np.swapaxes(np.linalg.solve(slopes[cells], np.swapaxes(at, 1, 2)), 1, 2)
         rays = bundle.rays((x[cells, None] + moves).reshape(-1, 2))
         return moves, path.unobstructed(*rays, beyond_end=True).passes.reshape(len(cells), count)
 
     def beside(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Return which cells are marked or adjacent to a marked one, (n·n,) bool."""
+        """Return a mask of the cells that are marked or adjacent to a marked one, (n·n,) bool."""
         ringed = np.pad(cells.reshape(n, n), 1)
         return np.any([ringed[i : i + n, j : j + n] for i in range(3) for j in range(3)], axis=0).ravel()
 

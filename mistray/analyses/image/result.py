@@ -1,4 +1,4 @@
-"""Results of image quality: light of each field and wavelength as arrays, and quantities derived from it."""
+"""Results of image quality: sampled light of each field and wavelength, and quantities derived from it."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class PointSpread(NamedTuple):
 
 
 def direction_of(azimuth: str | float) -> tuple[float, float]:
-    """Return the unit vector (x, y) of "sagittal" (x), "tangential" (y), or an angle in degrees from x towards y."""
+    """Return the unit vector (x, y) for "sagittal" (x), "tangential" (y), or an angle in degrees from x towards y."""
     if isinstance(azimuth, str):
         if azimuth not in AZIMUTHS:
             raise MistrayError(f"azimuth is '{azimuth}'; give 'tangential', 'sagittal' or degrees from sagittal on")
@@ -110,7 +110,7 @@ class LineImage(Result):
     stop_area: Array
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return wavelength, nm, and RMS and peak-to-valley OPD, waves."""
+        """Return the wavelength (nm), and RMS and peak-to-valley OPD (waves), by label."""
         return {
             "wavelength [nm]": self.wavelength_nm,
             "RMS OPD [waves]": self.rms_waves(),
@@ -127,7 +127,7 @@ class LineImage(Result):
         return self.pupil.rms_waves(removed)
 
     def pv_waves(self, removed: str = "tilt") -> float:
-        """Return the peak-to-valley OPD, waves, with the same parts removed as in `rms_waves`."""
+        """Return the peak-to-valley OPD, waves, with "piston", "tilt" or "focus" removed as in `rms_waves`."""
         return self.pupil.pv_waves(removed)
 
     def zernikes(self, kind: str = "noll", terms: int = 37) -> ZernikeFit:
@@ -182,7 +182,7 @@ class LineImage(Result):
 @dataclass(frozen=True, eq=False, repr=False)
 class FieldImage(Result, table=".page:field_image_table", figure=".figures:field_mtf_figure"):
     """
-    Image of one field point.
+    Image of one field point at all wavelengths.
 
     Attributes
     ----------
@@ -239,7 +239,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
     sagittal_focus_mm: float
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the field, its RMS spot, µm, RMS OPD, waves, and Strehl ratio."""
+        """Return the field, its RMS spot (µm), RMS OPD (waves) and Strehl ratio, by label."""
         numbers = {
             "RMS spot [µm]": 1e3 * self.rms_spot_mm(),
             "RMS OPD [waves]": self.rms_waves(),
@@ -249,7 +249,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
 
     @property
     def resolved(self) -> bool:
-        """Whether the grid resolves the wavefronts, so that the image has a PSF and an MTF."""
+        """True if the grid resolves the wavefronts, so that a PSF and an MTF exist."""
         return all(line.pupil.resolved for line in self.lines)
 
     @property
@@ -259,7 +259,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
 
     @property
     def shares(self) -> Array:
-        """Share of the image's flux at each wavelength, (n,)."""
+        """Fraction of the image's flux at each wavelength, (n,)."""
         flux = np.array([line.weight * line.pupil.total for line in self.lines])
         return np.asarray(flux / flux.sum())
 
@@ -336,7 +336,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         return np.asarray(np.abs(sum(parts)))
 
     def cut_off_per_mm(self, azimuth: str | float = "tangential") -> float:
-        """Return the frequency above which there is no contrast at any wavelength, 1/mm."""
+        """Return the largest spatial frequency, 1/mm, with any contrast at some wavelength, in a direction."""
         return max(line.pupil.cut_off(direction_of(azimuth)) for line in self.lines)
 
     def f_number(self, azimuth: str | float = "tangential") -> float:
@@ -539,7 +539,7 @@ class ImageQuality(OfFields[FieldImage], Result, table=".page:quality_table", fi
     notes: tuple[str, ...] = ()
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of fields, and the largest RMS spot, µm, and RMS OPD, waves, of a field."""
+        """Return the number of fields, and the largest RMS spot (µm) and RMS OPD (waves) of any field, by label."""
         found: dict[str, KeyNumber] = {"fields": len(self)}
         if len(self):
             found["largest RMS spot [µm]"] = 1e3 * max(image.rms_spot_mm() for image in self)
@@ -548,7 +548,7 @@ class ImageQuality(OfFields[FieldImage], Result, table=".page:quality_table", fi
 
     @property
     def near(self) -> bool:
-        """Whether the object is at a finite distance."""
+        """True if the object is at a finite distance."""
         return not math.isnan(self.magnification)
 
     def default_frequencies(self) -> list[float]:

@@ -1,4 +1,4 @@
-"""Image quality of a scene: wavefront, PSF, MTF and derived quantities at some field points."""
+"""Image quality of a scene: wavefront, PSF, MTF and derived quantities at several field points."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Progress = Callable[[float, float], None]
 
 @dataclass(frozen=True)
 class _System:
-    """Scene prepared for image quality: design paths by wavelength, stop, and on-axis exit pupil, (3,) mm."""
+    """Scene prepared for image quality: design path at each wavelength, aperture stop, on-axis exit pupil, (3,), mm."""
 
     scene: Any
     paths: list[DesignPath]
@@ -175,7 +175,7 @@ image_quality = analysis("image_quality", ImageRequest, run)
 
 @dataclass(frozen=True)
 class _Field:
-    """Results of one field before normalisation to the axis; `foci` are tangential and sagittal, mm."""
+    """Results of one field before they are related to the axis; `foci` are tangential and sagittal, mm."""
 
     angle: float
     bundle: PointBundle
@@ -187,7 +187,7 @@ class _Field:
 
     @property
     def illumination(self) -> float:
-        """Irradiance of the image of a uniform scene of radiance 1, averaged over the wavelengths, sr."""
+        """Irradiance of the image of a uniform scene per radiance, averaged over the wavelengths, sr."""
         return sum(line.weight * sampled.illumination for line, sampled in zip(self.lines, self.samples, strict=True))
 
 
@@ -256,7 +256,7 @@ def _sampled(
 
 
 def _pupil_is_far(sampled: PupilSamples, curvature: float) -> bool:
-    """Return whether a reference sphere centred at the image point can pass through the exit pupil."""
+    """True if a reference sphere centred at the image point can pass through the exit pupil."""
     pupil = sampled.pupil
     half = 0.5 * float(np.hypot(np.ptp(pupil.alpha), np.ptp(pupil.beta)))
     blur = float(np.nanmax(np.abs(sampled.spot)))
@@ -268,7 +268,7 @@ def _image(
     f: _Field, system: _System, base: _Field, place: float, height: float, scales: tuple[float, float],
     azimuth_deg: float | None,
 ) -> FieldImage:  # fmt: skip
-    """Return the image of a field, with its distortion and illumination relative to the `base` field on the axis."""
+    """Return the image of a field, with distortion and illumination relative to the on-axis field `base`."""
     source = scene_sources(system.scene, field_deg=f.angle, azimuth_deg=azimuth_deg)[0]
     azimuth = source.emitter.azimuth_deg if azimuth_deg is None else azimuth_deg
     distortion = [100 * (place / (scale * height) - 1) if height and scale else np.nan for scale in scales]
@@ -293,20 +293,20 @@ def _image(
 
 
 def _height(f: _Field, axis: PointBundle, bundle: PointBundle) -> float:
-    """Return tan θ of a field at infinity, or the height, mm, of a near object point."""
+    """Return tan θ of a field at infinity, or the object height, mm, of a near object point."""
     if bundle.near:
         return float((bundle.origin - axis.origin) @ axis.along)
     return float(np.tan(np.radians(f.angle)))
 
 
 def _on_detector(path: DesignPath, point: np.ndarray) -> np.ndarray:
-    """Return a world point, (3,) mm, in coordinates of the detector's plane, (2,) mm."""
+    """Return the coordinates x, y, (2,), mm, of a world point, (3,), mm, in the detector's plane."""
     opening = outline(path.table.shapes[path.table.detector])
     return np.array([(point - opening.centre) @ (side / np.linalg.norm(side)) for side in (opening.u, opening.v)])
 
 
 def _fields(scene: Any, request: ImageRequest) -> tuple[list[float], list[str]]:
-    """Return the field angles, degrees, and the names of the fields for messages."""
+    """Return the field angles, degrees, and the names of the fields for error messages."""
     if request.field_mm is None:
         angles = [0.0] if request.field_deg is None else list(request.field_deg)
         return angles, [f"field {angle:g}°" for angle in angles]

@@ -1,4 +1,4 @@
-"""Aperture stop of a scene, chief rays through its middle, and coordinates in it."""
+"""Aperture stop of a scene, chief rays through its centre, and coordinates in its plane."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class Region:
 
     @property
     def middle(self) -> Array:
-        """Middle of the region's bounding box, (1, 2), in ray coordinates of the bundle."""
+        """Centre of the region's bounding box, (1, 2), in the bundle's coordinates (mm or slopes)."""
         return np.asarray(0.5 * (self.points.min(axis=0) + self.points.max(axis=0)))[None]
 
     @property
     def size(self) -> float:
-        """Longer side of the region's bounding box, in ray coordinates of the bundle."""
+        """Longer side of the region's bounding box, in the bundle's coordinates (mm or slopes)."""
         return float(np.ptp(self.points, axis=0).max()) + self.cell
 
 
@@ -71,7 +71,7 @@ def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Regio
 
 
 def _cells(middle: Array, half: float, count: int) -> tuple[Array, float]:
-    """Return the centres of count² cells of a square, (count², 2), and the side of a cell."""
+    """Return centres of count × count cells of a square with half side `half`, (count², 2), and the side of a cell."""
     axis = half * ((2 * np.arange(count) + 1) / count - 1)
     return middle + np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2), 2 * half / count
 
@@ -104,7 +104,7 @@ class PupilStop:
     radius: float
 
     def coordinates(self, path: DesignPath, bundle: PointBundle, x: Array) -> Array:
-        """Return the points, (n, 2) in stop radii, where rays of coordinates (n, 2) cross the stop."""
+        """Return where rays of coordinates (n, 2) cross the stop, (n, 2), in units of the stop radius."""
         normal = np.cross(self.u, self.v)
         p = stop_crossing(path, *bundle.rays(x), self.place, self.at_surface, self.centre, normal) - self.centre
         return np.stack([p @ self.u, p @ self.v], axis=1) / self.radius
@@ -200,7 +200,7 @@ def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str |
 
 
 def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
-    """Return the number and step of the optical surface in a mount, if the stop is a mount; else those of the stop."""
+    """Return surface and step number of the stop; if the stop is a mount, those of the optical surface in it."""
     ring = outline(path.table.shapes[surface])
     for other in (place, place - 1):
         if not 0 <= other < len(path.steps) - 1:
@@ -214,7 +214,7 @@ def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
 
 
 def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """Return the stop with its axes along the images of x and y of the incoming light, as nearly as possible."""
+    """Return the stop with its axes turned to the images of x and y of the incoming light, as nearly as possible."""
     h = 1e-3 * region.size
     x = region.points[np.argmin(np.linalg.norm(region.points - region.middle, axis=1))]
     shifts = h * np.concatenate([np.eye(2), -np.eye(2)])
@@ -228,7 +228,7 @@ def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Regi
 
 
 def _sized(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """Return the stop with the radius, mm, that light on the axis fills; its rim is found in 24 directions."""
+    """Return the stop with the radius, mm, that on-axis light fills, from its rim in 24 directions."""
     at = stop.coordinates(path, bundle, region.points)
     sector = np.floor((np.arctan2(at[:, 1], at[:, 0]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     reach = np.linalg.norm(at, axis=1)

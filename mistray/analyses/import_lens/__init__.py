@@ -1,1 +1,1 @@
-"""Import systems of other programs as scenes, with a check that light still reaches their detector."""
+"""Import of systems of other programs as scenes, with a check that light still reaches their detector."""

@@ -18,7 +18,7 @@ RAYS = 4000
 @dataclass(frozen=True)
 class Arriving:
     """
-    Fate of the beam of a scene's source, at its own field, with no reflection at glass.
+    Share of the beam of an imported scene that reaches its detector, without reflections at glass.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Arriving:
 
 
 def arriving(scene_file: Path) -> Arriving:
-    """Trace the beam of a scene, and rays from its detector outwards; return the result."""
+    """Trace the beam of a scene, and rays from its detector outwards; return what arrives."""
     from mistray.analyses.import_lens.entrances import entrances
     from mistray.scene import load
     from mistray.trace import Settings, trace

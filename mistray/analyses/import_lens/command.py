@@ -1,4 +1,4 @@
-"""Command `mistray import`: turn a lens file or mechanics into a scene."""
+"""Command `mistray import`, which turns a lens file or mechanics into a scene."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def run(options: Options) -> int:
 
 
 def _lens(options: Options, lens: Path) -> Found:
-    """Import a lens file; return scene file, record for JSON, lines of text, and no meshes."""
+    """Import a lens file as a scene. Return scene file, record for JSON, lines of text, and no meshes."""
     from mistray.analyses.import_lens.parts import SUFFIXES
     from mistray.analyses.import_lens.read import FORMATS, check_options, kind_of, read_lens
     from mistray.analyses.import_lens.request import LensRequest, MechanicsRequest
@@ -110,7 +110,11 @@ def _lens(options: Options, lens: Path) -> Found:
 
 
 def _mechanics(options: Options, source: Path) -> Found:
-    """Import the parts of a mechanics file; return scene file, record for JSON, lines of text, and meshes."""
+    """
+    Import the parts of a mechanics file as a scene.
+
+    Return scene file, record for JSON, lines of text, and meshes.
+    """
     from mistray.analyses.import_lens.parts import parts_record, parts_text, read_parts
     from mistray.analyses.import_lens.read import check_options
     from mistray.analyses.import_lens.request import MechanicsRequest
@@ -155,7 +159,8 @@ def _angles(record: Mapping[str, Any], prescription: Prescription) -> list[float
 
 
 def _heights(record: Mapping[str, Any]) -> list[float]:
-    """Return the object heights to trace, mm; empty for other kinds of fields.
+    """
+    Return the object heights to trace, mm; empty for other kinds of fields.
 
     Heights off the yz plane are left out.
     """
@@ -165,6 +170,6 @@ def _heights(record: Mapping[str, Any]) -> list[float]:
 
 
 def _angle(x_deg: float, y_deg: float) -> float:
-    """Return the angle to the axis of a field with slopes tan x and tan y, degrees."""
+    """Return the angle to the axis, degrees, of a field with angles x and y, degrees, whose tangents are its slopes."""
     slope = math.hypot(math.tan(math.radians(x_deg)), math.tan(math.radians(y_deg)))
     return round(math.degrees(math.atan(slope)), 6)

@@ -1,4 +1,4 @@
-"""Entrances of light: surfaces through which the detector sees the outside, ideally only the first of the optics."""
+"""Entrances of light: surfaces through which the detector sees the outside, ideally the first optic alone."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TOLD = 3  # surfaces that a sentence names
 @dataclass(frozen=True)
 class Entrances:
     """
-    View of the detector towards the side of the source, divided by the surface through which light enters.
+    Shares of the detector's view towards the source, by the surface through which light enters.
 
     The measure is étendue: the flux from a sky of equal radiance over that hemisphere, without Fresnel losses,
     reflections at glass or scatter. Mirrors and total reflection turn the light.

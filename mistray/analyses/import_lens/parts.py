@@ -63,7 +63,7 @@ def read_parts(
 
 
 def _known(scene: str) -> dict[str, Finish]:
-    """Return the coatings and scatter models of a scene by name, for use as paints."""
+    """Return coatings and scatter models of a scene by name, to be used as paints."""
     from mistray.mechanics.finish import known_finishes
     from mistray.scene import find
     from mistray.scene.add_structures import shared_objects

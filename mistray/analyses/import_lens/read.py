@@ -1,4 +1,4 @@
-"""Read lens files of other programs as prescriptions."""
+"""Reader of lens files of other programs as prescriptions."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ MOST_ALIKE = 3  # lines with the same keyword that are printed one by one
 @dataclass(frozen=True)
 class Imported:
     """
-    Lens read from a file.
+    Lens read from a file, with notes on what was read.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Imported:
 
 
 def _told(unread: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a line for each unread file entry, or a single line for many entries with a common keyword."""
+    """Return lines on file entries that had no effect: one each, or one for many with a common keyword."""
     from mistray.materials.mate import shown
 
     alike: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
@@ -125,7 +125,7 @@ def _told(unread: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def kind_of(path: Path) -> str | None:
-    """Return the kind of a lens file by the suffix of its name, or None for other files."""
+    """Return the kind of a lens file, such as "Zemax", by the suffix of its name; None for other files."""
     return FORMATS.get(path.suffix.lower())
 
 
@@ -199,7 +199,11 @@ def _lit(prescription: Prescription, request: LensRequest) -> Prescription:
 
 
 def _record(built: Built) -> dict[str, Any]:
-    """Return the printed record of a sequential lens, lengths in mm; infinite values are null in JSON."""
+    """
+    Return first-order data and notes of a sequential lens as values for JSON, lengths in mm.
+
+    Infinite ones are null.
+    """
     lens, data = built.lens, built.first_order
     return {
         "efl_mm": data.efl,

@@ -26,7 +26,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class LensRequest(Request):
-    """Lens file, with settings for data that it does not contain."""
+    """Lens file to import, with settings for data that it does not contain."""
 
     lens: str = field(
         TEXT,
@@ -82,7 +82,7 @@ class LensRequest(Request):
 
 @dataclass(frozen=True)
 class MechanicsRequest(Request):
-    """Scene and placement of mechanics, and accuracy of their surfaces."""
+    """Scene and placement of imported mechanics, and accuracy of their surfaces."""
 
     into: str | None = field(
         TEXT, None, "scene that the parts are added to (default: a file for <include>)", metavar="SCENE"

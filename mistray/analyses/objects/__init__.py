@@ -1,1 +1,1 @@
-"""Search for critical, illuminated and common objects of a scene."""
+"""Search for critical, illuminated and common objects: those the detector sees, those that are lit, and both."""

@@ -1,4 +1,4 @@
-"""Command `mistray objects`: critical, illuminated and common objects of a scene."""
+"""Command `mistray objects`, which finds the critical, illuminated and common objects of a scene."""
 
 from __future__ import annotations
 

@@ -41,14 +41,14 @@ FEW = 32  # a part of those that see it, one in so many, is near
 
 @dataclass(frozen=True, eq=False)
 class SeenObject:
-    """Hits of backward rays on an object, with a search tree of the hit points (mm) to find the nearest."""
+    """Hits of backward rays on an object, with a k-d tree of the hit points (mm) to find the nearest."""
 
     hits: HitSamples
     tree: cKDTree
 
     @classmethod
     def of(cls, hits: HitSamples) -> SeenObject:
-        """Make the object from its hits, with their search tree."""
+        """Create the object from its hits, with a k-d tree of their points."""
         return cls(hits, cKDTree(hits.point))
 
 
@@ -110,7 +110,9 @@ def product_estimates(
 
 def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
     """
-    Return rays that see an object as pairs (side, hits), because the projected solid angle of one side is at most π.
+    Split the rays that see an object by its side; return pairs (side, hits).
+
+    The projected solid angle of one side is at most π sr.
 
     Parameters
     ----------
@@ -167,7 +169,7 @@ def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, c
 @dataclass(frozen=True, eq=False)
 class _Pairs:
     """
-    BSDF for pairs of a ray that lights a surface and one of k nearby rays, traced from the detector, that see it.
+    BSDF for pairs of a ray that lights a surface and nearby backward rays that see it, k for each.
 
     Attributes
     ----------
@@ -241,7 +243,7 @@ def surface_bsdf(
     same_side: np.ndarray,
 ) -> np.ndarray:
     """
-    Return the BSDF of a surface of a scene, 1/sr, in float64.
+    Return the BSDF of a surface, 1/sr, for pairs of incident and leaving directions, in float64.
 
     Parameters
     ----------

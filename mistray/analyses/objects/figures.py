@@ -1,4 +1,4 @@
-"""Section of the optical system with its critical, illuminated and common objects in colour."""
+"""Drawing of the optical system's section with critical, illuminated and common objects in colour."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LABEL_HEIGHT = 0.62  # room for the names above the system, inches for each tent
 
 
 def groups(found: Objects) -> dict[str, str]:
-    """Return the display group (a key of `STYLES`) of each shape by id; of two sides the more important one."""
+    """Return the colour group (a key of `STYLES`) of each shape by id. Of two sides the more important one counts."""
     seen = {row.id for row in found.critical}
     lit = {row.id for row in found.illuminated}
     both = {row.id for row in found.common}
@@ -104,7 +104,7 @@ def _draw(axes: Axes, surface: SectionLine, group: str, is_detector: bool) -> No
 def _names(
     axes: Axes, lines: Mapping[str, SectionLine], labels: list[str], low: Polyline, high: Polyline, room: float
 ) -> None:
-    """Draw names of objects side by side above the system, each with a thin line to the upper end of its object."""
+    """Label objects side by side above the system, each with a thin line to the upper end of its object."""
     anchors: dict[str, Polyline] = {}
     for name in labels:
         points = np.concatenate(lines[name].lines) if lines[name].lines else np.empty((0, 2))
@@ -121,7 +121,7 @@ def _names(
 
 
 def spread(wanted: Sequence[float], low: float, high: float, most: int) -> list[float]:
-    """Return positions near the ascending `wanted` ones, within limits and at least 1/`most` of the range apart."""
+    """Return label positions close to the ascending `wanted` ones, at least 1/`most` of the range apart."""
     apart = (high - low) / most
     places: list[float] = []
     for place in wanted:

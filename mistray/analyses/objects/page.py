@@ -1,4 +1,4 @@
-"""Critical, illuminated and common objects as text, JSON values, tables and a report."""
+"""Critical, illuminated and common objects as printed text, JSON values, tables and a report page."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def common_table(rows: Sequence[CommonObject], most: int = DEFAULT_TABLES.rows, 
 
 
 def main_table(found: Objects) -> Table:
-    """Return the table of common objects, or of critical ones where none is common."""
+    """Return the table of common objects, or of critical ones if none is common."""
     return common_table(found.common).without("rays") if found.common else object_table(found.critical)
 
 
@@ -96,7 +96,7 @@ def estimate_table(estimates: Sequence[ScatterEstimate], most: int | None = None
 
 
 def heading(found: Objects) -> str:
-    """Describe rays, source, wavelength, settings and stop of the trace in two lines."""
+    """Return two lines of text on rays, source, wavelength, settings and stop of the trace."""
     facts = found.facts
     stop = f"aperture stop: {found.stop}" if found.stop else "aperture stop: not found"
     view = facts["view_half_angle_deg"]
@@ -135,7 +135,7 @@ def text(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> str:
 
 
 def csv_tables(found: Objects) -> dict[str, pd.DataFrame]:
-    """Return the tables of a result by file name; empty lists keep their columns."""
+    """Return the tables of a result as DataFrames, by file name; empty lists keep their columns."""
     tables = {f"objects_{name}.csv": found.to_pandas(name) for name in LISTS if name != "apart" or found.apart}
     tables["objects_estimates.csv"] = found.estimates()
     tables["objects_straight_shots.csv"] = frame(StraightShot, found.straight_shots)
@@ -143,7 +143,7 @@ def csv_tables(found: Objects) -> dict[str, pd.DataFrame]:
 
 
 def shot_table(shots: Sequence[StraightShot]) -> Table:
-    """Return the ways past the optics as a table for a page."""
+    """Return the table of straight shots, paths past the optics from outside to the detector."""
     ways = [[Fold(shot.way, " ".join(shot.surfaces))] for shot in shots]
     angles = [[f"{shot.angle_from_deg:.3g} … {shot.angle_to_deg:.3g}"] for shot in shots]
     shown = table(StraightShot, shots, only=("rays", "share"))
@@ -151,7 +151,7 @@ def shot_table(shots: Sequence[StraightShot]) -> Table:
 
 
 def record(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> dict[str, Any]:
-    """Return all of a result as JSON-serialisable values; `shown` has no effect."""
+    """Return the whole result as JSON-serialisable values; `shown` has no effect."""
     values = {
         "facts": found.facts,
         "stop": found.stop,
@@ -229,7 +229,7 @@ def write_objects(
 
 def objects_text(found: Objects, estimates: pd.DataFrame, count: int = DEFAULT_TABLES.rows) -> str:
     """
-    Return `text` with at most `count` rows of each table; `estimates` is ignored.
+    Return the printed text with at most `count` rows in each table; `estimates` is ignored.
 
     Examples
     --------
@@ -241,7 +241,7 @@ def objects_text(found: Objects, estimates: pd.DataFrame, count: int = DEFAULT_T
 
 
 def _finding(found: Objects) -> str:
-    """Describe in two sentences how many objects are critical, illuminated and both, with the strongest estimate."""
+    """Return two sentences: how many objects are critical, illuminated and both, and the strongest estimate."""
     counts = (
         f"The detector sees {len(found.critical)} objects that are no optics, light from outside reaches "
         f"{len(found.illuminated)}, and {len(found.common)} are both."

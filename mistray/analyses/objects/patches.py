@@ -1,4 +1,4 @@
-"""Patches of a surface: pieces of known area for matching rays that light it with rays that see it."""
+"""Patches of a surface, pieces of known area, to match rays that light it with rays that see it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,11 @@ class Patches:
 
     @classmethod
     def of(cls, table: SurfaceTable, surface: int, hits: int) -> Patches:
-        """Make at most 256 patches with at least 8 hits each on average; one of Mitsuba's own shapes is one patch."""
+        """
+        Divide a surface into at most 256 patches with at least 8 hits each on average.
+
+        A Mitsuba shape is one patch.
+        """
         count = 1 if surface >= len(table.pieces) else int(np.clip(hits // HITS_PER_PATCH, 1, MOST_PATCHES))
         first = max(1, int(np.sqrt(count)))
         return cls(table, surface, first, count // first)
@@ -45,7 +49,7 @@ class Patches:
         return self.first * self.second
 
     def numbers(self, points: np.ndarray) -> np.ndarray:
-        """Return the number of the patch that holds each point of the surface, (m, 3) mm → (m,)."""
+        """Return the index of the patch that holds each point (m, 3), mm, of the surface; (m,) int."""
         if self.count == 1:
             return np.zeros(len(points), dtype=int)
         table, rotation = self.table, self.table.rotations[self.surface]
@@ -63,7 +67,7 @@ class Patches:
 
 
 def meet(table: SurfaceTable, surface: int, lit: np.ndarray, seen: np.ndarray) -> bool:
-    """Return whether any patch of a surface has both lit points (m, 3) and seen points (n, 3), mm."""
+    """True if some patch of a surface has both lit points (m, 3) and seen points (n, 3), mm."""
     if not len(lit) or not len(seen):
         return False
     patches = Patches.of(table, surface, min(len(lit), len(seen)))

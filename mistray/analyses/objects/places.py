@@ -1,4 +1,4 @@
-"""Place of objects in an optical system: gap between surfaces of the design path, and side of the stop."""
+"""Places of objects along the optical system: gap between design surfaces, and side of the aperture stop."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BEFORE, AT_STOP, AFTER = "before", "stop", "after"
 @dataclass(frozen=True, eq=False)
 class ApertureStop:
     """
-    Aperture that limits the beam on axis.
+    Aperture that limits the on-axis beam, with its place along the design path.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class ApertureStop:
 @dataclass(frozen=True, eq=False)
 class _FanEnds:
     """
-    Hits at which rays leave the design path.
+    Hits at which rays of a fan leave the design path.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Places:
 
     @property
     def gaps(self) -> int:
-        """Number of gaps between successive surfaces of the design path; 1 if there is no such path."""
+        """Number of gaps along the design path, before, between and after its surfaces; 1 if there is no such path."""
         return len(self.path.steps) if self.path is not None else 1
 
     # ---- the gap of a ray
@@ -175,7 +175,7 @@ class Places:
         return np.minimum(here, self.gaps - 1), np.minimum(np.where(known, after, gap), self.gaps - 1)
 
     def along(self, gap: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """Return the distance of points, (m, 3) mm, along the base ray within their gap, (m,) mm."""
+        """Return the distance of points, (m, 3), mm, along the base ray from the start of their gap, (m,), mm."""
         assert self.path is not None
         steps = self.path.steps
         start = np.array([steps[max(g - 1, 0)].point for g in range(self.gaps)])
@@ -203,7 +203,7 @@ class Places:
     # ---- the stop
 
     def _named_stop(self, name: str) -> ApertureStop:
-        """Return the stop of a given name: at its design surface, or else in the middle of its bounding boxes."""
+        """Return the stop given by name: at its design surface, or else at the centre of its bounding boxes."""
         assert self.path is not None
         table = self.table
         members = [i for i in range(table.count) if name in (table.ids[i], table.parts[i])]
@@ -250,7 +250,11 @@ class Places:
         return self._limit(ends, int(np.argmin(high)))
 
     def _limit(self, ends: _FanEnds, ray: int) -> ApertureStop | None:
-        """Return the stop that blocks the first ray outside the beam, or None if that ray just misses the detector."""
+        """
+        Return the stop that blocks ray number `ray`, the first outside the beam.
+
+        The result is None if it just misses the detector.
+        """
         assert self.path is not None
         gap, surface = int(ends.reached[ray]), int(ends.surface[ray])
         step, point, direction = self.path.steps[gap], ends.point[ray : ray + 1], ends.direction[ray : ray + 1]

@@ -62,7 +62,7 @@ class ObjectsRequest(Request):
 
 
 def refuse_second(request: ObjectsRequest, given: str, *others: str) -> None:
-    """Raise `MistrayError` if a request names a second source of light beside the given one."""
+    """Raise `MistrayError` if a request has any of the light sources `others` besides the one named `given`."""
     for name in others:
         if getattr(request, name) is not None:
             raise MistrayError(f"{name} and {given} are given, two kinds of source; give one of them")

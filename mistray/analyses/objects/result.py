@@ -77,18 +77,18 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
     unpolarized: list[Note]
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the numbers of critical, illuminated and common objects, and the aperture stop."""
+        """Return numbers of critical, illuminated and common objects, and the name of the aperture stop, by label."""
         counts = {name: len(getattr(self, name)) for name in ("critical", "illuminated", "common")}
         return {**counts, "stop": self.stop or "not found"}
 
     @functools.cached_property
     def critical(self) -> list[SceneObject]:
-        """Critical objects: those that the detector sees, without optics, the strongest first."""
+        """Critical objects: surfaces that the detector sees, without the optics, the strongest first."""
         return self._strongest(0)
 
     @functools.cached_property
     def illuminated(self) -> list[SceneObject]:
-        """Illuminated objects: those that light from outside reaches, without optics; mean over source angles."""
+        """Illuminated objects, without optics: surfaces that light from outside reaches, by mean over source angles."""
         return self._strongest(1)
 
     def _strongest(self, which: int) -> list[SceneObject]:
@@ -107,7 +107,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @functools.cached_property
     def apart(self) -> list[CommonObject]:
-        """Objects in both lists that are lit in one place and seen in another."""
+        """Objects that are critical and illuminated, but lit in one place and seen in another."""
         return [self._both(number) for number, meets in self._meeting.items() if not meets]
 
     @functools.cached_property
@@ -122,7 +122,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @functools.cached_property
     def _meeting(self) -> dict[int, bool]:
-        """Whether lit and seen areas overlap, by number of each object that is both critical and illuminated."""
+        """Whether lit and seen areas overlap (True or False), by number of each critical and illuminated object."""
         (seen, lit), threshold = self._rows, self.facts["threshold"]
         found = [k for k, row in seen.items() if not row.optic and min(row.power, lit[k].power) > threshold]
         found.sort(key=lambda k: (_gap(k, [self.seen]), -seen[k].power * lit[k].power))
@@ -146,7 +146,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @functools.cached_property
     def _rows(self) -> tuple[dict[int, SceneObject], dict[int, SceneObject]]:
-        """Return rows of all objects by number: one set as seen by the detector, one as lit from outside."""
+        """Rows of all objects by number: first as seen by the detector, then as lit from outside."""
         seen, lit = (
             {number: self._row(name, side, number, views) for (name, side), number in self.numbers.items()}
             for views in ([self.seen], self.lit)
@@ -205,7 +205,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @property
     def source_text(self) -> str:
-        """Source of the light in words."""
+        """Description of the light source in words."""
         if self.field_deg:
             angles = ", ".join(f"{angle:g}" for angle in self.field_deg)
             return f"a distant source at {angles}°{' each' if len(self.field_deg) > 1 else ''}"
@@ -213,7 +213,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @property
     def notes(self) -> list[Note]:
-        """Notes on limits of the lists' reliability; empty if there are none."""
+        """Notes on how reliable the lists are; empty if there is nothing to note."""
         found = [Message.NO_OPTICS.note()] if self.places.path is None else []
         threshold, rays, planned = (self.facts[name] for name in ("threshold", "rays", "rays_planned"))
         shots = [shot for shot in self.straight_shots if shot.share > threshold]
@@ -232,7 +232,11 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @functools.cached_property
     def products(self) -> list[ScatterEstimate]:
-        """Flux by one scatter event at each common object and optic, W, at each source angle the strongest first."""
+        """
+        Estimated flux on the detector, W, by one scatter event at each common object and optic.
+
+        Strongest first at each angle.
+        """
         wanted = [*self.common, *(row for row in self.optics if row.id != self.facts["detector"])]
         seen = {self.numbers[row.id, row.side]: row for row in wanted}
         views = zip(self.field_deg or [np.nan], self.lit, strict=True)
@@ -263,5 +267,5 @@ def _in_words(missed: Sequence[str], beside: Sequence[str]) -> str:
 
 
 def _gap(number: int, views: Sequence[RayView]) -> int:
-    """Return the index of the gap in which most rays meet an object."""
+    """Return the index of the gap between design surfaces in which most rays meet an object."""
     return int(np.argmax(np.sum([view.in_gap[number] for view in views], axis=0)))

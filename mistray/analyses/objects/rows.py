@@ -1,4 +1,4 @@
-"""Rows of the lists of objects: seen or lit, both, paths past the optics, and estimates of scattered light."""
+"""Rows of the lists of objects: seen, lit or both, paths past the optics, and scatter estimates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ POWER_UNIT = "W per W started"
 
 @dataclass(frozen=True, kw_only=True)
 class _Placed:
-    """Identity of an object, and its place along the design path."""
+    """Identity of an object and its place along the design path."""
 
     id: str = column("Shape", head="object")
     part: str = column("Part that the shape belongs to")
@@ -28,7 +28,7 @@ class _Placed:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneObject(_Placed):
-    """Surface, or one side of it, with the rays and the flux, W per launched W, from the detector or from outside."""
+    """Surface or one side of it, with the rays and flux (W per W launched) that reach it from detector or outside."""
 
     rays: int = column("Rays that meet it")
     power: float = column("Their flux, W for each W that starts", head=f"power [{POWER_UNIT}]")
@@ -48,7 +48,7 @@ class CommonObject(_Placed):
 
     @classmethod
     def of(cls, seen: SceneObject, lit: SceneObject) -> CommonObject:
-        """Return one row of an object with its rays and flux from the detector and from outside."""
+        """Return the row of an object that combines its rays and flux from the detector and from outside."""
         place = {f.name: getattr(seen, f.name) for f in fields(_Placed)}
         views = {
             f"{view}_{name}": getattr(one, name)
@@ -106,7 +106,7 @@ class StraightShot:
 
 @dataclass(frozen=True, kw_only=True)
 class ScatterEstimate:
-    """Flux, W, from an object to the detector by one scatter event: Φ · BSDF · π times configuration factor GCF."""
+    """Flux, W, that an object scatters to the detector: Φ · BSDF · π · GCF, the geometric configuration factor."""
 
     angle_deg: float = column(
         "Angle of the source, degrees; NaN for the mean over a cone or a disc", head="angle [deg]", digits="g"

@@ -94,7 +94,7 @@ def run(
         )
 
     def marginal(mirrors: np.ndarray) -> ChainTracer:
-        """Make the tracer for finding the stop: surfaces only transmit or reflect, without random choices."""
+        """Return the tracer for finding the stop, in which surfaces only transmit or reflect specularly."""
         return tracer(mirrors, allowed=RAY_CONTROLS["transmit_specular"])
 
     axes = field_axes(scene)

@@ -1,4 +1,4 @@
-"""Results of unsplit rays: flux on every side of every surface, samples of hits, and exits from the scene."""
+"""Results of unsplit rays: flux on both sides of all surfaces, samples of hits, and exits from the scene."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class HitSamples:
 
 @dataclass
 class _Kept:
-    """Hits of an object kept so far, by pass of the trace; `rays` counts the start rays behind them."""
+    """Hits of one object stored so far, by pass of the trace; `rays` counts the start rays behind them."""
 
     parts: list[dict[str, np.ndarray]] = field(default_factory=list)
     count: int = 0
@@ -76,7 +76,7 @@ class _Kept:
 @dataclass(frozen=True)
 class WayOut:
     """
-    Rays that leave the scene after the same surfaces.
+    Rays that leave the scene after the same sequence of surfaces.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class WayOut:
 
 class Trails:
     """
-    Numbers for the sequences of surfaces that rays have met, so that sequences need not be sorted; 0: no surface yet.
+    Numbering of the sequences of surfaces that rays have met, so that a sequence is one integer; 0: no surface yet.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class Trails:
         return np.array([self._numbers[int(step)] for step in steps], dtype=np.int64)[inverse]
 
     def surfaces(self, number: int) -> tuple[int, ...]:
-        """Return the surfaces of a trail, in the order of its rays."""
+        """Return the surface numbers of the sequence with a given number, in the order in which rays met them."""
         found: list[int] = []
         while number:
             number, surface = self._ends[number]
@@ -244,7 +244,7 @@ class RayView:
             kept.rays += n
 
     def objects(self, hits: Hits) -> np.ndarray:
-        """Return the numbers of the objects that are hit, (m,)."""
+        """Return the object number (surface and side) of each hit, (m,) int."""
         back = self._opaque[hits.surface] & ~hits.from_front
         return SIDES * hits.surface + back
 
@@ -294,7 +294,7 @@ class RayView:
     # ---- results
 
     def power(self, number: int) -> tuple[float, float]:
-        """Return the flux on an object and its standard error, as shares of the started flux."""
+        """Return the flux on an object and its standard error, as fractions of the started flux."""
         return self._share(self.flux[number])
 
     def area(self, number: int) -> tuple[float, float]:
@@ -304,7 +304,7 @@ class RayView:
         return value * scale, se * scale
 
     def samples(self, number: int) -> HitSamples:
-        """Return the sampled hits of an object."""
+        """Return the stored sample of hits of an object."""
         kept = self._kept[number]
         joined = {
             name: np.concatenate([empty, *(part[name] for part in kept.parts)]) for name, empty in NO_HITS.items()

@@ -33,7 +33,7 @@ MARGIN = 0.08  # of the band, drawn on either side of it
 
 
 def search_figure(result: Optimization, title: str = "") -> Figure:
-    """Draw the merit of all searches, and terms and gradient norm of the best one, against merit evaluations."""
+    """Draw the merit of all searches, and terms and gradient norm of the best one, over merit evaluations."""
     figure, (left, middle, right) = Figure.of_panels(13.2, 4.0, 1, 3, dpi=110)
     for number, start in enumerate(result.starts):
         steps = [step for step in result.steps if step.start == number]
@@ -69,19 +69,19 @@ def search_figure(result: Optimization, title: str = "") -> Figure:
 
 
 def comparison_figure(found: Comparison, title: str = "") -> Figure:
-    """Draw the value of each term before over that after as bars, with standard errors."""
+    """Draw the ratio of each term after to before as a bar with its standard error."""
     ratios = {row.term: Estimate(row.ratio, row.ratio_se) for row in found.rows if row.whole}
     return bars(ratios, [BLUE] * len(ratios), "before / after [1]").headed(title, f"on {len(found.seeds)} seeds")
 
 
 def levels_figure(found: Levels, title: str = "") -> Figure:
-    """Draw the mean of each term over the seeds as bars, in the unit of each, with standard errors."""
+    """Draw the mean of each term over the seeds, in its unit, as a bar with its standard error."""
     names = {f"{name} [{found.units.get(name, '1')}]": value for name, value in found.means.items()}
     return magnitude_bars(names, "mean over the seeds, in the unit of each term").headed(title, "terms")
 
 
 def variables_figure(result: Optimization) -> Figure:
-    """Draw the variables against the steps of the best search, as fractions of the way from low to high bound."""
+    """Draw the variables over the steps of the best search, scaled from 0 at the low to 1 at the high bound."""
     figure, axes = Figure.of_panels(8.4, 4.4, dpi=110)
     best = _best_search(result)
     shares = np.array([result.variables.shares(step.x) for step in best])
@@ -140,7 +140,7 @@ def _best_search(result: Optimization) -> list[Step]:
 
 
 def _style(number: int) -> dict[str, Any]:
-    """Return colour, line style and width of the curve with this number, as Matplotlib arguments."""
+    """Return colour, line style and width of curve number `number`, as Matplotlib arguments."""
     return {
         "color": COLOURS[number % len(COLOURS)],
         "ls": STYLES[number // len(COLOURS) % len(STYLES)],
@@ -154,7 +154,11 @@ def _frame(axes: Axes, below: str, **said: Any) -> None:
 
 
 def _glasses(item: PlacedDesign) -> list[tuple[str, str]]:
-    """Return the material pairs to draw; a pair and its reverse count once if the design's first layer lies outside."""
+    """
+    Return the pairs of materials on both sides of a coating to draw.
+
+    A pair and its reverse count once if the design's first layer lies outside.
+    """
     if item.group.start.first != "outside":
         return list(item.glasses)
     return list({frozenset(pair): pair for pair in reversed(item.glasses)}.values())[::-1]

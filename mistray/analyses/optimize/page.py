@@ -76,7 +76,7 @@ def write_optimization(result: Optimization, directory: str | Path, command: str
 
 
 def optimization_report(result: Optimization, command: str = "") -> Report:
-    """Return the report, apart from the scene; `command` is the command line that made it."""
+    """Return the report of an optimisation; `command` is the command line quoted in it."""
     pictures = {"search.png": as_png(search_figure(result)), "variables.png": as_png(variables_figure(result))}
     sections = [
         Section("terms", "Terms before and after", [all_terms_table(result)]),
@@ -118,7 +118,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
 
 
 def _findings(result: Optimization) -> list[str]:
-    """Return a sentence on each term: its value before and after, and whether its limit holds."""
+    """Return a sentence on each term: its value before and after, and if it meets its limit."""
     texts: list[str] = []
     for term in result.study.terms:
         row = result.comparison.of(term.name)

@@ -94,7 +94,7 @@ class ReflectanceWeights:
 
 def reflectance_weights(metric: Metric) -> ReflectanceWeights:
     """
-    Trace a metric and differentiate it in reverse mode by the reflectances of the surfaces that have layers.
+    Return the derivatives of a metric by the reflectances of surfaces with layers, from one trace in reverse mode.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
 
 
 def _spread(by_node: np.ndarray) -> np.ndarray:
-    """Return derivatives at uniform nodes between 0 and 1, shared linearly among the nodes `COSINES`."""
+    """Return derivatives, given at uniform cosines from 0 to 1, shared linearly among the cosines `COSINES`."""
     place = np.linspace(0.0, 1.0, len(by_node)) * (len(COSINES) - 1)
     low = np.minimum(place.astype(int), len(COSINES) - 2)
     share = place - low

@@ -1,4 +1,4 @@
-"""Tables of an optimisation: terms and variables before and after, and steps, as text, frames and JSON values."""
+"""Tables of an optimisation: terms, variables and steps, as text, DataFrames and JSON values."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def goal_text(term: Term, start: float) -> str:
 
 
 def kept_text(term: Term, row: ComparisonRow) -> str:
-    """Return "yes" or "no": whether a result meets the goal of a term; "–" for the goal "minimise"."""
+    """Return "yes" or "no" for whether a term meets its goal; "–" for the goal "minimise"."""
     if term.goal == "minimise":
         return "–"
     return "yes" if holds(term, row.after, row.before) else "no"
@@ -62,7 +62,7 @@ def variable_rows(result: Optimization) -> list[VariableRow]:
 
 
 def terms_table(result: Optimization) -> str:
-    """Return the table, as text, of the terms before and after, with their goals and whether these hold."""
+    """Return the table of terms before and after, with their goals and if these are met, as text."""
     rows = [result.comparison.of(term.name) for term in result.study.terms]
     goals = [
         [goal_text(term, row.before), kept_text(term, row)] for term, row in zip(result.study.terms, rows, strict=True)
@@ -72,7 +72,7 @@ def terms_table(result: Optimization) -> str:
 
 
 def worse_lines(result: Optimization) -> list[str]:
-    """Return a line for each term that has become worse, with the fields and wavelengths at which it has."""
+    """Return a line for each term that has become worse, with the fields and wavelengths at which it did."""
     found: dict[str, list[str]] = {}
     for row in worse(result.comparison, result.study.terms):
         places = [f"{row.field_deg:g}°"] if row.field_deg is not None else []
@@ -91,7 +91,7 @@ def seeds_text(result: Optimization) -> str:
 
 
 def opened_lines(result: Optimization) -> list[str]:
-    """Return a line for each side effect of the result: gaps between surfaces, and light that enters by new ones."""
+    """Return lines on side effects of the result: gaps between surfaces, and light that enters by new ones."""
     return [*([gaps_text(result.gaps)] if result.gaps else []), *entering_lines(result.comparison.entering)]
 
 
@@ -111,7 +111,7 @@ def rows_table(comparison: Comparison) -> Table:
 
 
 def levels_table(levels: Levels) -> Table:
-    """Return the table of the means of the terms over the seeds."""
+    """Return the table of the mean of each term over the seeds, in its unit."""
     rows: list[list[Value]] = [[name, value, levels.units.get(name, "1")] for name, value in levels.means.items()]
     return Table(columns("<term", "mean", "<unit"), rows, empty="no term")
 
@@ -198,7 +198,11 @@ def step_text(step: Step, start: Start) -> str:
 
 
 def edge_lines(result: Optimization) -> list[str]:
-    """Return one line on the widths of smoothing zones, over the rims' radii; empty if light met no rim."""
+    """
+    Return a line on the widths of smoothing zones at rims, as fractions of their radii.
+
+    The result is empty if light met no rim.
+    """
     if not result.edge_widths:
         return []
     how = "chosen at the start" if result.study.optimizer.edge_width is None else "given"
@@ -235,7 +239,7 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
 
 
 def variables_frame(result: Optimization) -> pd.DataFrame:
-    """Return a row for each parameter that a variable moves, with its value before and after, as a frame."""
+    """Return a DataFrame with a row for each parameter that a variable moves: its value before and after."""
     rows = []
     for v, x in zip(result.variables.variables, result.best.x, strict=True):
         moved = [(place.label, place.start, after) for place, after, _ in v.moved(x)]
@@ -247,7 +251,7 @@ def variables_frame(result: Optimization) -> pd.DataFrame:
 
 
 def history_frame(result: Optimization) -> pd.DataFrame:
-    """Return a row for each step of every search: merit, gradient norm, time in s, terms and variables, as a frame."""
+    """Return a DataFrame with a row for each step of each search: merit, gradient norm, time, s, terms, variables."""
     rows = []
     for step in result.steps:
         numbers = ("start", "step", "evaluations", "merit", "merit_se", "gradient_norm", "seconds")

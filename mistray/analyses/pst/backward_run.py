@@ -1,4 +1,4 @@
-"""PST from backward rays, alone or together with forward rays: traced by passes, saved and continued."""
+"""PST from backward rays, alone or joined with forward rays: tracing by passes, saving and continuing."""
 
 from __future__ import annotations
 
@@ -101,14 +101,11 @@ class BackwardRun:
 
     @property
     def _open_ended(self) -> bool:
-        """Whether only the time limits the run."""
+        """True if only the time budget limits the run, not a number of rays."""
         return self._trace.settings.rays >= MOST_RAYS and is_limited()
 
     def _take(self, plan: Plan) -> AllCells:
-        """Set the plan that shares the light between forward and backward rays.
-
-        Return the recorder of the forward rays.
-        """
+        """Adopt the plan that divides paths between forward and backward rays, and return the forward trace."""
         self._plan = plan
         self._trace.share_paths(plan.sharing)
         self._light = AllCells(self._trace)
@@ -222,7 +219,7 @@ class BackwardRun:
                 raise KeyboardInterrupt
 
     def _longer(self, rays: int, over: float) -> int:
-        """Return the number of backward rays of a run whose error after `rays` is `over` times the requested one."""
+        """Return the backward rays needed for the requested error. After `rays` the error is `over` times too large."""
         if not 1 < over < math.inf:
             return rays
         return min(math.ceil(rays * min(over**2, MOST_LONGER)), self._trace.settings.rays)
@@ -255,7 +252,7 @@ class BackwardRun:
 
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
         """
-        Save the finished passes after workers were lost, and add the saved file and the PST so far to the error.
+        Save the finished passes after all workers were lost; attach the saved file and the PST so far to the error.
 
         `unsaved` tells whether a finished pass is not yet in the saved file.
         """
@@ -269,7 +266,11 @@ class BackwardRun:
         error.partial = self.result() if self._trace.sums.passes else None
 
     def _worst(self, up_to_deg: float | None) -> float:
-        """Return the largest relative standard error of lit cells that need an error; infinite if none is lit yet."""
+        """
+        Return the largest relative standard error of lit cells up to a field angle, degrees.
+
+        The result is infinite if none is lit.
+        """
         value, se = (part[cells_up_to(self._trace.grid, up_to_deg)] for part in self._pst().map())
         lit = value > 0
         return float(np.max(se[lit] / value[lit], initial=0.0)) if lit.any() else np.inf
@@ -291,7 +292,7 @@ class BackwardRun:
         save_state(self._state, arrays, facts)
 
     def _paths(self) -> PathsByCell:
-        """Return the paths of all backward rays so far."""
+        """Return the recorded paths of all backward rays so far, read from the device once."""
         if self._paths_read is None:
             self._paths_read = self._trace.paths() or PathsByCell()
         return self._paths_read

@@ -52,7 +52,7 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
 
 
 def _summed(rows: pd.DataFrame, by: str, columns: Iterable[str] = ("pst", "pst_se")) -> pd.DataFrame:
-    """Return rows with equal `by` merged, the strongest first: `SUMS` are added, other columns are of the first row."""
+    """Return rows merged by column `by`, strongest first: columns in `SUMS` are added, others from the first row."""
     how = {name: "sum" if name in SUMS else "first" for name in columns}
     rows = rows.assign(pst_se=rows.pst_se**2).groupby(by, sort=False, as_index=False).agg(how)
     rows["pst_se"] = np.sqrt(rows.pst_se)
@@ -288,7 +288,7 @@ def main_cause(pst: Pst) -> MainCause | None:
 
 def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]:
     """
-    Return the ranges of field angles over which the same cause brings the most stray light.
+    Return the ranges of field angle in which one cause contributes most of the stray light.
 
     Parameters
     ----------

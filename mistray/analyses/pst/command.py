@@ -144,7 +144,7 @@ def _progress(options: Options, passes: list[PstProgress]) -> Iterator[Callable[
 
 
 def _state_of(now: PstProgress) -> str:
-    """Return error and remaining time as text for the bar, such as "error 3.1 % of 2 %, 01:23 left"."""
+    """Return present error and remaining time as text for the progress bar, as in "error 3.1 % of 2 %, 01:23 left"."""
     error = (
         f"error {percent_text(now.worst_error)}" if math.isfinite(now.worst_error) else "no light yet at some angles"
     )

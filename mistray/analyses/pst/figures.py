@@ -94,7 +94,11 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
 
 
 def level_curves(found: FirstLevel, title: str = "") -> Figure:
-    """Draw the stray PST of each set of limits against field angle, with bands of one standard error."""
+    """
+    Draw the stray PST against field angle for each set of limits on scatter and reflections.
+
+    Error bars are one standard error.
+    """
     made, axes = Figure.of_panels(8.6, 4.2)
     lit = False
     for (name, pst), colour in zip(found.curves.items(), CAUSE_COLOURS * 2, strict=False):
@@ -200,7 +204,7 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
 
 
 def _pst_range(pst: Pst) -> Range | None:
-    """Return the limits of the PST axis; None if there is no light."""
+    """Return lower and upper limit of the PST axis; None if there is no light."""
     lowest = {group: np.min(value[value > 0], initial=np.inf) for group in CURVES for value in (pst.curve(group)[0],)}
     if pst.is_dark:
         return None
@@ -211,7 +215,7 @@ def _pst_range(pst: Pst) -> Range | None:
 
 
 def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
-    """Draw the PST curve of a light class with a band of one standard error; a gap where it has no light."""
+    """Draw the PST curve of light class `group` with a band of one standard error; a gap where it has no light."""
     value, se = pst.curve(group)
     if not (value > 0).any():
         return
@@ -231,7 +235,7 @@ def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
 
 
 def _errors(axes: Axes, pst: Pst) -> None:
-    """Draw relative standard errors, the requested one, and the share of the strongest ray, in percent."""
+    """Draw, in percent, the relative standard errors, the requested one, and the share of the strongest ray."""
     for group, style in (("total", "-"), ("stray", ":")):
         value, se = pst.curve(group)
         lit = value > 0
@@ -255,7 +259,7 @@ def _errors(axes: Axes, pst: Pst) -> None:
 
 
 def _decades(axes: Axes) -> None:
-    """Put a tick at every decade, or at every second one if there are many."""
+    """Put a tick at every decade of a log axis, or at every second decade if there are many."""
     low, high = np.log10(axes.get_ylim())
     axes.yaxis.set_major_locator(LogLocator(base=10.0, numticks=int(high - low) + 3))
     axes.yaxis.set_minor_formatter(NullFormatter())
@@ -268,7 +272,7 @@ def _ends(pst: Pst) -> tuple[float, float]:
 
 
 def _polar_map(axes: Any, pst: Pst, value: np.ndarray) -> None:
-    """Draw one polar map with its colour bar, on its own log10 scale."""
+    """Draw one polar map of PST over field angle and azimuth with its colour bar, on its own log10 scale."""
     limits = log_range([value], MOST_DECADES)
     axes.set_theta_zero_location("N")
     axes.set_facecolor("#e6e6e6")
@@ -293,7 +297,7 @@ def _polar_map(axes: Any, pst: Pst, value: np.ndarray) -> None:
 
 
 def _polar_cells(pst: Pst, value: np.ndarray) -> tuple[Any, Any, np.ndarray]:
-    """Return cell edges in azimuth (rad) and field angle (degrees), and cell values; NaN outside the cells."""
+    """Return cell edges in azimuth (rad) and field angle (degrees), and cell values with NaN between cells."""
     grid = pst.grid
     half = grid.azimuth_cell_deg / 2
     order = np.argsort(grid.azimuths_deg % 360)

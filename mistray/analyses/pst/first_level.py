@@ -56,7 +56,7 @@ class FirstLevel(Result, table=".tables:level_table", figure=".figures:level_cur
     limits: dict[str, dict[str, int]]
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of angles, and the stray PST of each set at the last one."""
+        """Return the number of field angles, and the stray PST of each set of limits at the largest angle, by label."""
         angles = next(iter(self.curves.values())).field_deg
         last = {f"{name} at {angles[-1]:g}° [1]": one.estimates("stray")[-1] for name, one in self.curves.items()}
         return {"angles": len(angles), **last}

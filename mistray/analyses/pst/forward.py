@@ -112,7 +112,7 @@ def forward_pst(
 
 class CellRounds:
     """
-    Forward traces of the cells of directions in rounds, each of which adds rays to the unfinished cells.
+    Forward PST in rounds, each of which traces more rays for the cells of directions that are not finished.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class CellRounds:
         return self.trace.kernel_arrays()
 
     def trace_cells(self, cells: Sequence[int]) -> None:
-        """Trace cells, by index, until each has the requested error or all of its rays, or the time is up."""
+        """Trace the cells with these indices until each has the requested error or all its rays, or the time is up."""
         light = self.light
         going = np.isin(np.arange(len(self._open)), cells)
         goal, number = np.where(going, self._first, light.rays), 0
@@ -186,7 +186,7 @@ class CellRounds:
             goal = np.where(going & (light.rays >= goal), np.minimum(2 * goal, self._most), goal)
 
     def do(self, part: int) -> WaveSums:
-        """Trace a cell on a worker process; return its sums of light and its table of paths."""
+        """Trace one cell of directions on a worker process; return its sums of flux and its table of paths."""
         self.light.begin()
         self.trace_cells([part])
         return replace(self.light.total, paths=self.light.paths)
@@ -199,7 +199,11 @@ class CellRounds:
         self._report()
 
     def _judge(self) -> None:
-        """End cells that have the requested error or all of their rays; cells without light so far end earlier."""
+        """
+        Mark cells as finished that have the requested error or all of their rays.
+
+        Cells without light so far end earlier.
+        """
         value, se = (part.ravel() for part in self._pst().map())
         self._error = np.divide(se, value, out=np.full(len(se), np.inf), where=value > 0)
         self._open &= self.light.rays < np.where(value > 0, self._most, np.minimum(self._most, DARK_RAYS))
@@ -207,13 +211,13 @@ class CellRounds:
             self._open &= ~(self._counts & (self._error <= self._requested))
 
     def _after_pass(self, rays: int) -> None:
-        """Report that a pass is done, except while the number of passes still depends on the first errors."""
+        """Report progress after a pass of `rays` rays, once first errors have fixed the number of passes."""
         self._in_round = min(self._in_round + rays, self._of_round)
         if self._requested is None or np.isfinite(self._error).any():
             self._report()
 
     def _report(self) -> None:
-        """Report to `progress` the rays traced, the largest error and the time left, s."""
+        """Call `progress` with the rays traced, the largest relative error and the time left, s."""
         if self.progress is None:
             return
         rays = self.light.rays

@@ -1,4 +1,4 @@
-"""Paths that a run of a PST has found, from forward and backward rays."""
+"""Paths found in a run of a PST by forward and backward rays, merged into one table."""
 
 from __future__ import annotations
 
@@ -105,12 +105,12 @@ class FoundPaths:
         return cls(trace, events, lengths, known // cells, known % cells, hits, value, variance)
 
     def _describe(self, paths: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the columns of `describe_events` of some paths."""
+        """Return the columns of `describe_events` for some paths, given by index."""
         trace = self.trace
         return describe_events(Events.of(trace.table, trace.design, self.events[paths], self.lengths[paths]))
 
     def one_sided(self) -> list[dict[str, Any]]:
-        """Return, as a dict each, the strongest paths that were found by forward rays only or by backward rays only."""
+        """Return the strongest paths that only forward or only backward rays have found, one dict each."""
         grid = self.trace.grid
         light = np.bincount(self.cell, self.value, int(np.prod(grid.shape)))
         alone = (self.hits.min(axis=0) == 0) & (self.hits.max(axis=0) >= FEWEST_HITS)

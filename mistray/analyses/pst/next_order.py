@@ -1,4 +1,4 @@
-"""A PST compared with those of one more event on each path, and the choice among them by their stray light."""
+"""Comparison of a PST with those that allow one more event on each path, and choice among them by stray light."""
 
 from __future__ import annotations
 

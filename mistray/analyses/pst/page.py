@@ -1,4 +1,4 @@
-"""Report, tables and pictures of `mistray pst`, written into one directory, all or none of them."""
+"""Report page, tables and pictures of `mistray pst`, all written into one folder or none."""
 
 from __future__ import annotations
 
@@ -100,10 +100,10 @@ def irradiance_maps(pst: Pst, maps_at: Sequence[tuple[float, float]], command: s
 
 def csv_tables(pst: Pst) -> dict[str, pd.DataFrame]:
     """
-    Return the tables of a PST by file name.
+    Return the CSV tables of a PST as DataFrames, by file name.
 
-    pst.csv has a row for each field angle, and pst_paths.csv one for each path of each cell. With several azimuths
-    pst_cells.csv has a row for each angle and azimuth.
+    The table pst.csv has a row for each field angle, and pst_paths.csv one for each path of each cell. With several
+    azimuths pst_cells.csv has a row for each angle and azimuth.
     """
     tables = {"pst.csv": curve_frame(pst)}
     if pst.grid.shape[1] > 1:
@@ -197,7 +197,7 @@ def pst_report(
 
 
 def pst_facts(pst: Pst) -> dict[str, Any]:
-    """Return the settings and facts of a PST's computation, for the settings of a report."""
+    """Return settings and facts of a PST computation, such as convention, method and versions, for its report."""
     shown: dict[str, Any] = {"convention": pst.convention, "method": pst.method}
     for key, value in pst.facts.items():
         if isinstance(value, dict):
@@ -208,7 +208,7 @@ def pst_facts(pst: Pst) -> dict[str, Any]:
 
 
 def pst_verdict(pst: Pst) -> list[str]:
-    """Return sentences on the PST and its stray light by angle, its main cause, and the light left without that."""
+    """Return sentences on the PST and stray light by angle, its main cause, and the stray light without that cause."""
     found = None if pst.is_dark else main_cause(pst)
     return [_finding(pst), *([] if found is None else _change(found))]
 
@@ -229,7 +229,7 @@ def _change(found: MainCause) -> list[str]:
 
 
 def pst_verdict_record(pst: Pst) -> dict[str, Any]:
-    """Return the verdict as JSON-serialisable values."""
+    """Return the verdict and its numbers as JSON-serialisable values."""
     record: dict[str, Any] = {"sentences": plain_sentences(pst_verdict(pst)), "main_cause": None}
     found = None if pst.is_dark else main_cause(pst)
     if found is not None:
@@ -246,7 +246,7 @@ def pst_verdict_record(pst: Pst) -> dict[str, Any]:
 
 
 def _finding(pst: Pst) -> str:
-    """Describe the PST at the first angle, the edge of the field, and the stray PST beyond it."""
+    """Return a sentence on the PST at the first angle, the edge of the field, and the stray PST beyond it."""
     if pst.is_dark:
         return "No light was seen at any angle."
     angles, stray = pst.field_deg, pst.estimates("stray")
@@ -265,7 +265,7 @@ def _finding(pst: Pst) -> str:
 
 
 def curve_figure(pst: Pst, title: str = "") -> FigurePart:
-    """Return the picture of the curve of a PST, with its values shown under the pointer."""
+    """Return the picture of the PST curve, whose values appear under the pointer."""
     curves = {"all light": pst.estimates(), "stray light": pst.estimates("stray")}
     curves |= {name_of(group): pst.estimates(group) for group in shown_classes(pst)}
     texts = ([(name, with_error(at) if at.value else ABSENT) for at in curve] for name, curve in curves.items())

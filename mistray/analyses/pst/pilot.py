@@ -131,7 +131,7 @@ class Pilot:
 
     @property
     def lit(self) -> bool:
-        """Whether the last round has found light in all cells whose error is taken into account."""
+        """True if the last round found light in all cells whose error counts."""
         return bool(np.all(self._light[self._counts] > 0))
 
     def seconds_for(self, plan: Plan, rays: float) -> float:
@@ -140,7 +140,7 @@ class Pilot:
 
     def search(self, rays: float) -> Plan:
         """
-        Run rounds until at least this number of backward rays is traced, and return the plan that they result in.
+        Run rounds until at least `rays` backward rays are traced, and return the resulting plan.
 
         There are at least `LEAST_ROUNDS` rounds, or `ROUNDS_TO_AN_ERROR` if an error is requested. A time budget ends
         the search after any round.
@@ -156,7 +156,7 @@ class Pilot:
         return replace(self._plan, sharing=replace(sharing, path_classes=path_classes))
 
     def _round(self, rays: int) -> Plan:
-        """Run a pilot round of `rays` backward rays; return the plan that follows from all rounds so far."""
+        """Trace one pilot round of `rays` backward rays, and return the plan based on all rounds so far."""
         trace, sharing, cells = self._trace, self._sharing, self._cells
         # Trace both directions; backward, the weight windows learn from the relative value of light
         forward_rays = whole_batches(sharing.rays * rays)
@@ -240,7 +240,7 @@ class Pilot:
 
     def _unscattered(self, samples: Samples, light: np.ndarray, costs: np.ndarray) -> np.ndarray | None:
         """
-        Return the number of forward rays for unscattered light per other forward ray, (c,), in the next round.
+        Return the number of extra rays for unscattered light per other forward ray, (c,), for the next round.
 
         A variance a/m + b/n at the cost m + c n is least at n/m = √(b/(a c)).
         """
@@ -293,7 +293,7 @@ class Pilot:
         return _rounded(np.stack([inverse_upper, np.where(squares > 0, np.maximum(most, inverse_upper), 0)]))
 
     def _note_path_classes(self, samples: Samples) -> None:
-        """Hold this round's samples for the weights of path classes; only those of `REMEMBERED` rounds are held."""
+        """Store this round's samples for the MIS weights of path classes; the last `REMEMBERED` rounds are kept."""
         cell, kind, mis = samples.cell, samples.kind, np.clip(samples.forward, SMALLEST_MIS, 1 - SMALLEST_MIS)
         # Density ratio of forward to backward rays, if each cell had as many forward as there are backward rays
         forward = self._sharing.rays[cell]
@@ -319,7 +319,7 @@ class Pilot:
         return starts_per_connection if gained > COST_OF_CONNECTIONS else np.zeros_like(starts_per_connection)
 
     def _remember(self, samples: Samples, light: np.ndarray, rays: int) -> None:
-        """Keep samples of a round, as many in each cell as the map of ray starts needs."""
+        """Store samples of a round for the map of ray starts, at most as many per cell as it needs."""
         rng = np.random.default_rng(self._rounds)
         cell, kind, weights = samples.cell, samples.kind, samples.weight
         # Weak classes of light get more weight, so that their errors are reliable, too
@@ -349,13 +349,13 @@ def _rounded(values: np.ndarray) -> np.ndarray:
 
 
 def _together(parts: Sequence[Samples]) -> Samples:
-    """Return samples of several traces as one, with start rays renumbered; importance values are left out."""
+    """Concatenate samples of several traces, with start rays renumbered; importance values are left out."""
     lanes = 1 + max(int(one.lane.max(initial=0)) for one in parts)
     return Samples.together([replace(one, segments=np.zeros(1), importance=np.zeros(1)) for one in parts], lanes)
 
 
 def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Return the sums of values by index `place`, (count,) float64; zeros without values."""
+    """Return sums of `values` grouped by the index `place`, (count,) float64."""
     return np.bincount(place, values, count).astype(np.float64)
 
 

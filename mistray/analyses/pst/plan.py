@@ -1,4 +1,4 @@
-"""Plan of a PST: numbers of forward and backward rays, and starts of the forward ones."""
+"""Plan of a PST run: numbers of forward and backward rays, and where the forward ones start."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Plan:
         return int(np.ceil(np.max(self.variance[counts] / requested)))
 
     def beside(self, needed: int, rays: int) -> Plan:
-        """Return the plan with `rays` backward rays, and forward rays for at most `needed` backward ones."""
+        """Return a plan for `rays` backward rays whose forward rays are no more than `needed` backward rays need."""
         sharing = self.sharing
         return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
 
@@ -70,7 +70,7 @@ class Plan:
         return whole_batches(self.sharing.rays * rays)
 
     def fits(self, cells: int, surfaces: int) -> bool:
-        """Return whether the plan is for this number of cells and, if it has weight windows, of surfaces."""
+        """True if the plan is for this number of cells and, where it has weight windows, of surfaces."""
         windows = self.sharing.windows
         return len(self.sharing.rays) == cells and (windows is None or windows.shape[1] == surfaces)
 
@@ -88,7 +88,7 @@ class Plan:
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, np.ndarray]) -> Plan:
-        """Return the plan whose contents are these arrays, a result of `arrays`."""
+        """Restore a plan from the arrays that `arrays` returned."""
         starts = StartMap(**{f.name: arrays[f"starts_{f.name}"] for f in fields(StartMap)})
         own: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
         samples = MapSamples(*(arrays[f"samples_{name}"] for name in MapSamples._fields))
@@ -101,7 +101,7 @@ class Plan:
 
 
 def shared(plans: Sequence[Plan]) -> list[Plan]:
-    """Return plans of scenes to be compared with equal forward rays: in each cell the largest number of any plan."""
+    """Return plans with equal forward rays for scenes to be compared: in each cell the largest number of any plan."""
     if len(plans) == 1:
         return list(plans)
     rays = np.max([plan.sharing.rays for plan in plans], axis=0)

@@ -1,4 +1,4 @@
-"""Requests of a point source transmittance: directions, light and rays, and the choice of pictures."""
+"""Requests of a point source transmittance (PST): directions, light, rays, and choice of pictures."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class PstRequest(Request):
             )
 
     def settings_for(self, scene: Any) -> Settings:
-        """Return the settings of the traces of a scene: number of start rays, limits of paths, thresholds and seed."""
+        """Return the trace settings for a scene: number of start rays, limits of paths, thresholds and seed."""
         usual = USUAL_RAYS[self.method] if self.relative_error is None else MOST_RAYS
         return Settings.without_sources(scene, "a PST", rays=usual if self.rays is None else self.rays, **self.settings)
 
@@ -140,7 +140,7 @@ class PstShown(Request):
     map_pixels: int = field(PIXELS, 64, "pixels along their longer side", needs="map_field_deg")
 
     def maps_at(self, request: PstRequest) -> list[tuple[float, float]]:
-        """Return field angles and azimuths of the maps of the detector, degrees."""
+        """Return the field angle and azimuth, degrees, of each irradiance map of the detector."""
         azimuth = (request.azimuths_deg or (0.0,))[0] if self.map_azimuth_deg is None else self.map_azimuth_deg
         angles = dict.fromkeys(self.map_field_deg or ())
         return [(angle, azimuth) if angle >= 0 else (-angle, azimuth + 180) for angle in angles]

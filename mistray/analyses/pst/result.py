@@ -119,7 +119,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
     next_orders: tuple[NextOrder, ...] = field(default=(), repr=False, compare=False)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of angles, the PST at the first, and the stray PST at the last."""
+        """Return the number of field angles, the PST at the first and the stray PST at the last, by label."""
         first, last = self.field_deg[0], self.field_deg[-1]
         return {
             "angles": len(self.field_deg),
@@ -251,11 +251,11 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
     @property
     def is_dark(self) -> bool:
-        """Whether no ray has found light from any cell."""
+        """True if no ray found light from any cell of directions."""
         return not np.any(np.nan_to_num(self.by_batch))
 
     def to(self, convention: str) -> Pst:
-        """Return the PST in another convention, "normal" or "projected"."""
+        """Return the PST in convention "normal" (irradiance across the beam) or "projected" (on the aperture plane)."""
         return replace(self, convention=convention)
 
     # ---- details
@@ -291,12 +291,12 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
     @cached_property
     def _path_tables(self) -> dict[tuple[int, int], pd.DataFrame]:
-        """Tables of `paths` by cell, kept because a report uses each of them ten times."""
+        """Cache of the tables of `paths` by cell; a report uses each of them ten times."""
         return {}
 
     @cached_property
     def _listed(self) -> tuple[pd.DataFrame, dict[tuple[int, int], np.ndarray]]:
-        """Tables of `paths` of all cells as one, and the row numbers of each cell."""
+        """Path tables of all cells in one DataFrame, and the row numbers of each cell."""
         rows = self.path_rows
         assert rows is not None  # `paths` has checked it
         rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
@@ -428,7 +428,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
 
 def _numbers(classes: str | Sequence[str]) -> list[int]:
-    """Return the numbers within `CLASSES` of a group ("total" or "stray"), of one class of light, or of several."""
+    """Return the indices within `CLASSES` of a group ("total" or "stray"), of one class of light, or of several."""
     names = GROUPS.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
     unknown = [name for name in names if name not in CLASSES]
     if unknown:
@@ -463,7 +463,7 @@ def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
 
 
 def _angles(angles: np.ndarray) -> str:
-    """Return angles as text, more than four by the first and the last."""
+    """Return angles, degrees, as text; of more than four, only the first and the last."""
     if len(angles) <= 4:
         return f"{', '.join(f'{angle:g}' for angle in angles)}°"
     return f"{len(angles)} angles from {angles[0]:g} to {angles[-1]:g}°"

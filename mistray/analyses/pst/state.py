@@ -1,4 +1,4 @@
-"""State of a run in a file, replaced as a whole after passes so that the run can be continued; and its progress."""
+"""Progress of a PST run, and its state in a file, which is replaced as a whole after passes for later continuation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class PstProgress:
     """
-    Progress of the run of a PST: rays, error and time.
+    Progress of a PST run: rays, relative error and time.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class PstProgress:
 
     @property
     def share_done(self) -> float:
-        """Fraction of the needed rays that are done, 0 … 1."""
+        """Fraction of the required rays that are traced, 0 … 1."""
         needed = _rays_needed(self.rays_done, self.rays_planned, self.worst_error, self.requested_error)
         return min(self.rays_done / needed, 1.0) if needed > 0 else 1.0
 

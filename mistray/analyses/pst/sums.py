@@ -1,5 +1,5 @@
 """
-Sums over the cells of a PST and their quotients, with standard errors from the batches.
+Weighted sums over the cells of a PST, and quotients of such sums, with standard errors from the batches.
 
 The cells of a backward trace share their start rays: a sum over cells is formed in every batch, and only then is the
 spread of the batches computed. Where every cell has start rays of its own (forward), the errors of the cells are
@@ -60,7 +60,7 @@ def quotient(
 
 
 def _summed(parts: np.ndarray, weight: np.ndarray) -> Estimate:
-    """Return the sum of parts of the cells, (n, m, b), over cells and batches, with its standard error."""
+    """Return the sum of weighted samples, (n, m, b), over cells, averaged over batches, with its standard error."""
     # Cells that share their start rays are correlated: they are summed before the spread is computed
     if weight.ndim == 1:
         parts = parts.sum(axis=(0, 1))

@@ -1,4 +1,4 @@
-"""Tables of a point source transmittance, its printed text, and its JSON values."""
+"""Tables of a point source transmittance (PST) for pages and files, its printed text, and its JSON values."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def shown_classes(pst: Pst) -> tuple[str, ...]:
 
 
 def name_of(group: str) -> str:
-    """Return the name of a class of light in words, with blanks."""
+    """Return the name of a class of light with blanks instead of underscores."""
     return group.replace("_", " ")
 
 
@@ -62,7 +62,7 @@ def curve_frame(pst: Pst) -> pd.DataFrame:
 
 
 def cell_frame(pst: Pst) -> pd.DataFrame:
-    """Return `Pst.to_pandas` with the largest share of a single ray in each cell."""
+    """Return the table of `Pst.to_pandas` with a column for the largest share of a single ray in each cell."""
     share = pst.largest_share
     return pst.to_pandas().assign(largest_share=np.nan if share is None else share.ravel())
 
@@ -75,7 +75,7 @@ def largest_share(pst: Pst) -> np.ndarray:
 
 
 def path_frame(pst: Pst) -> pd.DataFrame:
-    """Return all paths of all cells: angle_deg, azimuth_deg, rank (1: strongest), then as in `Pst.paths`."""
+    """Return a DataFrame of the paths of cells: angle_deg, azimuth_deg, rank (1: strongest), then as in `Pst.paths`."""
     parts = []
     for angle in pst.field_deg:
         for azimuth in pst.grid.azimuths_deg:
@@ -102,7 +102,7 @@ def curve_table(pst: Pst) -> Table:
 
 
 def curve_text(pst: Pst) -> str:
-    """Return the PST as a text table: all light and stray light with standard errors, the classes without."""
+    """Return the PST curve as a text table: all light and stray light with standard errors, each class without."""
     table = curve_table(pst)
     heads = columns("angle [deg]", "PST [all light]", "PST [stray light]")
     heads += [Column(name_of(group)) for group in shown_classes(pst)]
@@ -127,7 +127,7 @@ def top_paths_text(pst: Pst, count: int) -> str:
 
 
 def level_table(found: FirstLevel) -> Table:
-    """Return the table of the stray PST of each set of limits, with a row for each field angle."""
+    """Return the table of stray PST, one row per field angle and one column per set of limits on the paths."""
     curves = [one.estimates("stray") for one in found.curves.values()]
     angles = next(iter(found.curves.values())).field_deg
     rows: list[list[Value]] = [[f"{angle:g}", *values] for angle, *values in zip(angles, *curves, strict=True)]
@@ -218,7 +218,7 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
 
 
 def heading(pst: Pst) -> str:
-    """Describe a PST in two lines: its convention; method, rays, wavelengths and cells."""
+    """Return two lines of text on a PST: its convention; then method, rays, wavelengths and cells."""
     facts = pst.facts
     lines = facts.get("wavelength_nm")
     parts = [METHODS[pst.method]]

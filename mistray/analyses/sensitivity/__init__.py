@@ -1,1 +1,1 @@
-"""Sensitivity of a metric to parameters: effect of tolerances, helpful changes, and perturbed systems."""
+"""Sensitivity of a metric to parameters: effect of tolerances, useful changes, and perturbed systems."""

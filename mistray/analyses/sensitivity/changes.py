@@ -1,4 +1,4 @@
-"""Changes of a design that lower a metric by a factor, from a linear model of the metric's logarithm."""
+"""Parameter changes that lower a metric by a given factor, from a linear model of its logarithm."""
 
 from __future__ import annotations
 
@@ -59,7 +59,11 @@ class Ranges:
     slope_se: np.ndarray
 
     def after(self, number: int, gain: float) -> float:
-        """Return the value of a parameter that lowers ln(metric) by `gain`, or its better bound if that is less."""
+        """
+        Return the value that parameter `number` must take to lower ln(metric) by `gain`, or its better bound.
+
+        The value is in the parameter's unit.
+        """
         slope, most = float(self.slope[number]), -float(self.gain[number])
         if gain >= most * (1 - ROUNDING):
             return float(self.low[number] if slope > 0 else self.high[number])
@@ -67,7 +71,11 @@ class Ranges:
 
     @property
     def gain(self) -> np.ndarray:
-        """Change of ln(metric) at the better bound, ≤ 0, (n,); 0 where the slope is not significant."""
+        """
+        Change of ln(metric) when each parameter is at its better bound, ≤ 0, (n,).
+
+        The value is 0 if the slope is not significant.
+        """
         room = np.where(self.slope > 0, self.value - self.low, self.high - self.value)
         known = np.abs(self.slope) > SIGNIFICANT * self.slope_se
         with np.errstate(invalid="ignore"):
@@ -134,7 +142,7 @@ def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Parame
 
 def least_effort(weight: np.ndarray, most: np.ndarray, goal: float) -> np.ndarray:
     """
-    Return parts x with Σ x = goal and 0 ≤ x ≤ most that minimise Σ (x/weight)².
+    Return parts x with Σ x = goal and 0 ≤ x ≤ most that minimise Σ (x/weight)², (n,).
 
     Without bounds x is proportional to weight² (Lagrange). A part at its bound stays there and the others share the
     rest. If the bounds do not allow the goal, they are the result.

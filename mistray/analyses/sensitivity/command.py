@@ -1,4 +1,4 @@
-"""Command `mistray sensitivity`: rank parameters by the effect of their tolerances on a metric."""
+"""Command `mistray sensitivity`, which ranks parameters by the effect of their tolerances on a metric."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Monte Carlo of manufactured systems: every parameter drawn within its tolerance, one trace per system."""
+"""Monte Carlo of manufactured systems: every parameter is drawn within its tolerance, one trace per system."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OFF_AXIS = ("x", "y", "tilt_x", "tilt_y", "tilt_z")
 @dataclass(frozen=True)
 class Draws:
     """
-    Metrics of perturbed systems.
+    Metrics of randomly perturbed systems, relative to the nominal one.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Draws:
         return float(residual.var() / variance) if variance > 0 else 0.0
 
     def percentile(self, percent: float) -> Estimate:
-        """Return a percentile of the ratios, with a standard error from resampling the draws."""
+        """Return a percentile of the metric over nominal, with a standard error from resampling the draws."""
         generator = np.random.default_rng(0)
         picks = generator.integers(0, len(self.ratios), (RESAMPLES, len(self.ratios)))
         return Estimate(
@@ -200,7 +200,7 @@ def draw_systems(
 
 
 def _timed(trace: Callable[[], float]) -> tuple[float, float]:
-    """Run a trace and time it; return duration, s, and result."""
+    """Call `trace` and measure its duration; return the duration, s, and the result."""
     began = time.perf_counter()
     result = trace()
     return time.perf_counter() - began, result
@@ -217,14 +217,14 @@ def _checked(number: int, trace: Callable[[], float]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _SystemsTask:
-    """Perturbed systems as a task for worker processes; `given` has the parameter values of the nominal system."""
+    """Tracing of perturbed systems by worker processes; `given` has the nominal parameter values by key."""
 
     metric: Metric
     given: Mapping[str, np.ndarray]
     systems: Sequence[Mapping[str, np.ndarray]]
 
     def make(self) -> Any:
-        """Return the parameters of the scene that the systems change."""
+        """Return the scene parameters that the perturbed systems change."""
         return mi.traverse(self.metric.scene)
 
     def do(self, made: Any, part: int) -> float:

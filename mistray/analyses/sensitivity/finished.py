@@ -1,4 +1,4 @@
-"""Finished part of a sensitivity analysis, in a file from which a later run can continue."""
+"""Finished part of a sensitivity analysis, stored in a file from which a later run can continue."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Finished:
         self.systems: list[float] = []
 
     def take(self, taken: Taken) -> None:
-        """Store a gradient, and drop a stored check and systems that belong to another gradient."""
+        """Store a gradient. A check and systems stored for another gradient are dropped."""
         if taken is not self.taken:
             self.taken, self.check, self.systems = taken, None, []
             self.save()
@@ -70,7 +70,7 @@ class Finished:
             self.save()
 
     def save(self) -> None:
-        """Write the file if it has a path and there is a gradient to save."""
+        """Write the state to its file, if there is one and there is a gradient to save."""
         self._saved = time.perf_counter()
         if self._path is None or self.taken is None:
             return
@@ -147,7 +147,7 @@ def signature_of(metric: Metric, params: Mapping[str, Any], facts: Mapping[str, 
 
 
 def _check(saved: Mapping[str, Any]) -> TracedChange:
-    """Make a `TracedChange` from its saved plain values."""
+    """Restore a `TracedChange` from its saved JSON values."""
     entering = {place: tuple(Entering(**one) for one in some) for place, some in saved["entering"].items()}
     gaps = tuple(Gap((str(a), str(b)), float(gap["gap_mm"])) for gap in saved["gaps"] for a, b in [gap["surfaces"]])
     image = None if saved["image"] is None else Estimate(*saved["image"])

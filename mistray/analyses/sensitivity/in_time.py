@@ -1,4 +1,4 @@
-"""Gradient of a metric from as many of its rays as the time allows."""
+"""Gradient of a metric from as many of its rays as a time limit allows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SAFETY = 0.8
 @dataclass(frozen=True)
 class Taken:
     """
-    Gradient of a metric, with the time that it took.
+    Gradient of a metric, with the fraction of rays used and the time taken.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ def _next(tried: tuple[float, float] | None, first: float, left: float) -> float
 
 
 def _taken(metric: Metric, chosen: Mapping[str, Parameter], request: GradientRequest, times: float) -> Taken:
-    """Return the gradient of a metric from `times` the number of its rays, with the time that it took."""
+    """Compute the gradient of a metric with `times` its number of rays, and time it."""
     began = time.perf_counter()
     metric = metric if times == metric.times else metric.with_rays_times(times)
     seen = metric.observe()

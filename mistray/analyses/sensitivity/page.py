@@ -1,4 +1,4 @@
-"""Sensitivity analysis as text, JSON values, tables and a report."""
+"""Sensitivity analysis as printed text, JSON values, tables and a report page."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def ranking_table(result: Sensitivity) -> Table:
 
 
 def change_text(row: SensitivityRow) -> str:
-    """Return, as text, the value that lowers the metric by the requested factor, or the bound and its factor."""
+    """Return as text the value that lowers the metric by the requested factor, else the bound and its factor."""
     if not row.free:
         return "held"
     if row.reached:
@@ -88,7 +88,7 @@ def change_text(row: SensitivityRow) -> str:
 
 
 def together_lines(result: Sensitivity) -> list[str]:
-    """Describe the effect of the best few changes together."""
+    """Return lines of text on the combined effect of the best few changes."""
     found = result.together
     if not found.changes:
         return ["no derivative is known well enough to propose a change; trace more rays"]
@@ -115,7 +115,7 @@ def changes_table(result: Sensitivity) -> Table:
 
 
 def spread_lines(result: Sensitivity) -> list[str]:
-    """Return lines on the linear propagation of tolerances: standard deviation of ln(metric), %."""
+    """Return lines of text on the spread of the metric by tolerances, a standard deviation of ln(metric) in percent."""
     spread = result.spread
     deviation = with_error(spread.deviation.times(100))
     lines = [
@@ -134,7 +134,7 @@ def spread_lines(result: Sensitivity) -> list[str]:
 
 
 def draws_lines(draws: Draws) -> list[str]:
-    """Return lines on the Monte Carlo of perturbed systems: spread of ln(metric), %, and metric over nominal."""
+    """Return lines of text on a Monte Carlo of perturbed systems: spread of ln(metric), %, and metric over nominal."""
     percentiles = ", ".join(f"{p:g} %: {with_error(draws.percentile(p))}" for p in PERCENTILES)
     return [
         f"{len(draws.ratios)} perturbed systems: standard deviation of ln(metric) "
@@ -201,7 +201,7 @@ def record(result: Sensitivity) -> dict[str, Any]:
 
 
 def _by_name(value: Any) -> Any:
-    """Return a nested value with each estimate replaced by a mapping of its value and standard error."""
+    """Return a nested value with each `Estimate` replaced by a dict of value and standard error."""
     if isinstance(value, Estimate):
         return value._asdict()
     if isinstance(value, dict):
@@ -272,7 +272,7 @@ def write_sensitivity(
 
 
 def _kinds(result: Sensitivity) -> pd.DataFrame:
-    """Return a frame with the percentage of the variance that each kind of parameter contributes, largest first."""
+    """Return a DataFrame of the percentage of the variance due to each kind of parameter, largest first."""
     kind_of = {row.label: row.kind for row in result.rows}
     kinds: dict[str, float] = {}
     for item in result.spread.contributions:

@@ -1,4 +1,4 @@
-"""Linear propagation of tolerances: spread of a metric from one manufactured system to the next."""
+"""Linear propagation of tolerances: spread of a metric among manufactured systems."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mistray.toolkit.rows import column
 
 @dataclass(frozen=True)
 class Contribution:
-    """Contribution to the variance of ln(metric) by one parameter, or by several that vary together."""
+    """Share of one parameter, or of several that vary together, in the variance of ln(metric)."""
 
     name: str = column("label of the parameter, or the pattern that the group was asked for by")
     members: tuple[str, ...] = column("labels of the parameters")

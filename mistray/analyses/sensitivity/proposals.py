@@ -1,4 +1,4 @@
-"""Proposed changes of a design: parameters that a designer may change, and traces that check the changes."""
+"""Proposed design changes: which parameters a designer may change, and traces that check the changes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ IMAGE_RAYS = 4000
 
 
 def structure(scene: Any) -> set[str]:
-    """Return the ids of opaque surfaces that are neither mirrors nor the detector."""
+    """Return the ids of opaque surfaces other than mirrors and the detector: the mechanical structure."""
     return {
         shape.id()
         for shape in scene.shapes()
@@ -67,7 +67,7 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
 @dataclass(frozen=True)
 class TracedChange:
     """
-    Effect of new parameter values, from traces before and after.
+    Traced effect of new parameter values on metric and image, from traces before and after.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Requests of a sensitivity analysis: metric, parameters, and length of its lists."""
+"""Requests of a sensitivity analysis: metric, parameters, and length of the printed lists."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", 
 
 @dataclass(frozen=True)
 class MetricRequest(Request):
-    """A metric by its name, its arguments and its light."""
+    """Choice of a metric: its name, arguments and light."""
 
     metric: str = field(Words(tuple(METRICS)), "path_power", ", ".join(METRICS), metavar="NAME")
     paths: str | None = field(

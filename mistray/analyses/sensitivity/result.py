@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Together:
     """
-    Few changes made at once, and their common effect on the metric.
+    Combination of a few parameter changes, and its effect on the metric.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Together:
 
     @property
     def spoiled(self) -> bool:
-        """Whether so much light enters by new surfaces that a smaller metric is no improvement."""
+        """True if so much light enters by new surfaces that a smaller metric is no improvement."""
         return any(spoils(entering) for entering in self.entering.values())
 
 
@@ -119,13 +119,13 @@ class Sensitivity(Result, table=".page:ranking_table", figure=".figures:ranking_
     facts: dict[str, Any] = field(default_factory=dict)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the metric, the number of parameters, and the spread of the metric by all tolerances, percent."""
+        """Return the metric, the number of parameters, and the metric's spread by all tolerances in %, by label."""
         unit = f" [{self.unit}]" if self.unit else ""
         spread = self.spread.deviation.times(100)
         return {f"{self.name}{unit}": self.value, "parameters": len(self.rows), "spread [%]": spread}
 
     def __getitem__(self, label: str) -> SensitivityRow:
-        """Return the row of the parameter with a given label."""
+        """Return the row of the parameter with a given label; raise `MistrayError` if there is none."""
         for row in self.rows:
             if row.label == label:
                 return row

@@ -65,7 +65,7 @@ class Line:
 
 @dataclass(frozen=True)
 class SensitivityRow:
-    """Parameter and its effect on the metric; errors include the bias by the width of rim zones."""
+    """Parameter and its effect on the metric; standard errors include the bias by boundary zones at rims."""
 
     line: Line
     label: str = column("label of its line, see `Line`", head="parameter")
@@ -141,7 +141,7 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
 
 
 def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
-    """Return the table line, such as a displaced body, that holds each position parameter of mechanics, by key."""
+    """Return the table line that covers each position parameter of mechanical parts, by parameter key."""
     rigid = structure(scene)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     optics = {getattr(shape, "part", None) for shape in shapes.values() if shape.id() not in rigid}
@@ -204,7 +204,7 @@ def shifted_values(
 @dataclass(frozen=True)
 class LineNumbers:
     """
-    Values, derivatives and effects of the lines, (n,) float64 each.
+    Values, derivatives and effects of all lines of a sensitivity table, (n,) float64 each.
 
     Attributes
     ----------

@@ -130,7 +130,7 @@ def run(
     wavelengths, _ = spectrum_of(metric.scene, metric.wavelength_nm, metric.weights)
 
     def scatters() -> None:
-        """Evaluate every scatter model of the scene as a trace would, to find parameter values that are invalid."""
+        """Evaluate every scatter model of the scene as a trace would, so that invalid values raise `MistrayError`."""
         for wavelength in wavelengths if any(one.kind == "scatter" for one in known.values()) else ():
             ScatterTables(SurfaceTable(metric.scene, float(wavelength)), {})
 
@@ -181,7 +181,7 @@ sensitivity = analysis("sensitivity", SensitivityRequest, run, ("params", "keys"
 def _checked(
     proposal: Together, metric: Metric, params: Mapping[str, Any], advance: Steps, finished: Finished
 ) -> tuple[Together, int]:
-    """Return proposed changes with their traced effect, as far as time allows, and the number of seeds traced."""
+    """Trace proposed changes as far as time allows; return them with their traced effect, and the number of seeds."""
     lines = [row.line for row, _ in proposal.changes]
     values = shifted_values(whole_values(params, lines), lines, [change.value for _, change in proposal.changes])
     found = finished.check or traced_change(metric, params, values, advance)
@@ -194,7 +194,7 @@ def _checked(
 
 
 def _with_derivative(found: Gradient, lines: list[Line]) -> tuple[list[Line], list[str]]:
-    """Return the table lines whose parameters have a derivative, and a note on the others."""
+    """Return the table lines whose parameters have a derivative, and notes on the others."""
     without = [line for line in lines if found.full.keys() & set(line.moved)]
     if len(without) == len(lines):
         found.require(found.full)
@@ -225,7 +225,7 @@ def _tolerances(known: Mapping[str, Parameter], given: Mapping[str, float]) -> d
 def _groups(
     known: Mapping[str, Parameter], lines: Sequence[Line], patterns: Sequence[str]
 ) -> list[tuple[str, list[int]]]:
-    """Return names and member indices of the groups of table lines that vary together."""
+    """Return the name and line indices of each group of parameters that vary together, from patterns of keys."""
     taken: dict[int, str] = {}
     groups = []
     for pattern in patterns:

@@ -1,1 +1,1 @@
-"""Stray-light study of a system in eight steps."""
+"""Stray-light study of a system in eight steps, from the optical model to stray-light analysis."""

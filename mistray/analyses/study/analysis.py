@@ -1,4 +1,4 @@
-"""Step 8 of a stray-light study: ghosts at some field angles, the PST at all, and its causes."""
+"""Step 8 of a stray-light study: ghosts at some field angles, the PST at all angles, and its causes."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _warnings(pst: Pst) -> tuple[str, ...]:
 
 
 def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
-    """Return the PST by class of light with standard errors and the main cause, one row per angle, as a frame."""
+    """Return a DataFrame of the PST by class of light with standard errors and the main cause, one row per angle."""
     columns: dict[str, object] = {"angle_deg": pst.field_deg, **pst.columns(pst.curve)}
     strongest = [
         (str(row.idxmax()), float(row.max())) if not row.empty and row.max() > 0 else ("-", math.nan)
@@ -131,7 +131,7 @@ def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
 
 
 def top_paths(pst: Pst, count: int = TOP_PATHS) -> pd.DataFrame:
-    """Return the strongest stray paths of each angle with PST and percentage of the stray light, as a frame."""
+    """Return a DataFrame of the strongest stray paths at each angle, with PST and percentage of the stray light."""
     columns = ["rank", "path", "kind", "first_scatter", "rays", "pst", "pst_se", "percent_of_stray"]
     tables = []
     for angle in pst.field_deg:
@@ -171,14 +171,14 @@ def _surfaces(events: str) -> list[str]:
 
 
 def _ghost_words(row: Any, design: Sequence[str]) -> str:
-    """Return a ghost path in words; if it has no reflection, by its difference from the design path."""
+    """Return a ghost path in words; one without reflection is described by its difference from the design path."""
     if row.kind not in ("straight shot", "TIR"):
         return str(row.label)
     return f"{row.kind}, {_instead(_surfaces(row.events), design)}"
 
 
 def _instead(path: Sequence[str], design: Sequence[str]) -> str:
-    """Return the difference of a path from the design path in words: "L3_bevel_2 instead of L3_rear"."""
+    """Return in words how a path differs from the design path, such as "L3_bevel_2 instead of L3_rear"."""
     if not design:
         return " ".join(path)
     beside = ", ".join(name for name in path if name not in design)
@@ -189,7 +189,7 @@ def _instead(path: Sequence[str], design: Sequence[str]) -> str:
 
 
 def break_frame(bends: Sequence[Break]) -> pd.DataFrame:
-    """Return breaks of the curve: slopes in decades per degree, the error of their change, and causes, as a frame."""
+    """Return a DataFrame of the breaks of the curve: slopes (decades per degree), error of their change, and causes."""
     columns = ["slope_before_per_deg", "slope_after_per_deg", "change_per_deg", "change_se_per_deg", "before", "after"]
     rows = [
         (b.field_deg, b.slope_before, b.slope_after, b.change, b.change_se, *map(_causes_in_words, (b.before, b.after)))
@@ -203,7 +203,7 @@ def _causes_in_words(causes: Sequence[tuple[str, float]]) -> str:
 
 
 def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame:
-    """Return a row for each field: field_deg, paths, direct and stray power (W), their ratios, worst path."""
+    """Return a DataFrame with a row per field: field_deg, paths, direct and stray power (W), ratios, worst path."""
     rows = []
     for field in report:
         s = report.summary(field)
@@ -222,7 +222,7 @@ def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame
 
 
 def worst_ghosts(report: GhostReport, design: Sequence[str] = (), count: int = TOP_PATHS) -> pd.DataFrame:
-    """Return the worst paths of each field by RMS irradiance, and the strongest by power, as a frame."""
+    """Return a DataFrame of the worst paths of each field by RMS irradiance, and the strongest by power."""
     names = {"rank_rms_irradiance": "rank"} | {
         f"normalised_rms_irradiance{se}": f"normalised{se}" for se in ("", "_se")
     }

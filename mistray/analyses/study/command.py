@@ -1,4 +1,4 @@
-"""Command `mistray study`: the whole stray-light study in one report."""
+"""Command `mistray study`, which makes the whole stray-light study in one report."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def run(options: Options) -> int:
 
 @contextlib.contextmanager
 def bar(options: Options) -> Iterator[Callable[[int, str, float], None] | None]:
-    """Show a progress bar over the steps on a terminal, and yield the callback that moves it, or None."""
+    """Show a progress bar of the study's steps on a terminal; yield the callback that moves it, or None."""
     with options.bar("{desc}: {percentage:3.0f}% |{bar}| {elapsed}", what="study") as shown:
 
         def draw(step: int, what: str, share: float) -> None:

@@ -1,4 +1,4 @@
-"""First-order data of an optical system by real rays: focal length, aperture, field, and aperture stop.
+"""First-order data of an optical system, from real rays: focal length, aperture, field, and aperture stop.
 
 The system may be folded or tilted: all quantities refer to its base ray, the path of the ray in the middle of the beam
 (see `mistray.sampling.design_path`). Derivatives along it are differences of rays in float64.
@@ -34,7 +34,7 @@ LARGEST_FIELD_DEG = 89.0
 @dataclass(frozen=True, kw_only=True)
 class FirstOrder:
     """
-    First-order data of a system at one wavelength.
+    First-order data of a system at one wavelength: focal length, pupil, field.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ def first_order(scene: Any, path: DesignPath) -> FirstOrder:
 
 
 def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
-    """Return the focal lengths, mm, in two sections, and the mean distance of the foci from the last surface, mm."""
+    """Return focal lengths, mm, in two sections, and the mean distance of the foci behind the last surface, mm."""
     first = path.steps[0]
     frame = across(first.before)
     points = np.array([step.point for step in path.steps])
@@ -133,7 +133,7 @@ def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
 
 
 def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
-    """Return diameter (mm) and free area (mm²) of the entrance pupil, and the surface at its edge."""
+    """Return diameter (mm) and unobstructed area (mm²) of the entrance pupil, and the surface at its edge."""
     target = outline(path.table.shapes[path.steps[0].surface])
     source = scene_sources(scene, field_deg=0.0)[0]
     largest = 1.02 * (float(np.linalg.norm(target.u) + np.linalg.norm(target.v)) + _off_axis(target.centre, source))
@@ -232,7 +232,7 @@ def _field(scene: Any, path: DesignPath) -> dict[str, float]:
 
 
 def _angle(shift: Any, wanted: float) -> float:
-    """Return the field angle, degrees, at which the function `shift` of the angle is `wanted` mm; NaN if nowhere."""
+    """Return the field angle, degrees, at which `shift`, a function of the angle, is `wanted` mm; NaN if nowhere."""
     low, high = 0.0, math.nan
     for angle in (1.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, LARGEST_FIELD_DEG):
         away = float(np.linalg.norm(shift(angle)))

@@ -1,4 +1,4 @@
-"""Images of points in step 8 of a study: contrast with all stray light, at the fields of the ghosts."""
+"""Images of points in step 8 of a study: contrast with all stray light, at the fields of the ghost analysis."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def images_with_stray_light(
 
 
 def transfer_tables(found: Transfer) -> dict[str, pd.DataFrame]:
-    """Return results, energy balances, transfer functions and rings of all fields, by name of the table."""
+    """Return DataFrames of results, energy balances, transfer functions and rings for all fields, by table name."""
     return {
         "image_with_stray_light": found.to_pandas(),
         "books": found.books(),

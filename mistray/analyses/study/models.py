@@ -21,7 +21,7 @@ UNDERFILL = 0.99  # radius of the source over that of the pupil, below which the
 
 def optical_model(scene: Any, table: SurfaceTable, path: DesignPath | None) -> StudyStep:
     """
-    Make step 1: surfaces in the order of the light, and first-order data.
+    Return step 1 of the study: surfaces in the order of the light, and first-order data.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def _first_order_facts(n: FirstOrder) -> list[Fact]:
 
 def path_surfaces(path: DesignPath) -> pd.DataFrame:
     """
-    Return the surfaces of a design path in the order of the light, as a frame.
+    Return a DataFrame of the surfaces of a design path in the order of the light.
 
     Columns: number (from 1), surface, part, does ("refracts", "reflects", "detects"), z_mm of the vertex, radius_mm of
     curvature (inf: flat), conic, asphere (highest power of r, 0: none), semi_diameter_mm (NaN: a rectangle),

@@ -101,7 +101,7 @@ def _common(found: Objects) -> StudyStep:
 
 
 def _estimate_findings(common: pd.DataFrame, estimates: pd.DataFrame) -> list[str]:
-    """Describe the common objects, and the largest product estimates at each source angle."""
+    """Return sentences on the common objects and the largest scatter estimates at each source angle."""
     places = ", ".join(f"{count} {place} the stop" for place, count in common.stop.value_counts().items() if place)
     places = places.replace("stop the stop", "at the stop")
     found = [

@@ -1,4 +1,4 @@
-"""Stray-light study as text, JSON values, tables and a report."""
+"""Stray-light study as printed text, JSON values, tables and a report page."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def verdict_records(study: Study) -> dict[str, dict[str, Any]]:
 
 
 def findings_table(study: Study) -> Table:
-    """Return the findings of all steps as a table."""
+    """Return the table of the findings of all steps."""
     rows = [[f"{step.number} {step.title}", text] for step in study.steps for text in step.findings]
     return Table(columns("<step", Column("finding", style="t long")), rows, empty="nothing to report")
 
@@ -155,7 +155,7 @@ def curve_of_study(study: Study, title: str = "") -> Drawing:
 
 
 def draw_study(study: Study) -> dict[str, bytes]:
-    """Draw the pictures of a study as PNG by file name, see `CAPTIONS`; within a time budget as many as possible."""
+    """Draw a study's pictures as PNG bytes by file name, see `CAPTIONS`; within a time budget as many as possible."""
     from mistray.analyses.ghosts.figures.ghost_images import levels_against_field, montage
     from mistray.analyses.objects.figures import objects_layout
     from mistray.toolkit.drawings.layout import layout
@@ -177,7 +177,7 @@ def draw_study(study: Study) -> dict[str, bytes]:
 
 
 def csv_tables(study: Study) -> dict[str, pd.DataFrame]:
-    """Return every table of every step by file name, which has the number of the step and the name of the table."""
+    """Return every table of every step as a DataFrame, by file name made of step number and table name."""
     return {f"{step.number}_{name}.csv": frame for step in study.steps for name, frame in step.tables.items()}
 
 
@@ -268,7 +268,7 @@ def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> Secti
 
 
 def _ghosts(report: GhostReport) -> list[PagePart]:
-    """Return the path explorer of every field, and the energy ledger of the fields, as page parts."""
+    """Return page parts for the ghosts: the path explorer of every field, and the energy ledger."""
     parts: list[PagePart] = [page_data(report)]
     for number, field in enumerate(report):
         parts.append(NotePart(f"Paths of the ghosts, field {field:g}°", "h3", field_anchor(field)))

@@ -113,7 +113,7 @@ def run(
     steps: list[StudyStep] = []
 
     def fewer(part: float) -> dict[str, Any]:
-        """Return the settings with a fraction of the rays."""
+        """Return the settings with the number of rays multiplied by `part`, at least one ray."""
         return {**given, "rays": max(1, round(part * count))}
 
     def done(*found: StudyStep) -> None:
@@ -201,7 +201,7 @@ def _angles_and_light(report: GhostReport, curve: Pst) -> dict[str, Any]:
 
 
 def _checked(scene: mi.Scene, chosen: Settings) -> Settings:
-    """Return the settings; raise `MistrayError` for polarised sources and limits that a PST does not support."""
+    """Return the settings. Raise `MistrayError` for a polarised source, or for a limit that a PST does not support."""
     if polarized := polarized_sources(scene):
         raise MistrayError(
             f"source '{polarized[0]}' is polarised, and a study compares its light with a PST, which is of unpolarised "
@@ -216,7 +216,7 @@ def _checked(scene: mi.Scene, chosen: Settings) -> Settings:
 
 
 def _fields(numbers: FirstOrder | None) -> list[float]:
-    """Return the default field angles of the ghost analysis, degrees, rounded to suit the width of the field."""
+    """Return default field angles of the ghost analysis, degrees: fractions of the half field, rounded."""
     half = numbers.field_deg["y"] if numbers is not None else math.nan
     if not math.isfinite(half):
         return list(FEW_FIELDS_DEG)

@@ -25,18 +25,22 @@ quotes it (Table 3)."""
 
 
 def count_of(number: int, what: str) -> str:
-    """Return a count with its noun as text: "1 object", "2 objects"."""
+    """Return a count with its noun, given in the singular, as text: "1 object", "2 objects"."""
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def gathered(column: str, tables: Iterable[tuple[float, pd.DataFrame]]) -> pd.DataFrame:
-    """Return the tables of several angles, degrees, as one, with the angle first, as `column`; empty ones left out."""
+    """
+    Return tables by angle, degrees, joined into one with the angle as first column `column`.
+
+    Empty ones are left out.
+    """
     parts = [table.assign(**{column: float(angle)})[[column, *table]] for angle, table in tables]
     return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
 
 
 class Fact(NamedTuple):
-    """Fact that a step found: name, value (a number, with an error if it has one, or text) and unit."""
+    """Single result of a step: its name, its value (number, number with error, or text) and its unit."""
 
     name: str
     value: float | str | Estimate
@@ -84,17 +88,17 @@ class StudyStep:
 
     @classmethod
     def of(cls, key: str, text: str, **more: Any) -> StudyStep:
-        """Return a step by its key, from which its number follows."""
+        """Return a step with a key of `STEPS`, which gives its number; `more` are its other attributes."""
         return cls([name for name, _ in STEPS].index(key) + 1, key, text, **more)
 
     @property
     def title(self) -> str:
-        """Title of the step."""
+        """Heading of the step in the report."""
         return dict(STEPS)[self.key]
 
     @property
     def table(self) -> pd.DataFrame:
-        """Main table of the step; empty if there is none."""
+        """Main table of the step, the first of `tables`; empty if there is none."""
         return next(iter(self.tables.values()), pd.DataFrame())
 
     def fact(self, name: str) -> float | str | Estimate:

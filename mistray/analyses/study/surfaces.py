@@ -23,7 +23,7 @@ FAR_SIZES = 1e3  # distance of a target, in units of the system's size, from whi
 
 def coatings_and_scatter(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
     """
-    Make step 6: R, T, A, scatter models and total integrated scatter (TIS) of every surface, at normal incidence.
+    Return step 6: R, T, absorptance, scatter models and total integrated scatter of surfaces at normal incidence.
 
     The tables are those of `surface_optics`.
     """
@@ -67,7 +67,7 @@ def importance_sampling(
     table: SurfaceTable, path: DesignPath | None, targets: Mapping[Place, AimSet], probe: Trace | None
 ) -> StudyStep:
     """
-    Make step 7: targets of the aimed rays of each surface, and the number of rays that arrive.
+    Return step 7: targets of the aimed rays of each surface, and the number of rays that arrive.
 
     Columns of the table: surface, role, leaves ("front", "back"; "in front", "behind" for scatter in the medium there
     on the way to the surface), number (of the target), shape, distance_mm (from the vertex of the surface to the middle
@@ -146,7 +146,7 @@ def importance_sampling(
 
 
 def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float, ...]:
-    """Return distance, half width and half height, mm, and half angle, degrees, of a ray target as a vertex sees it."""
+    """Return distance, half width, half height (mm) and half angle (degrees) of a ray target seen from a vertex."""
     if isinstance(target, TargetCone):
         return math.nan, math.nan, math.nan, math.degrees(target.half_angle)
     distance = float(np.linalg.norm(target.centre - vertex))
@@ -158,7 +158,7 @@ def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float
 
 
 def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame, far_away: float) -> pd.DataFrame:
-    """Return the paraxial images of the detector as seen from surfaces of the path, beside the traced targets."""
+    """Return paraxial images of the detector seen from surfaces of the path, and the traced targets, as DataFrame."""
     rows = []
     images = DetectorImages(path).paraxial if path is not None else []
     for image, step in zip(images[1:], path.steps if path is not None else (), strict=False):
@@ -179,7 +179,7 @@ def _sampling_facts(check: SamplingCheck, probe: Trace) -> tuple[Fact, ...]:
 
 
 def _aimed(check: SamplingCheck) -> pd.DataFrame:
-    """Return a frame of aimed rays by surface, with the percentage that arrives; most often aimed surfaces first."""
+    """Return the number of aimed rays by surface and the percentage that arrives, as DataFrame, by number."""
     rows = [(row.surface, row.aimed, 100 * row.share_landed, row.low) for row in check.rows]
     frame = pd.DataFrame(rows, columns=["surface", "aimed", "landed_percent", "low"])
     return frame.sort_values("aimed", ascending=False, kind="stable", ignore_index=True)

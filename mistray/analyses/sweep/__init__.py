@@ -1,1 +1,1 @@
-"""Fields × wavelengths × configurations of a scene, all traced in one call with the kernels compiled once."""
+"""Sweep of a scene over fields, wavelengths and configurations in one call, with the kernels compiled once."""

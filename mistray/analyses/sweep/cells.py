@@ -1,4 +1,4 @@
-"""Rows of a sweep, the facts that they depend on, and their storage in the cache."""
+"""Keys of the rows of a sweep, the data that a row depends on, and storage of rows in the cache."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OWN = ("mistray", "mitsuba", "drjit")
 @dataclass(frozen=True, eq=False)
 class Cell:
     """
-    Configuration, wavelength and field angle of one row of a sweep.
+    Key of a sweep's row: configuration, wavelength and field angle.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Cell:
 
 class KeptRows:
     """
-    Rows of a sweep, read from the cache and stored there.
+    Access to the rows of a sweep in the cache, for reading and storing.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class KeptRows:
         self._changed = False
 
     def key(self, cell: Cell) -> str:
-        """Return the cache key of a row; it depends on the values of the configuration, not on its name."""
+        """Return the cache key (a hash) of a row; it depends on the values of the configuration, not on its name."""
         values = {key: numbers.tolist() for key, numbers in cell.configuration.values.items()}
         own = {"values": values, "field_deg": cell.field_deg, "wavelength_nm": cell.wavelength_nm}
         return key_of({**self._facts, **own})
@@ -91,7 +91,7 @@ class KeptRows:
 
 class SceneContents:
     """
-    Contents of the files of a scene.
+    Hashes of the contents of all files of a scene, to detect changes.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class SceneContents:
         self.hashes = [file_fingerprint(path) for path in self._files]
 
     def unchanged(self) -> bool:
-        """Return whether the scene's files are unchanged; they are read again only if a time stamp or size differs."""
+        """True if the scene's files are unchanged; contents are read again only if a time stamp or size differs."""
         try:
             return _stamps(self._files) == self._stamps or SceneContents(self._scene).hashes == self.hashes
         except (MistrayError, OSError):  # gone, or half written by an editor

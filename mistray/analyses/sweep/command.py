@@ -1,4 +1,4 @@
-"""Command `mistray sweep`: trace all fields at all wavelengths in all configurations of a scene."""
+"""Command `mistray sweep`, which traces all fields at all wavelengths in all configurations of a scene."""
 
 from __future__ import annotations
 
@@ -180,12 +180,12 @@ def _write_scene(options: Options) -> int:
 
 
 def _edited(options: Options) -> bool:
-    """Return whether options of the command line define a configuration."""
+    """True if options of the command line define a configuration (--set, --coating or --paint)."""
     return bool(options.set or options.coating or options.paint)
 
 
 def _configurations(options: Options) -> list[Configuration]:
-    """Return the configurations of the file, and that of the command line, named by its changes."""
+    """Return the configurations in the file, and the one defined by options, which is named by its changes."""
     from mistray.analyses.sweep.configurations import Configuration
     from mistray.analyses.sweep.read_configurations import read_configurations
 

@@ -57,14 +57,14 @@ class Configuration:
 
     @property
     def rebuilds(self) -> bool:
-        """Whether the configuration changes more than parameter values, so that the scene must be rebuilt."""
+        """True if the configuration changes paint, coatings or structures, so that the scene must be rebuilt."""
         return bool(self.paint or self.coat or self.block)
 
 
 @dataclass(frozen=True)
 class Resolved:
     """
-    Configuration of a scene, resolved to parameter keys.
+    Configuration with its names resolved to parameter keys of a scene.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ Given = Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None
 
 def as_configurations(given: Given) -> list[Configuration]:
     """
-    Return configurations from the forms in which a user may give them.
+    Return a list of configurations, from any of the forms in which a user may give them.
 
     Parameters
     ----------

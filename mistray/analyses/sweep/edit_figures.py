@@ -1,4 +1,4 @@
-"""Picture of a sweep of PSTs: the stray PST in each configuration, and its ratio to that of the original scene."""
+"""Picture of a sweep of PSTs: the stray PST in each configuration, and its ratio to that of the original."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def edit_ranking_figure(found: EditRanking, title: str = "") -> Figure:
 
 
 def _scale_ratios(axes: Axes, ratios: Sequence[float]) -> None:
-    """Make the axis of ratios logarithmic if they span a decade; else widen it about 1, so that noise looks small."""
+    """Make the axis of ratios logarithmic if they span a decade, else widen it about 1, so that noise stays small."""
     low, high = min(ratios), max(ratios)
     if low > 0 and high / low > DECADE:
         axes.set_yscale("log")

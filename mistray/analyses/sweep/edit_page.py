@@ -1,4 +1,4 @@
-"""Report on edits: effect of configurations on the PST, and ranking of single steps."""
+"""Report on edits of a scene: effect of configurations on the PST, and ranking of single steps."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ CAPTION = "Stray PST of each configuration, and over that of the scene as it is,
 
 
 def text(found: PstSweep | None, ranking: EditRanking | None) -> str:
-    """Return the text on the configurations and on the ranking of single steps, each if it is given."""
+    """Return the printed text on configurations and on the ranking of single edits, as far as they are given."""
     texts = [] if found is None else [pst_sweep_text(found)]
     return "\n\n".join(texts if ranking is None else [*texts, edit_ranking_text(ranking)])
 
 
 def record(found: PstSweep | None, ranking: EditRanking | None) -> dict[str, Any]:
-    """Return configurations and ranking of single steps, each if given, as JSON-serialisable values."""
+    """Return configurations and ranking of single edits, as far as given, as JSON-serialisable values."""
     edits = {} if found is None else pst_sweep_record(found)
     return edits if ranking is None else edits | edit_ranking_record(ranking)
 

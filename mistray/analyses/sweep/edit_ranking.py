@@ -1,4 +1,4 @@
-"""Ranking of edits by the derivatives of the PST: moves, blocks, paint and coatings in one table."""
+"""Ranking of possible edits by derivatives of the PST: moves, blocks, paint and coatings in one table."""
 
 from __future__ import annotations
 
@@ -136,13 +136,13 @@ class EditRanking(Result, table=".edit_tables:edit_ranking_table", figure=".edit
     traced: Pst | None = None
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of edits, the PST at the first angle, and the first edit."""
+        """Return the number of edits, the PST at the first angle, and the label of the top edit."""
         found: dict[str, KeyNumber] = {"edits": len(self.edits)}
         found |= {f"PST at {angle:g}° [1]": pst for angle, pst in zip(self.field_deg[:1], self.pst, strict=False)}
         return found | ({"first": self.edits[0].label} if self.edits else {})
 
     def __getitem__(self, label: str) -> Edit:
-        """Return the edit with a given label."""
+        """Return the edit with a given label; raise `MistrayError` if there is none."""
         for edit in self.edits:
             if edit.label == label:
                 return edit
@@ -276,7 +276,7 @@ rank_edits = analysis("rank_edits", RankingRequest, run)
 
 
 def _certain(change: Estimate) -> float:
-    """Return the part of a change that is certain, at least 0: its magnitude less `CERTAIN` standard errors."""
+    """Return the part of a change that exceeds `CERTAIN` standard errors, in the unit of the change; at least 0."""
     return max(abs(change.value) - CERTAIN * change.se, 0.0)
 
 
@@ -287,7 +287,7 @@ def _order(edit: Edit) -> tuple[bool, bool, float, float]:
 
 
 def _with_gaps(scene: Any, params: Any, known: Mapping[str, Parameter], edits: Sequence[Edit]) -> list[Edit]:
-    """Return the edits with the gaps that one step of each opens."""
+    """Return the edits with the gaps between surfaces that one step of each opens."""
     contacts = Contacts(scene)
     found = []
     for edit in edits:
@@ -324,14 +324,14 @@ def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
 
 
 def _lines(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Sequence[str]) -> list[Line]:
-    """Return the lines of a sensitivity table, with lines for the motion of parts with optics as a whole added."""
+    """Return the lines of a sensitivity table for the chosen parameters; parts with optics move as a whole."""
     whole = {key: line for body in bodies(known).values() for line in motion_lines(body, known) for key in line.keys}
     moved = {whole[key].label: whole[key] for key in chosen if key in whole}
     return [*moved.values(), *lines_of(scene, params, known, [key for key in chosen if key not in whole])]
 
 
 def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping[str, float | str]) -> dict[str, float]:
-    """Return the step of each line's parameter by key, in the unit of the parameter."""
+    """Return the step of each line's parameter, in its unit, by key; `given` overrides default steps by kind or key."""
     by_kind = {**STEPS, **{name: step for name, step in given.items() if name in STEPS}}
     wanted = {line.parameter.key: by_kind[line.parameter.kind] for line in lines}
     for name, step in given.items():
@@ -346,7 +346,7 @@ def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping
 
 
 def _step(parameter: Parameter, step: float | str) -> float:
-    """Return a step in the unit of a parameter, from a number or a percentage."""
+    """Return a step in the unit of a parameter, from a number or a percentage such as "5 %"."""
     what = f"step of '{parameter.key}'"
     text = str(step).strip()
     try:

@@ -1,4 +1,4 @@
-"""Effect of edits on the PST, by comparison or by derivatives: tables, text and JSON values."""
+"""Tables, text and JSON values on the effect of edits on the PST, by comparison or by derivatives."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PAIRED = "the error of after/before is that of runs with the same random numbers
 
 
 def pst_sweep_table(found: PstSweep) -> Table:
-    """Return the table of stray PST before and after, with a row for each configuration and field angle."""
+    """Return the table of stray PST before and after edits, with a row for each configuration and field angle."""
     changes = found.to_pandas()
     enters = changes.entering != ""
     shown = chosen(changes.assign(entering_percent=changes.entering_percent.where(enters)), SHOWN, "t-edits")
@@ -38,7 +38,7 @@ def pst_sweep_table(found: PstSweep) -> Table:
 
 
 def pst_sweep_text(found: PstSweep) -> str:
-    """Return the table of PSTs as text, with a remark on the errors and with the warnings."""
+    """Return the table of PSTs before and after edits as text, with a remark on the errors and the warnings."""
     return "\n".join([table_text(pst_sweep_table(found)), "", PAIRED, *(f"warning: {text}" for text in found.warnings)])
 
 
@@ -84,7 +84,7 @@ def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
 
 
 def ranked_light(found: EditRanking) -> str:
-    """Return one line with the PST of the ranked light at each field angle."""
+    """Return a line of text with the PST, at each field angle, of the class of light that the ranking is about."""
     pst = ", ".join(f"{with_error(at)} at {angle:g} deg" for angle, at in zip(found.field_deg, found.pst, strict=True))
     return f"PST of the {found.light} light: {pst}"
 

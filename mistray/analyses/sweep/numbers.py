@@ -1,4 +1,4 @@
-"""Results of one trace that make a row of a sweep."""
+"""Figures of one trace that make up a row of a sweep."""
 
 from __future__ import annotations
 
@@ -114,5 +114,5 @@ def entering_columns(found: Sequence[Entering]) -> dict[str, Any]:
 
 
 def widest(gaps: Iterable[Gap]) -> float:
-    """Return the widest gap between surfaces that a change opens, mm; NaN if there is none."""
+    """Return the largest width of the gaps that a change opens, mm; NaN if there are none."""
     return max((gap.gap_mm for gap in gaps), default=math.nan)

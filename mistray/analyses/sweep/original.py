@@ -1,4 +1,4 @@
-"""Original scene of a sweep, a file or a loaded scene in its present state, from which configurations are made."""
+"""Original scene of a sweep, a file or a loaded scene, from which the configurations are made."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mistray.scene.source import PackedScene
 
 class Original:
     """
-    Scene that configurations change.
+    Scene before any edit, from which configurations are made.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Original:
 
 
 def move(scene: mi.Scene, one: Configuration) -> Resolved:
-    """Set the values of a configuration in a scene, check for overlaps, and return the configuration with its keys."""
+    """Set the values of a configuration in a loaded scene, check for overlaps, return it resolved to parameter keys."""
     params = mi.traverse(scene)
     (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
     assign(params, resolved.values)
@@ -66,7 +66,7 @@ def move(scene: mi.Scene, one: Configuration) -> Resolved:
 
 
 class _File:
-    """Original of a sweep that is a scene file."""
+    """Original given as a scene file."""
 
     parts: ClassVar[dict[str, Any]] = {}
 
@@ -78,12 +78,12 @@ class _File:
         return load(self._path)
 
     def file(self, _: Path) -> Path:
-        """Return the path of the file."""
+        """Return the path of the scene file; the argument, a folder, is not needed."""
         return self._path
 
 
 class _Loaded:
-    """Original of a sweep that is a loaded scene, with the source that it was loaded from."""
+    """Original given as a loaded scene, together with the source that it was loaded from."""
 
     def __init__(self, scene: mi.Scene) -> None:
         self._stored = StoredScene.of(scene)

@@ -1,4 +1,4 @@
-"""Sweep as text, JSON values, tables and a report."""
+"""Sweep as printed text, JSON values, tables and a report page."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def rows_table(result: Sweep) -> Table:
 
 
 def text(result: Sweep) -> str:
-    """Return the text that `mistray sweep` prints: a row for each configuration, wavelength and field."""
+    """Return the text that `mistray sweep` prints: a row for each configuration, wavelength and field, and notes."""
     opened = [f"warning: {text}" for text in result.opened]
     return "\n".join([table_text(rows_table(result)), "", *polarization_lines(result), *opened, cache_line(result)])
 
@@ -56,7 +56,7 @@ def polarization_lines(result: Sweep) -> list[str]:
 
 
 def cache_line(result: Sweep) -> str:
-    """Return a line on the number of rows, and of those from the cache."""
+    """Return a line of text on the number of rows and how many of them came from the cache."""
     if result.cache_folder is None:
         return f"{len(result)} rows, all traced"
     return f"{len(result)} rows, {result.reused} of them from the cache in {result.cache_folder}"
@@ -105,7 +105,11 @@ def sweep_tables(result: Sweep) -> dict[str, pd.DataFrame]:
 
 
 def page(result: Sweep, title: str = "scene", command: str = "") -> Report:
-    """Return the report; `title` is the name of the optical system, `command` the command line that made it."""
+    """
+    Return the report of a sweep.
+
+    `title` is the name of the optical system, `command` the command line that made it.
+    """
     from mistray.analyses.sweep.figures import sweep_figure
     from mistray.toolkit.figures.plots import as_png
 

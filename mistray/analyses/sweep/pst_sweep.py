@@ -36,7 +36,7 @@ Progress = Callable[[float, float], None]
 @dataclass(frozen=True)
 class Changed:
     """
-    Effect of an edit on the PST at one field angle.
+    Effect of an edit on the PST at one field angle: before, after and ratio.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Changed:
 
     @property
     def gain(self) -> bool:
-        """Whether stray light decreases, and at most 1 % of it enters by surfaces that admitted none before."""
+        """True if stray light decreases, and at most 1 % of it enters by surfaces that admitted none before."""
         return self.ratio < 1 and not spoils(self.entering)
 
 
@@ -106,7 +106,7 @@ class PstSweep(Result, table=".edit_tables:pst_sweep_table", figure=".edit_figur
         self.field_deg = next(iter(found.values())).field_deg
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of angles, and for each configuration the stray PST after over before at the last one."""
+        """Return the number of angles, and for each configuration the stray PST at the last one, after over before."""
         found: dict[str, KeyNumber] = {"angles": len(self.field_deg)}
         for name in self.configurations[1:]:
             change = self.changed(name, float(self.field_deg[-1]))

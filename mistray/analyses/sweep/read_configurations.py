@@ -1,4 +1,4 @@
-"""Read configurations from TOML; every error message is one line with the file, the key and a remedy."""
+"""Reading of configurations from TOML, with one-line errors that name file, key and remedy."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _configuration(section: TomlSection) -> Configuration:
 
 
 def _structure(section: TomlSection) -> Structure:
-    """Return an absorbing frustum from TOML, mm; one z gives a flat ring, one radius a tube."""
+    """Return an absorbing frustum (radii and z in mm) from a TOML table; one z gives a flat ring, one radius a tube."""
     section.known(("name", "r0", "z0", "r1", "z1"))
     r0, z0, r1, z1 = (section.value(key, FINITE, None) for key in ("r0", "z0", "r1", "z1"))
     if r0 is None or z0 is None:

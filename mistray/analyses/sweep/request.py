@@ -1,4 +1,4 @@
-"""Requests of sweeps: over fields and wavelengths, of PSTs before and after edits, of a ranking of edits."""
+"""Requests of sweeps: over fields and wavelengths, of PSTs before and after edits, and of a ranking of edits."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class RankingRequest(Request):
 
 @dataclass(frozen=True)
 class SweepChoice(Request):
-    """Choice of `mistray sweep`: a PST before and after edits instead of fields, and a configuration by options."""
+    """Options of `mistray sweep` alone: comparison of PSTs instead of fields, and a configuration by options."""
 
     pst_field_deg: tuple[float, ...] | None = field(
         Each(PST_FIELD_DEG),

@@ -1,4 +1,4 @@
-"""Result of a sweep: a row for each configuration, wavelength and field."""
+"""Result of a sweep, with a row for each configuration, wavelength and field."""
 
 from __future__ import annotations
 
@@ -108,11 +108,11 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
 
     @cached_property
     def _row_of(self) -> dict[tuple[Any, ...], Numbers]:
-        """Rows by their entries of the columns `CELL`: configuration, field angle and wavelength."""
+        """Rows by their key: configuration, field angle (degrees) and wavelength (nm)."""
         return {tuple(row[key] for key in CELL): row for row in self.rows}
 
     def shown(self, row: Numbers) -> Numbers:
-        """Return a row with the columns that `to_pandas` shows."""
+        """Return a row by column name with the columns that `to_pandas` shows."""
         numbers = {key: value for key, value in row.items() if key != FIRST_LIGHT}
         if self.base is None:
             return numbers
@@ -121,7 +121,7 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
 
     @property
     def base(self) -> str | None:
-        """Name of the configuration without changes, to compare others with it; None if there are no others."""
+        """Name of the configuration without changes, with which the others are compared; None if there is no other."""
         if len(self.configurations) < 2:
             return None
         return next((one.name for one in self.configurations if not one.values), None)
@@ -229,7 +229,7 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
         return ghosts(self._scene(name), self.field_deg, wavelength, contested_rays=0, **self.arguments)
 
     def _scene(self, name: str) -> Any:
-        """Return the scene of a configuration, loaded once and kept, because later traces use it again."""
+        """Return the scene in a configuration, loaded on first use and kept for later traces."""
         if name in self._scenes:
             return self._scenes[name]
         one = next(one for one in self.configurations if one.name == name)
@@ -255,7 +255,7 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
         )
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of rows, and the least and the most stray light of a row, W."""
+        """Return the number of rows, and the least and most stray power in a row, W, by label."""
         found: dict[str, KeyNumber] = {"rows": len(self), "configurations": len(self.configurations)}
         stray = [estimate_of(row, "stray_W") for row in self.rows]
         if stray:

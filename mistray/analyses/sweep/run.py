@@ -1,4 +1,4 @@
-"""Sweep of a scene: every field at every wavelength in every configuration."""
+"""Sweep of a scene: traces of every field at every wavelength in every configuration."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def _traced(scene: Any, cell: Cell, arguments: Mapping[str, Any], progress: Any)
 
 @contextlib.contextmanager
 def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
-    """Set a configuration in a scene within a block, and restore the scene afterwards."""
+    """Apply a configuration to a scene within a block, and restore the scene afterwards."""
     if not configuration.values:
         yield
         return
@@ -194,7 +194,7 @@ def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
 
 
 def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> tuple[Cache | None, list[str]]:
-    """Return the cache of a sweep, or None and the reasons if there is none although one was to be expected."""
+    """Return the cache of a sweep, or None with the reasons if there should be one but is not."""
     if wanted is False:
         return None, []
     reason = None
@@ -234,7 +234,11 @@ def _angles(
 
 
 def _part(progress: Progress | None, done: int, rows: int) -> Callable[[int, int], None] | None:
-    """Return a callback for one trace that reports its progress as part of the whole sweep."""
+    """
+    Return a progress callback for one trace, which reports it as part of the whole sweep.
+
+    The result is None without `progress`.
+    """
     if progress is None:
         return None
     return lambda rays, of: progress(done + rays / of, rows)

@@ -1,4 +1,4 @@
-"""Write a configuration of a scene as a scene file."""
+"""Writing a configuration of a scene to a scene file."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ COLD_COLOUR = ORANGE
 
 
 def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
-    """Draw the irradiance by surface and medium as bars, W/mm², with lines for the total and for the scene."""
+    """Draw the irradiance, W/mm², by surface and medium as bars, with lines for the total and the imaged scene."""
     least = FAINTEST * max((e.irradiance_W_mm2.value for e in report.emitters), default=0.0)
     lit = [e for e in report.emitters if e.irradiance_W_mm2.value > least][:SHOWN]
     made, axes = Figure.of_panels(8.6, 1.4 + 0.32 * max(len(lit), 3))
@@ -45,7 +45,7 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
 
 
 def narcissus_figure(report: ThermalReport, title: str = "") -> Figure:
-    """Draw the narcissus-induced temperature difference of surfaces, mK, over the distance from the centre, mm."""
+    """Draw the narcissus-induced temperature difference by surface, mK, against distance from the middle, mm."""
     made, axes = Figure.of_panels(8.6, 4.2)
     edges = np.array(report.zones_mm)
     middles = 0.5 * (edges[1:] + edges[:-1])

@@ -35,7 +35,7 @@ FAINTEST = 1e-9  # weight below which a ray ends
 @dataclass(frozen=True)
 class NarcissusReturn:
     """
-    Light from the detector that returns to it by one reflection, with its narcissus temperature difference, K.
+    Light from the detector that one surface reflects back to it, with its narcissus temperature difference, K.
 
     `by_zone_K` is `with_shield_K` of each zone of the detector, from the middle to the edge, see
     `ThermalReport.zones_mm`.
@@ -70,7 +70,7 @@ class NarcissusReturn:
 
 @dataclass(frozen=True)
 class ZoneReturn:
-    """Zone of the detector, with the narcissus-induced temperature difference, K, by one surface."""
+    """Narcissus-induced temperature difference, K, that one surface causes in one ring-shaped zone of the detector."""
 
     surface: str = column("Surface that reflects")
     low_mm: float = column("Distance from the middle of the detector at which the zone begins, mm")
@@ -158,7 +158,7 @@ def returns(
 
 
 def _zones(o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the detector zone of each start point (n, 3), mm, and the zone borders by distance from the middle, mm."""
+    """Return the zone number of each start point `o`, (n, 3), mm, and the zone borders, mm from the middle."""
     distance = np.linalg.norm(o - o.mean(axis=0), axis=1)
     edges = np.quantile(distance, np.linspace(0, 1, ZONES + 1))
     edges[0] = 0.0
@@ -249,7 +249,7 @@ def _follow(
 
 
 def mean_returns(runs: Sequence[dict[str, Estimate]], weights: np.ndarray) -> dict[str, Estimate]:
-    """Return, by surface, the sum over wavelengths of emission times weight, with its standard error."""
+    """Return emission by surface id as the weighted sum over wavelengths, with its standard error."""
     names = dict.fromkeys(name for run in runs for name in run)
     zero = Estimate(0.0, 0.0)
     return {

@@ -22,7 +22,7 @@ IMAGE, OTHER = "scene, image", "scene, ghosts and scatter"
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """Light on the detector: its photon irradiance, its share of the photon noise, and the NETD, K, by it alone."""
+    """One source of light on the detector: photon irradiance, share of the photon noise, NETD, K, by it alone."""
 
     name: str = column(
         "A part, a medium in brackets, or the scene: its image, and what comes by ghosts and scatter", head="photons of"
@@ -104,7 +104,11 @@ def netd_budget(
     whole, rise = total(every), total(signal)
 
     def netd(by_wave: Sequence[np.ndarray]) -> Estimate:
-        """Return the NETD, K, that the noise of some light causes; its batches have the rays of those of the signal."""
+        """
+        Return the NETD, K, caused by the photon noise of light given by wavelength and batch of rays.
+
+        Its batches have the rays of those of the signal.
+        """
         flux = total(by_wave).value
         if flux <= 0:
             return Estimate(0.0, 0.0)
@@ -128,7 +132,7 @@ def _photons(
     band: tuple[float, float],
     waves: tuple[float, ...],
 ) -> dict[str, list[np.ndarray]]:
-    """Return photon irradiance, photons/(s mm²), by name of the emitter: an array over batches for each wavelength."""
+    """Return photon irradiance, photons/(s mm²), by emitter's name: an array over batches for each wavelength."""
     weights = {k: math.pi * band_weights(k, band, waves, photons=True) for k in {*kelvin.values(), scene_K}}
     direct = [weight * imaged_share(one) for weight, one in zip(weights[scene_K], image, strict=True)]
     every = [weight * one.escaped[2] for weight, one in zip(weights[scene_K], seen, strict=True)]

@@ -1,4 +1,4 @@
-"""Thermal self-emission as text, JSON values, tables, a picture and a report."""
+"""Output of thermal self-emission: text, JSON values, tables, a picture and a report."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
 
 
 def _sums(report: ThermalReport, digits: int) -> list[list[Value]]:
-    """Return rows with the sums over the whole system: text, unit, and value with its error if known."""
+    """Return table rows of sums over the whole system: text, unit, and value with its error if known."""
     rows = [
         ("self-emission", "W/mm²", report.total_W_mm2),
         (f"image of a blackbody scene at {report.scene_K:g} K", "W/mm²", report.image_W_mm2),
@@ -119,7 +119,7 @@ def record(report: ThermalReport) -> dict[str, Any]:
 
 
 def page(report: ThermalReport, title: str = "scene", command: str = "") -> Report:
-    """Return the report; `title` is the name of the optical system, `command` the command line that made it."""
+    """Return the report page; `title` is the system's name, `command` the command line that made it."""
     from mistray.analyses.thermal.figures import narcissus_figure, thermal_figure
     from mistray.toolkit.figures.plots import as_png
 
@@ -170,7 +170,7 @@ def page(report: ThermalReport, title: str = "scene", command: str = "") -> Repo
 
 
 def csv_tables(report: ThermalReport) -> dict[str, pd.DataFrame]:
-    """Return the tables by file name: thermal.csv, and narcissus and NETD tables if they have rows."""
+    """Return DataFrames by file name: thermal.csv, and narcissus and NETD tables if they have rows."""
     further: dict[str, tuple[type, Sequence[Any]]] = {
         "narcissus.csv": (NarcissusReturn, report.returned),
         "narcissus_field.csv": (ZoneReturn, report.by_zone),

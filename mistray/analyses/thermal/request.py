@@ -28,7 +28,7 @@ from mistray.toolkit.fields import FieldSubset, Nested, Request, field
 @dataclass(frozen=True, kw_only=True)
 class DetectorNoise:
     """
-    Pixel and its noise; at least one of `detectivity` and `quantum_efficiency` must be given.
+    Pixel of the detector and its noise; `detectivity` or `quantum_efficiency` or both must be given.
 
     Attributes
     ----------

@@ -121,7 +121,7 @@ class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_f
     notes: list[Note] = field(default_factory=list)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return self-emission, W/mm², its ratio to the imaged scene, and NITD and NETD, K, where they are known."""
+        """Return self-emission, W/mm², its ratio to the imaged scene, NITD and NETD, K, if known, by label."""
         netd = (
             {"NETD by D* [K]": self.netd.by_detectivity_K, "NETD by photons [K]": self.netd.by_photons_K}
             if self.netd
@@ -149,12 +149,12 @@ class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_f
         return dict(sorted(sums.items(), key=lambda item: -item[1].value))
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return one row for each emitter, with the columns of `Emitter`; columns ``_se`` are standard errors."""
+        """Return a DataFrame with a row for each emitter and the columns of `Emitter`; ``_se``: standard errors."""
         return frame(Emitter, self.emitters)
 
     @property
     def noise_sources(self) -> list[NoiseSource]:
-        """Light on the detector and its photon noise, by source; empty without a quantum efficiency."""
+        """Contributions of all light sources to the photon noise; empty without a quantum efficiency."""
         return self.netd.sources if self.netd else []
 
     @property

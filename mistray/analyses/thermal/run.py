@@ -147,7 +147,7 @@ def _with_returns(
     rules: Mapping[str, float],
     rays: int,
 ) -> ThermalReport:
-    """Return the report with the narcissus of a cold detector by one reflection, by surface and zone."""
+    """Return the report with the narcissus that one reflection makes of a cold detector, by surface and zone."""
     if report.detector_K >= report.temperature_K or not report.self_view.value:
         return report
     waves = report.wavelengths_um
@@ -186,7 +186,7 @@ def _check_names(scene: mi.Scene, rules: Mapping[str, float]) -> None:
 
 
 def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, float]) -> dict[Key, float]:
-    """Return the temperature of every emitter, K, by kind and name."""
+    """Return the temperature, K, of every emitter, by kind and name; `rules` map name patterns to K."""
     names: dict[Key, tuple[str, ...]] = {("surface", row.id): (row.id, row.part) for row in seen[0].rows}
     names.setdefault(("surface", seen[0].detector), (seen[0].detector,))
     names |= {("medium", material): (material,) for one in seen for material in one.media}
@@ -198,7 +198,7 @@ def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, fl
 
 
 def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen]) -> Emitter:
-    """Return the result for a surface or medium at `kelvin`; `weights` are its spectral weights times π, W/mm²."""
+    """Return the irradiance by a surface or medium at `kelvin`; `weights` are its spectral weights times π, W/mm²."""
     kind, name = key
     by_batch = [emission(one, key) for one in seen]
     # Of what is at 0 K the emission is the plain mean over the wavelengths
@@ -301,7 +301,7 @@ def _nitd(
 def _returned(
     report: ThermalReport, found: Sequence[Returned], runs: tuple[list[Seen], list[Seen]]
 ) -> list[NarcissusReturn]:
-    """Return the light that returns to the detector by each surface, the strongest first."""
+    """Return the light that each surface reflects back to the detector, the strongest first."""
     emitted, nothing = [one.emission for one in found], np.zeros_like(found[0].scene)
     housing, own = (
         np.pi * band_weights(kelvin, report.band_um, report.wavelengths_um)
@@ -326,7 +326,7 @@ def _returned(
 
 
 def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[Note]:
-    """Return notes on the reliability of the results."""
+    """Return notes on the reliability of the results, such as wavelengths that are too few."""
     waves = traced.wavelengths_um
     notes = list(dict.fromkeys(note for one in seen for note in one.notes))
     if traced.error > BAND_ERROR:

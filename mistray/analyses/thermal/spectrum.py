@@ -45,7 +45,7 @@ def band_weights(
     photons: bool = False,
 ) -> np.ndarray:
     """
-    Return weights with which values at some wavelengths add up to their band integral with Planck's spectrum.
+    Return weights whose sum with values at some wavelengths is their integral over a band with Planck's spectrum.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def traced_wavelengths(
 
 
 def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
-    """Return the wavelengths at which material and coating data are tabulated within a band, and an even grid, µm."""
+    """Return wavelengths, µm, within a band at which material and coating data are tabulated, and an even grid."""
     found = [np.linspace(*band_um, EVEN_NODES)]
     for bsdf in bsdfs:
         if not bsdf.opaque or isinstance(bsdf.coating, Stack):
@@ -225,7 +225,7 @@ def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _optics(bsdf: Any, wavelength_nm: float) -> np.ndarray:
-    """Return numbers on which emission at an interface depends: indices, absorption, coating and scatter, (n,)."""
+    """Return the quantities on which emission at an interface depends, (n,): indices, absorption, coating, scatter."""
     sides: tuple[complex, complex] = (1 + 0j, 1 + 0j)
     if not bsdf.opaque or isinstance(bsdf.coating, Stack):
         front, back = bsdf.complex_indices(wavelength_nm)

@@ -15,7 +15,7 @@ Key = tuple[str, str]  # kind and name of what emits
 
 
 def emission(one: Seen, key: Key) -> np.ndarray:
-    """Return the emission of a surface or medium, as seen from the detector, (batches,), from each batch of a trace."""
+    """Return the emission of a surface or medium, as the detector sees it, in each batch of a trace, (batches,)."""
     kind, name = key
     nothing = np.zeros_like(one.escaped[2])
     if kind == "medium":
@@ -24,24 +24,28 @@ def emission(one: Seen, key: Key) -> np.ndarray:
 
 
 def imaged_share(one: Seen) -> np.ndarray:
-    """Return the fraction of the detector's view that is the imaged scene, (batches,), from each batch of a trace."""
+    """Return the fraction of the detector's view that is the imaged scene, in each batch of a trace, (batches,)."""
     return (one.image or one.escaped)[2]
 
 
 def weighted_sum(weights: np.ndarray, by_batch: Sequence[np.ndarray]) -> Estimate:
-    """Return the weighted sum of independent traces, each by its mean over batches, with its standard error."""
+    """Return the weighted sum of independent traces, each the mean over its batches, with its standard error."""
     value = math.fsum(float(w * np.mean(batches)) for w, batches in zip(weights, by_batch, strict=True))
     errors = [float(w * np.std(b, ddof=1)) / math.sqrt(len(b)) for w, b in zip(weights, by_batch, strict=True)]
     return Estimate(value, math.hypot(*errors))
 
 
 def total(by_wave: Sequence[np.ndarray]) -> Estimate:
-    """Return the sum over wavelengths of batch values, (batches,) each, with its standard error."""
+    """Return the sum over wavelengths, each the mean of its batch values, (batches,), with its standard error."""
     return weighted_sum(np.ones(len(by_wave)), by_wave)
 
 
 def ratio(top: Sequence[np.ndarray], bottom: Sequence[np.ndarray]) -> Estimate:
-    """Return the ratio of two sums of traces with common rays in their batches; NaN unless the lower sum is above 0."""
+    """
+    Return the ratio of the sums over wavelengths of two quantities from the same rays.
+
+    It is NaN unless the lower sum is above 0.
+    """
     whole = total(bottom).value
     if whole <= 0:
         return UNKNOWN
@@ -51,7 +55,11 @@ def ratio(top: Sequence[np.ndarray], bottom: Sequence[np.ndarray]) -> Estimate:
 
 
 def with_band_error(value: Estimate, bound: float) -> Estimate:
-    """Return an estimate with the error of the sampled band added: relative, uniform within ±`bound`; 0 if infinite."""
+    """
+    Return an estimate with the relative error of band sampling added, uniform within ±`bound`.
+
+    An infinite `bound` adds nothing.
+    """
     more = bound / math.sqrt(3) if math.isfinite(bound) else 0.0  # a note says if it is not known
     return Estimate(value.value, math.hypot(value.se, more * value.value))
 
@@ -64,7 +72,7 @@ def per_kelvin(
     photons: bool = False,
 ) -> list[np.ndarray]:
     """
-    Return the change of the imaged scene's irradiance by its temperature, W/(mm² K), by wavelength and batch.
+    Return the derivative of the imaged scene's irradiance by its temperature, W/(mm² K), by wavelength and batch.
 
     With `photons` it is photons/(s mm² K).
     """

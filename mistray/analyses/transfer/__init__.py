@@ -1,1 +1,1 @@
-"""Transfer functions of scattered light and ghosts: effect of stray light on the image of a point and its contrast."""
+"""Transfer functions of scattered light and ghosts: how stray light lowers the contrast of an image."""

@@ -1,4 +1,4 @@
-"""Light about the image of a point: flux on the detector by class and distance, and its Fourier sums."""
+"""Recorder of the light about the image of a point: flux by class and distance, and its Fourier sums."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class ImageSpread(PassingLight):
         return type(self).__name__, self._waves > 0, self._design.code
 
     def attach(self, scene: KernelScene) -> None:
-        """Prepare the recorder for a trace of a scene, with all sums at zero."""
+        """Prepare for a trace of a scene at one wavelength, with all sums at zero."""
         super().attach(scene)
         self._line = scene.table.wavelength_nm
         self._at = [dr.opaque(mi.Float, float(v)) for v in self._point]
@@ -90,11 +90,11 @@ class ImageSpread(PassingLight):
 
     @property
     def by_ray(self) -> bool:
-        """Whether each start ray needs memory of its own: no, as every path begins with equal values."""
+        """False, as no lane needs memory for a single start ray."""
         return False
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the light that the detector absorbs at a ray's hit to the rings and Fourier sums."""
+        """Add the light that the detector absorbs at each hit to its ring and to the Fourier sums."""
         here, state = visit.counted, visit.state
         kind = dr.select(self._design.hold(state["key"], False), mi.UInt32(DIRECT), GHOSTS)
         if visit.scatters:
@@ -123,10 +123,7 @@ class ImageSpread(PassingLight):
         dr.while_loop((start, mi.Bool(here)), lambda k, more: more, add_wave, labels=("wave", "more"))
 
     def collect(self, unit: float) -> None:
-        """Store the light at the traced wavelength, and add it to the total.
-
-        `unit` is the power in W of a ray of weight 1.
-        """
+        """Store the light at the traced wavelength and add it to the total. `unit` is the flux of a start ray, W."""
         before, self._flux = self._flux, None
         super().collect(unit)
         found = self.flux
@@ -140,7 +137,7 @@ class ImageSpread(PassingLight):
         return light[kind * size : (kind + 1) * size]
 
     def rings(self, kind: int, wavelength_nm: float | None = None) -> Sampled:
-        """Flux of a light class in the innermost disc and the rings, W, (n,); at one wavelength or in all."""
+        """Return the flux of a light class in the innermost disc and each ring, W, (n,); at one wavelength or all."""
         return self._of(kind, wavelength_nm)[: self._rings]
 
     def waves(self, kind: int, wavelength_nm: float | None = None) -> tuple[Sampled, Sampled]:

@@ -1,4 +1,4 @@
-"""Images of points with their stray light as parts of a report, shared by a study and other reports."""
+"""Report parts on images of points with stray light, shared by a study and other reports."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CAPTIONS: tuple[tuple[str, Callable[[FieldTransfer, str], Drawing], str], ...] =
 
 
 def field_table(found: Transfer) -> Table:
-    """Return the table of the fields: shares of the light, veiling floor, glare."""
+    """Return the table of fields: shares of light by class, veiling floor and glare."""
     heads = columns("<field", *(f"{name} [% of detected]" for name in CLASSES), "veiling floor", "glare")
     rows: list[list[Value]] = [
         [
@@ -43,7 +43,7 @@ def field_table(found: Transfer) -> Table:
 
 
 def curve_table(found: FieldTransfer) -> Table:
-    """Return the transfer functions of a field at each frequency as a table."""
+    """Return the table of a field's transfer functions, with a row for each frequency."""
     return frame_table("", found.to_pandas())
 
 

@@ -1,4 +1,4 @@
-"""Effects of a detector on contrast: pixel aperture, charge diffusion, measured transfer function."""
+"""Transfer function of a detector: pixel aperture, charge diffusion, and a measured curve."""
 
 from __future__ import annotations
 

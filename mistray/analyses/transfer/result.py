@@ -34,7 +34,7 @@ it already."""
 
 
 class TransferCurve(NamedTuple):
-    """Values over frequency or radius and their standard errors, (m,) each."""
+    """Values over frequency or radius with their standard errors, (m,) each."""
 
     value: Array
     se: Array
@@ -96,7 +96,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return self.image.name
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the field, the veiling floor of its transfer functions, and its glare."""
+        """Return the field, the veiling floor of its transfer functions, and its glare, by label."""
         glare = Estimate(self.glare.value, self.glare.se)
         return {"field": self.name, "veiling floor [1]": self.veiling_floor, "glare [1]": glare}
 
@@ -140,7 +140,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return AZIMUTHS.index(azimuth)
 
     def _waves(self, kind: int, azimuth: str, line: float | None = None) -> _Complex:
-        """Return the Fourier sums of a light class about the origin, W, (m,), complex with batch deviations."""
+        """Return Fourier sums of a light class about the origin, W, (m,), complex with batch deviations for errors."""
         n, m = self._number(azimuth), len(self.frequencies_per_mm)
         part = slice(n * m, (n + 1) * m)
         real, imaginary = (found[part] for found in self.spread.waves(kind, line))
@@ -381,7 +381,7 @@ class Transfer(OfFields[FieldTransfer], Result, table=".page:field_table", figur
     notes: tuple[str, ...] = ()
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of fields, and the lowest veiling floor and the highest glare of a field."""
+        """Return the number of fields, the lowest veiling floor and the highest glare of any field, by label."""
         found: dict[str, KeyNumber] = {"fields": len(self)}
         if len(self):
             glare = max((one.glare for one in self), key=lambda glare: glare.value)
@@ -390,7 +390,7 @@ class Transfer(OfFields[FieldTransfer], Result, table=".page:field_table", figur
         return found
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a table with a row for each field, see `FieldTransfer.row`."""
+        """Return a DataFrame with a row of results for each field, see `FieldTransfer.row`."""
         return pd.DataFrame([one.row() for one in self])
 
     def books(self) -> pd.DataFrame:
@@ -399,7 +399,7 @@ class Transfer(OfFields[FieldTransfer], Result, table=".page:field_table", figur
 
 
 class _Complex(NamedTuple):
-    """Complex values, (m,), with their deviation in each batch of rays, from which errors follow."""
+    """Complex values, (m,), with their deviation in each batch of rays, from which standard errors follow."""
 
     value: npt.NDArray[np.complex128]
     apart: npt.NDArray[np.complex128]

@@ -1,4 +1,4 @@
-"""Images of points with stray light, from one trace of each field with scatter and ghosts."""
+"""Images of points with stray light, from one trace per field with scatter and ghosts."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ transfer = analysis("transfer", TransferRequest, run)
 
 
 def _one_mode(scene: mi.Scene, found: ImageQuality, detector: str, settings: Mapping[str, Any]) -> PolarizationChoice:
-    """Choose one polarisation mode for the traces of all fields, see `mistray.trace.polarization_choice`."""
+    """Return one polarisation mode for the traces of all fields, see `mistray.trace.polarization_choice`."""
     nm, weights = found.wavelengths_nm.tolist(), found.weights.tolist()
     fields = [field_of(scene, image.field_mm) if found.near else image.field_deg for image in found]
     beams = [Light(field, image.azimuth_deg, nm, weights, detector) for field, image in zip(fields, found, strict=True)]
@@ -192,7 +192,7 @@ def _field(
 
 
 def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
-    """Return the balance of the launched light: fractions by destination, with standard errors."""
+    """Return the balance of the launched light: the fraction that ends at each destination, with standard errors."""
     e, launched = t.energy, t.energy.launched_W
 
     def share(value: float, se: float = 0.0) -> Estimate:
@@ -231,7 +231,7 @@ def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: fl
 def _frequencies(
     quality: ImageQuality, extent: tuple[float, float, float, float], given: Sequence[float] | None
 ) -> np.ndarray:
-    """Return the frequencies of the transfer functions, 1/mm: those given, or a default set up to the cut-off."""
+    """Return the spatial frequencies of the transfer functions, 1/mm: those given, or a set up to the cut-off."""
     if given is not None:
         return np.array(given)
     cut = max(image.cut_off_per_mm(azimuth) for image in quality for azimuth in AZIMUTHS)

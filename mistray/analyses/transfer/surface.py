@@ -34,7 +34,7 @@ LEAST_COSINE = 0.05  # of scattered light: a BSDF that counts solid angles grows
 @dataclass(frozen=True, repr=False)
 class SurfaceTransfer(Result):
     """
-    Factor by which a rough surface multiplies the optical transfer function.
+    Surface transfer function: the factor by which a rough surface multiplies the optical transfer function.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class SurfaceTransfer(Result):
     at_lag: Callable[[Array], Array]
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the wavelength, µm, the plateau, and the scattered share of the light."""
+        """Return the wavelength (µm), the plateau and the scattered fraction of the light, by label."""
         return {"wavelength [µm]": self.wavelength_um, "plateau": self.plateau, "TIS": self.tis}
 
     @property
@@ -70,7 +70,7 @@ class SurfaceTransfer(Result):
 
     def at(self, frequencies_per_mm: npt.ArrayLike, f_number: float, footprint_mm: float) -> Array:
         """
-        Return the factor at spatial frequencies of the image.
+        Return the factor on the OTF at spatial frequencies of the image, (m,).
 
         Parameters
         ----------
@@ -254,9 +254,9 @@ class _Rings:
         return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))
 
     def beside(self, specular: float, highest: float, lag: Array) -> Array:
-        """Return the transform at lags, µm, of a specular share and of these rings up to a highest frequency, 1/µm."""
+        """Return the transform at lags, µm, of a specular share and the rings, whose highest frequency is in 1/µm."""
         return specular + (1 - specular) * self.transform(highest * np.asarray(lag))
 
     def of_phase(self, variance: float, highest: float, lag: Array) -> Array:
-        """Return the transfer function at lags, µm, of a phase of this variance, whose spectrum these rings are."""
+        """Return the transfer function at lags, µm, of a random phase with a variance, rad², and spectrum `rings`."""
         return formulas.surface_transfer(self.transform(highest * np.asarray(lag)), variance)

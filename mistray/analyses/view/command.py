@@ -1,4 +1,4 @@
-"""Command `mistray view`: show a scene in 3-D, cut open, with the rays of its strongest paths."""
+"""Command `mistray view`, which shows a scene in 3-D, cut open, with the rays of its strongest paths."""
 
 from __future__ import annotations
 

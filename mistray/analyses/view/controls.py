@@ -33,7 +33,7 @@ BEAM_SHOWN = 0.15  # of the size of the scene, before the first surface
 
 
 class LogScale:
-    """Colour scale for values on a log10 scale, and its range."""
+    """Logarithmic colour scale of positive values, and its range."""
 
     def __init__(self, values: npt.NDArray[np.float64], title: str, decades: float = DECADES) -> None:
         self.title = title
@@ -51,7 +51,7 @@ class LogScale:
 
     @property
     def decades(self) -> list[int]:
-        """Whole powers of ten within the range of the colour scale."""
+        """Powers of ten, as whole exponents, within the range of the colour scale."""
         return list(range(math.ceil(self.floor - 1e-9), math.floor(self.top + 1e-9) + 1))
 
 
@@ -77,7 +77,7 @@ def light_scales(
 
 
 def colour_axes(scales: Mapping[str, LogScale], by: str) -> dict[str, dict[str, Any]]:
-    """Return the scales as colour axes of the layout; only the axis named `by`, which colours surfaces, has a bar."""
+    """Return the colour axes of a plotly layout, by name; only the axis `by`, which colours surfaces, has a bar."""
     axes = {}
     for key, name in zip(scales, COLOUR_AXES, strict=False):
         scale = scales[key]
@@ -107,7 +107,7 @@ def colour_axes(scales: Mapping[str, LogScale], by: str) -> dict[str, dict[str, 
 
 
 def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
-    """Return invisible plotly marks, one per scale, because plotly draws a colour bar only for an axis with a mark."""
+    """Return one invisible plotly mark per scale, since plotly draws a colour bar only for an axis with a mark."""
     centre = (box[0] + box[1]) / 2
     return [
         go.Scatter3d(
@@ -123,7 +123,7 @@ def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
 
 
 def shown_box(surfaces: Sequence[OpenSurface], lines: Sequence[RayLine], cut: CutPlane | None) -> Box:
-    """Return the two corners, mm, of the shown volume: surfaces, rays in the removed half, and beginnings of beams."""
+    """Return the two corners, mm, of the shown volume: surfaces, rays in the removed half, and starts of beams."""
     points = np.concatenate([surface.vertices for surface in surfaces]).astype(np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
@@ -160,7 +160,7 @@ def cameras(cut: CutPlane | None) -> dict[str, dict[str, Any]]:
 
 
 def arrange(figure: Any, box: Box, cut: CutPlane | None) -> None:
-    """Set equal axes in mm that show the box, the legends, and the first camera of a figure."""
+    """Set equal axes in mm that show the box, the legends and the first camera of a plotly figure."""
     low, high = box
     span = high - low
     axes = {
@@ -195,7 +195,7 @@ def arrange(figure: Any, box: Box, cut: CutPlane | None) -> None:
 def add_buttons(
     figure: Any, scales: Mapping[str, LogScale], by: str, shown: Sequence[OpenSurface], cut: CutPlane | None
 ) -> None:
-    """Add buttons above the picture: viewpoint, colours of the surfaces, and all rays or none."""
+    """Add buttons above a plotly figure: viewpoint, colours of the surfaces, and all rays or none."""
     role = [ROLE_COLOURS[surface.role] for surface in shown]
     keys = [*scales, "role"]
     colours = {key: role if key in ("role", IRRADIANCE) else scales[key].colours for key in keys}
@@ -206,7 +206,11 @@ def add_buttons(
     meshes = list(range(len(shown)))
 
     def seen(key: str) -> list[bool]:
-        """Return for each mesh whether it is shown: surfaces first, then cells, which can replace them."""
+        """
+        Return for each mesh True if it is shown with the colours `key`.
+
+        Surfaces come first, then cells of wall maps, which replace them.
+        """
         cells = key == IRRADIANCE
         return [not (cells and surface.name in walls) for surface in shown] + [cells] * len(walls)
 

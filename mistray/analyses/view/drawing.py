@@ -185,5 +185,5 @@ def xyz(points: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
 
 
 def _small(faces: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return vertex indices in the smallest sufficient integer type, uint16 or uint32."""
+    """Return vertex indices in the smaller sufficient integer type, uint16 or uint32."""
     return faces.astype(np.uint16 if faces.size == 0 or faces.max() < 2**16 else np.uint32)

@@ -1,4 +1,4 @@
-"""Text and JSON of a 3-D view."""
+"""Output of a 3-D view as JSON values."""
 
 from __future__ import annotations
 

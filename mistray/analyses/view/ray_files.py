@@ -1,4 +1,4 @@
-"""Files of rays: PLY, OBJ and JSON.
+"""Readers and writers of drawn rays in PLY, OBJ and JSON files.
 
 All three hold every number in full, so that rays are read back bit by bit:
 

@@ -16,7 +16,7 @@ WHOLE = "none"
 
 @dataclass(frozen=True)
 class CutAzimuth(Range):
-    """Condition that a value is the azimuth of a cut, degrees, or "none" for no cut."""
+    """Condition that a value is the azimuth of a cut, degrees about z from x, or "none" for no cut."""
 
     def check(self, name: str, value: Any, owner: str = "") -> float | None:
         """Return the azimuth, degrees, or None for no cut; raise `MistrayError` if it is out of range."""

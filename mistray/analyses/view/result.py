@@ -57,7 +57,7 @@ class View:
         return replace_file(path, self.html(command), "view")
 
     def _repr_html_(self) -> str:
-        """Return the page in a frame of its own, isolated from other scripts of the notebook."""
+        """Return the page as HTML in a frame of its own, isolated from other scripts of the notebook."""
         return (
             f'<iframe srcdoc="{escape(self.html())}" title="{escape(self.title)}" '
             'style="width: 100%; height: 640px; border: 0"></iframe>'

@@ -1,4 +1,4 @@
-"""Scene in three dimensions, cut open, with the rays of the strongest paths: for Jupyter and as an HTML file.
+"""View of a scene in three dimensions, cut open, with the rays of the strongest paths: for Jupyter and as HTML.
 
 Everything is drawn by plotly, an optional dependency (``pip install 'mistray[view]'``). The HTML holds plotly.js itself
 and needs no network.
@@ -133,7 +133,7 @@ def graph_objects() -> Any:
 
 
 def _check_untraced(request: ViewRequest) -> None:
-    """Raise `MistrayError` if the request needs a trace: colours by flux, path ids or classes of light."""
+    """Raise `MistrayError` if a request needs a trace, as for colours by flux, path ids or classes of light."""
     if request.colour not in (None, "role"):
         raise MistrayError(f"colour is '{request.colour}' but nothing was traced; give the trace, or colour='role'")
     for name in ("path_ids", "classes"):
@@ -142,7 +142,11 @@ def _check_untraced(request: ViewRequest) -> None:
 
 
 def _maps_of(traces: Sequence[Trace]) -> list[SurfaceMap]:
-    """Return the recorded irradiance maps of surfaces; raise `MistrayError` if there are any in several traces."""
+    """
+    Return the irradiance maps of surfaces that a trace recorded.
+
+    Raise `MistrayError` if several traces recorded any.
+    """
     from mistray.recorders.flux_maps.surface_maps import SurfaceMaps
 
     recorders = [one for trace in traces for one in trace.recorders.values() if isinstance(one, SurfaceMaps)]

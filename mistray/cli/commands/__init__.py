@@ -1,1 +1,1 @@
-"""Commands of the command line that are no analyses, one file each."""
+"""Commands of `mistray` that are no analyses, one file each."""

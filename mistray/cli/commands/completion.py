@@ -1,4 +1,4 @@
-"""Command `mistray completion`, which prints a script with which a shell completes commands, options and names."""
+"""Command `mistray completion`, which prints a script by which a shell completes commands, options and names."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def run(options: Options) -> int:
 @dataclass(frozen=True)
 class Value:
     """
-    An option or positional argument of a command, and the values that are proposed for it.
+    Option or positional argument of a command, with the values that a shell proposes for it.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Described:
-    """A command: its name, its line of help, its options (`options`) and its positional arguments (`positional`)."""
+    """Command as the shell completes it: name, line of help, options and positional arguments."""
 
     name: str
     help: str
@@ -94,7 +94,7 @@ def described(commands: Iterable[Command]) -> list[Described]:
 
 
 def _names() -> dict[str, tuple[str, ...]]:
-    """Return names to propose, keyed by placeholder, for arguments that take a file as well."""
+    """Return names to propose for arguments that also take a file, by the arguments' placeholder."""
     from mistray.coatings import PRESETS
     from mistray.scatter.kinds import KINDS
     from mistray.scene.load import shipped_scenes
@@ -142,7 +142,7 @@ def script(shell: str, commands: list[Described]) -> str:
 
 
 def _bash_values(values: Sequence[Value]) -> str:
-    """Return the proposals for some arguments as variables of bash."""
+    """Return bash code that sets variables to the values proposed for some arguments."""
     names = shlex.quote(" ".join(name for value in values for name in value.names))
     return f"names={names} files={'yes' if any(value.files for value in values) else 'no'}"
 
@@ -171,7 +171,7 @@ def _zsh_value(value: Value, start: str) -> str:
 
 
 def _zsh_text(text: str) -> str:
-    """Return a text with escapes, to stand between brackets or colons in a specification for zsh."""
+    """Return a text escaped for use between brackets or colons in a specification for zsh."""
     for character in "\\[]:":
         text = text.replace(character, f"\\{character}")
     return text
@@ -187,6 +187,6 @@ def _fish_value(value: Value, exclusive: str) -> str:
 
 
 def _fish_text(text: str) -> str:
-    """Return a text in quotation marks for fish; backslashes and quotes in it are escaped."""
+    """Return a text quoted for fish, with backslashes and quotes escaped."""
     escaped = text.replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"

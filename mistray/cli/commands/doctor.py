@@ -19,7 +19,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Print the report on this machine; return the exit code, 1 if something required is missing."""
+    """Print which requirements of mistray this machine meets; return the exit code, 1 if a required one is missing."""
     from mistray.cli import doctor
 
     with working("looking at this machine"):

@@ -1,1 +1,1 @@
-"""Rims that a beam just fills, at which a metric has no derivative: found by the rays along the beam's edge."""
+"""Rims that a beam just fills, at which a metric has no derivative; rays along the beam's edge find them."""

@@ -75,7 +75,7 @@ class FullRims:
 
     @cached_property
     def full(self) -> list[tuple[int, Key, np.ndarray]]:
-        """Rims that the beam just fills: line of its edge, key of the passage, mask of the rays there, (n,) bool."""
+        """Rims that the beam just fills: line of its edge, key of the passage, mask of the rays there, (n,)."""
         found = []
         for line, key, passage in self._along():
             here = passage.counts & (passage.slope < ALONG)
@@ -104,7 +104,7 @@ class FullRims:
         return list(dict.fromkeys(self.name(key) for _, key, _ in self.full))
 
     def name(self, key: Key) -> str:
-        """Return the name of the rim of a passage, in words, with the id of its surface."""
+        """Return the rim of a passage in words, with the id of its surface."""
         return f"the {WORDS[key[3]]} of '{self.table.ids[key[2]]}'"
 
     @cached_property
@@ -160,7 +160,7 @@ class FullRims:
 
     @cached_property
     def _owners(self) -> list[Any]:
-        """Plugins whose parameters can move such a rim, or the rays on their way to it."""
+        """Plugins whose parameters can move a just-filled rim, or the rays on their way to it."""
         met = set().union(*(rays.met for rays in self._passages)) | {key[2] for _, key, _ in self.full}
         table = self.table
         return [self.source.emitter, *(part[k] for k in sorted(met) for part in (table.shapes, table.optics.bsdfs))]
@@ -176,7 +176,7 @@ class FullRims:
 
     @cached_property
     def _passages(self) -> list[MarginalRays]:
-        """Followed rays of each closed line of the edge of the beam."""
+        """Marginal rays traced along each closed line of the beam's edge."""
         found = []
         last = self.table.ids.index(self.source.shape) if self.source.shape else -1
         for edge, within in zip(self._edges, self.source.edges(RAYS, INSIDE * CLOSE * self.width), strict=True):
@@ -188,7 +188,7 @@ class FullRims:
         return found
 
     def _moved(self, rays: MarginalBundle, owner: Any, name: str, step: float) -> MarginalBundle:
-        """Return rays that start as with a parameter changed by `step`; unchanged if it is not one of the source."""
+        """Return rays as they start with a parameter changed by `step`; unchanged if it is not one of the source."""
         if owner is not self.source.emitter:
             return rays
         by_o, by_d = self.source.motion(name, mi.Vector3d(*rays.o.T), mi.Vector3d(*rays.d.T))
@@ -197,7 +197,7 @@ class FullRims:
         return rays._replace(o=o, d=d / np.linalg.norm(d, axis=1, keepdims=True))
 
     def _with(self, owner: Any, name: str, step: float) -> SurfaceTable:
-        """Return the surfaces with another value of a parameter, changed in the numbers that host rays use."""
+        """Return the surfaces as they are with a parameter changed by `step`, in the numbers that host rays use."""
         table = copy(self.table)
         table.pieces, table.vertices, table.rotations = (
             list(table.pieces),

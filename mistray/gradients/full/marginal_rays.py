@@ -27,7 +27,7 @@ Key = tuple[tuple[int, ...], int, int, int, int]
 
 class Meeting(NamedTuple):
     """
-    Hits of the marginal rays of a line at one step of their path: surfaces, (n,), and points, (n, 3).
+    Hits of the marginal rays of one closed line at one step of their path.
 
     Attributes
     ----------
@@ -42,7 +42,11 @@ class Meeting(NamedTuple):
 
     @classmethod
     def of(cls, count: int, place: np.ndarray, surface: np.ndarray, point: np.ndarray) -> Meeting:
-        """Return the hits of some of the `count` rays of a line; the others have surface -1 and a NaN point."""
+        """
+        Return the hits of those rays, of `count` on a line, that `place` gives.
+
+        The others have surface -1 and a NaN point.
+        """
         found = cls(np.full(count, -1), np.full((count, 3), np.nan))
         found.surface[place], found.point[place] = surface, point
         return found
@@ -51,7 +55,7 @@ class Meeting(NamedTuple):
 @dataclass
 class Passage:
     """
-    Depths and points at which the marginal rays of a closed line pass by a rim.
+    Depths and points at which the marginal rays of a closed line pass a rim.
 
     Attributes
     ----------
@@ -73,7 +77,7 @@ class Passage:
 
     @property
     def slope(self) -> np.ndarray:
-        """Absolute change of depth per length along the line, (n,), mm/mm; infinite without near neighbours."""
+        """Absolute change of depth per length along the closed line, (n,), mm/mm; infinite without near neighbours."""
         change = []
         for back, ahead in ((1, -1), (1, 0), (0, -1)):
             step = np.linalg.norm(np.roll(self.point, ahead, axis=0) - np.roll(self.point, back, axis=0), axis=1)
@@ -109,14 +113,14 @@ class MarginalBundle(NamedTuple):
     way: tuple[Meeting, ...] = ()
 
     def take(self, some: np.ndarray) -> MarginalBundle:
-        """Return the bundle restricted to some of its rays, given by mask or indices."""
+        """Return the bundle with those of its rays that a mask or indices select."""
         return self._replace(o=self.o[some], d=self.d[some], last=self.last[some], place=self.place[some])
 
 
 @dataclass
 class MarginalRays:
     """
-    Marginal rays along one closed line of a beam's edge, with the rims that they pass by.
+    Marginal rays along one closed line of a beam's edge, with the rims that they pass.
 
     Attributes
     ----------
@@ -149,7 +153,7 @@ class MarginalRays:
 
     def follow(self, rays: MarginalBundle) -> np.ndarray:
         """
-        Trace marginal rays to their ends, and record the rims that they pass by.
+        Trace marginal rays to their ends, and record the rims that they pass.
 
         Returns
         -------
@@ -189,13 +193,13 @@ class MarginalRays:
         return lit
 
     def _after(self, rays: MarginalBundle, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return unit directions after the surface that rays are at, (n, 3), and whether they end there, (n,) bool."""
+        """Return unit directions of rays behind the surface where they are, (n, 3), and a mask of rays that end."""
         after, _ = onward(self.table, rays.last, rays.d, normal)
         detects = (self.table.optics.host_words[rays.last] & DETECTOR) != 0
         return after, detects | ~np.isfinite(after[:, 0])
 
     def _black(self, surface: np.ndarray) -> np.ndarray:
-        """Whether surfaces at which rays end neither scatter nor reflect nor record light, (n,) bool."""
+        """Return a mask of surfaces, (n,), at which rays end and that neither scatter, reflect nor record light."""
         optics = self.table.optics
         words, bsdfs = optics.host_words[surface], optics.bsdfs
         scatters = np.array([bool(bsdfs[k].scatter) for k in surface], dtype=bool)
@@ -205,7 +209,7 @@ class MarginalRays:
     def _passing(
         self, legs: MarginalBundle, length: np.ndarray
     ) -> Iterator[tuple[tuple[int, int, int], np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield each rim that ray segments pass closely: its key, and their numbers, (n,), depths and points, mm."""
+        """Yield each rim that ray segments pass closely: its key, ray numbers, depths and points, (n,), mm."""
         for piece in self.table.pieces:
             rims = [rim for rim in piece.rim_sizes if (piece.index, rim) in self.zones]
             least = np.where(legs.last == piece.index, piece.self_hit, 0.0)
@@ -233,7 +237,7 @@ class MarginalRays:
         depth: np.ndarray,
         point: np.ndarray,
     ) -> None:
-        """Record depths and points, mm, of ray segments that pass a rim; follow the other branch of very close ones."""
+        """Record depths and points, mm, at which ray segments pass a rim; trace the other branch of very close ones."""
         very = np.abs(depth) < self.close * self.zones[key[2:4]]
         place = legs.place[near]
         counts = very & (lit[near] | self.inside[place])
@@ -248,7 +252,11 @@ class MarginalRays:
         passage.depth[place], passage.point[place], passage.counts[place] = depth, point, counts
 
     def _otherwise(self, rays: MarginalBundle, hits: np.ndarray) -> np.ndarray:
-        """Whether light continues on the other branch, (n,): rays hit a rim's surface where `hits`, else pass it."""
+        """
+        Return a mask of rays whose light continues on the other branch.
+
+        Rays hit a rim's surface where `hits`, else they pass it.
+        """
         after, ends = self._after(rays, normals(self.table, int(rays.last[0]), rays.o))
         ends &= hits
         lit = ends & ~self._black(rays.last)
@@ -295,7 +303,7 @@ def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: MarginalB
 
 def _nearest(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray, then: np.ndarray) -> np.ndarray:
     """
-    Return the crossings of rays with a surface, (n, 3), mm, nearest to those before its move.
+    Return the points at which rays cross a surface, (n, 3), mm, nearest to those before its move.
 
     Mitsuba's own shapes do not move: their crossings are returned as they are.
     """

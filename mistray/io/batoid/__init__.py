@@ -1,1 +1,1 @@
-"""Reader of batoid telescopes (.yaml)."""
+"""Reader of telescopes of the program batoid (.yaml)."""

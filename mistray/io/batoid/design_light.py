@@ -1,4 +1,4 @@
-"""Rays of batoid's design light, from which the openings and outer radii of baffle plates are found.
+"""Rays of a telescope's design beam in batoid, from which the openings and outer radii of baffle plates are found.
 
 batoid applies a baffle at its own place in the sequence and nowhere else. For example, a camera that shades the primary
 mirror is a full disc in batoid; light on its way to the camera ignores the disc. A plate in space meets all light. So
@@ -100,11 +100,11 @@ class BatoidLight:
         return np.array(points), arrives, interfaces, np.array(free)
 
     def beam_radius(self, interface: Any) -> float:
-        """Largest distance of rays from the middle of an interface, m, with a margin of `MARGIN`; all passes count."""
+        """Return the largest distance, m, of rays from the middle of an interface, all passes, with margin `MARGIN`."""
         return (1 + MARGIN) * self.beam_ring(interface)[1]
 
     def beam_ring(self, interface: Any) -> tuple[float, float]:
-        """Smallest and largest distance from the middle of an interface at which batoid's rays meet it, m."""
+        """Return the smallest and largest distance from the middle of an interface at which rays meet it, m."""
         local = _local(interface, self._points)
         there = [step is not None and step.name == interface.name for step in self._interfaces]
         if type(interface.surface).__name__ == "Plane":  # as one of several names
@@ -114,17 +114,17 @@ class BatoidLight:
         return float(np.nanmin(radius)), float(np.nanmax(radius))
 
     def _turn(self, interface: Any) -> int:
-        """Return the index of the first design surface, in the order of the light, that is this interface."""
+        """Return the position of an interface in the order in which the light first meets surfaces."""
         return next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
 
     def way(self, interface: Any) -> int:
-        """Direction of the light just before its first arrival at a baffle: +1 or -1 along the baffle's z axis."""
+        """Return the direction of light just before it first meets a baffle: +1 or -1 along the baffle's z axis."""
         number = self._turn(interface)
         before = _local(interface, self._points[number - 1])[:, 2]
         return -1 if float(np.nanmean(before)) > 0 else 1
 
     def shaded(self, interface: Any, rings: Rings) -> float:
-        """Fraction of the unblocked rays that centred rings (radii in m) cover at the first arrival at an interface."""
+        """Return the fraction of unblocked rays that centred rings (radii, m) cover at an interface's first pass."""
         number = self._turn(interface)
         at = _local(interface, self._points[number][self._free[number]])
         radius = np.hypot(at[:, 0], at[:, 1])
@@ -133,7 +133,7 @@ class BatoidLight:
 
     def crossings(self, interface: Any, way: int = 0) -> Rings:
         """
-        Rings in the plane of a baffle that light on its way to the detector crosses without meeting the baffle.
+        Return rings in a baffle's plane that light on its way to the detector crosses without meeting the baffle.
 
         Parameters
         ----------
@@ -229,6 +229,6 @@ def _points(rays: Any, world: Any) -> np.ndarray:
 
 
 def _local(interface: Any, points: np.ndarray) -> np.ndarray:
-    """Transform world points (…, 3), m, to the frame of an interface."""
+    """Return world points, (…, 3), m, in the frame of an interface, m."""
     frame = interface.coordSys
     return np.asarray((points - np.asarray(frame.origin)) @ np.asarray(frame.rot))

@@ -71,7 +71,7 @@ def read_optic(path: str | Path) -> batoid.Optic:
 
 
 def _own_file(path: Path) -> Path:
-    """Return a path, or that of the file of this name in batoid's own data if the path does not exist."""
+    """Return a path; if nothing exists there, that of the file of this name in batoid's own data."""
     import batoid
 
     if path.exists() or path.name != str(path):
@@ -87,7 +87,7 @@ def _unshared(item: Any) -> Any:
 
 
 def _faulty(item: dict[str, Any], error: Exception, parse: Callable[[Any], Any]) -> tuple[dict[str, Any], Exception]:
-    """Return the innermost optic of a file that batoid cannot read, and the exception that batoid raises for it."""
+    """Return the innermost element of a telescope file that batoid cannot read, and the exception that it raises."""
     for part in item["items"] if isinstance(item.get("items"), list) else ():
         try:
             parse(_unshared(part))
@@ -101,7 +101,7 @@ def _place(item: dict[str, Any]) -> str:
 
 
 def _reason(item: dict[str, Any], error: Exception) -> str:
-    """Describe what is wrong with an optic of a file, from Python's error."""
+    """Describe what is wrong with an element of a telescope file, from batoid's exception."""
     if isinstance(error, KeyError):
         return f"has no '{shown([str(error.args[0])])}'"
     if word := _UNKNOWN.search(str(error)):

@@ -45,7 +45,7 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
 
 
 def _outline(obscuration: Any, radius: float, owner: str, clear: bool) -> Outline:
-    """Return the outline of `_figures`; it ends at `radius`, m, where the obscuration sets no limit."""
+    """Return the clear or covered area of an obscuration as an outline, mm; it ends at `radius`, m, if unlimited."""
     figures = _figures(obscuration, radius, owner, clear)
     if figures[0].sign == "-":
         figures = [OutlineFigure("circle", sizes=(radius * M_TO_MM,)), *figures]
@@ -53,7 +53,7 @@ def _outline(obscuration: Any, radius: float, owner: str, clear: bool) -> Outlin
 
 
 def is_open(obscuration: Any) -> bool:
-    """Whether an obscuration is opaque everywhere except in an opening, so that it has no outer limit."""
+    """True if an obscuration is opaque everywhere except in an opening, so that it has no outer limit."""
     kind = type(obscuration).__name__
     if kind == "ObscUnion":
         return any(is_open(item) for item in obscuration.items)
@@ -69,7 +69,7 @@ def _parts(obscuration: Any) -> Iterator[Any]:
 
 
 def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[OutlineFigure]:
-    """Return figures, mm, of the clear or covered area of an obscuration on a disc of a radius in m."""
+    """Return the clear or covered area of an obscuration as figures, mm, on a disc of `radius`, m."""
     kind = type(obscuration).__name__
     if obscuration is None:
         return [OutlineFigure("circle", "+" if clear else "-", sizes=(radius * M_TO_MM,))]
@@ -95,7 +95,7 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[O
 
 
 def _within(parts: list[OutlineFigure], before: list[OutlineFigure], owner: str) -> list[OutlineFigure]:
-    """Return `parts` with "+" replaced by "&", so that they narrow the area of the figures before them."""
+    """Return figures `parts` with "+" replaced by "&", so that they narrow the area of the figures before them."""
     if not before:
         return parts
     if any(figure.sign == "+" for figure in parts[1:]):

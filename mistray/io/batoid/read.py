@@ -128,7 +128,7 @@ def from_batoid(
 
 
 def _elements(optic: Any) -> Iterator[tuple[str, Any]]:
-    """Yield pairs ``(part, interface)`` in the order of light; surfaces of a lens have its name as their part."""
+    """Yield pairs (part, interface) in the order of light; surfaces of a lens have the lens's name as their part."""
     for item in getattr(optic, "items", ()):
         if hasattr(item, "items"):
             is_lens = type(item).__name__ == "Lens"
@@ -152,7 +152,7 @@ def _source(optic: Any, wavelength_nm: float, beam: Fill) -> tuple[Source, list[
 
 @dataclass
 class _Reader:
-    """Builder of surfaces and structures from batoid's optics, with the current direction of light and lens group."""
+    """Converter of batoid's optics to surfaces and structures, element by element in the order of light."""
 
     batoid: Any
     optic: Any
@@ -169,7 +169,7 @@ class _Reader:
 
     @cached_property
     def light(self) -> BatoidLight:
-        """Rays of the telescope's own light, from which the shapes of baffles are found."""
+        """Design beam of the telescope, from which the shapes of baffles are found."""
         edge = None if self.field_deg is None else math.radians(self.field_deg)
         return BatoidLight(self.batoid, self.optic, self.wavelength_nm, edge)
 
@@ -211,7 +211,7 @@ class _Reader:
             )
 
     def close_group(self) -> None:
-        """Make walls between the refracting surfaces of the current group, and end the group."""
+        """Add walls between the refracting surfaces of the current group of lenses, and end the group."""
         group, self.group = self.group, []
         if len(group) < 2:
             return
@@ -324,7 +324,7 @@ class _Reader:
         return Coating(R=float(both[0].reflectivity), T=float(both[0].transmissivity))
 
     def _baffle(self, name: str, interface: Any) -> list[Structure | Surface]:
-        """Return the opaque plates of a baffle that do not exist yet; batoid lists it once per pass of light."""
+        """Return opaque plates, mm, of a baffle, without those already made for an earlier pass of light."""
         if interface.obscuration is None:
             return []
         placing = self._placing(interface)
@@ -341,7 +341,7 @@ class _Reader:
         ]
 
     def _is_hole(self, interface: Any, placing: dict[str, Any]) -> bool:
-        """Whether a baffle in the plane of a flat mirror is the mirror's hole; the hole is then added to the mirror."""
+        """True if a baffle in the plane of a flat mirror is the mirror's hole, which is then added to the mirror."""
         original = getattr(interface.obscuration, "original", None)
         if not isinstance(original, self.batoid.obscuration.ObscCircle) or original.x or original.y:
             return False
@@ -357,7 +357,7 @@ class _Reader:
         return False
 
     def _rings(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface] | None:
-        """Return the centred rings of a baffle as structures; None if its obscuration has other parts."""
+        """Return the centred rings of a baffle as structures, mm; None if its obscuration has other parts."""
         whole = self._centred(interface, interface.obscuration)
         if whole is None:
             return None
@@ -422,7 +422,7 @@ class _Reader:
             self.notes.append(text)
 
     def _centred(self, interface: Any, obscuration: Any) -> list[tuple[float, float]] | None:
-        """Return (inner, outer) radii in metres of opaque rings; None if the obscuration is no set of centred rings."""
+        """Return opaque rings as (inner, outer) radii, m; None if the obscuration is not made of centred rings."""
         o = self.batoid.obscuration
         if isinstance(obscuration, o.ObscUnion):
             parts = [self._centred(interface, item) for item in obscuration.items]
@@ -466,7 +466,7 @@ def _same_place(a: Any, b: Any) -> bool:
 
 
 def _grid(part: Any) -> Grid:
-    """Convert a bicubic surface of batoid to a grid of sags, in mm."""
+    """Return a bicubic surface of batoid as a grid of sags, mm."""
     corners = np.stack([part.zs * M_TO_MM, part.dzdxs, part.dzdys, part.d2zdxdys / M_TO_MM], axis=-1)
     step = float(part.xs[1] - part.xs[0]) * M_TO_MM, float(part.ys[1] - part.ys[0]) * M_TO_MM
     middle = 0.5 * float(part.xs[0] + part.xs[-1]) * M_TO_MM, 0.5 * float(part.ys[0] + part.ys[-1]) * M_TO_MM

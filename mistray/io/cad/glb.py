@@ -29,7 +29,7 @@ DEEPEST = 200  # assemblies within assemblies
 
 @dataclass(frozen=True)
 class Instance:
-    """Placed copy of a mesh in an assembly: mesh index, names from the top down, and frame, (4, 4) in mm."""
+    """Placed copy of a mesh in an assembly: number of the mesh, names from the top down, and frame, (4, 4) in mm."""
 
     mesh: int
     names: tuple[str, ...]
@@ -37,7 +37,8 @@ class Instance:
 
 
 class Glb:
-    """Contents of a GLB file.
+    """
+    Meshes and assembly in a GLB file.
 
     Raises
     ------
@@ -62,7 +63,7 @@ class Glb:
             position += 8 + length
 
     def instances(self) -> Iterator[Instance]:
-        """Yield the instances of meshes in the assembly, in the order of the file."""
+        """Yield all placed copies of meshes in the assembly, in the order of the file."""
         nodes = self.tree.get("nodes", [])
         scenes = self.tree.get("scenes", [])
         tops = scenes[self.tree.get("scene", 0)].get("nodes", []) if scenes else []
@@ -129,7 +130,7 @@ class Glb:
 
 
 def _matrix(node: dict[str, Any]) -> np.ndarray:
-    """Return the frame (4, 4) of a glTF node, mm, from its matrix or from scale, rotation (quaternion) and shift."""
+    """Return the frame of a glTF node, (4, 4) in mm, from its matrix or from its scale, rotation and shift."""
     if "matrix" in node:
         matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     else:

@@ -101,7 +101,7 @@ def _trimesh(path: Path) -> Found:
 
 
 def _is_whole(content: bytes) -> bool:
-    """Whether a .gltf file contains all its data buffers, without separate files."""
+    """True if a .gltf file contains all its data, without separate files."""
     buffers = json.loads(content).get("buffers", [])
     return all(str(buffer.get("uri", "")).startswith("data:") for buffer in buffers)
 

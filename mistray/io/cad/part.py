@@ -23,7 +23,7 @@ UNITS_MM: Mapping[str, float] = MappingProxyType(
 @dataclass(frozen=True, eq=False)
 class RoundSurface:
     """
-    Surface that carries a face: a plane, a cylinder or a cone.
+    Exact plane, cylinder or cone on which a face lies.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class RoundSurface:
 @dataclass(frozen=True, eq=False)
 class CadPart:
     """
-    A part in the frame of the scene.
+    Part of a CAD or mesh file, in the frame of the scene.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class CadPart:
     surfaces: Mapping[int, RoundSurface] = field(default_factory=dict)
 
     def face_name(self, face: int) -> str:
-        """Name of a face, ``<part>_face_<number>``."""
+        """Return the name of a face, ``<part>_face_<number>``."""
         return f"{self.name}_face_{face}"
 
     def moved(self, matrix: np.ndarray) -> CadPart:
@@ -110,7 +110,7 @@ class CadPart:
 
 def checked(part: CadPart) -> tuple[CadPart, int]:
     """
-    Return a part without triangles of no area, and the number of triangles removed.
+    Return a part without triangles of zero area, and the number of triangles removed.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def checked(part: CadPart) -> tuple[CadPart, int]:
 
 
 def unique_names(titles: Iterable[str]) -> list[str]:
-    """Make unique ids from titles: other characters become "_", long ones are cut, and repeated ones get a number."""
+    """Return unique ids made from titles: other characters become "_", long ones are cut, repeated ones numbered."""
     taken: set[str] = set()
     names = []
     for title in titles:

@@ -60,7 +60,7 @@ def _grouped(knots: Array) -> tuple[str, str]:
 
 class StepFile:
     """
-    Entities of a STEP file, one per line; each method that adds one returns its number, by which others refer to it.
+    Entities of a STEP file. Each method that adds one returns its number, by which others refer to it.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class StepFile:
 
     def spline(self, poles: Array, knots: Array, degree: int, weights: Array | None = None) -> int:
         """
-        Add a B-spline curve; return its number.
+        Add a B-spline curve and return its number.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class StepFile:
 
     def face(self, name: str, surface: int, along: bool, loops: Sequence[int]) -> int:
         """
-        Add a face; return its number.
+        Add a face, a part of a surface bounded by loops; return its number.
 
         Parameters
         ----------
@@ -252,7 +252,7 @@ class StepFile:
 
     def part(self, name: str, kind: str, items: Sequence[int]) -> tuple[int, int]:
         """
-        Add a product with a shape.
+        Add a product, a named part with its bodies, sheets or curves.
 
         Parameters
         ----------

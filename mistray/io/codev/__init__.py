@@ -1,1 +1,1 @@
-"""Reader of CODE V command files (.seq)."""
+"""Reader of lenses in CODE V command files (.seq)."""

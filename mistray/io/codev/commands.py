@@ -55,7 +55,7 @@ _WORD = re.compile(r"""'[^']*'|"[^"]*"|[A-Za-z]+'[^']*'|\S+""")
 @dataclass(frozen=True)
 class SeqCommand:
     """
-    One command of a CODE V file.
+    Command of a CODE V file, as words.
 
     Attributes
     ----------
@@ -73,18 +73,18 @@ class SeqCommand:
 
     @property
     def name(self) -> str:
-        """First word in capitals, cut to three letters, as CODE V reads it."""
+        """Name of the command: its first word in capitals, cut to three letters, as CODE V reads it."""
         word = self.words[0].upper()
         return word[:3] if word.isalpha() else word
 
     def numbers(self) -> list[float]:
-        """Values of the command as numbers, at least one."""
+        """Words behind the name of the command as numbers, at least one."""
         if len(self.words) < 2:
             raise MistrayError(f"'{self.text}': no value; give one at least")
         return [self.number(place) for place in range(len(self.words) - 1)]
 
     def number(self, place: int = 0) -> float:
-        """Return the value at an index, by default the first, as a finite number."""
+        """Return the value at a place behind the command's name, by default the first, as a finite number."""
         word = self.words[1 + place] if len(self.words) > 1 + place else ""
         value = finite_of(word)
         if value is None:
@@ -92,7 +92,7 @@ class SeqCommand:
         return value
 
     def positive(self, place: int = 0) -> float:
-        """Return the value at an index, by default the first, as a number greater than 0."""
+        """Return the value at a place behind the command's name, by default the first, as a number above 0."""
         value = self.number(place)
         if value <= 0:
             raise MistrayError(f"'{self.text}': {value:g}; it must be greater than 0")
@@ -100,7 +100,7 @@ class SeqCommand:
 
 
 def commands(text: str) -> Iterator[SeqCommand]:
-    """Yield the commands of a file in order."""
+    """Yield the commands in the text of a file, in order."""
     start, parts = 0, list[str]()
     lines = text.splitlines()
     for number, line in enumerate(lines, 1):

@@ -34,7 +34,7 @@ _DIGITS = 7
 
 class CodevGlasses(FileGlasses):
     """
-    Finder of materials for the glasses of a CODE V file.
+    Finder of materials for the glass names in a CODE V file.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class CodevGlasses(FileGlasses):
 
     def material(self, word: str) -> str:
         """
-        Material string of a glass named as in the file, without quotes; k is set to 0 if it is unknown.
+        Return the material string of a glass named as in the file; k is set to 0 if it is unknown.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class CodevGlasses(FileGlasses):
 
 def table_material(wavelengths_nm: Sequence[float], indices: Sequence[float], used_nm: Sequence[float]) -> str:
     """
-    Material string of an index table, with added points at the wavelengths of the lens, nm.
+    Return the material string of a table of indices, with added points at the wavelengths of the lens, nm.
 
     The added points are interpolated by a cubic in 1/λ² through the nearest four. mistray interpolates tables linearly,
     which between points 50 nm apart gives an index error of 2e-4.

@@ -51,7 +51,7 @@ _FIELD_KINDS: dict[str, FieldKind] = {
 
 
 def _inverse(radius: float) -> float:
-    """Return the curvature for a radius, in the inverse unit; radius 0 means a plane."""
+    """Return the curvature for a radius, in the inverse of its unit; radius 0 means a plane."""
     curvature = 1 / radius if radius else 0.0
     if math.isinf(curvature):
         raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")
@@ -87,7 +87,7 @@ def read_codev(
     glasses: Mapping[str, str] | None = None,
 ) -> Sequential:
     r"""
-    Read a CODE V command file.
+    Read a sequential lens from a CODE V command file.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ class _Reader:
     # Commands
 
     def take(self, command: SeqCommand) -> None:
-        """Process one command: record its numbers, or report it as unread."""
+        """Process one command: store what it states, or list it as unread."""
         name = command.name
         if self.ended:
             self._skip(command, "after GO: commands that analyse the lens")
@@ -204,7 +204,7 @@ class _Reader:
         self.unread.append(Unread(command.line, command.text, reason))
 
     def _system(self, command: SeqCommand) -> bool:
-        """Process a command about the whole system; return whether it is one."""
+        """Process a command about the whole system; return False if it is not one."""
         name, words = command.name, command.words[1:]
         if name == "LEN":
             pass
@@ -249,7 +249,7 @@ class _Reader:
 
     @staticmethod
     def _listed(command: SeqCommand, known: list[float]) -> list[float]:
-        """Return the values of a command for all fields, or `known` with one value replaced, as by ``YAN F2 10``."""
+        """Return the values of a command for all fields. In ``YAN F2 10`` it is `known` with one value replaced."""
         words = command.words[1:]
         if not words or not re.fullmatch(r"[Ff]\d{1,3}", words[0]):
             return command.numbers()
@@ -311,7 +311,7 @@ class _Reader:
             self.glass_words.append((surface, word, line))
 
     def _of_surface(self, command: SeqCommand) -> bool:
-        """Process a command about surfaces; return whether it is one."""
+        """Process a command about surfaces; return False if it is not one."""
         name = command.name
         takers = {
             "GLA": self._take_glass,
@@ -456,7 +456,7 @@ class _Reader:
         return replace(lens, aperture_kind=kind, aperture=aperture, notes=tuple(self.notes))
 
     def _materials(self) -> dict[int, str]:
-        """Return the material string behind each surface, keyed by the `id` of the surface object."""
+        """Return the material string behind each surface, keyed by Python's `id` of the surface."""
         private = {key: table_material(*table, self.wavelengths) for key, table in self.tables.items()}
         found = CodevGlasses(private, self.catalogues, self.replaced, self.wavelengths)
         materials: dict[int, str] = {}
@@ -490,7 +490,7 @@ class _Reader:
         return [*rows, replace(last[0], number=len(self.surfaces) + 1)]
 
     def _unread_of_ends(self) -> None:
-        """Report as unread any figure, move or aperture of the object surface."""
+        """List curvature, moves and apertures of the object surface as unread."""
         if self.object.curvature or self.object.kind or self.object.moves or self.object.apertures:
             self.unread.append(
                 Unread(self.object.line, "SO", "the object is taken for plane, unmoved and without an aperture")

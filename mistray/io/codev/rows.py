@@ -1,4 +1,4 @@
-"""Conversion of CODE V surfaces to rows of a lens table: units, moves that bend the axis, apertures."""
+"""Conversion of CODE V surfaces to rows of a lens table: units, moves of the axis, apertures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mistray.prescription.sequential.table import Decentre, Row, Unread
 @dataclass
 class CodevSurface:
     """
-    A surface of a CODE V file in units of the file, filled in as the file is read.
+    Surface of a CODE V file, in units of the file, completed as the file is read.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ def rows_of(
 
 def _moves(surface: CodevSurface, unit_mm: float) -> tuple[Decentre | None, Decentre | None]:
     """
-    Return the moves of the frame before and behind a surface.
+    Return the moves of the frame, mm and degrees, before and behind a surface.
 
     R is the rotation of the surface. REV applies the inverse of (shift, R) behind the surface. For BEN, the old axis ẑ
     is R⁻¹ẑ in the frame of the surface. Its reflection there, a half turn about z, is R_z(-γ) R_y(β) R_x(α) ẑ, since R
@@ -143,7 +143,11 @@ def _moves(surface: CodevSurface, unit_mm: float) -> tuple[Decentre | None, Dece
 
 
 def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> dict[str, Any]:
-    """Return semi-diameter, aperture and obscuration as arguments of `Row`, mm; others are added to `unread`."""
+    """
+    Return semi-diameter, aperture and obscuration, mm, as arguments of `Row`.
+
+    Apertures that it cannot hold are added to `unread`.
+    """
     given = {kind: {key: pair[0] * unit_mm for key, pair in s.items()} for kind, s in surface.apertures.items()}
     result: dict[str, Any] = {}
 
@@ -180,7 +184,7 @@ def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> d
 
 
 def _figures(sizes: dict[str, float]) -> list[OutlineFigure]:
-    """Return outline figures, mm, for the sizes of one kind of aperture, centred at the origin."""
+    """Return outline figures, mm, for the sizes, mm by keyword, of one kind of aperture, centred at the origin."""
     found = []
     if "CIR" in sizes:
         found.append(OutlineFigure("circle", sizes=(sizes["CIR"],)))

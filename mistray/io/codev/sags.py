@@ -39,7 +39,7 @@ _ZRN_TERMS, _ZFR_TERMS, _ODD_TERMS = 66, 37, 30
 
 def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, float], unit: float) -> dict[str, float]:
     """
-    Return the numbers of a `Row.sag`, in mm.
+    Return the numbers that define the sag of a special surface, as for `Row.sag`, in mm and powers of it.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
 
 
 def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Return coefficients and normalisation radius of ZRN or ZFR Zernike terms, mm, by their names in `Row.sag`."""
+    """Return Zernike coefficients and normalisation radius of a ZRN or ZFR surface, mm, by their names in `Row.sag`."""
     radius_place, first, terms = ("C69", 1, _ZRN_TERMS) if kind == "ZRN" else ("C2", 3, _ZFR_TERMS)
     radius = extra.get("NRADIUS") or extra.get(radius_place, 0.0)
     ignored = {radius_place, *(("C68",) if kind == "ZRN" else ("C3",))}  # the number of the last term
@@ -141,7 +141,7 @@ def noll_number(n: int, m: int) -> int:
 
 
 def _place(name: str, kind: str, head: str, first: int, terms: int) -> int:
-    """Index of a polynomial term from its name, such as Z5, or from its coefficient, such as C6; 0 if it is none."""
+    """Return the index of a polynomial term named as Z5, or as the coefficient C6; 0 for other names."""
     if name in ("NRADIUS", "K", "KX", "C1") or re.fullmatch(r"[AR]\d+", name):
         return 0
     by_name = re.fullmatch(rf"{head}(\d{{1,3}})", name)

@@ -20,7 +20,7 @@ _PLACE = re.compile(r"(?:[SFWR]\d{1,6}|S[OIS])(?:\.\.\d{1,6})?")
 
 class ZoomPosition:
     """
-    One zoom position of a CODE V file.
+    Selected zoom position of a CODE V file.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class ZoomPosition:
                 yield replace(command, words=(*command.words[:place], *command.words[place + 1 :]))
 
     def _look(self, command: SeqCommand) -> None:
-        """Record the number and names of zoom positions that a command states."""
+        """Record the number of zoom positions, or the name of one, if a command states it."""
         words = command.words[1:]
         if command.name == "ZOO" and len(words) == 1 and words[0].isdigit():
             self.count = int(words[0])

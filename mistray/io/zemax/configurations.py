@@ -34,7 +34,7 @@ _APERTURES = ("ENPD", "FNUM", "OBNA")
 
 def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     """
-    Put the numbers of a configuration into the lines of the system and the surfaces.
+    Write the numbers of a configuration into the lines of the system and the surfaces.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
 
 
 def _rows(after: ZemaxSection, head: ZemaxLine | None) -> list[ZemaxLine]:
-    """Remove and return the lines of operands that follow the line MNUM; keep all others."""
+    """Remove and return the lines of configuration operands, which follow the line MNUM; keep other lines."""
     found = []
     for line in after.take_rest():
         if head is not None and line.number > head.number and len(line.words) >= 3 and line.words[1].isdigit():
@@ -82,7 +82,7 @@ def _whole(line: ZemaxLine, place: int) -> int:
 
 
 def _name(line: ZemaxLine) -> str:
-    """Return the text between the first two quotes; without quotes, the third word."""
+    """Return the name in an operand's line: the text between its first two quotes, else the third word."""
     parts = line.text.split('"')
     return parts[1].strip() if len(parts) > 2 else line.words[2]
 
@@ -112,7 +112,7 @@ def _set(sections: Sections, line: ZemaxLine) -> None:
 
 
 def _replace(section: ZemaxSection, key: str, place: int, word: str, line: ZemaxLine) -> None:
-    """Replace a word in the line of a keyword; a missing or short line is extended."""
+    """Replace the word at `place` in the line of a keyword; a missing or short line is extended."""
     old = section.take(key)
     words = list(old.words) if old else []
     words += ["0"] * (place + 1 - len(words))

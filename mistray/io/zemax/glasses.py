@@ -55,7 +55,7 @@ SYNONYMS = {
 
 class ZemaxGlasses(FileGlasses):
     """
-    Finder of materials for the glasses of a Zemax file.
+    Finder of materials for the glass names in a Zemax file.
 
     Parameters
     ----------

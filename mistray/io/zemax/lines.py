@@ -106,11 +106,11 @@ class ZemaxLine:
 
     @property
     def shown(self) -> str:
-        """Line for a message: shortened, with unprintable characters as codes."""
+        """Text of the line for a message: shortened, with unprintable characters as codes."""
         return shown([self.key, *self.words])
 
     def word(self, place: int) -> str:
-        """Return a word for a message; "" if the line is too short."""
+        """Return the word at a place behind the keyword, for a message; "" if the line is too short."""
         return shown([*self.words[place : place + 1]])
 
     @property
@@ -124,7 +124,9 @@ class ZemaxLine:
 
     def value(self, place: int = 0, what: str = "a number") -> float:
         """
-        Return a word as a finite number; a decimal comma, as in some files, is accepted.
+        Return the word at a place behind the keyword as a finite number.
+
+        A decimal comma, as in some files, is accepted.
 
         Raises
         ------
@@ -139,7 +141,7 @@ class ZemaxLine:
         return number
 
     def whole(self, place: int = 0, what: str = "a whole number", default: int | None = None) -> int:
-        """Return a word as a whole number, or `default` if the line is too short."""
+        """Return the word at a place behind the keyword as a whole number, or `default` if the line is too short."""
         if default is not None and place >= len(self.words):
             return default
         value = self.value(place, what)
@@ -152,12 +154,12 @@ class ZemaxLine:
         return tuple(self.value(place, what) for place in range(len(self.words)))
 
     def unread(self, reason: str) -> Unread:
-        """Return an `Unread` entry for the line, with the reason why it has no effect."""
+        """Return a record that the line has no effect, with the reason."""
         return Unread(self.number, self.text, reason)
 
 
 class ZemaxSection:
-    """Lines of the system, of a surface, or of the end of the file; each is taken once."""
+    """Lines of the system, of one surface, or of the end of a file. The reader removes each line that it uses."""
 
     def __init__(self, name: str, head: ZemaxLine | None = None) -> None:
         self.name, self.head = name, head
@@ -168,7 +170,7 @@ class ZemaxSection:
         self._lines.append(line)
 
     def has(self, key: str) -> bool:
-        """Whether a line with a given keyword has not yet been taken."""
+        """True if the section still holds a line with a keyword."""
         return any(line.key == key for line in self._lines)
 
     def take(self, key: str) -> ZemaxLine | None:
@@ -197,7 +199,7 @@ class ZemaxSection:
         return found
 
     def left(self) -> Iterator[ZemaxLine]:
-        """Yield lines that were not taken and are not known to have no effect."""
+        """Yield lines that the reader has not taken, unless they are known to have no effect."""
         known = NO_EFFECT if self.head is None else NO_EFFECT_ON_SURFACE
         return (line for line in self._lines if line.key not in known)
 
@@ -268,6 +270,6 @@ def read_sections(path: Path) -> Sections:
 
 
 def _move(after: ZemaxSection, place: ZemaxSection) -> None:
-    """Move lines from `after` back to a surface, once a later surface shows that the table had not ended."""
+    """Move the lines of `after` back to a surface, as a later surface shows that the surfaces had not ended."""
     for line in after.take_rest():
         place.add(line)

@@ -139,7 +139,7 @@ class _Reader:
         self.materials: dict[int, str] = {}
 
     def sequential(self, note: str = "") -> Sequential:
-        """Return the lens; `note` is added to its notes."""
+        """Return the lens as read; a `note` is added to its notes."""
         if note:
             self.notes.append(note)
         distance, material = self._object(self.sections.surfaces[0])
@@ -179,7 +179,7 @@ class _Reader:
         return replace(lens, aperture_kind="object_na", aperture=cone, notes=(*lens.notes, note))
 
     def _object(self, section: ZemaxSection) -> tuple[float, str]:
-        """Return the distance of the object, mm, and its material."""
+        """Return the distance of the object, mm, from its section, and the material behind it."""
         kind = section.take("TYPE")
         if kind is not None and kind.word(0).upper() != "STANDARD":
             raise kind.error(f"the object is of type '{kind.word(0)}'; mistray knows STANDARD objects")
@@ -234,12 +234,12 @@ class _Reader:
         return Row(number, kind="coordinate_break", material=before, decentre=decentre)
 
     def _decentre(self, values: Sequence[float]) -> Decentre:
-        """Make a decentre, in mm, from x and y (lens units), three tilts (degrees) and the order (0: shift first)."""
+        """Return a decentre, mm, from x and y (lens units), three tilts (degrees) and the order (0: shift first)."""
         x, y, *tilt, order = values
         return Decentre(x=x * self.unit, y=y * self.unit, tilt_deg=(tilt[0], tilt[1], tilt[2]), tilt_first=order != 0)
 
     def _rest(self, n: SagNumbers, kind: str) -> None:
-        """Report numbers that a surface type does not have as unread."""
+        """List the numbers of a surface that its type `kind` does not use as unread."""
         self.unread += [line.unread(f"{n.owner}: {kind} has no {what}") for what, line in n.left()]
 
     def _surface(self, number: int, section: ZemaxSection, before: str, image: bool, name: str) -> Row:
@@ -284,7 +284,7 @@ class _Reader:
         return self.glasses.material(line, self.materials), False
 
     def _aperture(self, section: ZemaxSection) -> dict[str, Any]:
-        """Clear semi-diameter (mm), whether it stops light, and stated apertures, as arguments of `Row`."""
+        """Return the clear semi-diameter (mm), whether it stops light, and stated apertures, as arguments of `Row`."""
         diameter = section.take("DIAM")
         drawn = abs(diameter.value(0, "a semi-diameter")) * self.unit if diameter else 0.0
         floating = section.take("FLAP")
@@ -311,7 +311,11 @@ class _Reader:
         return {"semi_diameter": reach, "semi_diameter_fixed": fixed, "aperture": stated}
 
     def _stated(self, line: ZemaxLine, x: float, y: float, drawn: float) -> Outline | None:
-        """Return the outline, in mm, that a line of an aperture or an obscuration describes."""
+        """
+        Return the outline, mm, that a line of an aperture or obscuration describes.
+
+        None, for an aperture from a user's file, means that it stops no light.
+        """
         if line.key not in _FIGURES and line.key != "SPID":
             self.unread.append(
                 line.unread("aperture of a user's file: it stops no light here, the surface keeps its semi-diameter")
@@ -387,7 +391,7 @@ class _Reader:
         self.unread += [line.unread(f"not known to mistray, on {section.name}") for line in section.left()]
 
     def _after(self) -> None:
-        """Report lines after the surfaces as unread if the file is not indented, since they may belong elsewhere."""
+        """List lines behind the surfaces as unread if lines are not indented, as they may belong to a surface."""
         if not self.sections.indented:
             self.unread += [
                 line.unread("not known to mistray, behind the surfaces") for line in self.sections.after.left()

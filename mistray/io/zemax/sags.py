@@ -39,7 +39,7 @@ _HIGHEST_EVEN = 20  # order that a surface of revolution takes
 @dataclass
 class SagNumbers:
     """
-    Parameters of a surface in lens units.
+    Numbers that describe the sag of a surface in a Zemax file, in lens units.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class SagNumbers:
 
     @classmethod
     def of(cls, section: ZemaxSection, unit: float, semi_diameter: float = 0.0) -> SagNumbers:
-        """Remove the PARM and XDAT lines of a section and return their numbers."""
+        """Return the numbers in the PARM and XDAT lines of a surface's section, and remove these lines."""
         found = cls(section.name, unit, semi_diameter)
         for key, values, most in (("PARM", found.parameters, MOST_PARAMETERS), ("XDAT", found.extra, MOST_EXTRA)):
             for line in section.take_all(key):
@@ -80,11 +80,11 @@ class SagNumbers:
         return found
 
     def take(self, place: int) -> float:
-        """Remove and return a parameter; 0 if it is missing."""
+        """Remove and return the parameter (PARM) at a place; 0 if it is missing."""
         return self.parameters.pop(place, 0.0)
 
     def series(self) -> tuple[float, tuple[float, ...]]:
-        """Remove and return the normalisation radius (lens units; 1 without terms) and the terms of the extra data."""
+        """Remove and return the normalisation radius (lens units; 1 without terms) and the terms in the extra data."""
         count = self.extra.pop(1, 0.0)
         radius = self.extra.pop(2, 0.0)
         terms = trimmed(self.extra.pop(2 + k, 0.0) for k in range(1, int(max(count, 0.0)) + 1))
@@ -94,7 +94,7 @@ class SagNumbers:
         return radius or 1.0, terms
 
     def left(self) -> list[tuple[str, ZemaxLine]]:
-        """Return the numbers that are not 0 and were not taken, as names such as "parameter 3", with their lines."""
+        """Return the names, such as "parameter 3", of numbers that are not 0 and were not used, with their lines."""
         rest = [("PARM", place) for place, value in self.parameters.items() if value]
         rest += [("XDAT", place) for place, value in self.extra.items() if value]
         return [(f"{'parameter' if key == 'PARM' else 'extra datum'} {n}", self.lines[key, n]) for key, n in rest]
@@ -195,7 +195,7 @@ KINDS: dict[str, Any] = {
 
 def figure_of(kind: str, n: SagNumbers, curvature: float, conic: float, head: ZemaxLine) -> dict[str, Any]:
     """
-    Radius, conic, coefficients and sag as arguments of `Row`, in mm.
+    Return radius, conic, coefficients and sag as arguments of `Row`, in mm.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def figure_of(kind: str, n: SagNumbers, curvature: float, conic: float, head: Ze
 
 def type_of(row: Row) -> tuple[str, list[str]]:
     """
-    Return the surface type for a row, and its lines PARM and XDAT.
+    Return the Zemax surface type for a row, and its lines PARM and XDAT.
 
     Raises
     ------
@@ -292,7 +292,7 @@ _SHAPES = ("curvature_x", "toroid_curvature")
 
 
 def _written_zernikes(given: dict[str, float], kind: str) -> dict[int, float]:
-    """Return Zemax's extra data, by number, for the Zernike polynomials in `given`, which are removed from it."""
+    """Return Zemax's extra data, by number, for the Zernike terms in `given`, and remove them there."""
     terms = {int(name.rpartition("_")[2]): name for name in given if name.startswith(f"{kind}_") and name[-1].isdigit()}
     radius = given.pop(f"{kind}_radius", 1.0)
     if not terms:

@@ -72,7 +72,7 @@ class System:
 
 def read_system(section: ZemaxSection, path: Path) -> System:
     """
-    Read the lines of the system.
+    Read the system data of a lens: units, aperture, fields, wavelengths.
 
     Raises
     ------
@@ -256,7 +256,7 @@ def _nm(line: ZemaxLine, um: float) -> float:
 
 
 def _field_angles(head: ZemaxLine, azimuth: float, elevation: float) -> tuple[float, float]:
-    """Convert theodolite angles to field angles (of the direction tangents), both in degrees."""
+    """Return field angles in x and y, degrees, whose tangents give the direction, from theodolite angles, degrees."""
     if max(abs(azimuth), abs(elevation)) >= 90:
         raise head.error(f"field of theodolite angles {azimuth:g}, {elevation:g} degrees; both must be within ±90")
     cosine = math.cos(math.radians(azimuth))

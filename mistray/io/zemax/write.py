@@ -81,7 +81,7 @@ def write_zemax(lens: Sequential, path: str | Path) -> tuple[str, ...]:
 
 @dataclass
 class _Break:
-    """A coordinate break: decentre (mm), then one tilt about `axis` (0 … 2 for x, y, z), then thickness (mm)."""
+    """Coordinate break: decentre (mm), then one tilt (degrees) about `axis` (0, 1, 2: x, y, z), then thickness (mm)."""
 
     x: float = 0.0
     y: float = 0.0
@@ -155,7 +155,7 @@ class _Writer:
             yield from map(self._break, back)
 
     def _block(self, kind: str, *, thickness: float, curvature: float = 0.0, extra: list[str]) -> list[str]:
-        """Return the lines of a surface; `extra` follows the lines that every surface has."""
+        """Return the lines of a surface, lengths in mm; `extra` follows the lines that every surface has."""
         distance = "INFINITY" if math.isinf(thickness) else _number(thickness)
         lines = [
             f"SURF {self.number}",
@@ -260,7 +260,7 @@ class _Writer:
         return [f"GLAS ___BLANK 1 0 {_number(nd)} {_number(vd)} 0 0 0 0 0 0"]
 
     def _catalogue_name(self, spec: Spec) -> str | None:
-        """Name of a glass in a Zemax catalogue, which is added to `catalogues`; None if there is none."""
+        """Return the name of a glass in a Zemax catalogue, which is added to `catalogues`; None if there is none."""
         name: str | None = None
         catalogue = "MISC"
         if isinstance(spec.form, UserFile) and spec.form.path.lower().endswith(".agf"):
@@ -279,7 +279,7 @@ class _Writer:
         return name
 
     def _visible(self, material: str) -> bool:
-        """Whether the index of a material is known from the F to the C line."""
+        """True if the index of a material is known from the F to the C line."""
         return all(nearest_known_nm(material, nm) == nm for nm in (LINE_F_NM, LINE_C_NM))
 
     def _abbe(self, material: str) -> tuple[float, float]:
@@ -292,7 +292,7 @@ class _Writer:
 
 
 def _moves(decentre: Decentre, *, undo: bool = False) -> list[_Break]:
-    """Return the coordinate breaks that together move the frame as a `Decentre` does, or back if `undo`."""
+    """Return coordinate breaks that together move the frame as a `Decentre` does, or back if `undo`."""
     sign = -1.0 if undo else 1.0
     shift = _Break(x=sign * decentre.x, y=sign * decentre.y, thickness=sign * decentre.z)
     turns = [_Break(axis=axis, tilt_deg=sign * tilt) for axis, tilt in enumerate(decentre.tilt_deg) if tilt]
@@ -308,7 +308,7 @@ def _moves(decentre: Decentre, *, undo: bool = False) -> list[_Break]:
 
 
 def _number(value: float) -> str:
-    """Return the shortest text that reads back as the same double."""
+    """Return the shortest text that reads back as the same number."""
     return repr(float(value)).removesuffix(".0").upper()
 
 

@@ -30,7 +30,7 @@ TOLD = 3  # surfaces named in a sentence, and places listed
 @dataclass(frozen=True)
 class Entering:
     """
-    Light by a first surface that was dark before a change.
+    Light that first meets a surface which no light met first before a change of the scene.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Entering:
 @dataclass(frozen=True)
 class FirstLight:
     """
-    Light on the detector, sorted by the first surface that it meets.
+    Light on the detector, sorted by the first surface that it met in the scene.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class FirstLight:
 
     def since(self, before: FirstLight) -> tuple[Entering, ...]:
         """
-        Return the first surfaces of light that were dark before, the strongest first.
+        Return the surfaces that light meets first now but did not before, the strongest first.
 
         Parameters
         ----------
@@ -164,13 +164,21 @@ class FirstLight:
 
 
 def together(entering: Iterable[Entering]) -> Estimate:
-    """Return the sum of the fractions of the light with its standard error; errors are added in quadrature."""
+    """
+    Return the total fraction of the light that enters by new first surfaces, with its standard error.
+
+    Errors are added in quadrature.
+    """
     found = list(entering)
     return Estimate(sum(one.share for one in found), math.sqrt(sum(one.share_se**2 for one in found)))
 
 
 def spoils(entering: Iterable[Entering]) -> bool:
-    """Whether light by new surfaces exceeds 1 % of the light before and after; then a decrease is no improvement."""
+    """
+    True if light by new first surfaces exceeds 1 % of the light before and after.
+
+    A decrease is then no improvement.
+    """
     found = list(entering)
     return min(together(found).value, sum(one.of_before for one in found)) > SPOILS
 
@@ -187,7 +195,7 @@ def entering_text(entering: Sequence[Entering]) -> str:
 
 
 def entering_lines(entering: Mapping[str, Sequence[Entering]]) -> list[str]:
-    """Return a line for each of the places with the most light by new surfaces, and the number of further ones."""
+    """Return a line for each of the places with most light by new first surfaces, and one on further places."""
     ranked = sorted(entering.items(), key=lambda item: -sum(one.of_before for one in item[1]))
     lines = [
         f"{place}: {entering_text(here)}{'; less stray light is no gain here' if spoils(here) else ''}"

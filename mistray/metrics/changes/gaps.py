@@ -39,7 +39,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class _Contact:
-    """Rim that lies on another surface: numbers of the surfaces and of the rim, and its position and size, mm."""
+    """Rim of a surface that lies on another surface: numbers of both and of the rim, and its place and size, mm."""
 
     owner: int
     rim: int
@@ -97,7 +97,7 @@ def gaps_text(gaps: Sequence[Gap]) -> str:
 
 
 def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
-    """Return the contacts of rims that lie on another surface with all their points."""
+    """Return the contacts of rims that lie on another surface with all of their points."""
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
     contacts = []
     for i, one in enumerate(found):
@@ -114,7 +114,7 @@ def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
 
 
 def _place(rim: Rim) -> np.ndarray:
-    """Return the middle and the greatest radius of a rim, (4,), mm, equal for rims that coincide."""
+    """Return the middle of a rim and its greatest radius, (4,), mm, which coincide for rims that coincide."""
     middle = rim.points.mean(axis=0)
     return np.append(middle, np.linalg.norm(rim.points - middle, axis=1).max())
 
@@ -148,7 +148,7 @@ def _opened(
 
 
 def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Contact) -> bool:
-    """Whether two gaps are at one place, and the surfaces of one still touch those of the other in pairs."""
+    """True if two gaps are at one place, and each surface of one still touches a surface of the other."""
     if np.abs(one.place - other.place).max() > 2 * TOUCH:
         return False
     a, b = (here[k] for k in one.pair)
@@ -161,7 +161,7 @@ def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Con
 
 
 class _Touching:
-    """Contacts between the surfaces of a scene, computed on demand."""
+    """Contacts between the surfaces of a scene, each computed when first asked for."""
 
     def __init__(self, found: Sequence[SpaceOutline]) -> None:
         self._found = found
@@ -169,7 +169,7 @@ class _Touching:
         self._low, self._high = np.array([one.low for one in found]), np.array([one.high for one in found])
 
     def touch(self, a: int, b: int) -> bool:
-        """Return whether a rim of one of two surfaces lies on the other, or they cross."""
+        """True if a rim of one of two surfaces, given by number, lies on the other, or if they cross."""
         key = min(a, b), max(a, b)
         if key not in self._known:
             one, other = self._found[a], self._found[b]
@@ -179,7 +179,7 @@ class _Touching:
         return self._known[key]
 
     def led(self, owner: int, rim: Rim, target: int) -> bool:
-        """Return whether a chain of touching opaque surfaces leads from a rim to the target, leaving out its owner."""
+        """True if a chain of touching opaque surfaces, without `owner`, leads from a rim to the surface `target`."""
         near = self._near(owner)
         opaque = {k for k, one in enumerate(self._found) if one.opaque and k != owner}
         reached = {k for k in opaque if near[k] and self._found[k].away(rim) <= TOUCH}
@@ -194,5 +194,5 @@ class _Touching:
         return False
 
     def _near(self, a: int) -> np.ndarray:
-        """Whether the box of each surface touches the box of surface `a`, (n,) bool."""
+        """Return a mask of surfaces, (n,), whose bounding box touches that of surface `a`."""
         return np.asarray(np.all((self._low <= self._high[a] + TOUCH) & (self._high >= self._low[a] - TOUCH), axis=1))

@@ -41,7 +41,7 @@ class Rim:
 
 class SpaceOutline(ABC):
     """
-    Surface of a scene as a figure in space.
+    Surface of a scene as a shape in space, with its rims.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class SpaceOutline(ABC):
 
     @abstractmethod
     def cuts(self, ways: np.ndarray) -> np.ndarray:
-        """Return whether the surface crosses each of some lines of k points, (n, k, 3), mm; (n,) bool."""
+        """Return a mask of polylines of k points, (n, k, 3), mm, that the surface crosses, (n,)."""
 
     def away(self, rim: Rim) -> float:
         """Return the greatest distance of another surface's rim from this surface, mm; 0 where both cross."""
@@ -79,7 +79,7 @@ class SpaceOutline(ABC):
 
 
 class Turned(SpaceOutline):
-    """Surface of revolution, given by its generatrix: distance from the axis and position along it."""
+    """Surface of revolution in space, given by its generatrix: distance from the axis and position along it."""
 
     def __init__(self, shape: Any) -> None:
         straight = len(shape.profile(3)) == 3 and _straight(shape.profile(9))
@@ -109,7 +109,7 @@ class Turned(SpaceOutline):
         return _to_segments(self._meridian(points), self._profile[:-1], self._profile[1:])
 
     def cuts(self, ways: np.ndarray) -> np.ndarray:
-        """Return whether the surface crosses each of some lines, (n,) bool, see `SpaceOutline.cuts`."""
+        """Return a mask of polylines that the surface crosses, (n,), see `SpaceOutline.cuts`."""
         flat = self._meridian(ways)
         a, b = flat[:, :-1, None], flat[:, 1:, None]
         c, d = self._profile[:-1], self._profile[1:]
@@ -118,7 +118,7 @@ class Turned(SpaceOutline):
 
 
 class Faces(SpaceOutline):
-    """Surface of triangles: a rectangle, a polygon or a mesh. Its rims are sides of only one triangle."""
+    """Surface of triangles in space: a rectangle, a polygon or a mesh. Its rims are sides of only one triangle."""
 
     def __init__(self, shape: Any, vertices: np.ndarray, faces: np.ndarray) -> None:
         self._corners = vertices[faces]
@@ -145,7 +145,7 @@ class Faces(SpaceOutline):
         return found
 
     def cuts(self, ways: np.ndarray) -> np.ndarray:
-        """Return whether the surface crosses each of some lines, (n,) bool, see `SpaceOutline.cuts`."""
+        """Return a mask of polylines that the surface crosses, (n,), see `SpaceOutline.cuts`."""
         a, b, c = (self._corners[:, k] for k in range(3))
         normal = np.cross(b - a, c - a)
         found = np.zeros(len(ways), dtype=bool)
@@ -201,7 +201,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Return a number whose sign tells on which side of the line from a to b, in the plane, c lies."""
+    """Return a number that is positive if c, in the plane, lies to the left of the line from a to b."""
     return _cross(b - a, c - a)
 
 
@@ -214,7 +214,11 @@ def _to_segments(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray
 
 
 def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the straight rims of triangles as pairs of points, mm: sides of one triangle, joined if in one line."""
+    """
+    Return the straight rims of a triangle mesh as pairs of end points, mm.
+
+    They are sides of only one triangle, joined if in one line.
+    """
     _, same = np.unique(vertices.round(6), axis=0, return_inverse=True)
     sides = np.sort(same.ravel()[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])], axis=1)
     single, count = np.unique(sides, axis=0, return_counts=True)
@@ -224,7 +228,7 @@ def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np
 
 
 def _joined(sides: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the sides as pairs of points, mm, with those joined that continue each other in one line."""
+    """Return sides as pairs of end points, mm, with those joined that continue each other in one line."""
     at: dict[bytes, list[int]] = {}
     for number, side in enumerate(sides):
         for end in side:

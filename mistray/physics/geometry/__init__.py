@@ -1,1 +1,1 @@
-"""Equations of shapes and positions: sag, crossings, poses, first-order optics."""
+"""Geometry of surfaces: sag, outlines, crossings and poses, and HEALPix pixels."""

@@ -38,7 +38,7 @@ class SurfaceCrossing:
 
 def near(profiles: Sequence[tuple[Profile, float]]) -> Iterator[tuple[int, int]]:
     """
-    Yield pairs of surfaces that share heights and may therefore meet: few, if there are many in a row.
+    Yield pairs of surfaces, as positions in `profiles`, that share heights along the axis and may therefore meet.
 
     Parameters
     ----------

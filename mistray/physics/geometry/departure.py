@@ -26,7 +26,7 @@ Sag = Callable[[np.ndarray, np.ndarray], np.ndarray]
 @dataclass(frozen=True)
 class Form:
     """
-    Properties of a departure on which the code that evaluates it depends.
+    Form of a departure: degree and symmetry of its polynomials, which determine the code that evaluates it.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Form:
 
     @property
     def terms(self) -> tuple[tuple[int, int], ...]:
-        """Orders in x and in y of the polynomials, in the order of the coefficients."""
+        """Orders in x and in y of each polynomial, in the order of the coefficients."""
         return tuple(
             (i, j)
             for j in range(0, self.degree + 1, 2 if self.even_y else 1)
@@ -112,7 +112,7 @@ class BoxDeparture:
         cls, sag: Sag, half: tuple[float, float], x: np.ndarray, y: np.ndarray, enough: float, form: Form | None = None
     ) -> BoxDeparture:
         """
-        Return the departure that approximates a function.
+        Return the polynomial departure that approximates a given function.
 
         Parameters
         ----------
@@ -156,7 +156,7 @@ class BoxDeparture:
         return max(float(np.nanmax(np.abs(e - own))) for e, own in zip(exact, (by_x, by_y), strict=True)) - noise
 
     def at(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Return the departure, mm, and its slopes in x and y at points in mm."""
+        """Return the departure, mm, and its slopes in x and y at points, mm, each in the shape of the points."""
         if self.form.degree < 0:
             zero = np.zeros(np.shape(x))
             return zero, zero, zero
@@ -201,6 +201,6 @@ def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: n
 
 
 def _form(table: np.ndarray) -> Form:
-    """Return the form of a table of coefficients: its degree, and whether it has only even orders in x and in y."""
+    """Return the form of a coefficient table: its degree, and whether only even orders in x and in y occur."""
     there = np.argwhere(np.abs(table) > NEGLIGIBLE * np.abs(table).max())
     return Form(len(table) - 1, not np.any(there[:, 0] % 2), not np.any(there[:, 1] % 2))

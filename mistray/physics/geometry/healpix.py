@@ -13,14 +13,14 @@ BELT = 2 / 3  # |cos θ| up to which pixels lie in the belt around the equator
 
 
 def sides(pixels: int) -> int:
-    """Return the N of a HEALPix map with 12 N² pixels; 0 if the number of pixels has no such N."""
+    """Return N of a HEALPix map with 12 N² pixels; 0 if the number of pixels is not of that form."""
     side = round((pixels / FACES) ** 0.5)
     return side if side > 0 and FACES * side * side == pixels else 0
 
 
 def pixel(side: int, directions: np.ndarray, nested: bool) -> np.ndarray:
     """
-    Return the numbers of the pixels in which directions lie.
+    Return the numbers, from 0, of the HEALPix pixels in which directions lie.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def _nested(
     lines: tuple[np.ndarray, np.ndarray],
     cap: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Return the numbers of pixels in the nested scheme, in the shape of `z`, from faces and positions in them."""
+    """Return pixel numbers in the nested scheme, in the shape of `z`, from rows of pixels in both diagonals."""
     (rising, falling), (quarter, up, down) = lines, cap
     first, second = rising // side, falling // side
     face = np.where(first == second, first % 4 + 4, np.where(first < second, first % 4, second % 4 + 8))

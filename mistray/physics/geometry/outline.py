@@ -30,7 +30,7 @@ ALL = 1e30  # half size, mm, that stands for unbounded
 @dataclass(frozen=True)
 class OutlineFigure:
     """
-    One figure of an outline.
+    Circle, ellipse, rectangle or polygon of an outline.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class OutlineFigure:
 
     def check(self, owner: str) -> None:
         """
-        Raise `MistrayError` if the figure is not valid.
+        Raise `MistrayError` if kind, sign or sizes of the figure are not valid.
 
         Raises
         ------
@@ -112,7 +112,7 @@ class OutlineFigure:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Position, mm, angle, degrees, and sizes, mm, of the figure."""
+        """Position (x, y), mm, angle, degrees, and sizes, mm, of the figure, in the order of `names`."""
         return (self.x, self.y, self.angle_deg, *self.sizes)
 
     def bounds(self) -> tuple[float, float, float, float]:
@@ -126,13 +126,17 @@ class OutlineFigure:
         return float(x.min()), float(x.max()), float(y.min()), float(y.max())
 
     def placed(self, points: np.ndarray) -> np.ndarray:
-        """Return points (n, 2), mm, from the frame of the figure in that of its outline."""
+        """Return points, (n, 2), mm, converted from the frame of the figure to that of its outline."""
         c, s = math.cos(math.radians(self.angle_deg)), math.sin(math.radians(self.angle_deg))
         u, v = points.T
         return np.stack([self.x + c * u - s * v, self.y + s * u + c * v], axis=1)
 
     def contains(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
-        """Return whether points lie in the figure; `n` holds its numbers by name, with "cos" and "sin" of its angle."""
+        """
+        Return a mask of points x, y, mm, in the figure.
+
+        `n` holds its numbers by name, with "cos" and "sin" of its angle.
+        """
         u, v = x - n["x"], y - n["y"]
         if self.kind == "circle":
             return u * u + v * v <= n["radius"] * n["radius"]
@@ -207,7 +211,7 @@ class Outline:
 
     @property
     def bounded(self) -> bool:
-        """Whether the outline has finite extent in both x and y."""
+        """True if the outline has finite extent in both x and y."""
         x0, x1, y0, y1 = self.bounds()
         return max(x1 - x0, y1 - y0) < ALL
 
@@ -236,7 +240,11 @@ class Outline:
         return Outline((OutlineFigure("circle", sizes=(radius,)), own, *more))
 
     def around(self, radius: float) -> Outline | None:
-        """Return the part of a circle about the origin, radius in mm, outside the outline; None if not expressible."""
+        """
+        Return the part of a circle of `radius`, mm, about the origin that lies outside the outline.
+
+        It is None if figures cannot express it.
+        """
         if self.figures[0].sign != "+" or any(f.sign == "&" for f in self.figures):
             return None
         signs = {"+": "-", "-": "+"}
@@ -274,7 +282,11 @@ class Outline:
         )
 
     def touches(self, x: np.ndarray, y: np.ndarray, slack: float) -> np.ndarray:
-        """Return whether points lie within the outline or at most `slack`, mm, outside; if negative, well inside."""
+        """
+        Return a mask of points in the outline or at most `slack`, mm, outside it.
+
+        A negative `slack` asks for points that far inside.
+        """
         step = abs(slack)
         found = self.contains(x, y)
         for dx, dy in ((step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)):
@@ -299,7 +311,7 @@ class Outline:
         }
 
     def turns(self) -> dict[str, float]:
-        """Return the cosines and sines of the figures' angles, by the names that `contains` uses."""
+        """Return cosines and sines of the figures' angles, by the names that `contains` uses."""
         found: dict[str, float] = {}
         for k, figure in enumerate(self.figures, start=1):
             if figure.angle_deg:
@@ -308,7 +320,7 @@ class Outline:
         return found
 
     def with_numbers(self, numbers: Mapping[str, float]) -> Outline:
-        """Return the outline with other numbers for its figures; they have the names and units of `Outline.numbers`."""
+        """Return the outline with new numbers for its figures, by the names and in the units of `Outline.numbers`."""
         figures = []
         for k, figure in enumerate(self.figures, start=1):
             x, y, angle, *sizes = (numbers[f"clip_{k}_{name}"] for name in figure.names)
@@ -317,12 +329,12 @@ class Outline:
 
     @property
     def form(self) -> tuple[tuple[str, str, int, bool], ...]:
-        """Form of the outline: the properties on which code for it depends."""
+        """Kind, sign, number of sizes and rotation (or none) of each figure, on which code for the outline depends."""
         return tuple((f.kind, f.sign, len(f.sizes), bool(f.angle_deg)) for f in self.figures)
 
     def contains(self, x: Any, y: Any, numbers: Mapping[str, Any] | None = None) -> Any:
         """
-        Return whether points lie within the outline; False for NaN.
+        Return a mask of points that lie within the outline; False for NaN.
 
         Parameters
         ----------
@@ -397,7 +409,7 @@ def signed_area(corners: np.ndarray) -> float:
 
 
 def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
-    """Whether the segments from a to b and from c to d cross inside both; points are (2,)."""
+    """True if the segments from a to b and from c to d, points (2,), cross at an inner point of both."""
 
     def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
         return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))

@@ -1,4 +1,4 @@
-"""Rigid motions: displacement and tilt of a frame."""
+"""Rigid motions: displacements and tilts of frames, and rotation matrices."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def moved(frame: np.ndarray, x: float, y: float, z: float, tilt_x: float, tilt_y
 
 
 def rotation(axis: int, degrees: float) -> np.ndarray:
-    """Return the matrix of a right-handed rotation about the x, y or z axis (0, 1, 2), (3, 3)."""
+    """Return the matrix, (3, 3), of a right-handed rotation by degrees about the x, y or z axis (0, 1, 2)."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     result = np.eye(3)
@@ -102,7 +102,7 @@ def rotation(axis: int, degrees: float) -> np.ndarray:
 
 
 def fixed_turn(angles_deg: Iterable[float]) -> np.ndarray:
-    """Return the matrix of rotations about the fixed axes x, then y, then z, (3, 3), see `fixed_angles_deg`."""
+    """Return the rotation matrix, (3, 3), of angles, degrees, about the fixed axes x, then y, then z."""
     turn = np.eye(3)
     for axis, angle in enumerate(angles_deg):
         turn = rotation(axis, angle) @ turn

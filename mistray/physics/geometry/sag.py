@@ -22,7 +22,7 @@ from mistray.physics._arrays import sqrt
 
 
 def trimmed(terms: Iterable[float]) -> tuple[float, ...]:
-    """Return coefficients without the zeros at their end."""
+    """Return polynomial coefficients without the zeros at their end."""
     found = tuple(terms)
     return found[: max((place for place, term in enumerate(found, start=1) if term), default=0)]
 
@@ -64,7 +64,7 @@ def sag_derivative(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[A
 
 
 def polynomial(r2: Any, coefficients: Sequence[Any], per_area: Any = 1) -> Any:
-    """Return the polynomial terms of the sag, mm; parameters as in `sag`."""
+    """Return the sum of the polynomial terms of the sag, mm; parameters as in `sag`."""
     value: Any = 0
     u2 = r2 * per_area
     for a in reversed(coefficients):

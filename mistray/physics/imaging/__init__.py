@@ -1,1 +1,1 @@
-"""Images of points: pupil functions, point spread and transfer functions, and their closed forms."""
+"""Images of points: first-order optics, pupil functions, point spread and transfer functions."""

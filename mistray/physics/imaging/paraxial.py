@@ -20,7 +20,8 @@ COLLIMATED = 1e-12  # slope per mm of height, 1/mm, below which a marginal ray i
 
 @dataclass(frozen=True)
 class Ghost:
-    """Two-reflection ghost of an on-axis beam.
+    """
+    Two-reflection ghost of an on-axis collimated beam, in first order.
 
     Attributes
     ----------
@@ -127,7 +128,7 @@ class ParaxialSystem:
         return self.trace(-height_from_u / height_from_y, u)
 
     def _height_at(self, z: float, y: float, u: float) -> float:
-        """Height, mm, at ``z`` of the ray that starts with (y, u) at the first vertex."""
+        """Return the height, mm, at ``z``, mm, of the ray with height y, mm, and slope u at the first vertex."""
         k = int(np.searchsorted(self.z, z, side="left")) - 1
         if k < 0:
             return float(y + u * (z - self.z[0]))
@@ -141,7 +142,8 @@ class ParaxialSystem:
         reflectance: Sequence[float],
         image_reflectance: float | None = None,
     ) -> list[Ghost]:
-        """Return all two-reflection ghosts of a collimated on-axis beam.
+        """
+        Return all ghosts of two reflections of a collimated on-axis beam.
 
         Parameters
         ----------
@@ -217,7 +219,7 @@ def image_seen(
     y: npt.ArrayLike, u: npt.ArrayLike, chief_y: npt.ArrayLike, chief_u: npt.ArrayLike
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """
-    Return the distance and size of the image that light leaving surfaces would reach: ISL and ISH.
+    Return distance and size of the detector's image as seen from surfaces, ISL and ISH, mm.
 
     Importance sampling aims at this image. ISL = -y/u' is the distance at which the marginal ray *after* the surface
     crosses the axis. ISH = |ȳ + ū' ISL| is the height of the chief ray there. The distance is negative for a virtual

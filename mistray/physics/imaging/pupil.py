@@ -74,12 +74,12 @@ class Pupil:
 
     @property
     def lit(self) -> npt.NDArray[np.bool_]:
-        """Whether light gets through each cell, (n, n) bool."""
+        """Mask of the cells through which light gets, (n, n)."""
         return self.share > 0
 
     @cached_property
     def energy(self) -> Array:
-        """Flux of each cell, (n, n): `flux` times the cell's lit area in α and β."""
+        """Flux in each cell, (n, n): `flux` times the cell's lit area in α and β."""
         return np.asarray(self.flux * self.share * self.step**2)
 
     @property
@@ -94,7 +94,7 @@ class Pupil:
 
     @property
     def gamma(self) -> Array:
-        """Direction cosine along the normal of the image at each cell, (n, n)."""
+        """Direction cosine γ along the normal of the image at each cell, (n, n)."""
         a, b = np.meshgrid(self.alpha, self.beta)
         return np.asarray(np.sqrt(np.maximum(1 - a * a - b * b, 0.0)))
 
@@ -105,21 +105,25 @@ class Pupil:
 
     @cached_property
     def steepest(self) -> float:
-        """Largest step of the OPD between cells without its tilt, waves; above 0.5 the grid is too coarse."""
+        """
+        Largest difference of the wavefront, without its tilt, between neighbouring cells, waves.
+
+        Above 0.5 the grid is too coarse.
+        """
         w, lit = self.residual("tilt"), self.lit
         steps = [np.abs(np.diff(w, axis=k))[np.logical_and(*_pairs(lit, k))] for k in (0, 1)]
         return float(max((s.max() for s in steps if s.size), default=0.0))
 
     @property
     def resolved(self) -> bool:
-        """Whether the grid is fine enough for point spread and transfer functions."""
+        """True if the grid is fine enough for point spread and transfer functions."""
         return self.steepest <= FINEST_WAVES
 
     # ---- the wavefront
 
     def removed(self, terms: str) -> Array:
         """
-        Return the coefficients of 1, α, β, γ in the wavefront, (4,), waves; α and β count from the grid's middle.
+        Return coefficients of 1, α, β and γ fitted to the wavefront, (4,), waves; α, β count from the grid's middle.
 
         Parameters
         ----------
@@ -135,21 +139,21 @@ class Pupil:
         return found
 
     def residual(self, terms: str) -> Array:
-        """Return the wavefront without some terms, see `removed`, (n, n), waves; 0 in dark cells."""
+        """Return the wavefront without fitted `terms`, see `removed`, (n, n), waves; 0 in dark cells."""
         piston, x, y, z = self.removed(terms)
         a, b = np.meshgrid(self.alpha - self.alpha.mean(), self.beta - self.beta.mean())
         return np.asarray(np.where(self.lit, self.opd_waves - piston - x * a - y * b - z * self.gamma, 0.0))
 
     def rms_waves(self, terms: str = "tilt") -> float:
-        """Return the root mean square of the wavefront without some terms, weighted by flux, waves."""
+        """Return the rms of the wavefront without fitted `terms`, see `removed`, weighted by flux, waves."""
         return math.sqrt(float((self.energy * self.residual(terms) ** 2).sum()) / self.total)
 
     def pv_waves(self, terms: str = "tilt") -> float:
-        """Return the peak-to-valley value of the wavefront without some terms, waves."""
+        """Return the peak-to-valley value of the wavefront without fitted `terms`, see `removed`, waves."""
         return float(np.ptp(self.residual(terms)[self.lit]))
 
     def best_focus_mm(self) -> float:
-        """Return the shift of the image along the light that minimises the rms wavefront, mm."""
+        """Return the shift of the image point along the light, mm, that minimises the rms wavefront."""
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
@@ -164,7 +168,9 @@ class Pupil:
 
     def psf(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """
-        Return the irradiance at the points of a grid for a flux of 1, by the Fourier transform of the pupil.
+        Return the point spread function on a grid of points: irradiance for a flux of 1.
+
+        It is computed by the Fourier transform of the pupil.
 
         Parameters
         ----------
@@ -186,7 +192,9 @@ class Pupil:
 
     def huygens(self, points: npt.ArrayLike) -> Array:
         """
-        Return the irradiance at points for a flux of 1, from the wavelets of all cells with exact path lengths.
+        Return the point spread function at points: irradiance for a flux of 1.
+
+        It sums the wavelets of all cells with exact path lengths.
 
         Parameters
         ----------
@@ -217,7 +225,7 @@ class Pupil:
         return result * self.scale**2 / self.total
 
     def ideal_peak(self) -> float:
-        """Return the irradiance at the image point without aberration for a flux of 1, 1/mm²."""
+        """Return the irradiance, 1/mm², at the image point without aberration, for a flux of 1."""
         return float(np.abs(self.amplitude).sum() ** 2 * self.scale**2 / self.total)
 
     # ---- transfer function
@@ -321,5 +329,5 @@ class Pupil:
 
 
 def _pairs(lit: npt.NDArray[np.bool_], axis: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Return two arrays for neighbouring cells along an axis: whether the first, and whether the second, is lit."""
+    """Return two masks over pairs of neighbouring cells along an axis, for the first and for the second being lit."""
     return np.take(lit, range(lit.shape[axis] - 1), axis), np.take(lit, range(1, lit.shape[axis]), axis)

@@ -30,7 +30,7 @@ _KINDS = {"noll": (standard, noll_orders, LAST_STANDARD), "fringe": (fringe, fri
 @dataclass(frozen=True)
 class ZernikeFit:
     """
-    Zernike coefficients of a wavefront.
+    Zernike coefficients fitted to a wavefront.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class ZernikeFit:
 
     @property
     def names(self) -> list[str]:
-        """Name of each polynomial, such as "coma y", or its orders n, m."""
+        """Names of the polynomials, such as "coma y", or their orders n and m, in the order of `coefficients`."""
         orders = [_KINDS[self.kind][1](j) for j in range(1, len(self.coefficients) + 1)]
         return [_NAMES.get(pair, f"n = {pair[0]}, m = {pair[1]}") for pair in orders]
 

@@ -1,1 +1,1 @@
-"""States of polarisation of light."""
+"""States of polarisation of light: Stokes parameters and Jones vectors."""

@@ -29,7 +29,7 @@ import numpy as np
 
 
 def qcon(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return the sum x² Σ a_m Qcon_m(x), with the coefficients a_m by m = 0, 1, …."""
+    """Return the sum x² Σ a_m Qcon_m(x) of strong-asphere polynomials, with coefficients a_m by m = 0, 1, …."""
     from scipy.special import eval_jacobi  # takes longer to import than all else of a sag
 
     total = np.zeros(np.shape(x))
@@ -39,7 +39,7 @@ def qcon(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
 
 
 def qbfs(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return the sum x (1 - x) Σ a_m Qbfs_m(x), with the coefficients a_m by m = 0, 1, …."""
+    """Return the sum x (1 - x) Σ a_m Qbfs_m(x) of mild-asphere polynomials, with coefficients a_m by m = 0, 1, …."""
     x = np.asarray(x, dtype=np.float64)
     values = qbfs_values(x, max(terms, default=0))
     total = np.zeros(x.shape)
@@ -49,7 +49,7 @@ def qbfs(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
 
 
 def qbfs_values(x: np.ndarray, last: int) -> list[np.ndarray]:
-    """Return Qbfs_0 … Qbfs_last at x, by the three-term recurrence of Forbes (2010), appendix A."""
+    """Return the polynomials Qbfs_0 … Qbfs_last at x, in its shape, by the recurrence of Forbes (2010), appendix A."""
     auxiliary = [np.full_like(x, 2.0), 6 - 8 * x]
     while len(auxiliary) <= last:
         auxiliary.append((2 - 4 * x) * auxiliary[-1] - auxiliary[-2])
@@ -67,9 +67,10 @@ def q2d(
     u: np.ndarray, v: np.ndarray, cosines: Mapping[tuple[int, int], float], sines: Mapping[tuple[int, int], float]
 ) -> np.ndarray:
     """
-    Return the sum Σ ρ^m (a_mn cos mφ + b_mn sin mφ) Q_mn(ρ²), with coefficients keyed by (m, n).
+    Return the sum Σ ρ^m (a_mn cos mφ + b_mn sin mφ) Q_mn(ρ²) of Forbes's freeform polynomials.
 
-    The coordinates u = ρ cos φ and v = ρ sin φ are in units of the radius; the sum has the unit of the coefficients.
+    Coefficients are keyed by (m, n). The coordinates u = ρ cos φ and v = ρ sin φ are in units of the radius; the sum
+    has the unit of the coefficients.
     """
     x = np.asarray(u * u + v * v)
     total = np.zeros(x.shape)
@@ -85,7 +86,7 @@ def q2d(
 
 
 def q2d_values(x: np.ndarray, m: int, last: int) -> np.ndarray:
-    """Return Q_m0 … Q_m,last at x = u², (last + 1, …), for m ≥ 1."""
+    """Return Forbes's freeform polynomials Q_m0 … Q_m,last at x = u², (last + 1, …), for m ≥ 1."""
     return np.tensordot(_orthonormal(m, last), _jacobi(x, m, last), axes=1)
 
 

@@ -59,7 +59,7 @@ class Grid:
         cls, heights: Any, step: tuple[float, float], middle: tuple[float, float] = (0.0, 0.0), missing: Any = None
     ) -> Grid:
         """
-        Return a grid of heights joined by splines.
+        Return a sag grid from heights, joined by splines.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class Grid:
         cls, values: np.ndarray, step: tuple[float, float], middle: tuple[float, float], missing: np.ndarray, path: str
     ) -> Grid:
         """
-        Return a grid made of the numbers in its file.
+        Return a sag grid from the numbers in its file.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class Grid:
 
     @property
     def gone(self) -> np.ndarray:
-        """Points without a measured height, (ny, nx) bool."""
+        """Mask of points without a measured height, (ny, nx)."""
         return np.zeros(self.corners.shape[:2], dtype=bool) if self.missing is None else self.missing
 
     @property
@@ -161,7 +161,7 @@ class Grid:
     # ---- values
 
     def _cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return x and y in steps from the first grid point, and the column and row of the cell of each point."""
+        """Return x and y counted in steps from the first grid point, and column and row of each point's cell."""
         ny, nx = self.corners.shape[:2]
         u = (x - self.middle[0] + self.half[0]) / self.step[0]
         v = (y - self.middle[1] + self.half[1]) / self.step[1]
@@ -169,7 +169,7 @@ class Grid:
         return u, v, i, j
 
     def evaluate(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Return height, mm, and slopes in x and y at points in mm; outside the grid, its outermost cells continue."""
+        """Return height, mm, and slopes in x and y at points, mm. Outside the grid its outermost cells continue."""
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         u, v, i, j = self._cells(x, y)
         at = [[np.moveaxis(self.corners[j + b, i + a], -1, 0) for a in (0, 1)] for b in (0, 1)]
@@ -178,7 +178,7 @@ class Grid:
 
 def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any, Any]:
     """
-    Return the height of Hermite's bicubic patch, mm, and its slopes, for arrays of NumPy or Dr.Jit.
+    Return the height, mm, and slopes of Hermite's bicubic patch, for arrays of NumPy or Dr.Jit.
 
     Parameters
     ----------
@@ -194,7 +194,11 @@ def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any,
     (c0, c1, d0, d1), (dc0, dc1, dd0, dd1) = _hermite(t)
 
     def row(b: int, w0: Any, w1: Any, v0: Any, v1: Any) -> tuple[Any, Any]:
-        """Return height, and slope in y times the step, both in mm, along the lower or the upper side."""
+        """
+        Return height, and slope in y times the step, both in mm, along one side (0 lower, 1 upper) of the cell.
+
+        The weights are those of `_hermite` for values and slopes.
+        """
         (z0, x0, y0, xy0), (z1, x1, y1, xy1) = at[b]
         height = w0 * z0 + w1 * z1 + (v0 * x0 + v1 * x1) * dx
         slope = w0 * y0 + w1 * y1 + (v0 * xy0 + v1 * xy1) * dx
@@ -211,7 +215,7 @@ def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any,
 
 
 def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Return the Hermite weights at s of the values at 0 and 1 and the slopes at 0 and 1, and their derivatives."""
+    """Return Hermite weights at s in 0 … 1, of the values at 0 and 1 and slopes at 0 and 1, and their derivatives."""
     s2 = s * s
     s3 = s2 * s
     high = 3 * s2 - 2 * s3
@@ -220,7 +224,7 @@ def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
 
 
 def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> None:
-    """Raise `MistrayError` if values cannot be a grid; z holds heights, mm, or the values of `Grid.corners`."""
+    """Raise `MistrayError` if heights, mm, or values as of `Grid.corners` do not make a valid grid."""
     if z.ndim < 2 or min(z.shape[:2]) < LEAST or max(z.shape[:2]) > MOST:
         shape = " by ".join(map(str, z.shape[1::-1]))
         raise MistrayError(f"{shape} points; it needs {LEAST} to {MOST} each way")

@@ -72,7 +72,11 @@ def length_power(name: str) -> int | None:
 
 
 def _numbered(name: str) -> tuple[str, int, int | None] | None:
-    """Return the family and the one or two orders in the name of a coefficient; None for other names."""
+    """
+    Return the family and the one or two orders in a coefficient's name, such as ("xy", 2, 1).
+
+    The result is None for other names.
+    """
     match = _NUMBERED.fullmatch(name)
     if match is None:
         return None
@@ -120,7 +124,7 @@ def check_names(names: Iterable[str], owner: str) -> None:
 
 
 def with_even(curvature: float, conic: float, coefficients: Sequence[float], more: Numbers) -> dict[str, Any]:
-    """Return the numbers of a sag by name, from those of an even asphere, (a4, a6, …), and others by name."""
+    """Return the numbers of a sag by name: those of an even asphere, (a4, a6, …), and `more`."""
     even = {f"a{2 * i}": a for i, a in enumerate(coefficients, start=2) if a}
     return {"curvature": curvature, "conic": conic, **even, **more}
 
@@ -182,7 +186,7 @@ def half_turned(n: Numbers) -> dict[str, Any]:
 
 def slopes(x: np.ndarray, y: np.ndarray, n: Numbers, step: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the derivatives of the sag with respect to x and y, from differences of the fourth order.
+    Return the derivatives of the sag with respect to x and y, by differences of the fourth order.
 
     Parameters
     ----------
@@ -221,7 +225,11 @@ def vertex_curvatures(n: Numbers, step: float) -> tuple[float, float]:
 
 
 def _powers(base: np.ndarray, terms: Mapping[tuple[int, int], float], step: int) -> np.ndarray:
-    """Return Σ a base^(order/step), avoiding overflow of powers whose products with a are finite."""
+    """
+    Return Σ a base^(order/step) over terms, without overflow of powers whose products with a are finite.
+
+    `terms` map (order, 0) to a.
+    """
     total = np.zeros_like(base)
     for (order, _), amount in terms.items():
         root = np.sign(amount) * np.abs(amount) ** (step / order)

@@ -36,7 +36,7 @@ def fringe_orders(j: int) -> tuple[int, int]:
 
 def polynomial(n: int, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """
-    Return R_n^|m|(ρ) times cos mφ, or times sin |m|φ for m < 0; 1 at ρ = 1 on the x axis.
+    Return the Zernike polynomial R_n^|m|(ρ) cos mφ, or with sin |m|φ for m < 0; it is 1 at ρ = 1 on the x axis.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def polynomial(n: int, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def standard(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return a sum of standard polynomials with coefficients by number, from 1; x and y in units of the radius."""
+    """Return a sum of standard Zernike polynomials with coefficients by Noll number; x, y in units of the radius."""
     total = np.zeros(np.broadcast(x, y).shape)
     for j, amount in terms.items():
         n, m = noll_orders(j)
@@ -64,7 +64,7 @@ def standard(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.nda
 
 
 def fringe(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return a sum of Fringe polynomials with coefficients by number, 1 … 37; x and y in units of the radius."""
+    """Return a sum of Fringe Zernike polynomials with coefficients by number; x, y in units of the radius."""
     total = np.zeros(np.broadcast(x, y).shape)
     for j, amount in terms.items():
         total = total + amount * polynomial(*fringe_orders(j), x, y)

@@ -49,7 +49,7 @@ _NEWTON_STEPS = 30
 
 @dataclass(frozen=True)
 class MeridionalRay:
-    """A line in a plane through the axis: a point (y, z), mm, and a direction (dy, dz)."""
+    """Ray in a plane through the axis: a point (y, z), mm, and a direction (dy, dz)."""
 
     y: float
     z: float
@@ -57,7 +57,7 @@ class MeridionalRay:
     dz: float
 
     def height(self, z: float) -> float:
-        """Height y of the ray at z, both in mm."""
+        """Return the height y of the ray at z, both in mm."""
         return self.y + (z - self.z) * self.dy / self.dz
 
     def reflected(self, mirror: Surface) -> MeridionalRay:
@@ -118,7 +118,7 @@ class CassegrainBaffles:
 
     @property
     def inner_rim(self) -> tuple[float, float]:
-        """Rim of the tube's front opening, B, as (r, z) in mm."""
+        """Rim B of the tube's front opening, (r, z) in mm."""
         return self.tube.vanes[0].radius, self.tube.z_front
 
     def structures(
@@ -203,7 +203,7 @@ def cassegrain_baffles(
     rim = secondary.rim
 
     def mouth(z_a: float) -> tuple[float, float, float]:
-        """Return the excess of rim radius r_A over the one that blocks straight lines, and (r, z) of rim B; in mm."""
+        """Return how far, mm, rim A lies outside the radius that blocks straight lines, and (r, z) of rim B, mm."""
         r_a = towards.height(z_a) + clearance
         inmost = MeridionalRay(r_a, z_a, -math.sin(w), math.cos(w)).reflected(primary)
         # Where the innermost ray stands wall_depth above the outermost ray behind the secondary

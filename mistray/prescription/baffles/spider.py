@@ -1,4 +1,4 @@
-"""Spiders that hold a secondary mirror: vanes with thickness and depth, whose sides glint at grazing angles."""
+"""Spiders that hold a secondary mirror: vanes with thickness and depth."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def spider(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface, ...]:
     """
-    Make the faces of all vanes of a spider: their two sides, and their front and rear edges.
+    Return the faces of all vanes of a spider: their two sides, and their front and rear edges.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ OVERLAP = 0.01  # of hidden and lit zones, in units of the depth of a vane: cove
 @dataclass(frozen=True, kw_only=True)
 class BaffleTube:
     """
-    A tube with vanes in front of an optic.
+    Tube with vanes in front of an optic.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class BaffleTube:
     vanes: tuple[Vane, ...]
 
     def wall_radius(self, z: float) -> float:
-        """Radius of the wall at z, both in mm."""
+        """Return the radius of the wall at z, both in mm."""
         share = (z - self.z_front) / (self.z_rear - self.z_front)
         return self.wall_front + share * (self.wall_rear - self.wall_front)
 
@@ -138,7 +138,7 @@ class BaffleTube:
 
 def hood_length(optic_radius: float, field_deg: float, exclusion_deg: float) -> float:
     r"""
-    Length of the shortest hood that keeps light beyond an exclusion angle off the optic, mm.
+    Return the length, mm, of the shortest hood that keeps light beyond an exclusion angle off the optic.
 
     The hood clears the beam of the half field w, so its opening is a = r_o + L tan w; the flattest ray that is kept out
     goes from its edge to the opposite rim of the optic, tan ε = (a + r_o)/L. Hence L = 2 r_o/(tan ε - tan w).
@@ -290,7 +290,7 @@ def _tips(
 
 def lit_from(tube: BaffleTube, tips: list[tuple[float, float]]) -> float:
     """
-    Position z at which the wall behind the last vane begins to be lit from outside, mm.
+    Return the position z, mm, from which on light from outside reaches the wall behind the last vane.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def lit_from(tube: BaffleTube, tips: list[tuple[float, float]]) -> float:
 
 
 def lit_until(tube: BaffleTube, tips: list[tuple[float, float]], steepness: float) -> float:
-    """Axial position z, mm, up to which light with a field angle of at least a given tangent lights the wall."""
+    """Return the position z, mm, up to which light at field angles of at least a given tangent reaches the wall."""
     growth = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     if steepness <= growth:
         return math.inf
@@ -317,7 +317,7 @@ def lit_until(tube: BaffleTube, tips: list[tuple[float, float]], steepness: floa
 
 
 def steepest(openings: list[tuple[float, float]], tip: tuple[float, float]) -> float:
-    """Steepest slope dr/dz, away from the axis, of an outside ray past a tip behind the given openings (z, r in mm)."""
+    """Return the steepest slope dr/dz, away from the axis, of rays past a tip and earlier openings, (z, r) in mm."""
     z, a = tip
     return min(((a + other) / (z - at) for at, other in openings), default=math.inf)
 
@@ -361,7 +361,11 @@ def _check_plates(name: str, vanes: tuple[Vane, ...], z_rear: float) -> None:
 
 
 def slope_margin(what: str, field_deg: float, exclusion_deg: float) -> float:
-    """Difference tan ε - tan w between an exclusion angle and a half field, both given in degrees."""
+    """
+    Return tan ε - tan w for an exclusion angle ε and a half field w in degrees.
+
+    Raise `MistrayError` unless 0 ≤ w < ε < 90.
+    """
     if not 0 <= field_deg < exclusion_deg < 90:
         raise MistrayError(
             f"{what}: field_deg = {field_deg:g}, exclusion_deg = {exclusion_deg:g}; the exclusion angle must lie "

@@ -1,4 +1,4 @@
-"""Cross-sections of vanes: ideal knife edges, plates, bevels and rounded edges."""
+"""Cross-sections of vanes in baffle tubes: ideal knife edges, plates, bevels and rounded edges."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ARC_FACETS = 6  # cones that stand for a rounded edge
 @dataclass(frozen=True, kw_only=True)
 class VaneEdge:
     """
-    Shape of a vane at its inner edge.
+    Cross-section of a vane at its inner edge.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class VaneEdge:
 @dataclass(frozen=True)
 class Vane:
     """
-    A ring-shaped vane inside a tube.
+    Ring-shaped vane inside a tube.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Vane:
 
     @property
     def plate(self) -> tuple[float, float]:
-        """First and last z of the plate, mm."""
+        """First and last z of the vane's plate, mm."""
         thickness = 0.0 if self.edge is None else self.edge.thickness
         return (self.z, self.z + thickness) if self.bevel == "rear" else (self.z - thickness, self.z)
 
@@ -160,6 +160,6 @@ def _edge_profile(vane: Vane, edge: VaneEdge) -> tuple[list[tuple[float, float]]
 
 
 def _arc(r: float, z: float, radius: float, turn: float) -> list[tuple[float, float]]:
-    """Points (r, z), mm, on an arc of angle `turn`, rad, about a centre, around its side near the axis to its rear."""
+    """Return points (r, z), mm, on an arc about the centre (r, z): `turn`, rad, around the side near the axis."""
     angles = [turn * (1 - k / ARC_FACETS) for k in range(ARC_FACETS + 1)]
     return [(r - radius * math.sin(angle), z + radius * math.cos(angle)) for angle in angles]

@@ -24,7 +24,7 @@ Opening = tuple[float, float]
 
 def lit_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
     """
-    Zones of the wall that light from outside meets directly.
+    Return the zones of the wall that light from outside meets directly.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def lit_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
 
 def seen_zones(tube: BaffleTube) -> tuple[Zone, ...]:
     """
-    Zones (first and last z, mm) of the wall that the optic sees: at most one behind each vane.
+    Return zones of the wall that the optic sees, (first z, last z) in mm: at most one behind each vane.
 
     Examples
     --------
@@ -82,9 +82,10 @@ def seen_zones(tube: BaffleTube) -> tuple[Zone, ...]:
 
 def first_order_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
     """
-    Zones (first and last z, mm) of the wall that are both lit and seen, so that one scatter reaches the optic.
+    Return zones of the wall, (first z, last z) in mm, that are both lit and seen.
 
-    Parameters are those of `lit_zones`. A tube made by `vane_tube` has no such zones beyond its own exclusion angle.
+    From there light reaches the optic by one scatter. Parameters are those of `lit_zones`. A tube made by `vane_tube`
+    has no such zones beyond its own exclusion angle.
 
     Examples
     --------
@@ -105,7 +106,7 @@ def _gaps(tube: BaffleTube) -> Iterator[Zone]:
 
 
 def _wall(tube: BaffleTube) -> tuple[float, float]:
-    """Coefficients p (mm) and q of the wall radius R = p + q z."""
+    """Return p, mm, and q of the wall's radius R = p + q z."""
     q = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     return tube.wall_front - q * tube.z_front, q
 

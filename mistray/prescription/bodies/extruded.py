@@ -1,4 +1,4 @@
-"""Prisms: a polygon in the yz plane, extruded along x; also boxes and beam-splitter cubes."""
+"""Prisms with a polygon as section, extruded along x; also boxes and beam-splitter cubes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def prism(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface, ...]:
     """
-    Make a body of glass whose section is a polygon in the yz plane.
+    Return the faces of a glass body whose section is a polygon in the yz plane.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def box(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface, ...]:
     """
-    Make an opaque box, such as a housing, an electronics box or a bracket.
+    Return the faces of an opaque box, such as a housing, an electronics box or a bracket.
 
     Parameters
     ----------
@@ -174,7 +174,9 @@ def beam_splitter_cube(
     ends: Coating | None = BLACK,
 ) -> tuple[Surface, ...]:
     """
-    Make two right-angle prisms cemented at a coated diagonal, about the origin; light along +z is reflected to +y.
+    Return the faces of two right-angle prisms cemented at a coated diagonal, about the origin.
+
+    Light along +z is reflected to +y.
 
     Parameters
     ----------
@@ -223,7 +225,7 @@ def beam_splitter_cube(
 
 
 def _section(corners: Sequence[Sequence[float]], owner: str) -> np.ndarray:
-    """Return the corners as an array (n, 2), mm; raise `MistrayError` if they form no simple polygon."""
+    """Return the corners of a section as array, (n, 2), mm; raise `MistrayError` if they form no simple polygon."""
     try:
         section = np.array(corners, dtype=np.float64).reshape(len(corners), 2)
     except (TypeError, ValueError):

@@ -36,7 +36,7 @@ def fresnel(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface | Structure, ...]:
     """
-    Make the grooved face of a Fresnel lens.
+    Return the rings and risers of the grooved face of a Fresnel lens.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Rigid motion and repetition of parts that have several faces."""
+"""Moving and copying of parts that have several faces."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def moved_as_one(
     tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[Part, ...]:
     """
-    Rotate faces together about the world's origin, then shift them: a rigid motion of the whole part.
+    Return faces moved together: rotated about the world's origin, then shifted.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def moved_as_one(
 
 def array(faces: Sequence[Part], places: Sequence[Sequence[float]]) -> tuple[Part, ...]:
     """
-    Copy a part to several places, for example lenslets, segments or rows of vanes.
+    Return copies of a part at several places, for example lenslets, segments or rows of vanes.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ def plate(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface | Structure, ...]:
     """
-    Make an opaque plate normal to z, with the walls of its rim and of its holes.
+    Return the faces of an opaque plate normal to z, with the walls of its rim and of its holes.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def _check_holes(outline: Outline, owner: str) -> None:
 
 
 def _rim(figure: OutlineFigure) -> np.ndarray:
-    """Return points on the border of a figure, (n, 2), mm."""
+    """Return points on the border of a figure of the outline, (n, 2), mm."""
     if figure.kind in ("circle", "ellipse"):
         a, b = figure.sizes if len(figure.sizes) == 2 else 2 * figure.sizes
         angle = 2 * np.pi * np.arange(4 * RIM_POINTS) / (4 * RIM_POINTS)

@@ -1,1 +1,1 @@
-"""Conversion of a sequential lens to a closed system in the world: surfaces, edges, bores, walls, stop, detector."""
+"""Conversion of a sequential lens to a closed system: surfaces, edges, bores, walls, stop and detector."""

@@ -1,4 +1,4 @@
-"""Stated apertures of a sequential lens, as clips of its surfaces and as opaque plates."""
+"""Stated apertures of a sequential lens, converted to clips of its surfaces and to opaque plates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PLATE = 1.25  # outer radius of a plate by that of its opening, where nothing i
 
 def own_clip(row: Row) -> dict[str, Any]:
     """
-    Arguments of `Surface` for the clip that a row's own apertures state; empty if it states none. Lengths are in mm.
+    Return arguments of `Surface` for the clip that a row's apertures state, mm; empty if there are none.
 
     An ``outline`` may be unbounded; the surface then ends by its radius. A hole in an aperture becomes an opaque patch
     on a lens, see `aperture_pieces`, but a hole in a mirror.
@@ -46,7 +46,8 @@ def own_clip(row: Row) -> dict[str, Any]:
 
 
 def _clear_and_opaque(row: Row) -> tuple[Outline | None, list[Outline]]:
-    """Return the clear outline of a surface and its opaque outlines.
+    """
+    Return the clear outline of a row's aperture, or None, and its opaque outlines.
 
     Holes in the aperture of a lens count as opaque.
     """
@@ -127,7 +128,7 @@ def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[st
 
 
 def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Surface:
-    """Return an opaque surface with the figure of a row and the outline `opaque`, its vertex at `z`; lengths in mm."""
+    """Return an opaque surface with the shape of a row and the outline `opaque`, its vertex at `z`; lengths in mm."""
     own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients, "sag": row.sag}
     ring, sides = opaque.annulus, opaque.sides
     if ring and opaque.bounded:

@@ -24,7 +24,7 @@ _SAMPLES = 257
 @dataclass(frozen=True)
 class _Body:
     """
-    Glass body between two faces on an axis.
+    Lens body of glass between two faces on an axis.
 
     Attributes
     ----------
@@ -51,12 +51,16 @@ class _Body:
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Positions of both ends of the glass along its axis, from the vertex of the lower face, mm."""
+        """Positions of both ends of the glass along the axis, mm, from the vertex of the lower face."""
         r = np.linspace(0.0, self.radius, _SAMPLES)
         return float(_sag(self.lower, r).min()), float(_sag(self.upper, r).max()) + self.gap
 
     def reached(self, shape: Surface | Structure, z: float) -> float:
-        """Return the largest radius, mm, at which a shape with vertex at z, mm, lies in the glass; 0 if outside."""
+        """
+        Return the largest radius, mm, at which a shape with its vertex at z, mm, lies in the glass.
+
+        The result is 0 if it does not.
+        """
         r, heights = _profile(shape)
         own = np.minimum(r, self.radius)
         below, above = heights + z - _sag(self.lower, own), _sag(self.upper, own) + self.gap - heights - z
@@ -143,7 +147,7 @@ def _bodies(table: OpticalSurfaces) -> list[_Body]:
 
 
 class _Standing:
-    """All shapes with their frames and extents, mm, to find quickly those that may lie in a lens body."""
+    """All shapes of the system with frames and extents, mm, for a quick search for those in a lens body."""
 
     def __init__(self, shapes: Sequence[Surface | Structure]) -> None:
         self.shapes = shapes
@@ -152,7 +156,7 @@ class _Standing:
         self.low, self.high = heights.min(axis=1, initial=np.inf), heights.max(axis=1, initial=-np.inf)
 
     def inside(self, body: _Body) -> dict[str, float]:
-        """Return the largest radius, mm, at which shapes on the axis of a body lie in its glass, keyed by name."""
+        """Return the shapes on a body's axis that lie in its glass, by name, with the largest radius there, mm."""
         frame = body.lower.to_world()
         low, high = body.extent
         z = (self.frames[:, :3, 3] - frame[:3, 3]) @ frame[:3, 2]
@@ -167,7 +171,7 @@ class _Standing:
 
 
 def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, str]]:
-    """Return radius (mm), target row and share of light of beam segments that cross a lens body out of sequence."""
+    """Return the parts of the beam that cross a lens body out of sequence: radius (mm), target row, light share."""
     if not any(row.mirror for row in table.lens.rows):
         return []
     frame = body.lower.to_world()

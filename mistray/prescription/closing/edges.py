@@ -38,7 +38,7 @@ _SAMPLES = 513
 @dataclass(frozen=True)
 class StopPlane:
     """
-    A plane stop without glass.
+    Aperture stop in a plane, without glass.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ Item = Surface | StopPlane
 
 
 def placed(piece: Piece, frame: np.ndarray) -> Piece:
-    """Return a shape moved from a frame, (4, 4), mm, to the world, rounded to 1e-10 mm and 1e-11 degrees."""
+    """Return a shape moved from a local frame, (4, 4), mm, to the world, rounded to 1e-10 mm and 1e-11 degrees."""
     world = frame @ piece.to_world()
     x, y, z = (round(float(v), _DIGITS_MM) + 0.0 for v in world[:3, 3])
     about_x, about_y, about_z = (round(angle, _DIGITS_DEG) + 0.0 for angle in fixed_angles_deg(world[:3, :3]))
@@ -226,7 +226,7 @@ class Closing:
 
     @property
     def edge_scatter(self) -> tuple[Scatter, ...]:
-        """Scatter models for the edges of lenses."""
+        """Scatter models for ground lens edges; () for other kinds of edges."""
         if self.edges != "ground":
             return ()
         return (Scatter("paint", {"reflectance": self.ground_reflectance}, name="ground_edge"),)
@@ -274,7 +274,7 @@ def mirror_back(
 
 
 def _rim_heights(surface: Surface) -> tuple[float, float]:
-    """Smallest and largest z of the rim of a round surface, mm."""
+    """Return the smallest and largest z of the rim of a round surface, mm."""
     angle = np.linspace(0, 2 * np.pi, _SAMPLES)
     r = surface.outer_radius
     z = surface.z + freeform_sag(r * np.cos(angle), r * np.sin(angle), surface.sag_numbers)
@@ -287,7 +287,7 @@ def _behind(surface: Surface, ahead: bool) -> str:
 
 
 def on_axis(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether frame `b`, (4, 4), lies on the z axis of frame `a` with its own z axis in the same direction."""
+    """True if frame `b`, (4, 4), lies on the z axis of frame `a` and its z axis points the same way."""
     turn = a[:3, :3]
     offset = turn.T @ (b[:3, 3] - a[:3, 3])
     same_way = turn[:, 2] @ b[:3, 2] > 1 - _ROUND_OFF_COSINE
@@ -299,7 +299,7 @@ def _coaxial(a: Surface, b: Surface) -> bool:
 
 
 def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
-    """Return the frame of the common axis (the world's if it is the z axis), and the surfaces in this frame."""
+    """Return the frame of the surfaces' common axis, (4, 4), mm, and the surfaces expressed in this frame."""
     if all(surface.coaxial for surface in run):
         return np.eye(4), list(run)
     frame = run[0].to_world()

@@ -1,4 +1,4 @@
-"""Mirrors of a sequential lens in a non-sequential world: off-axis pieces, holes, and beams that mirrors block."""
+"""Mirrors of a sequential lens made non-sequential: off-axis segments, holes, and beams that mirrors block."""
 
 from __future__ import annotations
 
@@ -67,13 +67,17 @@ def cut_holes(table: OpticalSurfaces) -> None:
 
 
 def beam_shares(table: OpticalSurfaces) -> np.ndarray:
-    """Fraction of the light at the image that each ray of the beam carries, (n,); 0 for rays that miss the image."""
+    """
+    Return the fraction of the light at the image that each ray of the beam carries, (n,).
+
+    The result is 0 for rays that miss it.
+    """
     weights = np.where(np.isfinite(table.beam[-1, :, 0]), table.rays.weights, 0.0)
     return np.asarray(weights / (weights.sum() or 1.0))
 
 
 def percent(share: float) -> str:
-    """Format a fraction of a sampled beam in words, with two digits."""
+    """Format a fraction of the beam as text, such as "about 12 %"."""
     return f"about {percent_text(share)}"
 
 
@@ -94,25 +98,25 @@ def _drilled(table: OpticalSurfaces, k: int, mirror: Surface, free: float, legs:
 
 
 def _free_middle(table: OpticalSurfaces, k: int, mirror: Surface) -> float:
-    """Radius within which an off-axis mirror gets no light, mm; 0 if light surrounds its vertex."""
+    """Return the radius within which an off-axis mirror gets no light, mm; 0 if light surrounds its vertex."""
     own = footprint(table, k, mirror.to_world())
     return float(np.hypot(*own.T).min()) * (1 - table.margin) if beside_vertex(own) else 0.0
 
 
 def footprint(table: OpticalSurfaces, k: int, frame: np.ndarray) -> np.ndarray:
-    """Points (n, 2), mm, at which the beam meets a row, in the frame of its surface."""
+    """Return the points, (n, 2), mm, at which the beam meets row `k`, in the frame of its surface."""
     own = (table.beam_and_rim[k + 1] - frame[:3, 3]) @ frame[:3, :2]
     return np.asarray(own[np.isfinite(own[:, 0])])
 
 
 def beside_vertex(points: np.ndarray) -> bool:
-    """Whether all points (n, 2) lie on one side of the origin, so that the beam misses the vertex."""
+    """True if all points, (n, 2), lie on one side of the origin, so that the beam misses the vertex."""
     azimuth = np.sort(np.arctan2(points[:, 1], points[:, 0]))
     return bool(len(points) and np.diff(azimuth, append=azimuth[0] + 2 * np.pi).max() > np.pi)
 
 
 def piece_beside_vertex(points: np.ndarray, margin: float) -> Outline:
-    """Disc that contains points (n, 2), mm; its radius is larger than necessary by the fraction `margin`."""
+    """Return a disc that contains points (n, 2), mm, with a radius enlarged by the fraction `margin`."""
     x, y = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.hypot(*(points - (x, y)).T).max()) * (1 + margin)
     return circle(radius, x=float(x), y=float(y))

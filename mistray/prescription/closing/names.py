@@ -1,4 +1,4 @@
-"""Names in a scene for the surfaces and bodies of a lens file, and notes on names that were changed."""
+"""Names for the surfaces and bodies of a lens file in a scene, and notes on names that had to change."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Names:
         return body
 
     def note(self) -> list[str]:
-        """Return a note that lists the names that had to be changed, in a list; empty if there is none."""
+        """Return a list with one note on the names that had to be changed; empty if there are none."""
         pairs = [
             f"'{old}' " + (f"is {' and '.join(repr(name) for name in new)}" if new else "has no surface")
             for old, new in self.renamed.items()

@@ -1,4 +1,4 @@
-"""Detection of walls that would block the beam of a folded system, where the real system has no barrel."""
+"""Detection of walls that would block the beam of a folded system, where a real system has no barrel."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def shadowing_spaces(
     pieces: Iterable[Structure | Surface], segments: Iterable[tuple[Array, Array]], part: str = "barrel"
 ) -> set[int]:
     """
-    Numbers of the spaces whose walls are crossed by rays.
+    Return the numbers of the optical spaces whose walls are crossed by rays.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def shadowing_spaces(
 
 def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
     """
-    Distance from the axis at which rays pass through the clear part of a surface, mm.
+    Return the distance from the axis, mm, at which rays pass through the clear part of a surface.
 
     Parameters
     ----------
@@ -80,7 +80,8 @@ def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def _crossed(wall: Structure, start: Array, end: Array) -> bool:
-    """Whether any ray between start and end points, (n, 3) in mm, crosses a frustum.
+    """
+    True if any ray between start and end points, (n, 3), mm, crosses a frustum.
 
     Touching at an end does not count.
     """
@@ -106,5 +107,5 @@ def _crossed(wall: Structure, start: Array, end: Array) -> bool:
 
 
 def _between(share: Array) -> npt.NDArray[np.bool_]:
-    """Return for each number whether it lies between 0 and 1, at least `_END` away from both."""
+    """Return a mask of the numbers that lie between 0 and 1, at least `_END` away from both."""
     return (share > _END) & (share < 1 - _END)

@@ -1,4 +1,4 @@
-"""Source of a lens file: its beam, and how this beam fills the stop."""
+"""Source for a lens file: its beam, and how the beam fills the stop."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ _SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
 
 
 def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
-    """Return the source at the first field of a lens; notes on assumptions and on the filled stop go to `table`."""
+    """
+    Return the source for the first field of a lens.
+
+    Notes on assumptions and on how it fills the stop go to `table`.
+    """
     lens, data = table.lens, table.rays.data
     near = not math.isinf(lens.object_distance)
     weights = np.array(lens.weights) / (sum(lens.weights) or 1.0)
@@ -69,7 +73,7 @@ def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
 
 
 def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, float, float]:
-    """Centre (x, y) and radius, mm, of the first field's beam in the entrance pupil plane, tilted elements included."""
+    """Return centre x, y and radius, mm, of the first field's beam in the plane `z` (mm) of the entrance pupil."""
     start, heading = table.rays.entering
     x, y = (start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading)[:, :2].T
     if math.hypot(x[0], y[0]) <= _ASIDE * radius:
@@ -94,7 +98,7 @@ def _direction(table: OpticalSurfaces) -> tuple[float, float]:
 
 def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
     """
-    Describe how the beam fills the stop, from real rays of the first field that clear radii clip on the way.
+    Return a text on how the beam fills the stop, from real rays of the first field with clipping on the way.
 
     Parameters
     ----------
@@ -137,7 +141,7 @@ def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
 
 
 def _within(surface: Surface, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Whether points in the plane of a surface's vertex, x and y in mm, lie within its clear aperture, (n,) bool."""
+    """Return a mask of points x, y, mm, in a surface's vertex plane that lie in its clear aperture, (n,) bool."""
     if surface.outline is not None:
         return np.asarray(surface.outline.contains(x, y))
     if surface.semi_diameter is None:

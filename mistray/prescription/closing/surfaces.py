@@ -1,4 +1,4 @@
-"""Optical surfaces of a sequential lens in the world: clips, materials, coatings."""
+"""Optical surfaces of a sequential lens placed in the world, with clips, materials and coatings."""
 
 from __future__ import annotations
 
@@ -151,16 +151,16 @@ class OpticalSurfaces:
             )
 
     def _has_effect(self, k: int) -> bool:
-        """Whether a row refracts or reflects light."""
+        """True if row `k` refracts or reflects light."""
         row = self.lens.rows[k]
         return row.kind == "surface" and (row.mirror or self.before[k] != self.behind[k])
 
     def is_stop_plane(self, k: int) -> bool:
-        """Whether a row is the stop and has neither glass nor a mirror."""
+        """True if row `k` is the stop and has neither glass nor a mirror."""
         return k == stop_place(self.lens) and self.lens.rows[k].stop and not self._has_effect(k)
 
     def _ahead(self, k: int) -> bool:
-        """Whether light travels along +z in the frame of a row, judged by the chief ray of the first field."""
+        """True if light travels along +z in the frame of row `k`, judged by the chief ray of the first field."""
         inward = np.array([0.0, 0.0, 1.0])
         for j in range(k - 1, -1, -1):
             if np.all(np.isfinite(self.rays.chief[j])):
@@ -177,12 +177,12 @@ class OpticalSurfaces:
         return known
 
     def _at(self, surface: Surface) -> list[int]:
-        """Return the indices of the rows so far whose vertex is at that of a surface."""
+        """Return the indices of rows, so far, whose vertex coincides with that of a surface."""
         apart = np.abs(self._vertices - [surface.x, surface.y, surface.z])
         return [int(k) for k in np.flatnonzero(np.all(apart <= _ROUND_OFF_MM, axis=1))]
 
     def _off_its_lens(self, k: int, surface: Surface) -> np.ndarray:
-        """Return the frame of a row; a mirror that is a spot on a lens is moved 1 µm before it."""
+        """Return the frame of row `k`, (4, 4), mm; a mirror that is a spot on a lens is moved 1 µm in front of it."""
         frame = self.frames[k]
         if not surface.mirror:
             return frame
@@ -198,7 +198,7 @@ class OpticalSurfaces:
         return frame
 
     def _clear(self, k: int) -> dict[str, Any]:
-        """Return arguments of `Surface` for the clip of a row, mm: its stated size, or the beam's with a margin."""
+        """Return arguments of `Surface` for the clip of row `k`, mm: its stated size, or the beam's with a margin."""
         row, reach = self.lens.rows[k], float(self.rays.reach[k])
         clip = own_clip(row)
         outline: Outline | None = clip.pop("outline", None)
@@ -290,7 +290,7 @@ class OpticalSurfaces:
         return list(pairwise([0, *(k + 1 for k in met)]))
 
     def _stopped(self, beam: np.ndarray) -> np.ndarray:
-        """Return beam positions, mm, with NaN from where a stated aperture stops a ray; unchanged if all would stop."""
+        """Return beam positions, mm, with NaN after a stated aperture blocks a ray; unchanged if all are blocked."""
         result = beam.copy()
         for k, (row, frame) in enumerate(zip(self.lens.rows, self.frames, strict=True)):
             if row.kind != "coordinate_break":
@@ -300,7 +300,7 @@ class OpticalSurfaces:
 
 
 def _same(a: Surface, b: Surface) -> bool:
-    """Whether two surfaces are one that light meets twice: equal media, figures and kinds (mirror or not)."""
+    """True if two surfaces are the same one, met twice by light: equal media, shapes and kinds (mirror or not)."""
     return a.mirror == b.mirror and {a.front, a.back} == {b.front, b.back} and _same_figure(a, b)
 
 

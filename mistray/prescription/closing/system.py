@@ -47,7 +47,7 @@ _SMALLEST_DETECTOR = 0.01  # of the focal length: half size of the detector then
 @dataclass(frozen=True)
 class Built:
     """
-    A prescription with its lens, first-order data and notes.
+    Closed system made from a lens, with the lens's first-order data and notes on assumptions.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ def build(
     beam: Beam = "pupil",
     detector_half_mm: tuple[float, float] | None = None,
 ) -> Built:
-    """Make a closed optical system as `to_prescription` does; return it with first-order data and notes."""
+    """Make a closed system as `to_prescription` does, and return it with first-order data and notes."""
     if edges not in EDGES:
         raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
     check_beam(beam, ("pupil", "front", "exact"))
@@ -171,7 +171,7 @@ def build(
 def _structured(
     table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, float] | None
 ) -> Built:
-    """Return surfaces, mechanical parts, source and detector; `detector_half` optionally gives half sizes, mm."""
+    """Add mechanical parts, source and detector (optional half sizes, mm) to surfaces; return the closed system."""
     lens, surfaces = table.lens, table.surfaces
     detector = _detector(table, detector_half)
     items: list[Item] = []
@@ -237,7 +237,7 @@ def _stop(table: OpticalSurfaces, k: int) -> StopPlane:
 
 
 def _plates(table: OpticalSurfaces, k: int, widest: float) -> list[Surface | Structure]:
-    """Opaque faces for a row's stated apertures outside the clip of its surface, up to the widest radius, mm."""
+    """Return opaque faces for stated apertures of row `k` outside its surface's clip, up to the radius `widest`, mm."""
     row = table.lens.rows[k]
     if row.kind == "coordinate_break":
         return []
@@ -254,11 +254,11 @@ def _plates(table: OpticalSurfaces, k: int, widest: float) -> list[Surface | Str
 
 def _for_its_leg(table: OpticalSurfaces, k: int, plate: Surface | Structure) -> list[Surface | Structure]:
     """
-    Return a plate of row k such that it shades only the leg of the beam that it belongs to.
+    Return a plate of row `k` restricted to the section of the beam that it belongs to.
 
-    A file states an aperture for light that arrives at its row in sequence. In a folded system other legs may
-    cross the same plane. If they cross it in the opposite direction, the plate meets only light of its own direction.
-    If they cross it in the same direction, there is no plate.
+    A file states an aperture for light that arrives at its row in sequence. In a folded system other legs may cross the
+    same plane. If they cross it in the opposite direction, the plate meets only light of its own direction. If they
+    cross it in the same direction, there is no plate.
     """
     face = plate
     if isinstance(plate, Structure):
@@ -315,7 +315,7 @@ def _outline(surface: Surface) -> Outline:
 
 
 def _half_size(surface: Surface) -> float:
-    """Clear radius, or half the diagonal of the bounding box of an outline, mm."""
+    """Return the clear radius of a surface, or half the diagonal of its outline's bounding box, mm."""
     if surface.outline is None:
         return surface.outer_radius
     x0, x1, y0, y1 = surface.outline.bounds()
@@ -323,7 +323,7 @@ def _half_size(surface: Surface) -> float:
 
 
 def _cross(a: Surface | Structure, b: Surface | Structure) -> bool:
-    """Whether two surfaces on a common axis cross within their clear radii."""
+    """True if two surfaces on a common axis cross within their clear radii."""
     if not (isinstance(a, Surface) and isinstance(b, Surface) and on_axis(a.to_world(), b.to_world())):
         return False
     gap = float((np.linalg.inv(a.to_world()) @ b.to_world())[2, 3])

@@ -1,1 +1,1 @@
-"""Lens as a table of surfaces in the order of light, with its rays and first-order data."""
+"""Sequential lens: a table of surfaces in the order of light, with its rays and first-order data."""

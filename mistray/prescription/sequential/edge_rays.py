@@ -35,7 +35,7 @@ _PROBE = 1e-4  # of the pupil's radius, for differences
 @dataclass(frozen=True)
 class EdgeRays:
     """
-    Chief and rim rays of all fields and wavelengths.
+    Chief and rim rays of a lens at its fields and wavelengths, and sizes that follow from them.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ def launch(
     lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float] | int, pupil: npt.ArrayLike
 ) -> tuple[Array, Array]:
     """
-    Make rays of a field that are aimed at the paraxial entrance pupil.
+    Return start points and directions of rays of one field, aimed at the paraxial entrance pupil.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def launch(
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def edge_rays(lens: Sequential) -> EdgeRays:
     """
-    Trace the centre and the rim of the stop at all fields, at the shortest, the longest and the reference wavelength.
+    Return rays through centre and rim of the stop at all fields, at the shortest, longest and reference wavelength.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def _upstream(start: Array, heading: Array, z: float) -> Array:
 
 
 def _outer_fields(lens: Sequential) -> list[int]:
-    """Indices of distinct fields, or of the outermost ones if there are too many."""
+    """Return the indices of distinct fields; only the outermost ones if there are too many."""
     places = list({field: k for k, field in reversed(list(enumerate(lens.fields)))}.values())
     farthest = sorted(places, key=lambda k: -math.hypot(*lens.fields[k]))[:_MOST_FIELDS]
     return sorted(farthest)
@@ -280,7 +280,7 @@ def _aimed_at(
 
 
 def _object_point(lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float]) -> Array:
-    """Coordinates (x, y) of a field on an object at a finite distance, mm."""
+    """Return the point (x, y), mm, of a field on an object at a finite distance."""
     if lens.field_kind == "object_height":
         return np.array(field)
     if lens.field_kind == "image_height":
@@ -313,7 +313,7 @@ def _through_stop(
     lens: Sequential, data: SequentialFirstOrder, radius: float, field: tuple[float, float], pupil: Array
 ) -> tuple[Array, Array]:
     """
-    Rays of a field that meet the stop at the pupil coordinates times its radius, mm.
+    Return the rays of a field that meet the stop at the pupil coordinates times its radius, mm.
 
     Newton's method finds the points in the entrance pupil. The field grows in steps, because the pupil of a wide-angle
     lens shifts with it. Rays that do not converge keep their last aim, or the paraxial one if that fails too.
@@ -333,10 +333,10 @@ def _aimed_at_stop(
     lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float], target: Array, start: Array
 ) -> tuple[Array, bool]:
     """
-    Find points in the entrance pupil, (n, 2), mm, whose rays meet the stop at `target`, (n, 2), mm, by Newton's method.
+    Return points in the entrance pupil, mm, whose rays meet the stop at `target`, (n, 2), mm, by Newton's method.
 
-    The iteration begins at `start`, (n, 2), mm. Returns the points and whether all converged. If not, points hold their
-    last iterate, NaN where the ray does not reach the stop.
+    The iteration begins at `start`, (n, 2), mm. Returns the points, (n, 2), and whether all converged. If not, points
+    hold their last iterate, NaN where the ray does not reach the stop.
     """
     stop, unit = stop_place(lens), data.epd / 2
     ahead = lens.with_rows([*lens.rows[: stop + 1], Row(0, kind="image")])  # what lies behind the stop aims no ray
@@ -363,7 +363,7 @@ def _aimed_at_stop(
 
 
 def _clip(lens: Sequential, hits: Array, onward: Array) -> str:
-    """Set rays to NaN from where an aperture stops them; return a note on the losses, "" if none."""
+    """Set rays in `hits` and `onward` to NaN from where an aperture stops them; return a note on losses, "" if none."""
     alive = np.ones(hits.shape[1], dtype=bool)
     losses = []
     for k, row in enumerate(lens.rows):

@@ -24,7 +24,7 @@ _NONE = 1e-12  # slope per mm of height below which light is taken for collimate
 @dataclass(frozen=True)
 class SequentialFirstOrder:
     """
-    First-order data at one wavelength.
+    First-order data of a lens at one wavelength: focal lengths, pupils and magnification.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class SequentialFirstOrder:
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def first_order(lens: Sequential, wavelength_nm: float | None = None) -> SequentialFirstOrder:
     """
-    Compute the first-order data of a lens.
+    Return the first-order data of a lens.
 
     Parameters
     ----------
@@ -149,14 +149,14 @@ def paraxial_system(lens: Sequential, wavelength_nm: float | None = None) -> tup
 
 
 def _paraxial_curvature(row: Row) -> float:
-    """Curvature at the vertex of a row, 1/mm; for a freeform the one along y, as lens design programs take it."""
+    """Return the curvature at the vertex of a row, 1/mm; for a freeform that along y, as in lens design programs."""
     if not row.sag:
         return curvature(row)
     return vertex_curvatures(row.sag_numbers, _STEP * (row.semi_diameter or 1.0))[1]
 
 
 def stop_place(lens: Sequential) -> int:
-    """Index of the row that is the stop; the first surface if none is marked."""
+    """Return the index of the row that is the stop; that of the first surface if none is marked."""
     for k, row in enumerate(lens.rows):
         if row.stop:
             return k
@@ -165,7 +165,7 @@ def stop_place(lens: Sequential) -> int:
 
 def field_tangents(lens: Sequential, data: SequentialFirstOrder) -> np.ndarray:
     """
-    Slopes of the chief rays of all fields before the first surface, for an object at infinity.
+    Return the slopes of the chief rays of all fields before the first surface, for an object at infinity.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def field_tangents(lens: Sequential, data: SequentialFirstOrder) -> np.ndarray:
 
 def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: float) -> tuple[float, float]:
     """
-    Diameter of the entrance pupil, as in `SequentialFirstOrder`, and paraxial radius of the stop, both in mm.
+    Return the diameter of the entrance pupil, as in `SequentialFirstOrder`, and the paraxial stop radius, mm.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: f
 
 
 def _magnification(lens: Sequential, up: np.ndarray, down: np.ndarray) -> float:
-    """Image height per object height; 0 for an object at infinity."""
+    """Return the image height per object height; 0 for an object at infinity."""
     if math.isinf(lens.object_distance):
         return 0.0
     # y(image) = A (h + u d) + B u = A h + (A d + B) u: at a focused image the second term vanishes

@@ -1,4 +1,4 @@
-"""Material strings for the media of a lens: a known name with the same index, and k = 0 where k is unknown."""
+"""Materials of a lens: names with the indices of another program's media, and k = 0 where k is unknown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ROUND_OFF = 1e-12
 
 def same_material(names: Sequence[str], index_at: Callable[[float], float], wavelengths_nm: Sequence[float]) -> str:
     """
-    Return a material string with the same indices as another program's medium.
+    Return a material string with the refractive indices of another program's medium.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def with_k(material: str, wavelengths_nm: Sequence[float]) -> str:
 
 
 def usable(material: str, wavelengths_nm: Sequence[float]) -> str:
-    """Return `with_k` of a material; raise `MistrayError` if its n is unknown at one of the wavelengths, nm."""
+    """Return a material string as `with_k` does; raise `MistrayError` if n is unknown at a wavelength, nm."""
     for wavelength in wavelengths_nm:
         refractive_index(material, wavelength)
     return with_k(material, wavelengths_nm)

@@ -30,7 +30,7 @@ _SMALLEST_MM = 1e-6
 
 def frames(lens: Sequential) -> Array:
     """
-    Frames of all rows of a lens.
+    Return the frames of all rows of a lens in the world.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def frames(lens: Sequential) -> Array:
 
 
 def motion(decentre: Decentre) -> Array:
-    """Rigid transform (4, 4) in mm from the moved frame to the frame before; see `Decentre`."""
+    """Return the rigid transform, (4, 4) in mm, from the frame after a `Decentre` to that before it."""
     shift = (decentre.x, decentre.y, decentre.z)
     if not decentre.tilt_first:
         return moved(np.eye(4), *shift, *decentre.tilt_deg)
@@ -68,7 +68,7 @@ def materials_before(lens: Sequential) -> tuple[str, ...]:
 
 def indices(lens: Sequential, wavelength_nm: float | None = None) -> Array:
     """
-    Refractive indices in front of each row and behind the last.
+    Return the refractive indices in front of each row and behind the last.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def trace(
     lens: Sequential, positions: npt.ArrayLike, directions: npt.ArrayLike, wavelength_nm: float | None = None
 ) -> tuple[Array, Array]:
     """
-    Trace real rays through all rows.
+    Trace real rays through all rows of a lens.
 
     Parameters
     ----------
@@ -147,14 +147,14 @@ def trace(
 
 
 def to_world(lens: Sequential, positions: Array) -> Array:
-    """Transform positions at each row, (n_rows, n, 3) as from `trace`, to world coordinates, mm."""
+    """Return positions at each row, (n_rows, n, 3) as from `trace`, in world coordinates, mm."""
     places = frames(lens)
     return np.einsum("kij,knj->kni", places[:, :3, :3], positions) + places[:, None, :3, 3]
 
 
 def distance(row: Row, position: Array, direction: Array) -> Array:
     """
-    Signed distance along rays to the surface of a row, mm.
+    Return the signed distance along rays to the surface of a row.
 
     Parameters
     ----------
@@ -190,13 +190,13 @@ def distance(row: Row, position: Array, direction: Array) -> Array:
 
 
 def curvature(row: Row) -> float:
-    """Curvature 1/radius of a row, 1/mm; 0 for a plane."""
+    """Return the curvature 1/radius of a row, 1/mm; 0 for a plane."""
     return 0.0 if row.radius == 0 else 1.0 / row.radius
 
 
 def passes(row: Row, position: Array) -> npt.NDArray[np.bool_]:
     """
-    Whether the explicitly stated apertures of a row let rays pass.
+    Return a mask of rays that the stated apertures of a row let pass.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array
 
 
 def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array) -> Array:
-    """Return distances (n,), mm, along rays from the tangent plane to an asphere; NaN where Newton's method fails."""
+    """Return distances along rays from the tangent plane to an asphere, (n,), mm; NaN where Newton's method fails."""
     (x0, y0), (u, v, w) = start, direction.T
     error = np.full_like(step, np.inf)
     for _ in range(_ITERATIONS):

@@ -1,4 +1,4 @@
-"""Lens in the form of lens design programs: a table of surfaces in the order of light.
+"""Sequential lens, as in lens design programs: a table of surfaces in the order of light.
 
 All lengths are in mm, angles in degrees where a name ends in ``_deg``, wavelengths in nm, whatever the units of the
 file. Readers return a `Sequential`; `mistray.prescription.closing.system` converts it to a `Prescription`, and writers
@@ -29,7 +29,7 @@ FieldKind = Literal["angle_deg", "object_height", "image_height"]
 @dataclass(frozen=True)
 class Unread:
     """
-    Content of a file that had no effect.
+    Content of a lens file that had no effect on the lens.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Unread:
 @dataclass(frozen=True, kw_only=True)
 class Decentre:
     """
-    A move of the frame: shift by (x, y, z), then rotation about x, the new y and the newest z.
+    Move of the frame: shift by (x, y, z), then rotation about x, the new y and the newest z.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Decentre:
 @dataclass(frozen=True)
 class Row:
     """
-    A row of a lens table: a surface, a coordinate break or the image.
+    Row of a lens table: a surface, a coordinate break or the image.
 
     Attributes
     ----------
@@ -152,14 +152,14 @@ class Row:
 
     @property
     def sag_numbers(self) -> dict[str, Any]:
-        """Numbers that define the sag, lengths in mm, keyed by their names in `mistray.physics.sags.terms`."""
+        """Numbers that define the sag, in mm and powers of it, by their names in `mistray.physics.sags.terms`."""
         return with_even(1 / self.radius if self.radius else 0.0, self.conic, self.coefficients, self.sag)
 
 
 @dataclass(frozen=True)
 class Sequential:
     """
-    A sequential lens: its rows, aperture, fields and wavelengths.
+    Sequential lens: rows, aperture, fields and wavelengths.
 
     Attributes
     ----------
@@ -247,5 +247,5 @@ class Sequential:
         return self.wavelengths_nm[self.primary]
 
     def with_rows(self, rows: Sequence[Row]) -> Sequential:
-        """Return the lens with other rows."""
+        """Return the lens with other rows in place of its own."""
         return replace(self, rows=tuple(rows))

@@ -1,1 +1,1 @@
-"""Recorders that leave the light as it is: on a rectangle in space, on surfaces, or by direction far away."""
+"""Recorders of flux that do not change the light: on a rectangle, on surfaces, or by direction far away."""

@@ -27,7 +27,11 @@ MM2_PER_M2 = 1e6
 
 
 def cell_of(place: mi.Float, count: int) -> mi.UInt32:
-    """Return the cell number of a coordinate in cell widths; beyond the ends it is that of the outermost cell."""
+    """
+    Return the index, 0 … count - 1, of the cell at a coordinate in cell widths.
+
+    Beyond the ends it is that of the end cell.
+    """
     return mi.UInt32(dr.clip(mi.Int32(place), 0, count - 1))
 
 
@@ -67,7 +71,7 @@ class PassingLight(Recorder):
         self.cells, self.groups = cells, groups_of(cells)
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Set the number of cells for the surfaces of a trace, and upload the data that give the cell of a hit."""
+        """Set the number of cells for the surfaces in `table`, and upload the data that give the cell of a hit."""
 
     def attach(self, scene: KernelScene) -> None:
         """Begin a trace of one source and wavelength with sums at zero."""
@@ -78,12 +82,12 @@ class PassingLight(Recorder):
         dr.eval(self._sums, self._started)
 
     def add(self, start: StartRays, cell: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        """Add the flux of rays, in units of a start ray's flux, to the sums of cells."""
+        """Add the flux of rays, in units of a start ray's flux, to the sums of their cells."""
         group = group_of(start.batch, self.groups)
         dr.scatter_reduce(dr.ReduceOp.Add, self._sums, mi.Float64(flux), group * self.cells + cell, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Count the start rays of complete trees, by batch."""
+        """Count the start rays whose ray trees are complete, by batch."""
         dr.scatter_reduce(dr.ReduceOp.Add, self._started, mi.Float64(1), start.batch, active)
 
     def collect(self, unit: float) -> None:

@@ -1,4 +1,4 @@
-"""Far field: radiant intensity of the light that leaves the scene, by direction."""
+"""Recorder of the far field: radiant intensity of the light that leaves the scene, by direction."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class FarField(PassingLight):
 
     @property
     def flux_of_rings(self) -> Sampled:
-        """Flux of each ring of cells around the axis with its noise, (rows,), W."""
+        """Flux in each ring of cells around the axis, (rows,), W, with its noise."""
         return self.flux.reshaped(-1, self.azimuths).total(1)
 
     @property

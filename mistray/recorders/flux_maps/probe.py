@@ -1,4 +1,4 @@
-"""Probe: light that crosses a rectangle in space, recorded without an effect on the rays."""
+"""Recorder of the light that crosses a rectangle in space, without an effect on the rays."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class Probe(PassingLight):
     @property
     def radiance(self) -> tuple[np.ndarray, np.ndarray]:
         """
-        Radiance by pixel and direction and its standard error, (height, width, directions, directions), W/(mm² sr).
+        Radiance by pixel and direction, and its standard error: (height, width, directions, directions), W/(mm² sr).
 
         The last two axes are uniform cells of the direction cosines along y and x, -1 … 1. The area du dv of a cell is
         its projected solid angle cos θ dΩ. So the flux, divided by the area of the pixel and by du dv, is the mean

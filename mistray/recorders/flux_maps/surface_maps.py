@@ -224,7 +224,7 @@ class SurfaceMaps(SurfaceLight):
         self.add(visit.start, cell + self.shape[0] * self.shape[1], dr.maximum(visit.absorbed, 0), active)
 
     def cell(self, visit: Visit) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the cell of the incident flux of hits, and whether they contribute."""
+        """Return the cell to which each hit adds its incident flux, and a mask of hits that contribute."""
         rows, columns = self.shape
         s, q = visit.surface, visit.interaction.local
         place = dr.gather(mi.UInt32, self._place, s, visit.active)
@@ -246,7 +246,7 @@ class SurfaceMaps(SurfaceLight):
         return [k for k in table.listed if (words[k] & (OPAQUE | MIRROR | DETECTOR)) == OPAQUE]
 
     def _find(self, table: SurfaceTable, numbers: list[int]) -> None:
-        """Unroll the surfaces with these numbers; keep in `left_out` the reason why a surface cannot be unrolled."""
+        """Unroll the surfaces with these numbers; where this is impossible, note the reason in `left_out`."""
         for k in numbers:
             one = _unroll(table, k, *self.shape)
             if isinstance(one, str):
@@ -335,7 +335,7 @@ def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> 
 
 
 def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unrolled | str:
-    """Return a surface unrolled to rows × columns of cells, or the reason why it cannot be unrolled."""
+    """Return the surface with a number, unrolled to rows × columns of cells, or why it cannot be unrolled."""
     if number >= len(table.pieces):
         return "it is a mesh or a shape of Mitsuba's own; give it as frustum or asphere"
     piece = table.pieces[number]

@@ -1,1 +1,1 @@
-"""Design sequences: the orders of surfaces by which the direct image of a scene is formed."""
+"""Design sequences: the orders of surfaces and events by which the direct image of a scene is formed."""

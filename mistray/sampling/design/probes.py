@@ -31,7 +31,7 @@ Order = tuple[int, ...]
 @dataclass(frozen=True)
 class DesignStep:
     """
-    Surface of the design path, with the point, normal and directions of the base ray there.
+    Surface of the design path, with point, normal and directions of the base ray there.
 
     Attributes
     ----------
@@ -56,18 +56,18 @@ class DesignStep:
 
     @property
     def from_front(self) -> bool:
-        """Whether the base ray meets the surface from the front."""
+        """True if the base ray meets the surface from the front."""
         return bool(self.before @ self.normal > 0)
 
     @property
     def to_back(self) -> bool:
-        """Whether the base ray leaves the surface to the back."""
+        """True if the base ray leaves the surface to the back."""
         return bool(self.after @ self.normal > 0)
 
 
 @dataclass(frozen=True)
 class _Hits:
-    """Hits of one step: lanes, surfaces, whether they reflect, points (mm), unit normals, directions around them."""
+    """Hits of probe rays at one step: ray numbers, surfaces, reflected or not, points (mm), normals, directions."""
 
     lane: np.ndarray
     surface: np.ndarray
@@ -148,7 +148,7 @@ class Probes:
         return np.flatnonzero(same & np.all(self._codes[:, : len(codes)] == codes, axis=1))
 
     def steps(self, lane: int) -> list[DesignStep]:
-        """Return the hits of a probe ray, from its first surface to its last."""
+        """Return the surfaces that a probe ray meets on its way, from the first to the last."""
         # From the end back to the start: before the split a lane has the hits of its parent
         found = []
         for hits in self._steps[int(self._lengths[lane]) :: -1]:
@@ -170,7 +170,7 @@ class Probes:
 
 
 def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Whether hits are at beam splitters: coated surfaces with R and T of at least `SPLITS` at that angle, (n,)."""
+    """Return a mask of hits at beam splitters, (n,): coated surfaces with R and T at least `SPLITS` at that angle."""
     found = np.zeros(len(surface), dtype=bool)
     optics = table.optics
     along = np.einsum("ij,ij->i", d, normal)
@@ -189,7 +189,7 @@ def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.
 def _with_others(
     table: SurfaceTable, hits: _Hits, what: np.ndarray, split: np.ndarray, new: np.ndarray
 ) -> tuple[_Hits, np.ndarray]:
-    """Return the hits of a step together with those of the probes that go the other way at beam splitters."""
+    """Return the hits and events of a step, with probes added that go the other way at beam splitters."""
     n = table.optics.host_indices[hits.surface[split], :2]
     before, normal = hits.before[split], hits.normal[split]
     from_front = np.einsum("ij,ij->i", before, normal) > 0

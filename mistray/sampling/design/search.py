@@ -73,7 +73,11 @@ def traced_table(
 
 
 def _found(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
-    """Return the sequences of each detector of a table that has any, from the cache if they were found before."""
+    """
+    Return the sequences by detector, from the cache if they were found before.
+
+    Detectors without any are left out.
+    """
     # Coatings decide what beam splitters and undeclared mirrors are; the signature leaves them out
     coatings = [hash(one.coating) for one in table.interfaces if not isinstance(one.coating, Bare)]
     declarations = [getattr(table.interfaces[k], "design_path", "") for k in table.detectors]
@@ -82,7 +86,11 @@ def _found(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
 
 
 def _search(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
-    """Return the sequences by detector: declared ones, else those that probes find; detectors without are left out."""
+    """
+    Return the sequences by detector: declared ones, else those that probes find.
+
+    Detectors without any are left out.
+    """
     lists = {detector: declared(table, detector) for detector in table.detectors}
     # Sources and fields in their order, until every detector has some
     missing = [detector for detector, found in lists.items() if not found]

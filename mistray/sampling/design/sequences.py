@@ -42,7 +42,7 @@ FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides
 
 
 def is_plane(table: SurfaceTable, surface: int) -> bool:
-    """Whether a surface is a plane; False for Mitsuba's own shapes, whose sag is not known."""
+    """True if a surface is a plane; False for Mitsuba's own shapes, whose sag is not known."""
     if surface >= len(table.pieces):
         return False
     piece = table.pieces[surface]
@@ -52,6 +52,8 @@ def is_plane(table: SurfaceTable, surface: int) -> bool:
 def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Order, list[Order]]]:
     """
     Return the arms by which probe rays reach a detector, one for each way through the beam splitters.
+
+    An arm is a main order and its alternatives.
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
 
 
 def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> Sequences:
-    """Return all design sequences of the arms, formed by combining the alternative surfaces of each step."""
+    """Return all design sequences of the arms: at each step any of the alternative surfaces may be taken."""
     rules, lists = _Rules(table), set()
     for _, orders in arms:
         shapes: dict[Hashable, list[Order]] = {}
@@ -138,12 +140,12 @@ def declared(table: SurfaceTable, detector: int) -> Sequences:
 
 
 def has_optics(table: SurfaceTable) -> bool:
-    """Whether a scene has a lens or a declared mirror."""
+    """True if a scene has a lens or a declared mirror."""
     return bool(_Rules(table).optical.any())
 
 
 def _alternatives(rules: _Rules, orders: Counter[Order]) -> tuple[Order, list[Order]]:
-    """Return the main order of an arm, and all orders that are alternatives of it."""
+    """Return the main order of an arm, and all orders of the same kind of events as alternatives of it."""
     # Orders with the same powered surfaces; of the frequent ones those over most optics
     kinds: dict[tuple[Hashable, ...], Counter[Order]] = {}
     for order, count in orders.items():
@@ -162,7 +164,7 @@ def _alternatives(rules: _Rules, orders: Counter[Order]) -> tuple[Order, list[Or
 
 
 class _Rules:
-    """Rules by which orders of events over the surfaces of a table are design sequences."""
+    """Rules that decide which orders of events over the surfaces of a scene are design sequences."""
 
     def __init__(self, table: SurfaceTable) -> None:
         words = table.optics.host_words
@@ -177,7 +179,7 @@ class _Rules:
         )
 
     def images(self, order: Order) -> bool:
-        """Whether light of this event sequence may form an image: over optics, at no wall, and not as a ghost."""
+        """True if light of an event sequence may form an image: over optics, at no wall, and not as a ghost."""
         places = [place_of(code) for code in order]
         if not any(self.optical[k] for k in places) or any(self._wall[k] for k in places):
             return False
@@ -195,12 +197,12 @@ class _Rules:
         return True
 
     def _turns(self, code: int) -> bool:
-        """Whether an event reflects all light, rather than a part of it at a beam splitter."""
+        """True if an event reflects all light, rather than a part of it at a beam splitter."""
         what, place = kind_of(code), place_of(code)
         return what == TOTAL or (what == REFLECTED and bool(self._opaque[place] or self._mirror[place]))
 
     def splits(self, code: int) -> bool:
-        """Whether an event is a reflection at a beam splitter, or the transmission of one that is declared a mirror."""
+        """True if an event is a reflection at a beam splitter, or the transmission of one that is declared a mirror."""
         what, place = kind_of(code), place_of(code)
         return not self._opaque[place] and what == (TRANSMITTED if self._mirror[place] else REFLECTED)
 
@@ -210,11 +212,11 @@ class _Rules:
         return sum(kind_of(code) == TRANSMITTED or bool(self._mirror[place_of(code)]) for code in steps)
 
     def without_rings(self, order: Order) -> Order:
-        """Return an event sequence without its events at the rings of edges."""
+        """Return an event sequence without the events at ring-shaped edges of lenses."""
         return tuple(code for code in order if not self._ring[place_of(code)])
 
     def powered(self, order: Order) -> Order:
-        """Return an event sequence without its events at rings of edges and at plane-parallel plates."""
+        """Return an event sequence without the events at ring-shaped edges and at plane-parallel plates."""
         kept: list[int] = []
         for code in self.without_rings(order):
             if kept and self._plate(kept[-1], code):
@@ -224,7 +226,7 @@ class _Rules:
         return tuple(kept)
 
     def _plate(self, first: int, second: int) -> bool:
-        """Whether two events in a row are the passage through a plane-parallel plate."""
+        """True if two consecutive events are the passage through a plane-parallel plate."""
         a, b = place_of(first), place_of(second)
         passes = kind_of(first) == kind_of(second) == TRANSMITTED
         if not passes or a == b or not is_plane(self._table, a) or not is_plane(self._table, b):

@@ -37,7 +37,7 @@ from mistray.surfaces.upload import upload_rows
 @dataclass(frozen=True, eq=False)
 class Sharing:
     """
-    Numbers and start densities of the forward rays and connections that supplement a backward trace.
+    Numbers of forward rays and connections that supplement a backward trace, and densities of their starts.
 
     Attributes
     ----------
@@ -73,13 +73,13 @@ class Sharing:
 
     @property
     def connects(self) -> bool:
-        """Whether backward rays are connected to light vertices."""
+        """True if backward rays are connected to light vertices."""
         return bool(self.starts_per_connection.any())
 
 
 class Balance:
     """
-    MIS weights of forward rays, backward rays and connections by the balance heuristic.
+    Weights of forward rays, backward rays and connections by the balance heuristic, which share each path among them.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class Balance:
         self._take(sharing)
 
     def at(self, sharing: Sharing) -> Balance:
-        """Return the MIS weights for other numbers of rays and start densities of the same light."""
+        """Return the MIS weights for other numbers of rays and start densities, of the same light."""
         found = copy(self)
         found._take(sharing)
         if sharing.starts is not self.sharing.starts:
@@ -181,7 +181,7 @@ class Balance:
     def _connections(
         self, cell: mi.UInt32, density: mi.Float, connection_ratio: mi.Float | None, active: mi.Bool
     ) -> mi.Float:
-        """Return the connections that find a path for each backward ray, see `PdfRatios.connection_ratios`."""
+        """Return the number of connections that find a path per backward ray, see `PdfRatios.connection_ratios`."""
         if connection_ratio is None:
             return mi.Float(0)
         return dr.gather(mi.Float, self._starts_per_connection, cell, active) * density * connection_ratio

@@ -1,4 +1,4 @@
-"""Plane waves from all cells of a grid of directions, on the device: their start rays, and the way back to them."""
+"""Plane waves from all cells of a grid of directions, on the device: start rays from places in a cell, and inverse."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ class CellWaves:
         self._rotation, self._centre = cells[0].rotation, cells[0].centre - centre
 
     def rays(self, cell: mi.UInt32, place: list[mi.Float]) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """Return origins, mm, and unit directions of the rays for points `place` of their cells' unit cubes."""
+        """Return origins, mm, and unit directions of rays from `place`, four coordinates in the unit cube of a cell."""
         numbers = [dr.gather(mi.Float, column, cell) for column in self._numbers]
         return wave_rays(numbers, self._rotation, self._centre, mi.Point2f(*place[:2]), *place[2:])
 
     def place(self, cell: mi.UInt32, p: mi.Vector3f, d: mi.Vector3f, active: mi.Bool) -> list[mi.Float]:
-        """Return the point in a cell's unit cube of the ray that passes p, mm, along d: the inverse of `rays`."""
+        """Return the place in a cell's unit cube, 0 … 1, of the ray that passes p, mm, along d; inverse of `rays`."""
         low, high, azimuth, half_azimuth, middle_x, middle_y, half_x, half_y, is_round, _ = (
             dr.gather(mi.Float, column, cell, active) for column in self._numbers
         )
@@ -129,5 +129,5 @@ def cell_starts(
 
 
 def whole_batches(rays: np.ndarray) -> np.ndarray:
-    """Return numbers of rays, rounded up to multiples of the number of batches."""
+    """Return numbers of rays rounded up to multiples of the number of batches."""
     return np.asarray(-(-np.asarray(rays, dtype=np.int64) // BATCHES) * BATCHES)

@@ -31,7 +31,7 @@ UNKNOWN = 0.5  # MIS weight in a class of light without samples
 @dataclass(frozen=True, eq=False)
 class PathClassVariances:
     """
-    Variances of the light of each path class and cell, by forward rays alone and by backward rays alone.
+    Variances of the light of each path class and cell, from forward rays alone and from backward rays alone.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class PathClassVariances:
 
 class PathClassWeights:
     """
-    MIS weights that all paths of a path class and cell have in common.
+    MIS weights that are the same for all paths of a path class and cell.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ UNIFORM = 0.4
 
 class MapSamples(NamedTuple):
     """
-    Samples of the start points of forward rays that reach the detector, weighted by their light.
+    Start points of forward rays whose light reaches the detector, weighted by this light.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class MapSamples(NamedTuple):
 
     @classmethod
     def of(cls, parts: Sequence[MapSamples]) -> MapSamples:
-        """Return several sets of samples joined into one."""
+        """Return several sets of samples joined to one."""
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def times(self, factor: np.ndarray | float) -> MapSamples:
@@ -76,15 +76,15 @@ class MapSamples(NamedTuple):
         return self._replace(weights=self.weights * factor, squares=self.squares * np.square(factor))
 
     def of_rays(self, rays: np.ndarray | float) -> MapSamples:
-        """Return the samples with weights as if each stood for `rays` times as many rays of the same light."""
+        """Return the samples as if each stood for `rays` times as many rays of the same light."""
         return self._replace(weights=self.weights * rays, squares=self.squares * rays)
 
     def some(self, chosen: np.ndarray) -> MapSamples:
-        """Return the subset of samples that a boolean mask selects."""
+        """Return the samples that a boolean mask selects."""
         return MapSamples(*(values[chosen] for values in self))
 
     def after_roulette(self, count: int, rng: np.random.Generator) -> MapSamples:
-        """Return about `count` samples of each cell: all strong ones, and weak ones by Russian roulette."""
+        """Return about `count` samples of each cell: all strong ones, and weak ones thinned by Russian roulette."""
         # Roulette threshold of each cell
         limit = np.zeros(int(self.cell.max(initial=0)) + 1)
         for number, here in _of_each(self.cell):
@@ -131,7 +131,7 @@ def _of_each(cell: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
 
 
 def _threshold(weights: np.ndarray, count: int) -> float:
-    """Return the roulette threshold w_min for which about `count` samples survive."""
+    """Return the weight below which Russian roulette thins samples, so that about `count` of them survive."""
     if len(weights) <= count:
         return 0.0
     order = np.sort(weights)[::-1]
@@ -145,7 +145,7 @@ def _threshold(weights: np.ndarray, count: int) -> float:
 @dataclass(frozen=True, eq=False)
 class StartMap:
     """
-    Densities of forward start rays in the unit cubes of all cells, as binary trees.
+    Densities of forward start rays in the unit cubes of all cells of directions, as binary trees.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class StartMap:
 
     @classmethod
     def of(cls, cells: int, samples: MapSamples) -> StartMap:
-        """Return the start map learned from samples of the light that reaches the detector."""
+        """Return the start map learned from samples of light that has reached the detector."""
         numbers, at = np.unique(samples.cell, return_inverse=True)
         root = np.zeros(cells, np.int32)
         root[numbers] = 1 + np.arange(len(numbers))
@@ -209,7 +209,7 @@ def _halved(
     at: np.ndarray, inside: np.ndarray, brought: np.ndarray, halvings: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Halve the nodes of one depth, by the mean of two shares: that of the light, and that of least variance.
+    Halve the tree nodes of one depth, by the mean of two shares: that of the light, and that of least variance.
 
     With uniform density in either half, the variance is least at densities proportional to √⟨E[F²]⟩, the mean over the
     half (A. Rath et al., Variance-aware path guiding, ACM Trans. Graph. 39, 151 (2020)). Halves in which light is not
@@ -266,7 +266,7 @@ class DeviceMap:
         self._root = upload_rows(mi.UInt32, given.root.astype(np.uint32))
 
     def sample(self, cell: mi.UInt32, place: mi.Float64, rng: mi.PCG32) -> tuple[list[mi.Float], mi.Float]:
-        """Return start points in the unit cubes of cells for numbers `place` in 0 … 1, and their density, of mean 1."""
+        """Return start points in the unit cubes of cells, from `place` in 0 … 1, and their density, of mean 1."""
         # Choose the uniform part of the mixture or the tree, and rescale the number
         width = dr.width(cell)
         anywhere = place < UNIFORM

@@ -70,7 +70,7 @@ def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
 
 
 def medium_of(table: SurfaceTable, surface: int, side: int) -> int:
-    """Return the number of the material on a side of a surface, or 0 if no surface transmits into that material."""
+    """Return the number of the material on a side (0 front, 1 back) of a surface; 0 if no surface transmits into it."""
     optics = table.optics
     if number := int(optics.declared[surface, side]):
         return number

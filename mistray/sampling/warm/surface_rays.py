@@ -44,7 +44,7 @@ class WarmRays(SceneSource):
 
     @property
     def middle(self) -> None:
-        """Middle ray of the source: None, because its light has many directions."""
+        """Return None, as the source has no single direction."""
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Return the start rays of one pass, from the surface: origins, mm, and unit directions; see `SceneSource`."""
@@ -60,7 +60,7 @@ class WarmRays(SceneSource):
         return o, on_host(d, d)[1]
 
     def _rays(self, sample: mi.Point2f, draw: Callable[[], np.ndarray], count: int) -> tuple[np.ndarray, Any]:
-        """Return origins in the world, (n, 3) float64, mm, and unit directions on the device."""
+        """Return origins in the world, (n, 3) float64, mm, and unit directions on the device, of `count` rays."""
         # Points on the host, which has every family of surfaces; normals point from front to back
         o, normals = even_points(self.table, self.surface, draw, count)
         outward = mi.Vector3d(*(upload(mi.Float64, column) for column in (normals if self.to_back else -normals).T))

@@ -1,1 +1,1 @@
-"""Measured scatter: tables of BSDFs, and their file formats."""
+"""Measured scatter models: tables of BSDFs or roughness spectra, and readers of their file formats."""

@@ -1,4 +1,4 @@
-"""Surface with a measured roughness spectrum, and a theory of its scatter."""
+"""Scatter model of a surface with a measured roughness spectrum."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class PsdTable(RoughSurface):
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> PsdTable:
-        """Return the model with given properties, see `Placement.of`; the spectrum is read from `file`."""
+        """Return the model with given properties, see `Placement.of`; the CSV file `file` holds the spectrum."""
         if "file" not in properties:
             raise MistrayError(f"{cls.__name__}: file is missing; name a .csv file of the spectrum")
         return cls.read(resolve(properties.pop("file")), **properties)
@@ -140,7 +140,7 @@ class PsdTable(RoughSurface):
         return spectrum
 
     def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
-        """Return the rms roughness, µm, that scatters into the half space, see `RoughSurface.relevant_rms_um`."""
+        """Return the rms roughness, µm, that scatters into the half space of index n, see `RoughSurface`."""
         highest = n / (wavelength_nm * 1e-3)
         if self.beyond == "error" and 2 * highest > self.frequency_1_um[-1]:
             raise MistrayError(
@@ -153,5 +153,5 @@ class PsdTable(RoughSurface):
 
     @property
     def is_smooth_as_glass(self) -> bool:
-        """Whether the factor `scale` of the spectrum is 0."""
+        """True if the factor `scale` of the spectrum is 0, so that nothing is scattered."""
         return self.scale == 0

@@ -81,7 +81,7 @@ class RotatedSamples:
 
     @property
     def event(self) -> str | None:
-        """Event that was measured, if the file declares it."""
+        """Measured event, "reflection" or "transmission", or None if the file does not declare it."""
         return self.tables[0].event
 
 
@@ -166,7 +166,7 @@ def whole_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tup
 
 
 def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return sample rotations, (d,), degrees, over one turn, each only once, and the values at them, (d, …)."""
+    """Return ascending sample rotations over one turn, degrees, (d,), each only once, and the data at them, (d, …)."""
     span = float(rotation_deg[-1] - rotation_deg[0])
     check_rotations(title, rotation_deg)
     step = float(np.max(np.diff(rotation_deg))) if len(rotation_deg) > 1 else 360.0

@@ -116,17 +116,17 @@ class BsdfSamples:
 
     @property
     def tables(self) -> tuple[BsdfSamples, ...]:
-        """Itself, as the only table, see `mistray.scatter.measured.rotations.RotatedSamples`."""
+        """Tuple with this table alone, as `RotatedSamples.tables` holds one table per rotation."""
         return (self,)
 
     @property
     def rotation_deg(self) -> np.ndarray:
-        """Rotation of the only table, (1,): 0."""
+        """Rotation of the sample in this only table, degrees, (1,): 0."""
         return np.zeros(1)
 
     @property
     def whole(self) -> bool:
-        """Whether the azimuths cover a full turn, so that the sides of the plane of incidence may differ."""
+        """True if the azimuths cover a full turn, so that both sides of the plane of incidence may differ."""
         return bool(self.azimuth_deg[-1] > 180 + ANGLE_ROUNDING_DEG)
 
     @property
@@ -163,7 +163,11 @@ class BsdfSamples:
         )
 
     def directions_at(self, specular_deg: np.ndarray, azimuth_deg: np.ndarray, polar_deg: np.ndarray) -> np.ndarray:
-        """Return unit vectors (…, 3) of directions in the table's frame, for broadcastable angles in degrees."""
+        """
+        Return unit vectors, (…, 3), of polar angle and azimuth in the table's frame, at incidence `specular_deg`.
+
+        All in degrees.
+        """
         phi, alpha, theta = (np.radians(angle) for angle in (azimuth_deg, polar_deg, specular_deg))
         y = np.sin(alpha) * np.sin(phi)
         along, towards = np.cos(alpha), np.sin(alpha) * np.cos(phi)
@@ -175,7 +179,7 @@ class BsdfSamples:
         return np.stack(parts, axis=-1)
 
     def angles_of(self, specular_deg: float, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return polar angles and azimuths, degrees, of unit vectors (…, 3), for one specular direction."""
+        """Return polar angles and azimuths, degrees, (…), of unit vectors, (…, 3), at the incidence `specular_deg`."""
         x, y, z = np.moveaxis(directions, -1, 0)
         if self.frame == "specular":
             sin, cos = np.sin(np.radians(specular_deg)), np.cos(np.radians(specular_deg))
@@ -184,7 +188,7 @@ class BsdfSamples:
         return np.degrees(np.arctan2(np.hypot(x, y), z)), np.where(azimuth < 0, azimuth + 360, azimuth)
 
     def above(self, cosine_corrected: bool) -> np.ndarray:
-        """Return whether nodes lie above the horizon, (a, b, c); without cosine correction those on it count."""
+        """Return a mask of grid directions above the horizon, (a, b, c); without cosine correction those on it, too."""
         return np.asarray(self.directions()[..., 2] > (HORIZON if cosine_corrected else -HORIZON))
 
     def bsdf(self, cosine_corrected: bool) -> np.ndarray:
@@ -212,7 +216,7 @@ class BsdfSamples:
 
     def at(self, grid: np.ndarray, index: int, directions: np.ndarray, beyond: str = "hold") -> np.ndarray:
         """
-        Return a function on the grid at directions, (…), bilinear in polar angle and azimuth.
+        Return the values of a function on the grid at directions, (…), bilinear in polar angle and azimuth.
 
         Parameters
         ----------
@@ -368,6 +372,6 @@ def half_circle(
 
 
 def _cell(nodes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the index of the node below each x, and the fraction 0 … 1 of the way to the next node."""
+    """Return for each x the index of the interval of ascending `nodes` that holds it, and its place there, 0 … 1."""
     low = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
     return low, np.clip((x - nodes[low]) / (nodes[low + 1] - nodes[low]), 0, 1)

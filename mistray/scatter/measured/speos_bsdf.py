@@ -34,7 +34,7 @@ _SAME_TOTAL = 1e-6  # relative difference of totals that count as equal at all w
 
 
 class _Lines:
-    """Reader of the lines of a file, one after the other."""
+    """Reader that returns the lines of a Speos file one after the other."""
 
     def __init__(self, path: str | Path) -> None:
         self.title = f"BSDF file '{path}'"

@@ -1,4 +1,4 @@
-"""Measured scatter: a BSDF given by a table of directions."""
+"""Scatter model that interpolates a measured BSDF in a table of directions."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class Tabulated(Placement):
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Tabulated:
-        """Return the model with given properties, see `Placement.of`; the table is read from `file`."""
+        """Return the model with given properties, see `Placement.of`; the file `file` holds the table."""
         if "file" not in properties:
             raise MistrayError(f"{cls.__name__}: file is missing; name a .bsdf, .anisotropicbsdf or .csv file")
         return cls.read(resolve(properties.pop("file")), **properties)
@@ -158,17 +158,17 @@ class Tabulated(Placement):
 
     @property
     def anisotropic(self) -> bool:
-        """Whether the scatter changes when the sample is turned about its normal, or has no mirror symmetry."""
+        """True if the scatter changes when the sample is turned about its normal, or has no mirror symmetry."""
         return isinstance(self.samples, RotatedSamples) or self.samples.whole
 
     @property
     def _first(self) -> BsdfSamples:
-        """First table, whose grids are those of all tables."""
+        """Table of the first rotation; the tables of all rotations have its grid."""
         return self.samples.tables[0]
 
     @cached_property
     def _above(self) -> np.ndarray:
-        """Whether nodes lie above the horizon, (a, b, c) bool."""
+        """Mask of grid directions above the horizon, (a, b, c)."""
         return self._first.above(self.cosine_corrected)
 
     @cached_property
@@ -178,13 +178,13 @@ class Tabulated(Placement):
 
     @cached_property
     def _distances(self) -> np.ndarray:
-        """Distances |β - β0| of the nodes, (a, b, c)."""
+        """Distances |β - β0| of the grid directions from the specular one, in direction cosines, (a, b, c)."""
         beta = self._first.directions()[..., :2]
         return np.hypot(beta[..., 0] - np.sin(np.radians(self._first.specular_deg))[:, None, None], beta[..., 1])
 
     @cached_property
     def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes of the profile, (k,) each: ln r, and ln f in 1/sr as a mean over azimuths, incidence and rotations."""
+        """Nodes of the radial profile, (k,): ln r, and ln f, f in 1/sr, mean over azimuth, incidence and rotation."""
         used = self._above & (self._distances > SMALLEST_R) & (self._grid > 0)
         bins = np.floor(np.log2(np.maximum(self._distances, SMALLEST_R)) * BINS_PER_OCTAVE).astype(int)
         one_of_any = bins[np.any(used, axis=0)]
@@ -202,7 +202,7 @@ class Tabulated(Placement):
         return centres, np.mean(curves, axis=0)
 
     def _carrier(self, r: np.ndarray) -> np.ndarray:
-        """Return the lobe's profile at distances r, 1/sr: a power law between nodes, constant before and after them."""
+        """Return the radial profile, 1/sr, at distances r: a power law between nodes, constant outside them."""
         log_r, log_f = self._nodes
         with np.errstate(divide="ignore"):
             return np.asarray(np.exp(np.interp(np.log(r), log_r, log_f)))
@@ -221,13 +221,17 @@ class Tabulated(Placement):
         return min(choices, key=self._misfit)
 
     def _still(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """Return the ratio of an isotropic table to the profile, resampled at nodes of `axes`, see `RatioTable`."""
+        """
+        Return the ratio of an isotropic table to the radial profile, resampled at nodes of `axes`, see `RatioTable`.
+
+        `relative` holds the ratio at the nodes of the table.
+        """
         nodes = self._second_nodes(axes, R_NODES), np.linspace(0, np.pi, PSI_NODES)
         planes = self._planes(relative[0], self._first, axes, *nodes)
         return RatioTable(self._over_incidence(planes, INCIDENCE_NODES), self._r_min, axes, fixed=True)
 
     def _turned(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """Return the ratio table of an anisotropic sample, in the frame where scatter varies less with rotation."""
+        """Return the ratio of an anisotropic table to the radial profile, in the frame with less change by rotation."""
         second, angle = self._second_nodes(axes, TURNED_R_NODES), np.linspace(0, 2 * np.pi, TURNED_PSI_NODES)
         rotations = np.radians(self.samples.rotation_deg)
 
@@ -249,11 +253,11 @@ class Tabulated(Placement):
 
     @cached_property
     def _r_min(self) -> float:
-        """Smallest r of a ratio about the specular direction."""
+        """Smallest distance r = |β - β0| at which the ratio is tabulated."""
         return max(SMALLEST_R, 0.5 * float(np.min(self._distances[self._above & (self._distances > SMALLEST_R)])))
 
     def _second_nodes(self, axes: str, count: int) -> np.ndarray:
-        """Return nodes of r, spaced logarithmically up to 2, for axes "radial", else nodes of cos θs in 0 … 1."""
+        """Return `count` nodes of r, logarithmic up to 2, for axes "radial", else nodes of cos θs in 0 … 1."""
         return np.geomspace(self._r_min, 2, count) if axes == "radial" else np.linspace(0, 1, COS_NODES)
 
     def _planes(
@@ -303,7 +307,11 @@ class Tabulated(Placement):
         return np.asarray((1 - fraction) * planes[low] + fraction * planes[high])
 
     def _misfit(self, ratio: RatioTable) -> float:
-        """Return the mean relative error of the model at nodes above the horizon, without the pole if anisotropic."""
+        """
+        Return the mean relative error of the model at nodes above the horizon.
+
+        For anisotropic samples the pole is left out.
+        """
         lobes = [Lobe("reflection", self._carrier, ratio=ratio)]
         directions, departures = self._first.directions(), []
         counts = self._above & (self._first.polar_deg > 0) if self.anisotropic else self._above

@@ -28,7 +28,7 @@ UM = 1e3  # nm
 @dataclass
 class AbgEntry:
     """
-    Entry of an ABg catalogue.
+    ABg parameters of one surface in an ABg catalogue.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class AbgEntry:
 
 def read_abg_data(path: str | Path) -> dict[str, AbgEntry]:
     """
-    Read an ABg catalogue.
+    Read the entries of an ABg catalogue.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def read_abg_data(path: str | Path) -> dict[str, AbgEntry]:
 
 def abg_from_catalogue(spec: str, **placement: Any) -> ABg:
     """
-    Return the model of an entry of a catalogue.
+    Return the ABg scatter model of an entry of a catalogue.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ NORMAL_OF_INCIDENCE_DEG = 90.0  # azimuth of the axis from which SampleRotation 
 
 @dataclass
 class _Lines:
-    """Reader of the lines that are neither empty nor comments, one after the other."""
+    """Reader that returns the lines of a Zemax file one after the other, without empty lines and comments."""
 
     path: str | Path
     lines: Iterator[tuple[int, list[str]]]
@@ -48,7 +48,7 @@ class _Lines:
         return words
 
     def choice(self, key: str, known: tuple[str, ...]) -> str:
-        """Return the value in the line `key value`, in lower case."""
+        """Return the value, one of `known`, in the next line, which must read `key value`; in lower case."""
         words = self.next(key)
         if words[0].lower() != key.lower() or len(words) != 2:
             raise MistrayError(f"{self.where}: '{' '.join(words)}'; expected {key} {'|'.join(known)}")
@@ -57,7 +57,7 @@ class _Lines:
         return words[1].lower()
 
     def values(self, count: int, expected: str) -> list[float]:
-        """Return `count` numbers, from one line or from several."""
+        """Return the next `count` numbers, from one line or several; `expected` describes them in messages."""
         found: list[float] = []
         while len(found) < count:
             words = self.next(expected)
@@ -69,7 +69,7 @@ class _Lines:
 
 def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples | RotatedSamples:
     """
-    Read a monochrome BSDF file of Zemax.
+    Read the BSDF table in a monochrome BSDF file of Zemax.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
 
 
 def _block(lines: _Lines, azimuths: int, radials: int, angle: float) -> np.ndarray:
-    """Return the BSDF at one angle of incidence, degrees, (azimuths, radials), 1/sr."""
+    """Return the BSDF, 1/sr, (azimuths, radials), read from the lines of one angle of incidence, degrees."""
     found: list[float] = []
     while len(found) < azimuths * radials:
         words = lines.next(f"the data at {angle:g}°")

@@ -1,1 +1,1 @@
-"""Families of analytic surfaces: one file for each, with its crossings, normals, areas and rims."""
+"""Families of analytic surfaces, one per file: ray crossings, normals, areas and rims."""

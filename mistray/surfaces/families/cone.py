@@ -1,4 +1,4 @@
-"""Cones and tubes: the sides of lenses, barrels, vanes."""
+"""Cones and cylinders: lens edges, barrels and vanes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @dataclass(kw_only=True)
 class Cone(TracedSurface):
     """
-    Part of a cone or tube between two planes across its axis; its implicit function is F = r² - (r0 + slope z)².
+    Part of a cone or cylinder between two planes across its axis, with the implicit function F = r² - (r0 + slope z)².
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Cone(TracedSurface):
 
     @classmethod
     def of(cls, r0: float, r1: float, length: float) -> Cone:
-        """Return the wall with the radius `r0` at z = 0 and `r1` at z = `length`, mm."""
+        """Create a mechanical wall with radius `r0` at z = 0 and `r1` at z = `length`, mm."""
         ends = min(0.0, length), max(0.0, length)
         return cls(sign=1.0, z_range=ends, wall=True, r0=r0, slope=(r1 - r0) / length)
 
@@ -71,7 +71,7 @@ class Cone(TracedSurface):
 
     @property
     def opening(self) -> Opening:
-        """Clear aperture of the cone as a flat figure, in the plane of its larger rim."""
+        """Clear aperture of the cone as a flat disc in the plane of its larger rim."""
         return Opening(self.z_range[int(self._rims[1] > self._rims[0])], (self.size, self.size))
 
     @property

@@ -1,4 +1,4 @@
-"""Freeform surfaces with any sag and any outline; the normal points to +z."""
+"""Freeform surfaces with any sag and any outline; their normals point to +z."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Freeform(TracedSurface):
     def of(
         cls, local: LocalSag, outline: Outline, half: tuple[float, float], wall: bool = False, way: int = 0
     ) -> Freeform:
-        """Return the surface with a sag and an outline, both in a frame about the middle of the outline."""
+        """Create the surface from a sag and an outline, both in a frame about the outline's middle."""
         x, y = outline.sample(GRID)
         z, across, along = local.sag.evaluate(x, y, local.numbers)
         steepest = float(np.max(np.hypot(across, along)))
@@ -89,12 +89,12 @@ class Freeform(TracedSurface):
 
     @cached_property
     def family(self) -> FreeformFamily:
-        """Family of the surface: the properties that the code of its sag and its outline depends on."""
+        """Family of the surface: the forms of its sag and outline, which determine the kernel's code."""
         return FreeformFamily.of(self.local.sag, self.outline)
 
     @property
     def values(self) -> dict[str, float]:
-        """Numbers that describe the surface's sag and outline, by name."""
+        """Parameter values of the surface's sag and outline, by name."""
         return {**self.local.numbers, **self.outline.numbers()}
 
     @property
@@ -116,7 +116,7 @@ class Freeform(TracedSurface):
 
     @property
     def opening(self) -> Opening:
-        """Clear aperture of the freeform as a flat figure: the box of its outline, or its outer circle."""
+        """Clear aperture of the freeform as a flat figure: the bounding box of its outline, or its outer circle."""
         if self._round:
             return Opening(0.0, (self.size, self.size))
         return Opening(0.0, self.half, rectangular=True)
@@ -251,7 +251,7 @@ class Freeform(TracedSurface):
 
 
 def _least_half(figure: OutlineFigure) -> float:
-    """Return half of the least width of a figure, mm; for a polygon a quarter of the lesser side of its box."""
+    """Return half the smallest width of a figure, mm; of a polygon, a quarter of the shorter side of its box."""
     if figure.kind == "polygon":
         return 0.25 * float(np.ptp(figure.corners, axis=0).min())
     return min(figure.sizes)
@@ -266,7 +266,7 @@ def _reach(outline: Outline, half: tuple[float, float]) -> float:
 
 
 def _farthest(figure: OutlineFigure) -> float:
-    """Return an upper bound of the distance of a figure's points from the middle, mm."""
+    """Return an upper bound of the distance of a figure's points from the origin, mm."""
     away = float(np.hypot(figure.x, figure.y))
     if figure.kind in ("circle", "ellipse"):
         return away + max(figure.sizes)

@@ -60,7 +60,7 @@ class FreeformSag:
 
     @property
     def quadric(self) -> bool:
-        """Whether the sag is a pure quadric, so that a ray's crossings are the roots of a quadratic equation."""
+        """True if the sag is a pure quadric, so that ray crossings are roots of a quadratic equation."""
         return self.form.degree < 0 and not self.odd and self.grid is None
 
     def roots(self, q: tuple[Any, Any, Any], d: tuple[Any, Any, Any], n: Mapping[str, Any]) -> tuple[Any, Any]:
@@ -87,7 +87,7 @@ class FreeformSag:
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
-        """Names of the numbers that describe the sag, such as curvatures and polynomial coefficients."""
+        """Names of the sag's parameters, such as curvatures and polynomial coefficients."""
         odd = (*VERTEX, *(f"odd_{k}" for k in self.odd)) if self.odd else ()
         return (*QUADRIC, *BOX, *self._coefficients, *odd, *(GRIDDED if self.grid is not None else ()))
 
@@ -97,9 +97,9 @@ class FreeformSag:
 
     def evaluate(self, x: Any, y: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """
-        Return the sag, mm, and its slopes in x and y at points, mm; on the host NaN beyond the end of a conic.
+        Return the sag, mm, and its slopes in x and y at points, mm; NaN beyond the end of a conic, on the host.
 
-        `n` has the `numbers` by name. All arrays are of NumPy or of Dr.Jit.
+        `n` has the parameters by name. All arrays are of NumPy or of Dr.Jit.
         """
         across, along = n["cx"] * x + n["lx"], n["cy"] * y + n["ly"]
         if self.curved:
@@ -132,11 +132,11 @@ class FreeformSag:
         return z, across, along
 
     def residual(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Return the implicit function F = z - sag(x, y), mm, at points; 0 on the surface."""
+        """Return the implicit function F = z - sag(x, y), mm, at points (mm); it is 0 on the surface."""
         return z - self.evaluate(x, y, n)[0]
 
     def gradient(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """Return the derivatives of F = z - sag(x, y) with respect to x, y and z."""
+        """Return the derivatives of F = z - sag(x, y) by x, y and z, dimensionless."""
         _, across, along = self.evaluate(x, y, n)
         return -across, -along, 1.0
 
@@ -193,7 +193,7 @@ class LocalSag:
     def moved(
         self, n: Mapping[str, Any], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
     ) -> LocalSag:
-        """Return the sag with changed numbers in the form of this one, so that both have the same kernel code."""
+        """Return the sag for changed parameters in the form of this one, so that both use the same kernel code."""
         return self._at(n, middle, half, x, y, self.sag)
 
     @classmethod
@@ -246,7 +246,7 @@ class LocalSag:
 
 
 def _probe(n: Mapping[str, Any], size: float) -> dict[str, Any]:
-    """Return a sag's numbers, slightly changed so that no free one is 0 and no curvatures agree: the general form."""
+    """Return a sag's parameters, changed slightly so that none is 0 and curvatures differ, to find its general form."""
     twofold = "curvature_x" in n or "toroid_curvature" in n
     found: dict[str, Any] = {}
     for k, (name, value) in enumerate(n.items()):
@@ -263,7 +263,7 @@ def _probe(n: Mapping[str, Any], size: float) -> dict[str, Any]:
 
 
 def _quadric(n: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return curvatures in x and y, and factor of z², of the quadric that a sag starts from, 1/mm."""
+    """Return curvatures in x and y and the factor of z² of the quadric that underlies a sag, 1/mm each."""
     c, k = n.get("curvature", 0.0), n.get("conic", 0.0)
     if "toroid_curvature" in n:
         cx, kx = n["toroid_curvature"], 0.0

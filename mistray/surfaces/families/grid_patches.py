@@ -1,4 +1,4 @@
-"""Sag on a grid, evaluated in patches in the kernel and on the host."""
+"""Sag given on a grid, evaluated patch by patch in the kernel and on the host."""
 
 from __future__ import annotations
 

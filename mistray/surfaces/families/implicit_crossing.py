@@ -30,7 +30,7 @@ ON_IT = 1e-30  # stands for F on the surface itself, with the sign that the ray 
 @dataclass
 class ImplicitNumbers:
     """
-    Numbers of an implicit surface on the device; the bounds include its overlap.
+    Parameters of an implicit surface on the device; the bounds include its overlap with neighbours.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class ImplicitNumbers:
 
     @classmethod
     def of(cls, surface: ImplicitSurface) -> ImplicitNumbers:
-        """Return the numbers of a surface as opaque Dr.Jit variables, so that kernels do not depend on their values."""
+        """Return the parameters of a surface as opaque Dr.Jit variables, so that kernels do not hold their values."""
         more, (low, high) = surface.overlap, surface.z_range
         along = [more * surface.rim_stretch(surface.rim_point(rim)) for rim in (LOW, HIGH)]
         bounds = (

@@ -50,7 +50,7 @@ class ImplicitSurface(TracedSurface):
 
     @classmethod
     def of(cls, family: Any, values: Mapping[str, float], ends: tuple[float, float], wall: bool) -> ImplicitSurface:
-        """Return the surface of a family with given numbers, between two ends of its coordinate, mm."""
+        """Create a surface of a family from its parameter values, between two ends of its profile coordinate, mm."""
         own = {name: values[name] for name in family.numbers}
         r, z = family.generatrix(np.linspace(*ends, PROFILE), own)
         margin = MARGIN * float(max(np.ptp(r), np.ptp(z)))
@@ -79,7 +79,7 @@ class ImplicitSurface(TracedSurface):
 
     @property
     def opening(self) -> Opening:
-        """Clear aperture of the surface as a flat figure, half way along the axis, with the largest radius."""
+        """Clear aperture as a flat disc of the largest radius, half-way along the axis."""
         return Opening(0.5 * sum(self.z_range), (self.size, self.size))
 
     # ---- rays on the host

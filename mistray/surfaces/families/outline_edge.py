@@ -43,12 +43,12 @@ class FreeformFamily:
 
     @classmethod
     def of(cls, sag: FreeformSag, outline: Outline) -> FreeformFamily:
-        """Return the family of a sag within an outline."""
+        """Create the family of surfaces with a given form of sag and outline."""
         return cls(sag, outline.form, tuple(outline.numbers()))
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
-        """Names of all numbers that describe the sag and the outline."""
+        """Names of all parameters of the sag and the outline."""
         return (*self.sag.numbers, *self.names)
 
     def residual(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
@@ -60,7 +60,7 @@ class FreeformFamily:
         return self.sag.gradient(x, y, z, n)
 
     def coordinate(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Return the distance of points outside the outline, mm; negative inside."""
+        """Return the distance of points outside the outline, mm; negative inside. It is exact near the edge."""
         return -self.depth(x, y, n)
 
     def depth(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
@@ -86,7 +86,7 @@ class FreeformFamily:
 
     def edge(self, x: Any, y: Any, n: Mapping[str, Any], step: Any) -> EdgePoint:
         """
-        Return the points of the outline's edge nearest to points (x, y) inside, mm, with the directions out of it.
+        Return the points of the outline's edge nearest to points x, y inside, with the outward directions.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class FreeformFamily:
 @dataclass
 class EdgePoint:
     """
-    Point on the edge of an outline, with the direction out of it.
+    Point on the edge of an outline, with the outward direction.
 
     Attributes
     ----------

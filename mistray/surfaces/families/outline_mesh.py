@@ -1,4 +1,4 @@
-"""Triangles that fill an outline, for meshes and pictures."""
+"""Triangle mesh of the area within an outline, for meshes and pictures."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _turned(faces: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def _cut(outline: Outline, a: np.ndarray, b: np.ndarray, a_inside: bool) -> np.ndarray:
-    """Return the points, (n, 2), mm, at which stretches from a to b cross the outline's edge."""
+    """Return the points, (n, 2), mm, at which segments from a to b cross the edge of the outline, by bisection."""
     low, high = np.zeros(len(a)), np.ones(len(a))
     for _ in range(HALVINGS):
         half = 0.5 * (low + high)

@@ -80,7 +80,7 @@ class SagSurface(TracedSurface):
         inner: float = 0.0,
         half_size: tuple[float, float] = (0.0, 0.0),
     ) -> SagSurface:
-        """Return the optical surface with given curvature, 1/mm, conic constant, coefficients and aperture, mm."""
+        """Create an optical surface from curvature, 1/mm, conic constant, aspheric coefficients and aperture, mm."""
         coefficients = trimmed(coefficients)
         size = outer or float(np.hypot(*half_size))
         z_range, steepest, bend = _reach(curvature, conic, coefficients, size)
@@ -101,14 +101,14 @@ class SagSurface(TracedSurface):
 
     @classmethod
     def annulus(cls, outer: float, inner: float) -> SagSurface:
-        """Return a flat ring of the mechanics between two radii, mm, whose normal points to +z."""
+        """Create a flat mechanical ring between two radii, mm, whose normal points to +z."""
         return cls(sign=-1.0, z_range=(0.0, 0.0), wall=True, outer=outer, inner=inner)
 
     # ---- facts
 
     @property
     def flat(self) -> bool:
-        """Whether the surface is a plane."""
+        """True if the surface is a plane."""
         return self.curvature == 0 and not self.coefficients
 
     @property
@@ -157,7 +157,7 @@ class SagSurface(TracedSurface):
 
     @property
     def _end(self) -> float:
-        """Radius at which the surface's conic is vertical, mm, less a rounding error for a hemisphere's rim."""
+        """Radius at which the surface's conic becomes vertical, mm, minus a rounding error."""
         return (1 - 1e-15) * conic_end(self.curvature, self.conic)
 
     @property
@@ -297,7 +297,7 @@ def azimuth(q: np.ndarray) -> np.ndarray:
 
 
 def _nodes(parts: int) -> np.ndarray:
-    """Return the nodes of the quadrature over equal parts of 0 … 1, (parts, nodes)."""
+    """Return quadrature nodes within each of `parts` equal parts of 0 … 1, (parts, nodes)."""
     return (np.arange(parts)[:, None] + NODES) / parts
 
 

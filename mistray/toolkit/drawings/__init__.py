@@ -1,1 +1,1 @@
-"""Drawings of systems: sections with rays, bodies cut open, and baffles."""
+"""Drawings of optical systems: sections with rays, bodies cut open, and baffles."""

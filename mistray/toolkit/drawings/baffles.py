@@ -148,7 +148,7 @@ def _axes(title: str, first: float, last: float, radius: float) -> Axes:
 
 
 def _profile(shape: Structure | Surface) -> np.ndarray:
-    """Return points of the curve whose rotation makes the surface, z and r, (n, 2), mm."""
+    """Return the curve, (z, r) as (n, 2), mm, whose rotation about the axis makes a surface."""
     if isinstance(shape, Structure):
         return np.array([(shape.z0 + shape.z, shape.r0), (shape.z1 + shape.z, shape.r1)])
     r = np.linspace(shape.inner_semi_diameter, shape.outer_radius, PROFILE_POINTS)

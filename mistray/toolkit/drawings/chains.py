@@ -1,4 +1,4 @@
-"""Line segments that lead from one point to another, such as the edges of a lens from rim to rim."""
+"""Shortest ways along line segments, such as along the edges of a lens from rim to rim."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TOLERANCE = 1e-5  # of the distance of the points from the origin, within which 
 
 def route(start: Array, end: Array, steps: Sequence[Array]) -> list[tuple[int, bool]] | None:
     """
-    Return the shortest way from one point to another along line segments.
+    Return the shortest way along line segments from a start to an end point.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def route(start: Array, end: Array, steps: Sequence[Array]) -> list[tuple[int, b
 
 def chain(start: Array, end: Array, steps: Sequence[Array]) -> Array:
     """
-    Return the points of `route` between its ends, mm.
+    Return the points, mm, at which the shortest way of `route` passes from one segment to the next.
 
     Returns
     -------

@@ -103,7 +103,7 @@ def role_of(shape: Any) -> str:
 
 def open_surfaces(scene: Any, cut: CutPlane | None) -> list[OpenSurface]:
     """
-    Return all surfaces of a scene, cut open.
+    Return all surfaces of a scene as triangle meshes, cut open by a plane.
 
     Parameters
     ----------
@@ -284,7 +284,11 @@ def _rings(shape: Any) -> int:
 
 
 def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
-    """Return the mesh of an `asphere` with a rectangular aperture, cut open: flat rectangle, lifted to the sag."""
+    """
+    Return the mesh of a rectangular `asphere`, cut open: vertices, faces, rims, as `clip` does.
+
+    A flat rectangle is lifted to the sag.
+    """
     half = np.array([shape.values["half_width"], shape.values["half_height"]])
     cells = 1 if shape.plane else GRID
     u, v = np.meshgrid(*(np.linspace(-1.0, 1.0, cells + 1),) * 2, indexing="ij")
@@ -311,7 +315,11 @@ def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[
 
 
 def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
-    """Return the mesh of a shape that comes with Mitsuba, cut open, from its formula where `primitive` has one."""
+    """
+    Return the mesh of a shape of Mitsuba, cut open, as `clip` does.
+
+    It follows the shape's formula if `primitive` has one.
+    """
     kind, rigid, size = primitive(shape)
     if not kind:
         if not shape.is_mesh():
@@ -357,7 +365,7 @@ def primitive(shape: Any) -> tuple[str, Points, Points]:
 
 
 def _strips(rows: int, steps: int) -> Faces:
-    """Return the triangles of a grid of `rows` rows with `steps` cells each, as (m, 3) vertex indices."""
+    """Return the triangles of a grid of `rows` rows of vertices with `steps` cells each, as (m, 3) vertex indices."""
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(steps), indexing="ij")
     a = (i * (steps + 1) + j).ravel()
     b, c, d = a + 1, a + steps + 1, a + steps + 2
@@ -365,7 +373,7 @@ def _strips(rows: int, steps: int) -> Faces:
 
 
 def _used(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
-    """Return the vertices that faces use, and the faces with vertex indices into these."""
+    """Return the vertices that faces use, and the faces renumbered to these vertices."""
     numbers, renumbered = np.unique(faces, return_inverse=True)
     return vertices[numbers], renumbered.reshape(-1, 3)
 
@@ -408,7 +416,7 @@ def triangulate(outline: npt.ArrayLike) -> Faces:
 
 
 def _is_ear(points: Points, ring: Sequence[int], k: int) -> bool:
-    """Return whether the triangle of a corner and its neighbours is convex and holds no other corner."""
+    """True if corner `k` of a polygon and its neighbours form a convex triangle that holds no other corner."""
     a, b, c = (points[ring[i]] for i in (k - 1, k, (k + 1) % len(ring)))
     size = _side(a, b, c)
     if size <= 0:
@@ -419,5 +427,5 @@ def _is_ear(points: Points, ring: Sequence[int], k: int) -> bool:
 
 
 def _side(a: Points, b: Points, c: Points) -> Any:
-    """Return twice the signed area of the triangle a, b, c, positive if it is counter-clockwise."""
+    """Return twice the signed area of the triangle a, b, c, positive if counter-clockwise; a, b or c may be (n, 2)."""
     return (b[0] - a[0]) * (c[..., 1] - a[1]) - (b[1] - a[1]) * (c[..., 0] - a[0])

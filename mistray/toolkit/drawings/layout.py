@@ -50,7 +50,7 @@ FORMATS = (".svg", ".pdf", ".eps", ".png")
 
 
 class Drawn(NamedTuple):
-    """Drawn path: its rays (mm), colour and label, and the numbers of the points where it is reflected or scattered."""
+    """Path to draw: its rays (mm), colour and label, and numbers of points where rays are reflected or scattered."""
 
     rays: list[Polyline]
     colour: str
@@ -61,7 +61,7 @@ class Drawn(NamedTuple):
 @dataclass(frozen=True)
 class SectionLine:
     """
-    Surface cut by the plane x = 0.
+    Section of a surface by the plane x = 0.
 
     Attributes
     ----------
@@ -341,7 +341,7 @@ def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAW
 
 
 def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> list[tuple[int, str, str]]:
-    """Return path id, colour and label of chosen paths; raise `MistrayError` for an unknown path."""
+    """Return path id, colour and label of paths with given ids. Raise `MistrayError` for an unknown id."""
     rows = report.table(field_deg).set_index("path_id")
     unknown = [path_id for path_id in path_ids if path_id not in rows.index]
     if unknown:
@@ -398,7 +398,7 @@ def _draw_system(axes: Axes, scene: Any, lines: Sequence[SectionLine], weight: f
 
 
 def _in_plane(shape: Any) -> bool:
-    """Return whether the axis of a surface of revolution lies in the plane x = 0, the plane of the drawing."""
+    """True if the axis of a surface of revolution lies in the plane x = 0, the plane of the drawing."""
     return abs(shape.matrix[0, 3]) < 1e-9 and abs(shape.matrix[0, 2]) < 1e-9
 
 
@@ -410,7 +410,11 @@ def _cut(shape: Any, name: str) -> list[Polyline]:
 
 
 def _mirrored(shape: Any) -> Polyline | None:
-    """Return the profile and its mirror image as one line through the axis; None if it does not reach the axis."""
+    """
+    Return the profile and its mirror image, (z, y) of the scene in mm, as one line through the axis.
+
+    It is None if the profile does not reach the axis.
+    """
     profile = shape.profile()
     if profile[0, 0] > 0:
         return None

@@ -81,7 +81,7 @@ class RayLine:
 
 def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None = None) -> list[PathRow]:
     """
-    Return the strongest rows of the path table, or requested ones: by id, or all that have a name or pass a filter.
+    Return the `count` strongest rows of the path table, or those requested by id, by name or by filter.
 
     A path at several wavelengths counts once, with its strongest row: the rays of the others would lie on its own.
 
@@ -243,7 +243,7 @@ def rows_of(choice: RayChoice, trace: Trace) -> list[PathRow]:
 
 
 def ray_groups(choice: RayChoice, scene: mi.Scene, traces: Sequence[Trace], size_mm: float = 0.0) -> list[RayGroup]:
-    """Return the rays by path or by class; those that leave the scene are extended by `size_mm`, mm."""
+    """Return the rays to draw, grouped by path or by class; rays that leave the scene are extended by `size_mm`."""
     found = [group for trace in traces for group in _groups_of(choice, trace, size_mm, len(traces) > 1)]
     if traces and BACKWARD in (choice.classes or ()):  # at all fields the same
         found.append(RayGroup(BACKWARD, backward_lines(scene, traces[0], choice.rays, size_mm)))
@@ -251,7 +251,7 @@ def ray_groups(choice: RayChoice, scene: mi.Scene, traces: Sequence[Trace], size
 
 
 def _groups_of(choice: RayChoice, trace: Trace, size_mm: float, with_field: bool) -> list[RayGroup]:
-    """Return the groups of rays of one field, by path or by class."""
+    """Return the rays to draw from the trace of one field, grouped by path or by class."""
     field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
     if choice.classes is not None:
         names = [name for name in choice.classes if name != BACKWARD]

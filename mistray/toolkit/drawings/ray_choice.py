@@ -1,4 +1,4 @@
-"""Choice of the drawn rays of traces, as fields of a request."""
+"""Request for the rays to draw in pictures of traces."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ BACKWARD = "backward"  # rays from the detector
 
 
 class ChosenRow(Demand):
-    """Condition that a value selects rows of the path table: one by number, or all by a name or a filter."""
+    """Condition on a value that selects rows of the path table: a number for one, a name or filter for all that fit."""
 
     demand = ROWS.demand
     metavar = "ID"
 
     def check(self, name: str, value: Any, owner: str = "") -> int | str:
-        """Return the number or the text; raise `MistrayError` if it is neither."""
+        """Return a value if it is a row number or a text; otherwise raise `MistrayError`."""
         found: int | str = value if isinstance(value, str) else ROWS.check(name, value, owner)
         return found
 

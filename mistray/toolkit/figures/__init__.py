@@ -1,1 +1,1 @@
-"""Figures of results, drawn by Matplotlib."""
+"""Figures of results: their style, and pictures of traces and gradients, drawn by Matplotlib."""

@@ -1,4 +1,4 @@
-"""Horizontal bars of values with standard errors, one for each name."""
+"""Bar charts of values with standard errors, one horizontal bar for each name."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ LONGEST_NAME = 60  # letters beside a bar
 
 def bars(values: Mapping[str, Estimate], colours: Sequence[str], label: str) -> Figure:
     """
-    Draw values as horizontal bars on a log10 scale, the first at the top; none for a value that is not above 0.
+    Return a figure of values as horizontal bars on a log10 scale, the first at the top.
+
+    There is no bar for a value that is not above 0.
 
     Parameters
     ----------
@@ -56,7 +58,7 @@ def named_bars(axes: Axes, names: Sequence[str], values: np.ndarray, errors: Any
 
 
 def magnitude_bars(values: Mapping[str, Estimate], label: str) -> Figure:
-    """Draw the magnitudes of the largest values as horizontal bars on a log10 scale, those below 0 in orange."""
+    """Return a figure of the largest magnitudes as horizontal bars on a log10 scale; values below 0 are orange."""
     known = {name: one for name, one in values.items() if np.isfinite(one.value) and one.value}
     shown = dict(sorted(known.items(), key=lambda item: -abs(item[1].value))[:BARS])
     sizes = {name: Estimate(abs(one.value), one.se) for name, one in shown.items()}

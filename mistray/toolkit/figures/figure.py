@@ -1,4 +1,4 @@
-"""Figures of all reports; their texts hold names from files, and so no text is set as a formula."""
+"""Base class of all figures. Their texts hold names from files, and so no text is set as a formula."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Picture of a gradient for summaries: the largest derivatives."""
+"""Picture of a gradient: the largest derivatives."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from mistray.toolkit.tables.gradients import derivatives
 
 
 def gradient_figure(found: Gradient, title: str = "") -> Figure:
-    """Draw the largest derivatives as bars, in the unit of the metric per unit of the parameter, with errors."""
+    """Draw the largest derivatives as bars with errors, in metric per unit of the parameter."""
     made = magnitude_bars(derivatives(found), "size of the derivative [metric per unit of the parameter]")
     return made.headed(title, "derivatives", "blue: above 0, orange: below 0; bars of one standard error")

@@ -1,4 +1,4 @@
-"""Maps in figures, and figures as PNG and SVG.
+"""Maps drawn in figures, and figures written as PNG and SVG.
 
 Magnitudes are in the colour map "inferno", uniform in lightness and safe for colour-blind readers.
 """
@@ -126,7 +126,7 @@ def _hatch(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
 
 
 def as_png(figure: Figure, of_maps: bool = False) -> bytes:
-    """Return a figure as PNG; `of_maps` stores figures of maps with a palette, at a third of the size."""
+    """Return a figure as PNG; with `of_maps` it gets a palette of 256 colours and is a third as large."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", bbox_inches="tight", pad_inches=0.1)
     if not of_maps:
@@ -140,7 +140,7 @@ def as_png(figure: Figure, of_maps: bool = False) -> bytes:
 
 
 def _map_palette() -> Image.Image:
-    """Return an image whose palette of 256 colours has those of irradiance maps, and grey levels for text."""
+    """Return an image whose palette of 256 colours holds those of irradiance maps and grey levels for text."""
     shades = np.repeat(np.linspace(0, 255, GREYS)[:, None], 3, axis=1)
     colours = np.concatenate([255 * image_colours()(np.linspace(0, 1, 256 - GREYS))[:, :3], shades])
     palette = Image.new("P", (1, 1))

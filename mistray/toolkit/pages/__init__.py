@@ -1,1 +1,1 @@
-"""Self-contained report.html of each result, and the other files of a report."""
+"""Reports: the self-contained HTML page of a result, and its CSV, JSON, PNG and PDF files."""

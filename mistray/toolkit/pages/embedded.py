@@ -1,4 +1,5 @@
-"""Numbers and pictures inside an HTML file: maps with 16 bits per pixel, small PNG files, and JSON for scripts.
+"""
+Embedding of numbers and pictures in an HTML file: maps with 16 bits per pixel, PNG files, and JSON for scripts.
 
 A power P in W is stored as the whole number c of steps of 1/600 decade above 1e-100 W, c = round(600 (100 + log10 P)).
 0 means no power. This covers 1e-100 … 1e9 W with an error of at most 0.2 %. Of all numbers of a page together the high
@@ -33,7 +34,7 @@ DIGITS = 4  # of the size of the system, that coordinates are rounded to
 
 
 class MapStore:
-    """Store of power maps, W, that compresses all of them together."""
+    """Collector of power maps, W, which are compressed together for one page."""
 
     def __init__(self) -> None:
         self._codes: list[npt.NDArray[np.uint16]] = []
@@ -41,7 +42,7 @@ class MapStore:
 
     def add(self, found: PathMap) -> list[int]:
         """
-        Add a map to the store and return where it is.
+        Add a power map and return its position in the store, for the page's script.
 
         Returns
         -------
@@ -56,14 +57,14 @@ class MapStore:
         return [found.pixels, found.column, found.row, width, height, place]
 
     def text(self) -> str:
-        """Return the codes of all maps, compressed, as base64."""
+        """Return the codes of all stored maps, compressed, as base64 text."""
         codes = np.concatenate([np.zeros(0, dtype=np.uint16), *self._codes])
         planes = (codes >> 8).astype(np.uint8).tobytes() + (codes & 255).astype(np.uint8).tobytes()
         return _compressed(planes)
 
 
 def packed(value: Any) -> str:
-    """Return a value as JSON, compressed, as base64."""
+    """Return a value as compressed JSON in base64."""
     return _compressed(json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode())
 
 
@@ -87,7 +88,7 @@ def decimals(low: npt.ArrayLike, high: npt.ArrayLike) -> int:
 
 
 def section_data(scene: Any) -> dict[str, Any]:
-    """Return the section of a system, its size and map colours as data that page scripts draw."""
+    """Return the drawing of a system's section (mm), its bounds and map colours as data for page scripts."""
     lines = section(scene)
     low, high = bounds(lines)
     digits = decimals(low, high)
@@ -109,12 +110,12 @@ def json_script(name: str, value: Any) -> str:
 
 
 def colour_table() -> npt.NDArray[np.uint8]:
-    """Return the colours of irradiance from the floor to the top, (256, 3) uint8: red, green and blue."""
+    """Return the colour scale of irradiance maps from lowest to highest, (256, 3) uint8: red, green and blue."""
     return np.rint(255 * colormaps["inferno"](np.linspace(0, 1, COLOURS))[:, :3]).astype(np.uint8)
 
 
 def colour_text() -> str:
-    """Return the colours of `colour_table` as base64 of 768 bytes."""
+    """Return the colour scale of `colour_table`, 768 bytes, as base64."""
     return base64.b64encode(colour_table().tobytes()).decode("ascii")
 
 
@@ -136,5 +137,5 @@ def palette_png(index: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8]) ->
 
 
 def rounded(lines: Sequence[npt.NDArray[np.float64]], digits: int) -> list[list[float]]:
-    """Return polylines (n, 2) as lists of alternating coordinates, rounded to `digits` decimals."""
+    """Return polylines, (n, 2) each, as flat lists x, y, x, y, … rounded to `digits` decimals."""
     return [np.round(line, digits).ravel().tolist() for line in lines]

@@ -1,4 +1,4 @@
-"""Results in file formats of other programs, besides the CSV tables and pictures that are always written."""
+"""Export of results in further file formats: Parquet, PDF, EXR, FITS, NPY and ray files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RAYS = "dat"  # needs no package
 
 def require_formats(formats: Sequence[str]) -> None:
     """
-    Refuse formats whose packages are not installed, so that a long trace does not end in an error.
+    Raise `MistrayError` for formats whose packages are not installed, so that a long trace does not end in an error.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def require_formats(formats: Sequence[str]) -> None:
 
 
 def pdf_name(page: str) -> str:
-    """Return the name of the PDF document that belongs to a page."""
+    """Return the file name of the PDF document for a page, such as report.pdf for report.html."""
     return f"{page.removesuffix('.html')}.{PDF}"
 
 

@@ -1,4 +1,4 @@
-"""Plots with values beside the pointer: the figure as SVG, with the numbers at its places along x."""
+"""Plots that show values at the mouse pointer: the figure as SVG, with numbers by position along x."""
 
 from __future__ import annotations
 

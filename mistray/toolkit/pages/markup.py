@@ -1,4 +1,4 @@
-"""Pieces of HTML of tables: cells, and pictures within them."""
+"""HTML of table cells and of pictures within them."""
 
 from __future__ import annotations
 

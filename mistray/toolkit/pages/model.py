@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fold:
-    """Text on a page that opens on a click: its summary, and the text shown when it is open."""
+    """Text on a page that unfolds on a click: a summary, and the text shown when open."""
 
     summary: str
     text: str
@@ -35,7 +35,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class Noted:
-    """Number with its standard error and a remark below it."""
+    """Number with its standard error and a remark, as content of a table cell."""
 
     number: Estimate
     note: str
@@ -43,7 +43,7 @@ class Noted:
 
 @dataclass(frozen=True)
 class StyledCell:
-    """Text of a cell with a CSS class other than that of its column."""
+    """Text of a table cell with a CSS class different from its column's."""
 
     text: str
     style: str
@@ -51,7 +51,7 @@ class StyledCell:
 
 @dataclass(frozen=True)
 class Link:
-    """Text that links to a place on the same page."""
+    """Text that links to an anchor on the same page."""
 
     text: str
     anchor: str
@@ -59,7 +59,7 @@ class Link:
 
 @dataclass(frozen=True)
 class HtmlCell:
-    """Table cell as finished HTML, for content that only a page shows."""
+    """Table cell given as HTML, for content that only a page can show."""
 
     html: str
 
@@ -70,7 +70,7 @@ Value = str | int | Estimate | Fold | Noted | StyledCell | Link | HtmlCell
 
 @dataclass(frozen=True)
 class Column:
-    """Heading and unit of a column, and its CSS class on a page; class "t" is flush left, also in text."""
+    """Heading and unit of a table column, and its CSS class on a page; class "t" is left-aligned, also in text."""
 
     head: str
     unit: str = ""
@@ -90,7 +90,7 @@ def columns(*given: str | Column) -> list[Column]:
 
 
 class PagePart:
-    """Part of a section; `kind` names its type for the templates."""
+    """Base class of the parts of a section; `kind` names the type for the templates."""
 
     kind: ClassVar[str]
 
@@ -134,13 +134,13 @@ class Table(PagePart):
     kind: ClassVar[str] = "table"
 
     def rows_in_text(self, most: int | None = None) -> list[Sequence[Value]]:
-        """Return the rows to print as text: at most `most`, or the number of the table, and one row for all others."""
+        """Return the rows printed as text: at most `most`, or the table's own number, and one for the rest."""
         most = self.most if most is None else most
         rows = list(self.rows if most is None else self.rows[:most])
         return [*rows, self.rest] if len(self.rows) > len(rows) and self.rest else rows
 
     def without(self, *heads: str) -> Table:
-        """Return the table without columns of these headings."""
+        """Return a copy of the table without the columns of these headings."""
         kept = [k for k, column in enumerate(self.columns) if column.head not in heads]
         rows = [[row[k] for k in kept] for row in self.rows]
         rest = [self.rest[k] for k in kept] if self.rest else ()
@@ -154,7 +154,7 @@ class Table(PagePart):
 
 @dataclass(frozen=True)
 class Filter(PagePart):
-    """Input field on a page that filters the rows of a table by words; `label` is for screen readers."""
+    """Input field on a page that filters table rows by words; `label` is for screen readers."""
 
     table: str
     placeholder: str
@@ -165,7 +165,7 @@ class Filter(PagePart):
 @dataclass(frozen=True)
 class NotePart(PagePart):
     """
-    Separate text; `style` "note" is small print, "h3" a heading, "pre" a command, "sub" the computed quantity.
+    Paragraph of text; `style` "note" is small print, "h3" a heading, "pre" a command, "sub" the computed quantity.
 
     A heading with an `anchor` can be linked to.
     """
@@ -181,7 +181,7 @@ Note = NotePart  # its name before version 0.3
 
 @dataclass(frozen=True)
 class Items(PagePart):
-    """Short texts as a list; `style` "warnings" is a box, "verdict" the result in a few sentences."""
+    """List of short texts; `style` "warnings" shows a box, "verdict" the result in a few sentences."""
 
     texts: Sequence[str]
     style: str = ""
@@ -190,7 +190,7 @@ class Items(PagePart):
 
 @dataclass(frozen=True)
 class Terms(PagePart):
-    """Words and their meanings, or names and values."""
+    """List of words with their meanings, or of names with values."""
 
     pairs: Sequence[tuple[str, str]]
     kind: ClassVar[str] = "terms"
@@ -198,7 +198,7 @@ class Terms(PagePart):
 
 @dataclass(frozen=True)
 class Hover:
-    """Values of a plot shown beside the pointer: places along x, a heading for each, and names with values."""
+    """Values that a plot shows at the pointer: positions along x, a heading for each, and named values."""
 
     name: str
     x: Sequence[float]
@@ -209,7 +209,7 @@ class Hover:
 @dataclass(frozen=True)
 class FigurePart(PagePart):
     """
-    Picture of a report, with its caption.
+    Picture in a report, with its caption.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ class Map(PagePart):
 
 @dataclass(frozen=True)
 class Html(PagePart):
-    """Finished HTML, for content that only a page can show."""
+    """Part given as HTML, for content that only a page can show."""
 
     html: str
     kind: ClassVar[str] = "html"
@@ -263,7 +263,7 @@ class Html(PagePart):
 
 @dataclass(frozen=True)
 class Folded(PagePart):
-    """Parts of a page below a line that opens them, with an optional `anchor` for links."""
+    """Parts of a page that unfold on a click on a line, with an optional `anchor` for links."""
 
     summary: str
     parts: Sequence[PagePart]
@@ -274,7 +274,7 @@ class Folded(PagePart):
 
 @dataclass(frozen=True)
 class PartGroup(PagePart):
-    """Parts of a page that belong together, with a CSS class."""
+    """Group of page parts in one HTML element with a CSS class."""
 
     style: str
     parts: Sequence[PagePart]

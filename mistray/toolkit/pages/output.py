@@ -1,4 +1,4 @@
-"""Output of reports into a folder, complete or not at all."""
+"""Writing of reports into a folder, completely or not at all."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROBE = 1 << 16  # bytes for which there must be room
 
 def writable_directory(directory: str | Path) -> Path:
     """
-    Return a folder as a path after a check that it can be written, so that a long trace does not end in an error.
+    Check that a folder can be written, before a long trace, and return its path.
 
     Raises
     ------
@@ -113,5 +113,5 @@ def told(directory: str | Path) -> Iterator[None]:
 
 
 def nearest_directory(path: Path) -> Path:
-    """Return the path, or the nearest existing one above it."""
+    """Return the path itself or its nearest existing parent."""
     return next(place for place in (path, *path.parents) if place.exists())

@@ -50,13 +50,13 @@ def remove_section(make: SectionMaker) -> None:
 
 
 def own_sections(result: Any) -> list[Section]:
-    """Return the sections added for a result; none if the result is None."""
+    """Return the user's sections for a result; empty if the result is None."""
     made = [make(result) for make, of in _MAKERS.items() if result is not None and isinstance(result, of)]
     return [section for section in made if section is not None]
 
 
 def with_own_sections(report: Report) -> Report:
-    """Return a report with the sections added for its result, before its last section, in all of its files."""
+    """Return a report with the user's sections for its result added before its last section, in all output files."""
     own = own_sections(report.result)
     return replace(
         report,
@@ -74,7 +74,7 @@ def section_texts(sections: Sequence[Section]) -> list[str]:
 
 def section_tables(sections: Sequence[Section], taken: Container[str] = ()) -> dict[str, pd.DataFrame]:
     """
-    Return the tables of sections by file name.
+    Return the tables of user sections as DataFrames, by file name.
 
     Raises
     ------

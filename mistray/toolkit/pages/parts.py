@@ -1,4 +1,4 @@
-"""Parts that reports of several commands share: definitions and settings."""
+"""Report parts that several commands share: definitions of terms, and settings."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ def terms(report: str) -> dict[str, str]:
 
 
 def version_settings() -> dict[str, str]:
-    """Return the versions of the packages that computed the results, as settings to print in a report."""
+    """Return the versions of the packages that computed a result, by label, for the settings of a report."""
     return {f"version of {name}": version for name, version in versions().items()}
 
 
 def setting_text(value: Any) -> str:
-    """Return the value of a setting as text."""
+    """Return the value of a setting as text for a report."""
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, list | tuple):

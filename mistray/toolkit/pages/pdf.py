@@ -73,7 +73,7 @@ def _write(report: model.Report, writer: _Writer) -> None:
 
 
 class _Writer:
-    """Writer that places the parts of a report one below the other on PDF pages."""
+    """Writer that sets the parts of a report one below the other on PDF pages."""
 
     def __init__(self, title: str) -> None:
         class Document(format_package("pdf").FPDF):  # type: ignore[misc]
@@ -99,12 +99,12 @@ class _Writer:
         pdf.add_page()
 
     def close(self) -> None:
-        """Close the font files, which are read until the end."""
+        """Close the font files, which stay open until the document is finished."""
         for font in self.pdf.fonts.values():
             font.ttfont.close()
 
     def parts(self, parts: Sequence[model.PagePart], most: float = MOST_HEIGHT) -> None:
-        """Write parts of a report; pictures are at most `most` high, mm."""
+        """Write parts of a report; pictures are at most `most` mm high."""
         for part in parts:
             if isinstance(part, model.Table):
                 self.table(part)
@@ -124,7 +124,7 @@ class _Writer:
                 self.text(f"▸ {part.summary}", SMALL, SOFT)
 
     def heading(self, text: str, size: float, level: int, room: float = ROOM) -> None:
-        """Write a heading, also as an entry of the outline, with `room` (mm) for the text below it."""
+        """Write a heading and its outline entry, keeping `room` mm for the text below it on the page."""
         self.room(room)
         if level:
             self.pdf.ln(3)
@@ -174,7 +174,7 @@ class _Writer:
         self.pdf.ln(1.5)
 
     def figure(self, figure: model.FigurePart, most: float) -> None:
-        """Write a picture, in its natural size if there is room, and its caption; `most` is its height, mm."""
+        """Write a picture with its caption, at its natural size if that fits; it is at most `most` mm high."""
         if callable(figure.picture):
             drawn = figure.picture()
             drawn.set_dpi(DRAWN_DPI)
@@ -253,7 +253,7 @@ class _Writer:
         bold: bool = False,
         family: str = FONT,
     ) -> None:
-        """Write a paragraph; text of a `Markup` in <b> is bold."""
+        """Write a paragraph with a font size in points; in `Markup`, text within <b> is bold."""
         self.pdf.set_text_color(*colour)
         self.pdf.set_x(MARGIN)
         pieces = re.split(r"</?b>", text) if isinstance(text, Markup) else [text]
@@ -265,7 +265,7 @@ class _Writer:
         self.pdf.set_text_color(*INK)
 
     def room(self, height: float) -> None:
-        """Begin a new page if less than `height` is left, mm."""
+        """Start a new page if less than `height` mm is left on this one."""
         if self.pdf.will_page_break(min(height, self.pdf.eph)):
             self.pdf.add_page()
 

@@ -1,4 +1,4 @@
-"""Report as one HTML page with embedded style, scripts and pictures, and nothing from the network."""
+"""Rendering of a report as one HTML page with embedded styles, scripts and pictures, without network access."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def html_page(report: model.Report) -> str:
 
 
 def stylesheet(name: str) -> str:
-    """Return a style sheet of this package."""
+    """Return the text of one of the package's CSS files by name."""
     return _resource("assets", f"{name}.css")
 
 
 def template(name: str, **values: Any) -> str:
-    """Return a template of this package, filled in with values."""
+    """Return one of the package's HTML templates filled with values."""
     return _environment().get_template(name).render(values).strip()
 
 

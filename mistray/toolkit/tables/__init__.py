@@ -1,1 +1,1 @@
-"""Tables of results as rows for text, CSV and JSON."""
+"""Tables of results: rows for text, CSV and JSON."""

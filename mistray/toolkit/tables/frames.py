@@ -1,4 +1,4 @@
-"""DataFrame as a table of a report, whose headings and units come from the names of its columns.
+"""DataFrames as tables of reports; headings and units come from the names of the columns.
 
 Columns name their unit ("z_mm", "power_se_W"), so that a new column needs no new code.
 """
@@ -32,7 +32,7 @@ def heading_of(column: str) -> tuple[str, str]:
 
 
 def error_of(column: str, known: Sequence[str]) -> str | None:
-    """Return the column with the standard error of a column, or None: "pst" → "pst_se", "x_mm" → "x_se_mm"."""
+    """Return the name of the column with a column's standard error, or None: "pst" → "pst_se", "x_mm" → "x_se_mm"."""
     name, _ = unit_of(column)
     end = column[len(name) :]
     return next((other for other in (f"{name}_se{end}", f"{column}_se") if other in known), None)
@@ -117,7 +117,7 @@ def value_text(value: Any) -> str:
 
 
 def flat(values: Mapping[str, Any], before_unit: bool = False) -> dict[str, Any]:
-    """Return a DataFrame row with each `Estimate` as two columns: "x_mm" and "x_mm_se" or, on request, "x_se_mm"."""
+    """Return values by column with each `Estimate` as two: "x_mm" and "x_mm_se" or, on request, "x_se_mm"."""
     row: dict[str, Any] = {}
     for name, value in values.items():
         begin = unit_of(name)[0] if before_unit else name
@@ -127,12 +127,16 @@ def flat(values: Mapping[str, Any], before_unit: bool = False) -> dict[str, Any]
 
 
 def estimate_of(record: Mapping[str, Any] | pd.Series, name: str) -> Estimate:
-    """Return a number in a DataFrame row with its standard error; raise `KeyError` if either column is missing."""
+    """
+    Return the number in a named column of a row, with its standard error.
+
+    Raise `KeyError` if either column is missing.
+    """
     return Estimate(float(record[name]), float(record[str(error_of(name, list(record.keys())))]))
 
 
 def row_of(item: Any, *names: str) -> dict[str, Any]:
-    """Return attributes of an object as a row of a DataFrame, see `flat`."""
+    """Return attributes of an object by name, as a row of a DataFrame, see `flat`."""
     return flat({name: getattr(item, name) for name in names})
 
 
@@ -140,7 +144,8 @@ def table_frame(table: Table) -> pd.DataFrame:
     """
     Return a table as a DataFrame, whose columns are named by its headings and end in their units.
 
-    An `Estimate` becomes two columns, value and standard error. Text in a column with a unit is a number, or missing.
+    An `Estimate` becomes two columns, value and standard error. In a column with a unit, text is read as a number, or
+    is missing.
     """
     ends = {unit: end for end, unit in UNITS}
     found: dict[str, list[Any]] = {}

@@ -1,4 +1,4 @@
-"""Table of a gradient for summaries: the derivatives with their errors."""
+"""Table of a gradient: derivatives of a metric with their errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mistray.toolkit.pages.model import Table, columns
 
 
 def derivatives(found: Gradient) -> dict[str, Estimate]:
-    """Return the derivatives that are not exactly 0, with standard errors, by key, or by key and entry of an array."""
+    """Return derivatives other than exactly 0, with standard errors, by parameter key, or key and entry of an array."""
     return {
         f"{key}[{entry}]" if len(values) > 1 else key: Estimate(float(value), float(se))
         for key, values in found.gradient.items()
@@ -20,7 +20,7 @@ def derivatives(found: Gradient) -> dict[str, Estimate]:
 
 
 def gradient_table(found: Gradient) -> Table:
-    """Return the table of the derivatives in metric per unit of the parameter, the largest over its error first."""
+    """Return the table of derivatives, in metric per unit of the parameter, the most significant first."""
     rows = sorted(derivatives(found).items(), key=lambda item: -_significance(item[1]))
     heads = columns("<parameter", "derivative [metric per unit of the parameter]")
     return Table(heads, [[key, value] for key, value in rows], empty="the metric depends on no parameter")

@@ -27,7 +27,7 @@ OPTIC, BEVEL, OTHER_OPTIC, STRUCTURE, DETECTOR = "optic", "bevel or edge", "othe
 
 
 def role(table: SurfaceTable, path: DesignPath | None, surface: int) -> str:
-    """Return the role of a surface: optic (of the design path), bevel or edge, other optic, structure or detector."""
+    """Return a surface's role, as text: optic (of the design path), bevel or edge, other optic, structure, detector."""
     word = int(table.optics.host_words[surface])
     if surface == table.detector:
         return DETECTOR
@@ -90,7 +90,7 @@ def _rounded(values: Mapping[str, float]) -> tuple[float, ...]:
 def _totals(
     table: SurfaceTable, surface: int, models: Sequence[LobeModel], from_front: bool, cosine: float = 1.0
 ) -> Totals:
-    """Return specular loss and scattered fraction of light by scatter models on a surface, at a cosine of incidence."""
+    """Return specular loss and scattered fraction, 0 … 1, by scatter models of a surface at a cosine of incidence."""
     opaque = bool(table.optics.host_words[surface] & OPAQUE)
     sides = light_indices(table.optics, surface, from_front)
     particles = particle_indices(models, table.wavelength_nm)
@@ -131,7 +131,7 @@ def _budget(table: SurfaceTable, surface: int, from_front: bool) -> dict[str, fl
 
 
 def _models(table: SurfaceTable, surface: int, side: str, from_front: bool) -> list[dict[str, Any]]:
-    """Return the TIS of each scatter model of a surface alone, percent, at normal incidence."""
+    """Return table rows with the TIS of each scatter model of a surface alone, percent, at normal incidence."""
     r, t = table.optics.shares(surface, from_front, np.ones(1))
     rows = []
     for item in table.interfaces[surface].scatterers:
@@ -154,7 +154,7 @@ def share_along(table: SurfaceTable, step: Any) -> float:
 
 
 def coating_words(coating: Any) -> str:
-    """Return a short description of a coating."""
+    """Return a short description of a coating, such as "bare" or its name with its kind."""
     name = str(getattr(coating, "name", "") or "")
     if isinstance(coating, Bare):
         return "bare"
@@ -183,7 +183,7 @@ def model_words(item: Any) -> str:
 
 
 def _treatments(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return groups of surfaces with equal coating, scatter, R, T and absorption, the largest group first."""
+    """Return a DataFrame of groups of surfaces with equal coating, scatter, R, T and absorption, by size."""
     numbers = ["R_percent", "T_percent", *TIS, "A_percent"]
     keys = ["role", "side", "coating", "scatter", *numbers]
     rounded = frame.assign(**{name: frame[name].round(SAME_DIGITS) for name in numbers})

@@ -1,4 +1,4 @@
-"""Numbers with their errors as text, and tables of fixed width."""
+"""Text of numbers with their errors, and of tables of fixed width."""
 
 from __future__ import annotations
 

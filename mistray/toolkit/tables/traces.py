@@ -1,4 +1,4 @@
-"""Tables of traces for summaries: paths, energy ledger, flux at surfaces, recorded rays."""
+"""Tables of traces: paths, energy ledger, flux at surfaces, recorded rays."""
 
 from __future__ import annotations
 
@@ -42,7 +42,11 @@ def paths_table(paths: PathTable) -> Table:
 
 
 def ledger(energy: Energy) -> dict[str, Estimate]:
-    """Return where the launched flux went, W: detectors, surfaces, media, outside and cuts, each the largest first."""
+    """
+    Return the parts of the launched flux by destination, W: detectors, surfaces, media, outside and cuts.
+
+    Each group has its largest part first.
+    """
     unknown = float("nan")
     groups = (
         {f"detected by {name}": Estimate(*flux) for name, flux in energy.detected.items()},
@@ -60,7 +64,7 @@ def ledger(energy: Energy) -> dict[str, Estimate]:
 
 
 def energy_table(energy: Energy) -> Table:
-    """Return the energy ledger of a trace as a table: flux and its share of the launched flux."""
+    """Return the energy ledger of a trace as a table: flux, W, by destination and its share of the launched flux."""
     rows: list[list[Value]] = [
         [name, flux, number(100 * flux.value / energy.launched_W, 4)] for name, flux in ledger(energy).items()
     ]
@@ -78,5 +82,5 @@ def flux_table(found: FluxReport) -> Table:
 
 
 def rays_table(rays: RayHistory) -> Table:
-    """Return the nodes of recorded rays as a table: event, surface, position, optical path and flux."""
+    """Return the table of the events of recorded rays: event, surface, position, optical path, flux."""
     return chosen(rays.to_pandas(), RAY_COLUMNS)

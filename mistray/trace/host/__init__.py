@@ -1,1 +1,1 @@
-"""Rays on the host in float64: their start points and their paths, one hit after the other."""
+"""Rays traced on the host in float64, one hit after the other, and their start points."""

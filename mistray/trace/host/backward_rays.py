@@ -14,7 +14,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 class BackwardStep(NamedTuple):
     """
-    Segments of some rays from one surface to the next.
+    Segments of backward rays from one surface to the next.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class BackwardStep(NamedTuple):
 
 def steps_back(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[BackwardStep]:
     """
-    Yield the steps of rays followed from the detector: reflected at mirrors, else transmitted; see `onward`.
+    Yield the segments of rays followed backward from a detector: reflected at mirrors, else transmitted, see `onward`.
 
     Parameters
     ----------

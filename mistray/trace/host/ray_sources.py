@@ -23,11 +23,11 @@ from mistray.trace.host.single_rays import StartPoints
 
 
 class RaySource(Protocol):
-    """Interface of a source for a trace of rays with one child."""
+    """Interface of sources of rays that search for objects in a scene."""
 
     @property
     def name(self) -> str:
-        """Name of the source for tables."""
+        """Name of the source, for tables."""
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
         """Return the start points of n rays, mm, with unit directions and weights."""
@@ -69,7 +69,7 @@ class DetectorView:
         return StartPoints(p, d, weight, number, normal, self._medium(bool(normal[0] @ self.light > 0)))
 
     def _medium(self, from_front: bool) -> int:
-        """Return the number of the material on one side of the detector, front or back; 0 if it is not known."""
+        """Return the number of the material on the front or the back of the detector; 0 if it is not known."""
         interface, media = self.table.interfaces[self.table.detector], self.table.optics.media
         material = (interface.front if from_front else interface.back).strip()
         return media.index(material) if material in media else 0
@@ -83,7 +83,7 @@ class DetectorView:
 @dataclass(frozen=True, eq=False)
 class DiskSource:
     """
-    Flat Lambertian source with a limited cone.
+    Flat disc that emits by the cosine law within a limited cone.
 
     Attributes
     ----------
@@ -155,7 +155,7 @@ class DiskSource:
 @dataclass(frozen=True, eq=False)
 class Surroundings:
     """
-    Distant source of uniform radiance over a cone, or in one direction, that illuminates the whole scene.
+    Distant source of uniform radiance, in a cone or one direction, that illuminates the whole scene.
 
     A ray's direction is uniform in solid angle within the cone. Its position is uniform over a cross-section of the
     beam that covers the whole scene.
@@ -173,7 +173,7 @@ class Surroundings:
 
     @classmethod
     def cone(cls, table: SurfaceTable, axes: np.ndarray, half_angle_deg: float) -> Surroundings:
-        """Return a source in a cone about the axis of field angles; `axes` are those of `field_axes`."""
+        """Return a source in a cone of `half_angle_deg` about the axis of field angles; `axes` as from `field_axes`."""
         CONE_DEG.check("half_angle_deg", half_angle_deg)
         grid = _one_cell(0.0, half_angle_deg, 0.0, 360.0, axes)
         return cls(
@@ -215,7 +215,7 @@ class Surroundings:
 
 
 def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: float, axes: np.ndarray) -> DirectionGrid:
-    """Return a grid of directions with one cell, from `low_deg` to `high_deg`; it may be a single direction."""
+    """Return a direction grid of one cell, from `low_deg` to `high_deg`, which may be a single direction."""
     middle = np.array([0.5 * (low_deg + high_deg)])
     return DirectionGrid(middle, np.array([[low_deg, high_deg]]), np.array([azimuth_deg]), width_deg, axes)
 

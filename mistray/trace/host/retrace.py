@@ -1,5 +1,5 @@
 """
-Positions of recorded rays in float64, along the surfaces that the kernel has found.
+Recomputation of recorded rays in float64, along the surfaces that the kernel has found.
 
 The kernel's hits are float32 and good to a few 1e-7 of the system's size. From the same start ray, along the recorded
 events, each hit is computed again by Newton's method from the recorded one. No law gives the direction after a scatter

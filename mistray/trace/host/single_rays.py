@@ -1,4 +1,4 @@
-"""Rays with one child at every surface, hit by hit: views of a scene without ghosts and scatter.
+"""Tracer of rays that do not split, hit by hit: each is either transmitted or reflected, without scatter.
 
 Rays go forward or backward; the geometry is the same. They are traced all at once, surface by surface. Each hit is
 returned to the host with its point, its directions and the side of the surface.
@@ -28,7 +28,7 @@ FAINTEST = 1e-12  # weight below which a ray ends
 @dataclass(frozen=True, eq=False)
 class StartPoints:
     """
-    Start points of rays.
+    Start points, directions and weights of rays.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class StartPoints:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Hits:
     """
-    Hits of all rays at one step of their paths.
+    Hits of rays at one step of their paths.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Hits:
 
 @dataclass(frozen=True, eq=False)
 class Escape:
-    """Rays that leave the scene: numbers, unit directions (m, 3) and weights."""
+    """Rays that leave the scene: numbers, (m,), unit directions, (m, 3), and weights, (m,)."""
 
     lane: np.ndarray
     direction: np.ndarray
@@ -104,7 +104,7 @@ class Escape:
 
 class ChainTracer:
     """
-    Tracer of rays with one child at every surface.
+    Tracer of rays that do not split: at each surface a ray is either transmitted or reflected.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ class ChainTracer:
     def _child(
         self, it: Interaction, s: mi.UInt32, R: mi.Float, T: mi.Float, rng: np.random.Generator, n: int, active: mi.Bool
     ) -> tuple[mi.Bool, mi.Bool, mi.Float]:
-        """Whether rays are transmitted, whether they are reflected, and the fraction of the flux that they keep."""
+        """Return masks of transmitted rays and of reflected ones, and the fraction of the flux that each keeps."""
         opaque = (it.word & OPAQUE) != 0
         mirror = ((it.word & MIRROR) != 0) | dr.gather(mi.Bool, self.mirrors, s, active)
         total, by_mirror, other, onwards = (mi.Bool(letter in self.allowed) for letter in "IMRT")

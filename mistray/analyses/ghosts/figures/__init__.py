@@ -1,1 +1,1 @@
-"""Figures of ghosts."""
+"""Pictures of ghosts, far fields and irradiance on walls."""

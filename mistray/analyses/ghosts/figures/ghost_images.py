@@ -60,7 +60,7 @@ def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = No
     """
     Draw the irradiance of one field on log10 scales: all light on the left, stray light alone on the right.
 
-    Without a direct image both would be the same, and one is drawn.
+    Without a direct image both would be the same, so only one is drawn.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ LABELS = {"azimuth": "azimuth [deg]", "x": "x [mm]", "z": "z [mm]", "radius": "r
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Irradiance map, (rows, columns), W/mm², with the names of its axes and the borders of its cells, mm or deg."""
+    """Irradiance map to draw, W/mm², (rows, columns), with names of axes and borders of cells, mm or degrees."""
 
     title: str
     irradiance: np.ndarray

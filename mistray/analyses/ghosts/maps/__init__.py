@@ -1,1 +1,1 @@
-"""Irradiance maps of paths and of parts of the light of a field."""
+"""Irradiance maps of single paths and of parts of the light at one field."""

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class LightMap:
     """
-    Irradiance map of one part of the light on one surface.
+    Irradiance map of a part of the light on one surface.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class LightMap:
 
 def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
     """
-    Trace the rays of a trace again for maps of parts of its light.
+    Return maps of parts of the light of a trace, by tracing its rays again.
 
     Parameters
     ----------
@@ -96,7 +96,11 @@ def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
 
 
 def _apart(groups: Sequence[np.ndarray]) -> list[list[int]]:
-    """Return indices of path groups by trace, such that no trace has a path twice and there are few traces."""
+    """
+    Return, for each further trace, the indices of path groups to map in it.
+
+    No trace has a path twice, and there are few traces.
+    """
     runs: list[tuple[list[int], set[int]]] = []
     for number, group in enumerate(groups):
         own = set(group.tolist())

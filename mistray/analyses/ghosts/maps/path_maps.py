@@ -1,4 +1,4 @@
-"""Maps of many paths in one report, each only as fine as necessary."""
+"""Maps of many paths in one report, each only as fine as its structure needs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ CELLS, CELLS_OF_ALL, CELLS_OF_OTHERS = 84, 256, 8
 @dataclass(frozen=True)
 class PathMap:
     """
-    Power on the detector in square cells of whole pixels, cropped to the smallest rectangle that contains it.
+    Map of a path's power on the detector in square cells of whole pixels.
+
+    It is cropped to the smallest rectangle that holds all power.
 
     Attributes
     ----------
@@ -48,7 +50,7 @@ class PathMap:
     @staticmethod
     def of(power_W: Map, cells: int) -> PathMap:
         """
-        Make the map by summing pixels in cells.
+        Return the map of power in cells, summed from pixels.
 
         Parameters
         ----------
@@ -73,7 +75,7 @@ class PathMap:
 
     def within(self, columns: tuple[int, int], rows: tuple[int, int]) -> float:
         """
-        Return the power in a rectangle, W.
+        Return the power in a rectangle of pixels, W.
 
         Parameters
         ----------
@@ -90,7 +92,7 @@ class PathMap:
 @dataclass(frozen=True)
 class FieldMaps:
     """
-    Power maps of one field.
+    Power maps of the paths at one field.
 
     Attributes
     ----------
@@ -112,13 +114,13 @@ class FieldMaps:
 
     @property
     def grid(self) -> int:
-        """Return the largest cell size, pixels; map sums over rectangles of such cells are exact for all paths."""
+        """Return the largest cell size, in pixels. Sums over rectangles of such cells are exact for all paths."""
         return max(found.pixels for found in (self.rest, *self.paths.values()))
 
 
 @dataclass(frozen=True)
 class ImagesOfField:
-    """Irradiance, W/mm², of one field: direct image, stray light, and each worst path with its errors, by path id."""
+    """Irradiance images at one field, W/mm²: direct image, stray light, and each worst path by path id."""
 
     direct: Pixels
     stray: Pixels
@@ -129,7 +131,7 @@ def field_maps(
     trace: Trace, table: pd.DataFrame, path_ids: Sequence[int], worst: set[int]
 ) -> tuple[FieldMaps, ImagesOfField | None]:
     """
-    Make the maps of one field by tracing its rays once more.
+    Return the power maps of paths at one field, by tracing its rays once more.
 
     Parameters
     ----------
@@ -196,7 +198,11 @@ def field_maps(
 
 
 def images_of_field(trace: Trace, table: pd.DataFrame, worst: Sequence[int]) -> ImagesOfField:
-    """Return irradiance images of one field at full resolution, W/mm², and of each path in `worst`, by a new trace."""
+    """
+    Return irradiance images at one field, W/mm², at full resolution, also of each path in `worst`.
+
+    Rays are traced once more.
+    """
     if table.empty:
         return ImagesOfField(trace.light, trace.light, {})
     members = dict(zip(table.path_id, table.path_ids, strict=True))
@@ -211,11 +217,15 @@ def images_of_field(trace: Trace, table: pd.DataFrame, worst: Sequence[int]) -> 
 
 
 def without(light: Pixels, direct: Pixels, value: Map) -> Pixels:
-    """Return the map of stray light from its known values, W/mm², with the noise of all light less the direct image."""
+    """
+    Return the map of stray light with the values `value`, W/mm².
+
+    Its noise is that of all light less that of the direct image.
+    """
     noise = np.where(value[..., None] > 0, light.apart - direct.apart, 0.0)
     return Pixels(value, noise, np.maximum(light.weights - direct.weights, 0.0))
 
 
 def _cells(lit: npt.NDArray[np.int64], pixels: int) -> int:
-    """Return the number of cells, each `pixels` wide, that cover all lit pixel indices from the first to the last."""
+    """Return how many cells, each `pixels` wide, reach from the first to the last lit pixel index."""
     return int(lit[-1] // pixels - lit[0] // pixels + 1)

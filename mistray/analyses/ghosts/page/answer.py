@@ -43,7 +43,7 @@ Sentence = str | Markup
 
 
 def answer(report: GhostReport, shown: GhostReport) -> list[PagePart]:
-    """Return the verdict, and the picture of the worst paths of the fields in `shown`, as page parts."""
+    """Return the verdict and the picture of the worst paths as page parts; `shown` holds the fields that are drawn."""
     worst = worst_of_all_fields(shown, PATHS_DRAWN) if shown else []
     parts: list[PagePart] = [Items(verdict(report), "verdict")]
     if worst:
@@ -52,7 +52,7 @@ def answer(report: GhostReport, shown: GhostReport) -> list[PagePart]:
 
 
 def draw_answer(report: GhostReport, worst: Sequence[WorstPath]) -> Drawing:
-    """Draw the section of the system with rays of the worst paths of all fields."""
+    """Return a drawing of the section of the system with rays of the worst paths of all fields."""
     from mistray.toolkit.drawings.layout import layout_of_fields  # the values of this page need no pictures
 
     return layout_of_fields(
@@ -161,7 +161,7 @@ def _change(found: Remedy | None) -> list[Sentence]:
 
 
 def _plain(value: Estimate) -> str:
-    """Return a value with one digit of its standard error, joined by no-break spaces."""
+    """Return a value with one digit of its standard error as text, joined by no-break spaces."""
     return with_error(value, 1).replace(" ", NO_BREAK)
 
 

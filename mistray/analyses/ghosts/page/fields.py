@@ -122,7 +122,7 @@ def _headline(report: GhostReport, s: FieldSummary) -> str:
 
 
 def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
-    """Return the maps of the paths in a field's table; made once, by tracing its rays once more."""
+    """Return the irradiance maps of the paths in a field's table; made once, by tracing its rays once more."""
     return report.path_maps(field_deg, list(shown_paths(report, field_deg).path_id))
 
 
@@ -190,7 +190,7 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> F
 
 
 def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
-    """Return the rows of a field's path table that a report shows, the worst by the rank of the report first."""
+    """Return the rows of a field's path table that the report shows, ranked, worst first."""
     column = rank_column(report.rank)
     paths = report.with_airy(field_deg, report.table(field_deg)).sort_values(column)
     first = (paths[["rank_power", "rank_rms_irradiance"]] <= STRONGEST_SHOWN).any(axis=1)
@@ -198,7 +198,11 @@ def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
 
 
 def _numbers(paths: pd.DataFrame, wave: bool) -> list[str]:
-    """Return the names of the numeric columns that a table of paths shows; columns without values are left out."""
+    """
+    Return the names of numeric columns for a table of paths, without those that hold no values.
+
+    With `wave` each row is one wavelength.
+    """
     absent = {name for name in ("polarization", "s1", "s2", "s3", "airy_radius_mm") if paths[name].isna().all()}
     absent |= {"airy_irradiance_W_mm2"} if "airy_radius_mm" in absent else set()
     absent |= set() if is_partly_reflected(paths) else {"incident_W"}

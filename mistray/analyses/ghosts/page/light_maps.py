@@ -26,7 +26,7 @@ NOTE = (
 
 
 def light_maps_section(report: GhostReport) -> Section | None:
-    """Return the section with the maps of each field, or None if none were requested."""
+    """Return the section with the irradiance maps of parts of the light at each field; None if none were requested."""
     found = {field: report.light_maps[field] for field in report if field in report.light_maps}
     if not found:
         return None
@@ -40,7 +40,7 @@ def light_maps_section(report: GhostReport) -> Section | None:
 
 
 def light_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Return the irradiance maps, W/mm², by file name without suffix."""
+    """Return irradiance maps, W/mm², of parts of the light, by file name without suffix."""
     files: dict[str, IrradianceMap] = {}
     for field in report:
         detectors = set(report[field].detectors)
@@ -56,13 +56,13 @@ def light_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
 
 
 def light_map_figures(report: GhostReport) -> dict[str, Drawing]:
-    """Draw the maps of each field, and return the pictures by file name."""
+    """Return drawings of the irradiance maps of parts of the light, one per field, by file name."""
     own = {field: _drawn(report.light_maps.get(field, ())) for field in report}
     return {f"light_maps_{field:g}deg.png": _draw(lit) for field, lit in own.items() if lit}
 
 
 def _drawn(maps: Sequence[LightMap]) -> list[LightMap]:
-    """Return the twelve maps with most light, in their original order."""
+    """Return the maps with most light, twelve at most, in their original order."""
     lit = sorted((one for one in maps if one.power.value > 0), key=lambda one: -one.power.value)[:DRAWN]
     return [one for one in maps if any(one is other for other in lit)]
 

@@ -89,7 +89,7 @@ def draw(report: GhostReport, look: Look | None = None) -> tuple[dict[str, bytes
 
 
 def _in_order(report: GhostReport) -> list[float]:
-    """Field angles in the order of drawing, degrees; within a time budget the worst fields come first."""
+    """Return field angles, degrees, in the order of drawing; within a time budget the worst come first."""
     if not is_limited():
         return list(report)
     worst = [field for field in (most_stray(report), brightest_field(report)) if field is not None]
@@ -198,7 +198,7 @@ def page(report: GhostReport, shown: GhostTables = MAIN_TABLES, title: str = "sc
 
 
 def _maps(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Maps of irradiance, W/mm², on detectors, probes and walls by file name without suffix; on request illuminance."""
+    """Return irradiance, W/mm², or illuminance, lx, on detectors, probes and walls, by file name without suffix."""
     maps = {f"irradiance_{field:g}deg": IrradianceMap.of(t) for field, t in report.items()}
     if report.photometric:
         maps |= {f"illuminance_{field:g}deg": IrradianceMap.of(t, LUX) for field, t in report.items()}

@@ -28,7 +28,7 @@ NOTE = (
 
 
 def passing_section(report: GhostReport) -> Section | None:
-    """Return the records of the probes and far fields of a scene at each field; None where there are none."""
+    """Return the section on light at probes and far fields at each field angle; None if the scene has none."""
     parts: list[PagePart] = []
     probes, fields = list(report.recorded(Probe)), list(report.recorded(FarField))
     if not probes and not fields:

@@ -33,7 +33,7 @@ BOX_HEADER = Column("in the box", "W", "inbox")
 
 
 def page_data(report: GhostReport) -> Html:
-    """Return the data that the panels of all fields share: section of the system, colours, words, scales of maps."""
+    """Return data that the panels of all fields share, as HTML: section of the system, colours, words, map scales."""
     data = {
         "scales": {"light": common_range(report), "stray": common_range(report, stray=True)},
         "events": {letter: EVENT_WORDS[INTERCEPTS[code]] for code, letter in LETTERS.items()},

@@ -19,7 +19,11 @@ NOTE = (
 
 
 def photometric_section(report: GhostReport) -> Section | None:
-    """Return luminous flux (lm), illuminance (lx), intensity (cd) and luminance (cd/m²), or None if not requested."""
+    """
+    Return the section on luminous flux, lm, illuminance, lx, intensity, cd, and luminance, cd/m².
+
+    It is None if not requested.
+    """
     if not report.photometric:
         return None
     flux: list[list[Value]] = []
@@ -47,5 +51,5 @@ def photometric_section(report: GhostReport) -> Section | None:
 
 
 def _highest(field: float, where: str, what: str, value: np.ndarray, se: np.ndarray, unit: str) -> list[Value]:
-    """Return the table row of the brightest cell of a map, with its standard error and unit."""
+    """Return the table row of the brightest cell of a map, with value, standard error and unit, as plain text."""
     return [f"{field:g}", where, what, highest_cell(value, se)[1], unit]

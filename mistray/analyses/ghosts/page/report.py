@@ -108,7 +108,7 @@ def html_text(
     per_wavelength: bool = False,
 ) -> str:
     """
-    Return the report as HTML text; for the arguments see `write_html`.
+    Return the report as the text of an HTML file; for the arguments see `write_html`.
 
     Examples
     --------
@@ -128,7 +128,7 @@ def ghosts_report(
     per_wavelength: bool,
     shown: GhostReport | None = None,
 ) -> Report:
-    """Return the report, see `write_html`; `shown` has the fields that get maps and a section, by default all."""
+    """Return the report, see `write_html`; fields in `shown`, by default all, get maps and a section."""
     shown = report if shown is None else shown
     for field in shown:
         mapped_paths(report, field)  # first of all: the maps of the summaries come from the same run of the rays
@@ -217,7 +217,7 @@ def _pictures(report: GhostReport, shown: GhostReport, pictures: Mapping[str, by
 
 
 def _levels(report: GhostReport) -> FigurePart:
-    """Return the picture of power against field angle, with its values shown under the pointer."""
+    """Return the figure of power, W, against field angle; the pointer shows the values."""
     fields = sorted(report)
     values = []
     for s in (report.summary(field) for field in fields):

@@ -27,7 +27,7 @@ NOTE = (
 
 
 def surface_maps_section(report: GhostReport) -> Section | None:
-    """Return the light that surfaces received at each field, the brightest first; None where nothing records it."""
+    """Return the section on light that surfaces received at each field, brightest first; None if nothing records it."""
     found = [(field, own) for field in report if (own := brightest(report, field))]
     if not found:
         return None
@@ -41,7 +41,7 @@ def surface_maps_section(report: GhostReport) -> Section | None:
 
 
 def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Return the irradiance on surfaces, W/mm², and on request illuminance, lx, by file name without suffix."""
+    """Return irradiance, W/mm², on request illuminance, lx, on recorded surfaces, by file name without suffix."""
     files = {}
     for field, recorder in report.recorded(SurfaceMaps):
         lux = recorder.illuminance if report.photometric else {}
@@ -56,19 +56,23 @@ def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
 
 
 def surface_map_figures(report: GhostReport) -> dict[str, Drawing]:
-    """Draw the nine brightest surfaces of each field, and return the pictures by file name."""
+    """Return drawings of the nine brightest surfaces of each field, by file name."""
     own = {field: [one for one in brightest(report, field)[:DRAWN] if one.power[0] > 0] for field in report}
     return {f"surface_maps_{field:g}deg.png": _draw(lit) for field, lit in own.items() if lit}
 
 
 def brightest(report: GhostReport, field: float) -> list[SurfaceMap]:
-    """Return the surface maps of a field, the brightest cell first; empty if nothing records them."""
+    """
+    Return the maps of recorded surfaces at a field angle, degrees, by highest irradiance first.
+
+    It is empty if nothing records them.
+    """
     maps = [one for at, recorder in report.recorded(SurfaceMaps) if at == field for one in recorder.maps.values()]
     return sorted(maps, key=lambda one: -float(one.irradiance[0].max()))
 
 
 def _axes(one: SurfaceMap) -> dict[str, object]:
-    """Return names and ranges of the axes of a map (mm or degrees), and the areas of its cells, mm²."""
+    """Return names and ranges (mm or degrees) of the axes of a map and the areas of its cells, mm², by JSON key."""
     return {
         "across": one.across,
         f"across_{'deg' if one.across == 'azimuth' else 'mm'}": [one.across_borders[0], one.across_borders[-1]],

@@ -1,4 +1,4 @@
-"""Thumbnails of single paths for the tables of a report."""
+"""Thumbnails of single stray paths for the tables of a report."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def thumbnail(
     found: PathMap, extent: Extent, shape: tuple[int, int], centre: tuple[float, float], rms_radius_mm: float
 ) -> Thumbnail:
     """
-    Draw a path as a thumbnail about its centroid.
+    Return a thumbnail of the irradiance of a path about its centroid.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Tables of a ghost analysis as text and CSV."""
+"""Tables of a ghost analysis, as text and as CSV files."""

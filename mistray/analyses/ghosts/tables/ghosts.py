@@ -100,7 +100,7 @@ def field_table(report: GhostReport) -> Table:
 
 
 def is_partly_reflected(paths: pd.DataFrame) -> bool:
-    """Return whether the detector reflects more than 1e-6 of the light of any path."""
+    """True if the detector reflects more than 1e-6 of the light of any path."""
     return bool((paths.incident_W > (1 + ABSORBING) * paths.power_W).any())
 
 
@@ -130,12 +130,12 @@ def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: b
 
 
 def listed_paths(report: GhostReport, count: int) -> pd.DataFrame:
-    """Return the rows of `GhostReport.listed` of all fields, with the columns of `GhostReport.with_airy`."""
+    """Return the worst stray paths of all fields, `count` of each, with the columns of `GhostReport.with_airy`."""
     return pd.concat([report.with_airy(field, report.listed(field, count)) for field in report])
 
 
 def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
-    """Return the rows of a field's stray paths that are not among its `count` worst paths."""
+    """Return the table of a field's stray paths without the `count` worst ones."""
     paths = report.table(field_deg)
     return paths[(paths.kind != DIRECT) & ~paths.path_id.isin(report.listed(field_deg, count).path_id)]
 
@@ -222,7 +222,7 @@ def main_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bo
 
 
 def more_rays(report: GhostReport) -> list[str]:
-    """Return a line on fields that were traced again, with their number of rays; empty if there are none."""
+    """Return a line on fields that were traced again with more rays; empty if there are none."""
     if not report.traced_again:
         return []
     rays = thousands(report.settings["contested_rays"])

@@ -1,4 +1,4 @@
-"""Tables of a ghost analysis with full precision, and their CSV files."""
+"""Tables of a ghost analysis with all digits, as DataFrames, and their CSV files."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from mistray.trace import Trace
 
 
 def path_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Return all paths of all fields, with the columns of `GhostReport.with_airy` and ``path_ids`` as text."""
+    """Return a DataFrame of the paths of all fields, with columns of `GhostReport.with_airy`, ``path_ids`` as text."""
     return _of_fields(report, lambda field: report.with_airy(field, report.table(field, per_wavelength)))
 
 
 def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Return the energy ledger of all fields: entry, name, power_W, power_se_W (NaN if exact or unknown), share."""
+    """Return the energy ledger of all fields: entry, name, power_W, power_se_W (NaN: exact or unknown), share."""
     ledgers = _by_wavelength(report, per_wavelength, lambda t: t.energy, lambda t, line: t.energy_at(line))
     rows = []
     for where, energy in ledgers:
@@ -50,7 +50,7 @@ def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFr
 
 
 def surface_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Return the flux at all surfaces, W, for all fields: the columns of ``Trace.surfaces`` after ``field_deg``."""
+    """Return a DataFrame of the flux at all surfaces, W, in all fields: columns of ``Trace.surfaces``."""
     parts = _by_wavelength(report, per_wavelength, lambda t: t.surfaces, lambda t, line: t.surfaces_at(line))
     tables = [surfaces.to_pandas().assign(**where) for where, surfaces in parts]
     return _first(pd.concat(tables, ignore_index=True), *parts[0][0])
@@ -68,20 +68,20 @@ def scatter_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataF
 
 
 def aiming_table(report: GhostReport) -> pd.DataFrame:
-    """Return the aimed rays of all fields: field_deg, surface, aimed, landed, and landed_share = landed / aimed."""
+    """Return a DataFrame of the aimed rays by field and surface: numbers aimed and landed, and landed / aimed."""
     aimed = [(field, row) for field, t in report.items() for row in t.aiming]
     rows = [{"field_deg": field, "surface": row.id, **row_of(row, "aimed", "landed")} for field, row in aimed]
     return pd.DataFrame([row | {"landed_share": row["landed"] / row["aimed"]} for row in rows])
 
 
 def level_frame(report: GhostReport) -> pd.DataFrame:
-    """Return `GhostReport.stray_levels` of all fields, by scatter and by split level (column ``by``)."""
+    """Return a DataFrame of `GhostReport.stray_levels` of all fields, by scatter and by split level (column ``by``)."""
     parts = [report.stray_levels(field, by).assign(field_deg=field, by=by) for field in report for by in LEVELS]
     return _first(pd.concat(parts, ignore_index=True).drop(columns="path_ids"), "field_deg", "by")
 
 
 def summary_frame(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Return the main table with full precision, a row per field (and wavelength); NaN for untraced fields."""
+    """Return the main table with all digits, a row per field (and wavelength); NaN for untraced fields."""
     lines = report.wavelengths_nm if per_wavelength else [None]
     rows = summary_rows(report, lines)
     missing = [{"field_deg": field} | ({} if line is None else {"wavelength_nm": line})
@@ -95,7 +95,7 @@ def summary_rows(report: GhostReport, wavelengths_nm: Sequence[float | None]) ->
 
 
 def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, pd.DataFrame]:
-    """Return the tables that `write_csv` writes, by file name."""
+    """Return the tables that `write_csv` writes, as DataFrames by file name."""
     makers: dict[str, Callable[..., pd.DataFrame]] = {
         "summary": summary_frame,
         "paths": path_table,
@@ -114,7 +114,7 @@ def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, p
 
 
 def further_tables(report: GhostReport, shown: GhostTables) -> dict[str, pd.DataFrame]:
-    """Return the tables requested besides those of `csv_tables`, by file name; some trace rays again."""
+    """Return the tables requested besides those of `csv_tables`, as DataFrames by file name; some trace rays again."""
     makers: dict[str, Callable[[float], pd.DataFrame]] = {}
     if (aliases := shown.aliases) is not None:
         makers["aliased_paths"] = lambda field: report.aliased(field, aliases)
@@ -161,7 +161,11 @@ def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool =
 def _by_wavelength(
     report: GhostReport, per_wavelength: bool, of_all: Callable[[Trace], Any], of_one: Callable[[Trace, float], Any]
 ) -> list[tuple[dict[str, float], Any]]:
-    """Return pairs of identifying columns and result, for each field or for each field and wavelength."""
+    """
+    Return pairs of identifying columns (field, wavelength) and result, for each field or each field and wavelength.
+
+    `of_all` and `of_one` make the result from a trace.
+    """
     if not per_wavelength:
         return [({"field_deg": field}, of_all(t)) for field, t in report.items()]
     return [
@@ -196,7 +200,7 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
 
 
 def _of_fields(report: GhostReport, table_of: Callable[[float], pd.DataFrame]) -> pd.DataFrame:
-    """Return the tables of all fields as one, with ``field_deg`` first and any ``path_ids`` as text."""
+    """Return the tables that `table_of` makes for each field as one, with ``field_deg`` first, ``path_ids`` as text."""
     tables = [table_of(field).assign(field_deg=field) for field in report]
     return with_text_ids(_first(pd.concat(tables, ignore_index=True), "field_deg"))
 
@@ -213,5 +217,5 @@ def _first(table: pd.DataFrame, *names: str) -> pd.DataFrame:
 
 
 def snake(kind: str) -> str:
-    """Return a kind of paths as it appears in column names, with underscores."""
+    """Return a kind of paths, such as "scatter + ghost", in the form of column names, with underscores."""
     return re.sub(r"\W+", "_", kind)

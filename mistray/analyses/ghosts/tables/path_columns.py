@@ -19,7 +19,7 @@ OF_SOME = ("airy_radius_mm", "airy_irradiance_W_mm2", "peak_W_mm2")  # numbers t
 
 @dataclass(frozen=True)
 class PathColumns:
-    """Columns of a path table from `GhostReport.with_airy`; a printed table shows a selection of them."""
+    """Columns that a table of paths from `GhostReport.with_airy` can show, with their units and formats."""
 
     path_id: int = column("number of the path", head="path")
     events: str = column("its events")
@@ -52,7 +52,7 @@ NUMBERS = tuple(field.name for field in fields(PathColumns))[6:]
 
 
 def number_cells(rows: pd.DataFrame, numbers: Sequence[str]) -> list[list[Value]]:
-    """Return the chosen numbers of rows of a path table as text cells; empty where a path has none."""
+    """Return cells with the chosen numbers of path-table rows; empty where a path has none."""
     rows = rows.reindex(columns=list(dict.fromkeys([*rows.columns, *numbers])))
     absent = [[name in OF_SOME and math.isnan(getattr(row, name)) for name in numbers] for row in rows.itertuples()]
     found = table(PathColumns, rows, only=numbers).rows
@@ -62,7 +62,7 @@ def number_cells(rows: pd.DataFrame, numbers: Sequence[str]) -> list[list[Value]
 
 
 def mark_of(row: Any) -> str:
-    """Return the mark of a row of a path table: `FEW` rays, `CONTESTED`, or an empty text."""
+    """Return the mark of a path-table row with doubtful numbers: `FEW` rays or `CONTESTED`; else ""."""
     return FEW if row.few_rays else CONTESTED if row.contested else ""
 
 
@@ -72,7 +72,8 @@ def marked(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def of_fields(field_deg: Iterable[float], table_of: Callable[[float], Table]) -> Table:
-    """Return the tables of several fields as one, with the field angle, degrees, in the first column.
+    """
+    Return tables of several fields, made by `table_of`, as one with the field angle, degrees, first.
 
     Each keeps its row limit for text.
     """

@@ -1,4 +1,4 @@
-"""Adam (Kingma & Ba, ICLR 2015, algorithm 1) within bounds; tolerates noisy gradients."""
+"""Adam (Kingma & Ba, ICLR 2015, algorithm 1) within bounds: a gradient search that tolerates noise."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 
 def adam(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
-    Search downhill by steps of about the same length, see `Search`; a step beyond a bound ends at it.
+    Lower a merit by steps of about the same length, see `Search`; a step beyond a bound ends at it.
 
     The merit may have noise. `step_size` is α of the first step; every further one is `decay` times the one before.
     """

@@ -1,4 +1,4 @@
-"""L-BFGS-B (Byrd, Lu, Nocedal & Zhu, SIAM J. Sci. Comput. 16, 1190, 1995), from SciPy."""
+"""L-BFGS-B search (Byrd, Lu, Nocedal & Zhu, SIAM J. Sci. Comput. 16, 1190, 1995), from SciPy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The gradient methods of NLopt (S. G. Johnson, https://github.com/stevengj/nlopt), if it is installed."""
+"""Gradient methods of NLopt (S. G. Johnson, https://github.com/stevengj/nlopt), if it is installed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ALGORITHMS = ("LD_MMA", "LD_CCSAQ", "LD_SLSQP", "LD_LBFGS", "LD_VAR2", "LD_TNEWT
 
 def installed() -> Any:
     """
-    Return the module ``nlopt``.
+    Import and return the package ``nlopt``.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def installed() -> Any:
 
 def nlopt_search(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
-    Search downhill, see `Search`; every evaluation but the first counts as a step.
+    Minimise a merit by a method of NLopt, see `Search`; every evaluation but the first counts as a step.
 
     `algorithm` is one of `ALGORITHMS`; `step_size` is the initial step of those that take one.
 

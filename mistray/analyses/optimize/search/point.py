@@ -1,4 +1,4 @@
-"""Searches: what they know of the merit at one point, and how they are called."""
+"""Interface of search methods, and the merit with its gradient at one point, which they use."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Pieces:
     """
-    The merit split into a smooth part and penalties that are weighted squares of residuals.
+    Merit split into a smooth part and penalties, which are weighted squares of residuals.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Pieces:
 @dataclass(frozen=True)
 class Point:
     """
-    The merit at one point of the unit cube.
+    Merit and its gradient at one point of the unit cube of scaled variables.
 
     Attributes
     ----------
@@ -74,11 +74,11 @@ AfterStep = Callable[[np.ndarray], None]  # called with the point after each ste
 
 
 class Search(Protocol):
-    """Optimisation method that follows the gradient of the merit within bounds."""
+    """Interface of a method that minimises a merit within bounds by its gradient."""
 
     def __call__(self, function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep, /) -> str:
         """
-        Search downhill from a point.
+        Minimise a merit from a start point; return the reason why the search ended.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The state of an optimisation in a file, written whole after every evaluation of the merit."""
+"""Checkpoint file with the state of an optimisation, rewritten whole after every evaluation of the merit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FORM = 3  # changes when the content does
 
 class Checkpoint:
     """
-    File with the state of an optimisation.
+    File that holds the state of an optimisation for later resumption.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Comparison of two designs on seeds that the search has not used."""
+"""Comparison of two designs on random seeds that the search has not used."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ WORTH_TELLING = 0.01  # relative growth
 @dataclass(frozen=True)
 class ComparisonCell:
     """
-    Term, field angle and wavelength that a value belongs to.
+    Key of a value: term, field angle and wavelength.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class ComparisonCell:
 
     @property
     def whole(self) -> bool:
-        """Return whether the value is for all fields and wavelengths of the term."""
+        """True if the value is for all fields and wavelengths of the term together."""
         return self.field_deg is None and self.wavelength_nm is None
 
 
@@ -89,7 +89,7 @@ class Levels(Result, table="..tables:levels_table", figure="..figures:levels_fig
     light: dict[str, FirstLight] = field(default_factory=dict)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of seeds, and the mean of each term with its standard error."""
+        """Return the number of seeds, and the mean of each term with its standard error, by label."""
         means = {f"{name} [{self.units.get(name, '1')}]": value for name, value in self.means.items()}
         return {"seeds": len(self.seeds), **means}
 
@@ -106,18 +106,18 @@ class Levels(Result, table="..tables:levels_table", figure="..figures:levels_fig
         }
 
     def of(self, term: str) -> np.ndarray:
-        """Return the values of a term over all its fields and wavelengths, by seed, (seeds,)."""
+        """Return the value of a term over all its fields and wavelengths for each seed, (seeds,), in its unit."""
         return self.values[ComparisonCell(term)]
 
     def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
-        """Return a copy with terms that are known exactly added; their values are equal for all seeds."""
+        """Return a copy with further terms whose exact values are given; they are equal for all seeds."""
         exact = {ComparisonCell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
         return dataclasses.replace(self, values={**self.values, **exact}, units={**self.units, **units})
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonRow:
-    """Value of a term before and after, mean over the seeds; both designs trace the same rays."""
+    """Mean of a term over the seeds before and after optimisation; both designs trace the same rays."""
 
     term: str = column("name of the term")
     unit: str = column("unit of the values")
@@ -134,14 +134,14 @@ class ComparisonRow:
 
     @property
     def whole(self) -> bool:
-        """Return whether the row is for all fields and wavelengths of the term."""
+        """True if the row is for all fields and wavelengths of the term together."""
         return self.field_deg is None and self.wavelength_nm is None
 
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Result, table="..tables:rows_table", figure="..figures:comparison_figure"):
     """
-    Comparison of two designs on the same independent seeds.
+    Comparison of two designs, before and after optimisation, on the same independent seeds.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ class Comparison(Result, table="..tables:rows_table", figure="..figures:comparis
     entering: Mapping[str, tuple[Entering, ...]] = field(default_factory=dict)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the first term before and after, their ratio, and the number of seeds."""
+        """Return the first term before and after, their ratio, and the number of seeds, by label."""
         row = self.total
         before, after = Estimate(row.before, row.before_se), Estimate(row.after, row.after_se)
         numbers = {f"{row.term} before [{row.unit}]": before, f"after [{row.unit}]": after}
@@ -176,7 +176,7 @@ class Comparison(Result, table="..tables:rows_table", figure="..figures:comparis
 
     @property
     def spoiled(self) -> bool:
-        """Return whether so much light enters by new first surfaces that less stray light is no improvement."""
+        """True if so much light enters by new first surfaces that less stray light is no improvement."""
         return any(spoils(entering) for entering in self.entering.values())
 
     @property
@@ -262,7 +262,7 @@ def measure(
 
 def try_terms(study: DesignStudy, scene: Any) -> None:
     """
-    Trace each term whose kind is a function once, at its last field and wavelength, as the comparison will.
+    Trace each term that is a user's function once, at its last field and wavelength, as the comparison will.
 
     Raises
     ------
@@ -283,7 +283,11 @@ def try_terms(study: DesignStudy, scene: Any) -> None:
 
 
 def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
-    """Return the comparison of two steps of a search by values on its own seed; standard errors are NaN."""
+    """
+    Return the comparison of two steps of a search, from its own seed, before verification.
+
+    Standard errors are NaN.
+    """
     rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:
         b, a = before.terms[term.name], after.terms[term.name]
@@ -319,7 +323,11 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
 
 
 def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
-    """Return whether a term is worse than its goal in a row by more than `far` standard errors."""
+    """
+    True if a term has become worse in a row, by more than `far` standard errors.
+
+    It has grown, left its tolerance, or broken a limit that held before.
+    """
     margin = far * row.ratio_se
     if term.goal == "minimise":
         return row.ratio + margin < 1 and row.ratio * (1 + WORTH_TELLING) < 1
@@ -335,7 +343,7 @@ def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
 
 
 def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
-    """Return the metrics of a term: of the whole, of each field, of each wavelength and of each pair."""
+    """Return the metrics of a term as a whole, for each field, for each wavelength, and for each pair of both."""
     fields = list(term.traced.get("field_deg") or ())
     lines = list(term.traced.get("wavelength_nm") or ())
     fields, lines = ([] if of_pst(term) or len(v) < 2 else v for v in (fields, lines))
@@ -350,7 +358,7 @@ def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
 
 def compare(before: Levels, after: Levels) -> Comparison:
     """
-    Compare two designs measured with equal study and seeds: mean, ratio and standard error of each cell.
+    Compare two designs measured with the same study and seeds: mean, ratio and standard error of each value.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Contributions of the terms of a study to its merit.
+"""Contributions of the terms of a design study to its merit, which the optimiser minimises.
 
 The value of a term is v, and v₀ at the first start. Its weight is w, its tolerance t, its limit b, and its floor as a
 share of v₀ is f. The merit is the sum of
@@ -31,7 +31,7 @@ def limit_of(term: Term, start: float) -> float | None:
 
 
 def holds(term: Term, value: float, start: float) -> bool:
-    """Return whether the goal of a term permits a value, given the start value; "minimise" permits all."""
+    """True if a term's goal permits a value, given the value at the start; "minimise" permits all."""
     if term.goal == "minimise":
         return True
     if term.goal == "keep":
@@ -42,7 +42,7 @@ def holds(term: Term, value: float, start: float) -> bool:
 
 
 def residual(term: Term, start: float) -> tuple[float, float]:
-    """Return the value v at which a term's residual r is 0, and dr/dv; not for the goal "minimise"."""
+    """Return the value of a term at which its residual r is 0, in its unit, and dr/dv; not for the goal "minimise"."""
     limit = limit_of(term, start)
     if limit is None:
         return start, 1 / (term.tolerance * abs(start))
@@ -134,7 +134,7 @@ def pieces(
 
 def check(terms: Sequence[Term], values: Mapping[str, float], start: Mapping[str, float], where: str, at: str) -> None:
     """
-    Raise `MistrayError` if the values of the terms have no merit: not finite, or not compatible with their goals.
+    Raise `MistrayError` if the terms' values give no merit, as they are not finite or do not suit their goals.
 
     Parameters
     ----------

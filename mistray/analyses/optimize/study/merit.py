@@ -1,4 +1,4 @@
-"""The merit of a scene as a function of the variables of a study, with its gradient; see `goals`."""
+"""Merit (figure to be minimised) of a scene as a function of a study's variables, with its gradient; see `goals`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WHOLE = "merit"  # the gradient of all terms at once
 
 
 def seed_of(optimizer: Optimizer, number: int) -> int:
-    """Return the random seed of the rays for an evaluation; evaluations of a search count from 0."""
+    """Return the random seed of the rays for evaluation `number` of a search, counted from 0."""
     if optimizer.seeds == "fixed" or number == 0:
         return optimizer.seed
     return int(np.random.SeedSequence((optimizer.seed, number)).generate_state(1)[0])
@@ -131,7 +131,7 @@ class Merit:
     def _together(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """Return the merit and its gradient from one reverse-mode differentiation of all terms at once."""
+        """Return merit and gradient from one reverse-mode differentiation of all terms together, at variables `x`."""
         leaves = {name: dr.opaque(mi.Float64, value) for name, (value, _) in layers.items()}
         dr.enable_grad(leaves)
         values: dict[str, float] = {}
@@ -166,7 +166,7 @@ class Merit:
     def _one_by_one(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """Return the merit and the gradient of every term, by one trace and one reverse-mode pass per term."""
+        """Return merit and the gradient of each term, with one reverse-mode pass per term, at variables `x`."""
         whole = combine(metrics, lambda traced: mi.Float64(0.0))
         observations = whole.observe()
         chosen = chosen_parameters(self.scene, self.params, self.variables.keys)
@@ -218,7 +218,11 @@ class Merit:
         return tuple(t.name for t in self.study.terms if not holds(t, values[t.name], start[t.name]))
 
     def _checked(self, every: Mapping[str, Any], x: np.ndarray) -> dict[str, float]:
-        """Return the values of the terms in their units; raise `MistrayError` if they give no merit."""
+        """
+        Return the values of the terms, in their units, at variables `x`.
+
+        Raise `MistrayError` if they give no merit.
+        """
         values = {t.name: float(dr.detach(mi.Float64(every[t.name]))[0]) for t in self.study.terms}
         check(self.study.terms, values, self.start or values, f"study '{self.study.name}'", self._point(x))
         return values

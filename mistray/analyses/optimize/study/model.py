@@ -309,7 +309,11 @@ class DesignStudy:
 
     @property
     def fingerprint(self) -> str:
-        """Return a hash of all that must agree to resume a search; name and settings of its length may differ."""
+        """
+        Return a hash of all settings that must agree to resume a search.
+
+        Name and length of the search may differ.
+        """
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()
@@ -319,5 +323,5 @@ Study = DesignStudy  # its name before version 0.3
 
 
 def _named(kind: Any) -> str:
-    """Return the qualified name of a function, which stands for it in the fingerprint of a study."""
+    """Return the qualified name of a function, by which the fingerprint of a study identifies it."""
     return f"{getattr(kind, '__module__', '')}.{getattr(kind, '__qualname__', kind)}"

@@ -1,4 +1,4 @@
-"""Result of a search measured again with one more event on each path, on the seeds of its verification."""
+"""Repeated verification of an optimisation with one more event allowed on each path, on the same seeds."""
 
 from __future__ import annotations
 
@@ -64,7 +64,11 @@ def with_next_orders(
 
 
 def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
-    """Return the limit raised by one, by term; terms whose limit cannot be raised are left out."""
+    """
+    Return, for each term, the named limit (such as max_scatters) raised by one.
+
+    Terms without such a limit are left out.
+    """
     found: dict[str, int] = {}
     names = {f.name for f in fields(Settings)}
     for term in study.terms:
@@ -79,7 +83,7 @@ def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
 
 
 def _takes(term: Term, limit: str) -> bool:
-    """Return whether a kind of term has a limit as an argument; a user's function may not."""
+    """True if the function behind a term accepts a limit as an argument; a user's function may not."""
     if not callable(term.kind):
         return True
     named = inspect.signature(term.kind).parameters.values()
@@ -87,7 +91,7 @@ def _takes(term: Term, limit: str) -> bool:
 
 
 def _compared(first: Levels, more: Levels, limit: str, of_term: dict[str, int]) -> NextOrder:
-    """Return the change of the terms between two measurements over common seeds, which trace the same rays."""
+    """Return the change of the terms between two measurements, over their common seeds, for which rays are equal."""
     count = len(more.seeds)
     before = np.stack([first.of(name) for name in of_term])
     after = np.stack([more.of(name) for name in of_term])

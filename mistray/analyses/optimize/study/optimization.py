@@ -128,17 +128,17 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
     verification_seconds: float
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the first term before and after, their ratio, and the number of variables."""
+        """Return the first term before and after, their ratio, and the number of variables, by label."""
         return {**self.comparison.key_numbers(), "variables": len(self.variables)}
 
     @property
     def before(self) -> dict[str, float]:
-        """Return the value of each variable at the start, in its unit, by name."""
+        """Return the start value of each variable, in its unit, by name."""
         return dict(zip(self.variables.names, self.variables.start.tolist(), strict=True))
 
     @property
     def after(self) -> dict[str, float]:
-        """Return the value of each variable in the result, in its unit, by name."""
+        """Return the optimised value of each variable, in its unit, by name."""
         return dict(zip(self.variables.names, self.best.x, strict=True))
 
     def thickness_nm(self, coating: str, step: Step | None = None) -> np.ndarray:
@@ -159,12 +159,12 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
 
     @property
     def coatings(self) -> list[SharedCoating]:
-        """Return the coatings of the study with the resulting thicknesses, for `mistray.scene.recoat`."""
+        """Return the optimised coatings of the study, in the form that `mistray.scene.recoat` takes."""
         return [item.shared(self.thickness_nm(item.group.name)) for item in self.placed]
 
     @property
     def parameters(self) -> dict[str, np.ndarray]:
-        """Return the values, (entries,), of the other parameters that have moved, by key."""
+        """Return the optimised values, (entries,), of all moved parameters but layer thicknesses, by key."""
         moved = self.variables.parameters(self.best.x)
         return {key: value for key, value in moved.items() if key not in self.thickness_keys.values()}
 
@@ -317,7 +317,7 @@ def _levels(
     least: int,
     seconds: float = math.inf,
 ) -> Levels:
-    """Return the values of all terms, by seed, for given variables; see `measure` for the seeds."""
+    """Measure all terms on several seeds with the variables set to `x`, and return their values; see `measure`."""
     variables.apply(opened.params, x)
     layers = [term for term in study.terms if of_layers(term)]
     numbers = {

@@ -25,7 +25,7 @@ Progress = Callable[[Step, Start], None]
 
 
 class Problem(Protocol):
-    """Problem that is searched, such as `mistray.analyses.optimize.study.merit.Merit`."""
+    """Interface of the merit that is minimised, such as `mistray.analyses.optimize.study.merit.Merit`."""
 
     start: dict[str, float] | None
     edge_widths: dict[str, float]
@@ -35,22 +35,30 @@ class Problem(Protocol):
         """Return the least possible value of the merit."""
 
     def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
-        """Return the merit and its gradient at a point of the unit cube."""
+        """
+        Return merit and gradient at a point of the unit cube: variables as fractions between their bounds.
+
+        `number` counts the evaluations.
+        """
 
     def pieces(self, at: Evaluation) -> Pieces | None:
-        """Return the smooth part and the penalties of the merit at an evaluation; None if the method does without."""
+        """
+        Return the smooth part and the penalties of the merit at an evaluation.
+
+        The result is None if the method needs only the merit.
+        """
 
     def broken(self, values: dict[str, float]) -> tuple[str, ...]:
         """Return the names of the terms whose values break their limits."""
 
 
 class Ended(Exception):
-    """Raised to end a search; its text is the reason."""
+    """Raised to end a search; the text gives the reason."""
 
 
 class Searches:
     """
-    The searches from all starts, which share one problem and one state.
+    Searches for the least merit from all starts, which share one problem and one state.
 
     Every evaluation is kept. After an interruption each search begins again from its start, and the kept evaluations
     take the place of new ones. All methods are deterministic, so it returns to where it was and continues from there.
@@ -105,7 +113,7 @@ class Searches:
             problem.edge_widths = state.edge_widths
 
     def run(self) -> None:
-        """Evaluate all starts, then search from the best ones of them."""
+        """Evaluate all starts, then search from those with the lowest merit."""
         while len(self.state.evaluations) < len(self.state.starts):
             self.state.evaluations.append([])
         first = []
@@ -163,12 +171,12 @@ class Searches:
         return kept[-1]
 
     def _is_time_used(self) -> bool:
-        """Return whether another evaluation would end after the time limit."""
+        """True if another evaluation would end after the time limit."""
         return self._seconds is not None and time.perf_counter() - self._started + self.each > self._seconds
 
     @property
     def each(self) -> float:
-        """Return the mean time of an evaluation, s; somewhat too large, because the first ones compile kernels."""
+        """Return the mean time of an evaluation, s, slightly overestimated because the first ones compile kernels."""
         if self._made:
             return (time.perf_counter() - self._started) / self._made
         return self.state.seconds / max(sum(map(len, self.state.evaluations)), 1)
@@ -193,7 +201,7 @@ class Searches:
             self.progress(self.steps[-1], self.state.starts[start])
 
     def _search(self, start: int) -> None:
-        """Search from the start of a given index, and store the reason why the search ended."""
+        """Minimise the merit from start number `start`, and store the reason why the search ended."""
         kept = self.state.evaluations[start]
         asked = 0
         merits = [kept[0].merit]

@@ -1,4 +1,4 @@
-"""Designs to start from: local minima of a cheap proxy of the metric, found from many points within the bounds.
+"""Start designs of an optimisation: local minima of a cheap proxy of the metric, found from many points.
 
 A ghost of two reflections carries about R² of the light. The proxy is therefore the mean square of R over the band, a
 few angles and the glasses of a coating's surfaces. It traces no rays; the traced metric ranks its minima.
@@ -28,7 +28,7 @@ SAME_NM = 1.0  # minima nearer than this in every layer are one
 @dataclass(frozen=True)
 class Proxy:
     """
-    Mean square reflectance of a coating over band, angles and glasses.
+    Mean square reflectance of a coating over wavelengths, angles and adjacent glasses, as a stand-in for ghosts.
 
     Attributes
     ----------

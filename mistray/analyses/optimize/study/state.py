@@ -1,4 +1,4 @@
-"""State of an optimisation: starts, all evaluations of the merit, and steps."""
+"""State of an optimisation: start points, all evaluations of the merit, and steps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 @dataclass(frozen=True)
 class Start:
     """
-    Point from which a search can start.
+    Point in the space of variables from which a search can start.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ class State:
 
     @property
     def edge_widths(self) -> dict[str, float]:
-        """Return the width of the smoothing zones at rims over the rims' radii, by name of the differentiated term."""
+        """Return the width of boundary zones at rims, relative to their radii, by name of the differentiated term."""
         found: dict[str, float] = {}
         for evaluations in self.evaluations:
             for evaluation in evaluations:

@@ -1,4 +1,4 @@
-"""Scene of a study: the surfaces that get its coatings, and the parameters of the coated scene."""
+"""Scene of a study: which surfaces get its coatings, and the parameters of the coated scene."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class PlacedDesign:
         return dataclasses.replace(start, layers=tuple(layers))
 
     def shared(self, thickness_nm: Sequence[float] | np.ndarray) -> SharedCoating:
-        """Return the design with other layer thicknesses, nm, (layers,), as `mistray.scene.recoat` takes it."""
+        """Return the design with other layer thicknesses, nm, (layers,), in the form for `mistray.scene.recoat`."""
         return SharedCoating(self.group.name, self.stack(thickness_nm), self.surfaces, self.group.design_nm)
 
 
@@ -117,14 +117,14 @@ def place(scene: Any, study: DesignStudy) -> tuple[PlacedDesign, ...]:
 
 
 def _is_clear(bsdf: Any, wavelength_nm: float) -> bool:
-    """Return whether an interface transmits light at a wavelength, nm: it is not opaque, a mirror or a metal."""
+    """True if an interface transmits light at a wavelength, nm: it is not opaque, not a mirror and not a metal."""
     if not hasattr(bsdf, "coating") or bsdf.opaque or bsdf.mirror:
         return False
     return max(n.imag for n in bsdf.complex_indices(wavelength_nm)) <= METAL_K
 
 
 def _meets_air(shape: Any, wavelength_nm: float) -> bool:
-    """Return whether a shape is an optical surface between air and a denser medium, not an edge or a bevel."""
+    """True if a shape is an optical surface between air and a denser medium, not an edge or a bevel."""
     low, high = sorted(shape.bsdf().indices(wavelength_nm))
     return not getattr(shape, "mechanics", False) and low < THIN < high
 

@@ -1,4 +1,4 @@
-"""Terms of a merit: metrics of traces and of point source transmittances, and properties of coating layers."""
+"""Kinds of terms of a merit: metrics of traces and point source transmittances, and properties of coating layers."""
 
 from __future__ import annotations
 
@@ -89,24 +89,28 @@ KINDS = (*FACTORIES, *OF_LAYERS)
 
 
 def of_layers(term: Term) -> bool:
-    """Return whether a term is a property of coating layers, known without a trace."""
+    """True if a term is a property of coating layers, which needs no trace."""
     return term.kind in OF_LAYERS
 
 
 def of_pst(term: Term) -> bool:
-    """Return whether a term is a metric of a point source transmittance."""
+    """True if a term is a metric of a point source transmittance (PST)."""
     return term.kind in OF_PST
 
 
 def own_arguments(kind: Any) -> dict[str, bool]:
-    """Return the arguments of a kind of term apart from settings of traces, each with whether it is required."""
+    """Return the arguments of a kind of term that are no trace settings, mapped to True if required."""
     if kind in OF_LAYERS:
         return {"coatings": False}
     return arguments_of_metric(kind if callable(kind) else FACTORIES[kind])
 
 
 def traced_arguments(kind: Any) -> tuple[str, ...]:
-    """Return the names of the settings that the traces of a kind of term accept; the seed is that of the optimizer."""
+    """
+    Return the names of the trace settings that a kind of term accepts.
+
+    The seed is left out, as the optimizer sets it.
+    """
     if kind in OF_LAYERS:
         return ()
     settings = [f.name for f in fields(Settings) if f.name != "seed"]
@@ -115,7 +119,7 @@ def traced_arguments(kind: Any) -> tuple[str, ...]:
 
 
 def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int | None) -> dict[str, Any]:
-    """Return settings of traces for one field, degrees, or one wavelength, by index; only those that change."""
+    """Return the trace settings that restrict a term to one field, degrees, or to wavelength number `line`."""
     changes: dict[str, Any] = {} if field_deg is None else {"field_deg": (field_deg,)}
     if line is not None:
         lines = traced["wavelength_nm"]
@@ -127,7 +131,7 @@ def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int 
 
 
 def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
-    """Make the metric of a term, at its worst field or wavelength if it asks for that; `changes` replace settings."""
+    """Return the metric of a term, at its worst field or wavelength if it asks for that; `changes` replace settings."""
     traced = {**term.traced, **changes}
     fields, lines = (
         range(len(values)) if term.worst in (over, "both") and isinstance(values, Sequence) else (None,)
@@ -146,7 +150,7 @@ def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
 
 
 def _joined(numbers: Collection[Any]) -> mi.Float64:
-    """Return values as one differentiable Dr.Jit array, (numbers,)."""
+    """Return several values as one differentiable Dr.Jit array, (numbers,)."""
     places = dr.arange(mi.UInt32, len(numbers))
     return sum((dr.select(places == k, value, 0.0) for k, value in enumerate(numbers)), start=mi.Float64(0.0))
 
@@ -161,7 +165,7 @@ def layer_value(
     term: Term, coatings: Sequence[CoatingGroup], keys: Mapping[str, str], parameters: Mapping[str, np.ndarray]
 ) -> tuple[float, dict[str, np.ndarray]]:
     """
-    Return the value of a term on coating layers, and its derivatives with respect to the thicknesses.
+    Return the value of a coating-layer term, in its unit, and its derivatives by the thicknesses.
 
     Parameters
     ----------
@@ -188,7 +192,7 @@ def layer_value(
 
 
 def check_worst(term: Term) -> None:
-    """Raise an error, without the term's name, if `worst` does not suit its kind or there is one value only."""
+    """Raise `MistrayError` if a term's `worst` does not suit its kind, or if there is only one value to choose from."""
     for over, key in (("field", "field_deg"), ("wavelength", "wavelength_nm")):
         if term.worst not in (over, "both"):
             continue

@@ -1,4 +1,4 @@
-"""Variables of a study: values between bounds, each of which moves one or several parameters of the scene."""
+"""Variables of a study: values between bounds, each of which changes one or several scene parameters."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROUNDING = 1e-6  # of the range, by which a start may lie outside of the bounds:
 @dataclass(frozen=True)
 class VariablePlace:
     """
-    Entry of a scene parameter that a variable moves.
+    Entry of a scene parameter that a variable changes, with its factor and start value.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class VariablePlace:
 @dataclass(frozen=True)
 class Motion:
     """
-    Displacement (mm) or tilt (degrees) of a body that a variable changes.
+    Displacement (mm) or tilt (degrees) of a body that a variable controls.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Variable:
 
     @property
     def targets(self) -> tuple[VariablePlace | Motion, ...]:
-        """Return the entries of parameters, displacements and tilts that the variable moves."""
+        """Return all that the variable changes: entries of parameters, then displacements and tilts of bodies."""
         return (*self.places, *self.motions)
 
     def value(self, y: float) -> float:
@@ -135,7 +135,7 @@ class Variable:
         return x * math.log(self.high / self.low) if self.scale == "log" else self.high - self.low
 
     def moved(self, x: float) -> Iterator[tuple[VariablePlace, float, float]]:
-        """Yield each place with its value at x and the derivative of this value with respect to x."""
+        """Yield each parameter entry with its value at x, and the derivative of that value by x."""
         for place in self.places:
             if self.scale == "log":
                 yield place, place.start * x / self.start, place.start / self.start
@@ -189,7 +189,11 @@ class Variables:
         return np.array([v.share(float(value)) for v, value in zip(self.variables, x, strict=True)])
 
     def parameters(self, x: Sequence[float] | np.ndarray) -> dict[str, np.ndarray]:
-        """Return the moved parameters, (entries,) float64, by key; other entries are as in the scene."""
+        """
+        Return the values of the changed parameters, (entries,) float64, by key.
+
+        Other entries are as in the scene.
+        """
         result = {key: value.copy() for key, value in self._given.items()}
         for variable, value in zip(self.variables, x, strict=True):
             for place, moved, _ in variable.moved(float(value)):
@@ -199,7 +203,11 @@ class Variables:
         return result
 
     def _of_bodies(self, x: np.ndarray) -> dict[str, float]:
-        """Return the changes of surface parameters by moving bodies, by key, at values (n,) of the variables."""
+        """
+        Return changes of surface positions (mm) and tilts (degrees) by key, as bodies move.
+
+        `x`, (n,), are the variables.
+        """
         amounts: dict[tuple[str, tuple[float, ...]], tuple[Body, dict[str, float]]] = {}
         for variable, value in zip(self.variables, x, strict=True):
             for motion in variable.motions:
@@ -213,7 +221,11 @@ class Variables:
         return found
 
     def apply(self, params: Any, x: Sequence[float] | np.ndarray) -> None:
-        """Set ``mi.traverse(scene)`` of the scene, or of one like it, for values of the variables, (n,)."""
+        """
+        Set parameters of a scene to the values that follow from variables `x`, (n,).
+
+        `params` is ``mi.traverse`` of that scene or an equal one.
+        """
         assign(params, self.parameters(x))
 
     def slope(self, gradient: Mapping[str, np.ndarray], x: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -354,7 +366,7 @@ def _of_group(
 def _variable(
     members: Sequence[tuple[VariablePlace, Parameter] | Motion], group: VariableGroup, where: str
 ) -> Variable:
-    """Return the variable that moves given places and bodies within the bounds of its section."""
+    """Return one variable that changes the given entries and bodies together, within the bounds of its section."""
     places = [item for item in members if not isinstance(item, Motion)]
     motions = tuple(item for item in members if isinstance(item, Motion))
     if places:
@@ -371,7 +383,7 @@ def _variable(
 
 
 def _motion(moved: Moved, rigid: Mapping[str, Body], where: str) -> Motion | None:
-    """Return the displacement or tilt of a body that a name stands for, or None if it names none."""
+    """Return the displacement or tilt that a name such as "L6.tilt_x" stands for; None if it is no such name."""
     part, _, name = moved.key.rpartition(".")
     if part not in rigid or name not in POSE:
         return None

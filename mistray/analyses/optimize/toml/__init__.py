@@ -1,1 +1,1 @@
-"""Read studies from TOML and check every key and value."""
+"""Reader of design studies in TOML, which checks every key and value."""

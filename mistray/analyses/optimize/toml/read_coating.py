@@ -1,4 +1,4 @@
-"""Read the sections ``[[coating]]`` of a study."""
+"""Reader of the sections ``[[coating]]`` of a design study."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FORM = f'a list of shape ids, or "{ALL}"'
 
 
 def read_coating(section: TomlSection, number: int) -> CoatingGroup:
-    """Read a section ``[[coating]]``; without a name the coating is called ``coating_`` and its number."""
+    """Return the coating in a section ``[[coating]]``; without a name it is called ``coating_`` and its number."""
     section.known(keys_of(CoatingKeys))
     surfaces = None if section.content.get("surfaces") == ALL else section.texts("surfaces", FORM)
     if surfaces is not None and len(set(surfaces)) < len(surfaces):

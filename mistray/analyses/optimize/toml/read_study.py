@@ -1,4 +1,4 @@
-"""Read a study from TOML; every error message is one line with the file, the key and a remedy."""
+"""Reader of design studies in TOML; every error message is one line with file, key and remedy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SECTIONS = ("trace", "term", "variable", "coating", "optimizer")
 
 def read_study(source: str | Path | Mapping[str, Any]) -> DesignStudy:
     """
-    Return a study read from a TOML file or from a mapping.
+    Return a design study read from a TOML file or from a mapping.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Read the sections ``[[term]]`` and ``[trace]`` of a study."""
+"""Reader of the sections ``[[term]]`` and ``[trace]`` of a design study."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
 
 def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
     """
-    Return the term of a section ``[[term]]``.
+    Return the merit term in a section ``[[term]]`` of a study.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Read the sections ``[[variable]]`` of a study."""
+"""Reader of the sections ``[[variable]]`` of a design study."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ENTRY = re.compile(r"(?P<key>.*)\[(?P<entry>\d+)\]")
 
 
 def read_variable(section: TomlSection) -> VariableGroup:
-    """Read a section ``[[variable]]``: one variable, or one for each of its parameters."""
+    """Return the variables in a section ``[[variable]]``: one, or one for each of its parameters."""
     section.known(keys_of(VariableGroup))
     given = section.content.get("parameters")
     items = given if isinstance(given, list) else [given]
@@ -26,7 +26,7 @@ def read_variable(section: TomlSection) -> VariableGroup:
 
 
 def _moved(section: TomlSection, item: Any) -> Moved:
-    """Read one entry of `parameters`: a key as text, or a table with key, factor and pivot."""
+    """Return the parameter in an entry of `parameters`: a key as text, or a table with key, factor and pivot."""
     if not isinstance(item, dict | str) or not item:
         raise section.fail("parameters", f'has the entry {item!r}; give text, or {{key = "…", factor = -1}}')
     inner = section.inner("parameters", item if isinstance(item, dict) else {"key": item})

@@ -1,4 +1,4 @@
-"""Irradiance on the detector from the sky, the Earth, the Moon or the sun: the PST integrated over an extended source.
+"""Irradiance on the detector from sky, Earth, Moon or sun: the PST integrated over an extended source.
 
 E = ∫ L PST_n dΩ, with the radiance L in W/(mm² sr) and PST_n = E_det / E_⊥. (With PST_projected the integrand has a
 further cos θ, which gives the same result.) The integral runs over the cells of the PST. Directions in no cell count
@@ -34,22 +34,23 @@ Radiance = float | Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class ExtendedSource(Protocol):
-    """Interface of an extended source whose radiance is integrated; all angles in radians."""
+    """Interface of extended sources, such as sky or sun, whose radiance is integrated; all angles in radians."""
 
     def breaks(self) -> tuple[float, ...]:
         """Return the field angles where the source begins, changes shape or ends, ascending within 0 … π, radians."""
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over azimuths within `half` of `centre` (rad), (q,), at field angles (q,).
+        """
+        Return the integral of radiance over azimuths, rad, within `half` of `centre`, W rad/(mm² sr), (q,).
 
-        Field angles are in rad, the integral in W rad/(mm² sr).
+        Field angles `theta` are in rad, (q,).
         """
 
 
 @dataclass(frozen=True)
 class SkyRadiance:
     """
-    Sky, or any scene, given by its radiance.
+    Sky or other scenery, given by its radiance.
 
     Attributes
     ----------
@@ -77,7 +78,7 @@ class SkyRadiance:
         return np.radians(self.from_deg), np.radians(self.to_deg)
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr).
+        """Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr), see `ExtendedSource.around`.
 
         A radiance given as a function is integrated by the midpoint rule.
         """
@@ -134,9 +135,10 @@ class Disc:
         _check_radiance(self.name, self.radiance)
 
     def breaks(self) -> tuple[float, ...]:
-        """Return field angles, rad, of the disc's edge in the plane of its centre.
+        """
+        Return field angles, rad, at which the disc begins and ends in the plane of its centre.
 
-        Also 0 or π if the axis is inside.
+        0 or π is added if the disc covers the axis there.
         """
         limb = abs(self.field_deg - self.radius_deg), 180 - abs(180 - self.field_deg - self.radius_deg)
         axis = [0.0] if self.field_deg < self.radius_deg else []
@@ -144,7 +146,7 @@ class Disc:
         return tuple(np.radians(sorted({*axis, *limb, *behind})))
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr), in closed form."""
+        """Return the radiance integrated over an arc of azimuth, (q,), W rad/(mm² sr), see `ExtendedSource.around`."""
         radius, away = np.radians(self.radius_deg), np.radians(self.field_deg)
         sines = np.maximum(np.sin(theta) * np.sin(away), np.finfo(float).tiny)
         with np.errstate(over="ignore"):
@@ -214,7 +216,7 @@ def cover(
     grid: DirectionGrid, source: ExtendedSource, interpolation: str = "cells", curve: np.ndarray | None = None
 ) -> Cover:
     """
-    Integrate the radiance of a source over the cells of a grid.
+    Return the integral of a source's radiance over the cells of a PST grid.
 
     Parameters
     ----------
@@ -279,7 +281,11 @@ def cover(
 
 
 def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives by a and b of a^(1-t) b^t, or of linear interpolation unless both are positive."""
+    """
+    Return derivatives by a and b of the logarithmic interpolation a^(1-t) b^t, t being `share`.
+
+    Unless both are positive, it is linear.
+    """
     good = (a > 0) & (b > 0)
     ratio = np.log(np.where(good, b, 1) / np.where(good, a, 1))
     return (
@@ -290,9 +296,10 @@ def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndar
 
 def _quadrature(breaks: tuple[float, ...], more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return nodes in field angle, rad, and weights with sin θ, on panels between the breaks of the source and `more`.
+    Return nodes in field angle, rad, and quadrature weights that include sin θ.
 
-    Gauss-Legendre in t, θ = a + (b - a)(1 - cos t)/2, which removes the square roots at the limb of a disc.
+    Panels end at the breaks of the source and at `more`. Gauss-Legendre in t, θ = a + (b - a)(1 - cos t)/2, which
+    removes the square roots at the limb of a disc.
     """
     cuts = np.unique(np.concatenate([breaks, more[(more > breaks[0]) & (more < breaks[-1])]]))
     parts = np.maximum(np.ceil(np.degrees(np.diff(cuts)) / PANEL_DEG).astype(int), 1)

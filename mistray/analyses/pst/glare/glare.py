@@ -161,7 +161,11 @@ def _at_pixel(
     azimuth_deg: float,
     at_mm: tuple[float, float] | None,
 ) -> tuple[Estimate, dict[str, Any]]:
-    """Return the ratio E_black / E_white at one detector pixel, and the position of the pixel, mm."""
+    """
+    Return E_black / E_white at one detector pixel, and the position of the pixel, mm, by name.
+
+    `black` and `white` are factors of the PST's cells.
+    """
     assert pst.maps is not None
     height, width = pst.maps.shape[-2:]
     x0, x1, y0, y1 = pst.extent_mm
@@ -198,7 +202,7 @@ def _at_pixel(
 @dataclass(frozen=True, eq=False)
 class GlareSpread:
     """
-    Glare spread function over the detector.
+    Glare spread function over the detector: stray irradiance over the flux of the direct image.
 
     Attributes
     ----------

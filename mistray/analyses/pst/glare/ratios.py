@@ -1,4 +1,4 @@
-"""Stray-light ratios from a PST: rejection, normalised stray light, equivalent radiance.
+"""Stray-light ratios from a point source transmittance (PST): rejection, stray over direct light, equivalent radiance.
 
 `mistray.metrics.stray_metric.DEFINITIONS` defines each quantity in words, and every result carries its definition.
 Extended sources and veiling glare have their own modules beside this one.
@@ -63,7 +63,9 @@ def rejection_ratio(
 
 def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", classes: Light = "total") -> MetricCurve:
     """
-    Return irradiance on the detector over irradiance at the entrance: NDI (as in Euclid's papers) or PSNIT (NASA).
+    Return irradiance on the detector over that at the entrance, by field angle.
+
+    It is called NDI (as for Euclid) or PSNIT (NASA).
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", cl
 
 def image_throughput(pst: Pst) -> StrayMetric:
     """
-    Return the irradiance of the direct image per radiance of a uniform scene, sr: the integral of the direct PST_n.
+    Return the irradiance of the direct image per radiance of a uniform scene, sr: ∫ PST_n dΩ of direct light.
 
     For an ideal system it is T π / (4 F² + 1). It is the mean over the detector, so that it includes vignetting.
     """
@@ -196,7 +198,9 @@ def normalised_stray_light(pst: Pst, diameter_deg: float) -> MetricCurve:
 
 def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> MetricCurve:
     """
-    Return the reciprocal of `normalised_stray_light`, infinite if no stray light arrives.
+    Return the irradiance within the direct image of a disc-shaped source over its stray light, by field angle.
+
+    It is the reciprocal of `normalised_stray_light`, infinite if no stray light arrives.
 
     Parameters
     ----------
@@ -268,7 +272,7 @@ def _of_source(
     words: dict[str, str],
     facts: Mapping[str, float],
 ) -> StrayMetric:
-    """Return a stray-light metric for an extended source; `over` computes it from PST and cell coefficients."""
+    """Return a stray-light metric for an extended source; `over` computes it from PST and factors of its cells."""
     normal = pst.to("normal")
     curve = normal.map("stray")[0] if interpolation == "log" else None
     seen = cover(pst.grid, source, interpolation, curve)
@@ -290,7 +294,7 @@ def _of_source(
 
 
 def _by_image(pst: Pst, diameter_deg: float) -> tuple[list[Estimate], dict[str, float]]:
-    """Return stray light over direct image for a disc-shaped source, by field angle, and facts of the computation."""
+    """Return stray light over direct image for a disc-shaped source, by field angle, and the facts of the result."""
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
     normal = pst.to("normal")
@@ -310,7 +314,7 @@ def _row(pst: Pst, i: int) -> np.ndarray:
 
 
 def _solid_angles(pst: Pst) -> np.ndarray:
-    """Return the solid angles of the cells, (n, m), sr."""
+    """Return the solid angle of each direction cell of a PST, (n, m), sr."""
     return np.broadcast_to(pst.grid.solid_angle[:, None], pst.grid.shape)
 
 

@@ -1,1 +1,1 @@
-"""Point source transmittances as metrics, and as data of fits, with their derivatives."""
+"""Point source transmittance as metrics and as data of fits, with derivatives."""

@@ -1,4 +1,4 @@
-"""Light of a point source transmittance by the first surface that it meets."""
+"""Light in a point source transmittance, sorted by the first surface that it meets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mistray.recorders.path_events import DIRECT
 
 
 def first_light(pst: Pst, field: int) -> FirstLight:
-    """Return the light at a field angle, by index, that enters by each first surface; empty without paths."""
+    """Return the light at a field angle, given by index, sorted by the first surface met; empty without paths."""
     if pst.path_rows is None:
         return FirstLight({}, {}, {}, {})
     rows = pst.path_rows[pst.path_rows.cell == field]

@@ -27,7 +27,7 @@ TOLERANCES = 1e4  # that a parameter without a range may be off
 @dataclass(frozen=True)
 class Modelled:
     """
-    Values of a model at some parameters, with their noise and derivatives.
+    Values of a model at given parameters, with their noise and derivatives.
 
     Attributes
     ----------
@@ -160,7 +160,11 @@ class PstBands:
         self._view = view
 
     def observe(self, values: Sequence[float] | np.ndarray, **changes: Any) -> PstObservation:
-        """Compute the PST of all cells with the parameters set to `values`, (k,); they stay set in the scene."""
+        """
+        Compute the PST of all cells with the parameters set to `values`, (k,); these stay set in the scene.
+
+        `changes` replace arguments of the PST.
+        """
         assign(self._params, {key: np.array([v]) for key, v in zip(self.keys, values, strict=True)})
         observation = self._view.observe(self.scene, 1.0, changes)
         assert isinstance(observation, PstObservation)
@@ -168,7 +172,7 @@ class PstBands:
 
     def measure(self, values: Sequence[float] | np.ndarray, **changes: Any) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the bands and the covariance of their noise, without derivatives.
+        Return PST_normal averaged over each band and the covariance of its noise, without derivatives.
 
         Parameters
         ----------
@@ -203,7 +207,7 @@ class PstBands:
         return Modelled(value, covariance, jacobian)
 
     def _weights(self, observation: PstObservation) -> np.ndarray:
-        """Return the weight of each cell in each band average, (values, n, m), by solid angle."""
+        """Return the weight of each PST cell in each band average, (values, n, m), by solid angle."""
         grid = observation.pst.grid
         n, m = grid.shape
         solid = np.zeros((self._band_of_cell[-1] + 1, n))

@@ -1,4 +1,4 @@
-"""Metrics of a point source transmittance that are to be small: one angle, a band, a mask, veiling glare."""
+"""Metrics of a point source transmittance, to be minimised: at one angle, in a band, over a mask, veiling glare."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NO_SETTINGS = ("scene", "settings", "progress", "convention")  # of mistray.pst
 @dataclass(frozen=True)
 class PstMetric(Metric):
     """
-    Metric computed from one point source transmittance.
+    Metric computed from one point source transmittance (PST).
 
     Attributes
     ----------
@@ -46,12 +46,12 @@ class PstMetric(Metric):
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def with_rays_times(self, times: float) -> PstMetric:
-        """Return the metric with `times` as the factor on the number of its rays."""
+        """Return the metric with the number of its rays multiplied by `times`."""
         return replace(self, times=times, plans={})
 
     @property
     def views(self) -> list[TraceView]:
-        """Return the PST as the only view, or traced input, of this metric."""
+        """Return a list with the PST, the only thing to be traced for this metric."""
         return [PstView(self.settings or {}, self.plans)]
 
 
@@ -65,7 +65,7 @@ def pst_bin(
     **traced: Any,
 ) -> PstMetric:
     """
-    Make the metric PST of the cell that contains a field angle, dimensionless.
+    Return the metric "PST of the cell that contains a field angle", dimensionless.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def pst_band(
     **traced: Any,
 ) -> PstMetric:
     """
-    Make the metric PST over a band of field angles: ∫ PST_normal dΩ / ∫ dΩ, or the integral alone.
+    Return the metric "PST over a band of field angles": ∫ PST_normal dΩ / ∫ dΩ, or the integral alone, sr.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def pst_mask(
     **traced: Any,
 ) -> PstMetric:
     """
-    Make the metric "smooth maximum of PST / limit over field angles", dimensionless; at most 1 if the mask is met.
+    Return the metric "smooth maximum of PST / limit over field angles", dimensionless; at most 1 if the mask is met.
 
     Parameters
     ----------
@@ -219,7 +219,9 @@ def veiling_glare(
     **traced: Any,
 ) -> PstMetric:
     """
-    Make the metric veiling glare index of a white source with a black patch, percent: 100 E_black / E_white (ISO 9358).
+    Return the metric "veiling glare index" of a white source with a black patch, percent.
+
+    It is 100 E_black / E_white (ISO 9358).
 
     Parameters
     ----------

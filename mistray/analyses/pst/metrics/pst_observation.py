@@ -1,4 +1,4 @@
-"""Point source transmittance as a metric sees it: its cells as values that Dr.Jit can differentiate."""
+"""Point source transmittance as input of metrics: its cells as values that Dr.Jit can differentiate."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CONVENTION, QUANTITY, PLACE = Words(CONVENTIONS), Words(("mean", "integral")), W
 
 class PstObservation:
     """
-    Point source transmittance as a metric sees it, with cells that Dr.Jit can differentiate.
+    Computed point source transmittance (PST), with cells that Dr.Jit can differentiate.
 
     Light is one of `mistray.analyses.pst.result.CLASSES` ("direct", "straight_shot", "ghost", "single_scatter",
     "multiple_scatter", "edge_diffraction"), "stray" (all but "direct"), "total", or a sequence of classes.
@@ -62,18 +62,18 @@ class PstObservation:
 
     @property
     def seconds(self) -> float:
-        """Time of the trace of this PST, s."""
+        """Time that the trace of this PST took, s."""
         return float(self.pst.facts["seconds"])
 
     def first_light(self) -> dict[str, FirstLight]:
-        """Return the light by the first surface that it meets, by name of the field angle; empty without paths."""
+        """Return the light by the first surface that it meets, for each field angle by name; empty without paths."""
         return {f"PST at {angle:g} deg": first_light(self.pst, k) for k, angle in enumerate(self.pst.field_deg)}
 
     # ---- numbers
 
     def cells(self, light: Light = "stray", convention: str = "normal") -> mi.Float64:
         """
-        Return the PST of every cell, (n · m,): all azimuths of the first field angle, then those of the second, ….
+        Return the PST of every cell, (n · m,), by field angle, then by azimuth, differentiable.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ class PstObservation:
         self, field_deg: float, light: Light = "stray", azimuth_deg: float | None = None, convention: str = "normal"
     ) -> mi.Float64:
         """
-        Return the PST of the cell that contains a field angle.
+        Return the PST of the cell that contains a field angle, differentiable.
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class PstObservation:
         return self.weighted(weights / grid.mean_cosine[i] if convention == "projected" else weights, light)
 
     def curve(self, light: Light = "stray", convention: str = "normal") -> mi.Float64:
-        """Return the PST over field angle, averaged over the azimuths, (n,)."""
+        """Return the PST at each field angle, averaged over azimuths, (n,), differentiable."""
         m = self.pst.grid.shape[1]
         return dr.block_sum(self.cells(light, convention), m) / m
 
@@ -236,7 +236,7 @@ class PstObservation:
 
     @property
     def derivative(self) -> np.ndarray:
-        """Derivative of the value with respect to the PST_normal of each class and cell, (classes, n, m)."""
+        """Derivative of the metric with respect to PST_normal by class of light and cell, (classes, n, m)."""
         total = np.zeros_like(self._values)
         for classes, cells in self._cells.items():
             by_cell = np.broadcast_to(np.array(dr.grad(cells)), self._values[0].size).reshape(self._values[0].shape)
@@ -244,25 +244,25 @@ class PstObservation:
         return total
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Return the gradients of the value by the tracer's parameter tables, for each relevant wavelength."""
+        """Yield the gradients of the metric by the tracer's parameter tables, for each relevant wavelength."""
         derivative = self.derivative
         if not np.any(derivative):
             return iter(())
         return self.pst.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
-        """Return the first-order value of the metric, with its noise from the batches of start rays."""
+        """Return the metric, linearised in the PST, with its noise from the batches of start rays."""
         parts = np.tensordot(self.derivative, self.pst.by_batch, axes=3) * self.pst.weight
         return Sampled.of(parts, self.pst.weight)
 
     def clear(self) -> None:
-        """Reset the derivatives collected from values computed before."""
+        """Remove the derivatives that metrics computed earlier have left in the cells."""
         for cells in self._cells.values():
             dr.clear_grad(cells)
 
 
 def named_classes(light: Light) -> tuple[str, ...]:
-    """Return the classes of light behind one or several names; raise `MistrayError` for an unknown name."""
+    """Return the classes of light that one or several names stand for; raise `MistrayError` for an unknown name."""
     names = (light,) if isinstance(light, str) else tuple(light)
     if not names:
         raise MistrayError(f"no light is chosen; use {', '.join(LIGHT)}")

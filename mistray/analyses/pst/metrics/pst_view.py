@@ -1,4 +1,4 @@
-"""Views of point source transmittances for metrics, each computed once."""
+"""Computation of a point source transmittance for several metrics at once."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ METHODS = ("joined", "adjoint")  # of a PST metric, the usual one first
 @dataclass(frozen=True)
 class PstView(TraceView):
     """
-    View of one point source transmittance of a scene.
+    Point source transmittance (PST) to be computed of a scene, as input of metrics.
 
     Attributes
     ----------
@@ -40,7 +40,11 @@ class PstView(TraceView):
             raise MistrayError(f"method of a PST metric is '{method}'; use {' or '.join(map(repr, METHODS))}")
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
-        """Compute the PST with `times` the number of rays; `changes` replace arguments, ``paths`` keeps the paths."""
+        """
+        Compute the PST of a scene with `times` the number of rays.
+
+        `changes` replace its arguments; with ``paths`` it keeps the paths.
+        """
         look = sorted_arguments(
             {name: value for name, value in changes.items() if name not in ("rays", "seed", "paths")}
         )
