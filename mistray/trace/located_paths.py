@@ -11,7 +11,7 @@ from mistray.recorders.path_events import Events
 
 
 class LocatedPaths(NamedTuple):
-    """Paths of one run: their `path_id` and their places in its ledger, (n,) int each."""
+    """Paths of one run: for each its `path_id` in the table and its index in the run's ledger, (n,) int each."""
 
     run: Run
     ids: np.ndarray
@@ -24,21 +24,21 @@ class LocatedPaths(NamedTuple):
 
     @property
     def keys(self) -> np.ndarray:
-        """Keys of the paths, (n,) uint64, see `mistray.recorders.path_key`."""
+        """Hash keys of the paths, (n,) uint64; see `mistray.recorders.path_key`."""
         return np.asarray(self.run.paths.keys[self.places])
 
     @property
     def sums(self) -> np.ndarray:
-        """Sums of the paths by batch, (n, BATCHES, SUMS), in units of a start ray, see `mistray.recorders.ledger`."""
+        """Flux sums of the paths by batch, (n, BATCHES, SUMS), in start rays' flux, see `mistray.recorders.ledger`."""
         return np.asarray(self.run.paths.sums[self.places])
 
     @property
     def events(self) -> Events:
-        """Event lists of the paths."""
+        """Event lists of the paths, in the order of `ids`."""
         paths = self.run.paths
         return Events.of(self.run.table, self.run.design, paths.events[self.places], paths.lengths[self.places])
 
     def ids_of(self, keys: np.ndarray) -> np.ndarray:
-        """Return the `path_id` of each path that is given by its key, (n,) uint64."""
+        """Return the `path_id` for each of the path keys, (n,) uint64."""
         order = np.argsort(self.keys)
         return self.ids[order][np.searchsorted(self.keys[order], keys)]
