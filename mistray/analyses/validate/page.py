@@ -23,7 +23,7 @@ from mistray.analyses.validate.result import (
 from mistray.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.toolkit.figures.plots import as_png
-from mistray.toolkit.pages.model import FigurePart, Items, NotePart, Report, Section, StyledCell, Table, Value, columns
+from mistray.toolkit.pages.model import FigurePart, Items, NotePart, Report, Section, Table, Value, columns
 from mistray.toolkit.pages.parts import settings_section
 from mistray.toolkit.rows import frame, records, table
 from mistray.toolkit.tables.text import number, table_text
@@ -33,8 +33,8 @@ CRITERION = (
     "its source leaves open. Both are stated before the run."
 )
 LEAST_DIGITS, MOST_DIGITS = 4, 10
-HEADS = ("<number", "<unit", "published", "ours", "difference", "allowed", "<verdict")
-COUNTS = ("pack", "title", "rows", "agree", "known", "differ", "left_out", "seconds")
+HEADS = ("<number", "<verdict", "published", "ours", "difference", "allowed", "<unit")
+COUNTS = ("pack", "title", "count", "agree", "known", "differ", "left_out", "seconds")
 
 
 def _number(value: Estimate, allowed: float) -> Value:
@@ -46,16 +46,14 @@ def _number(value: Estimate, allowed: float) -> Value:
 
 
 def _cells(row: ComparedRow) -> list[Value]:
-    verdict: Value = StyledCell(row.verdict, "t bad" if row.verdict == DIFFERS else "t")
-    shown = row.unit if row.unit != "1" else ""
     return [
         row.name,
-        shown,
+        row.verdict,
         _number(row.published, row.allowed),
         _number(row.ours, row.allowed),
         number(row.difference, 2),
         number(row.allowed, 2),
-        verdict,
+        row.unit if row.unit != "1" else "",
     ]
 
 
@@ -126,6 +124,7 @@ def page(found: Validation, command: str = "") -> Report:
         f"mistray {found.facts.get('mistray', '')}".rstrip(),
         [*sections, settings_section(facts, command, link="Settings")],
         lead=[NotePart(f"{finding(found)}.")],
+        warnings=[f"{row.pack}, {row.name}: differs and should agree" for row in found.rows if row.verdict == DIFFERS],
         csv={"validation.csv": frame(ComparedRow, found.rows), "packs.csv": frame(PackSummary, found.packs)},
         json={"validation.json": {"command": command} | record(found)},
         files={"differences.png": as_png(differences_figure(found))},

@@ -54,7 +54,7 @@ class PackSummary:
 
     pack: str = column("pack")
     title: str = column("system, or subject")
-    rows: int = column("rows that were compared or left out")
+    count: int = column("rows that were compared or left out", head="rows")
     agree: int = column("rows that agree")
     known: int = column("rows that are known to differ", head="known to differ")
     differ: int = column("rows that differ and should agree")
