@@ -99,7 +99,7 @@ class ReferenceFile:
     licence: str = TEXT.field("", "licence of the numbers")
     note: str = TEXT.field("", "what differs between the source and this program, and why")
     scene: str = TEXT.field("", "scene file, relative to this file, or the name of a shipped scene")
-    rays: int | None = RAYS.field(None, "start rays of each trace (100,000)")
+    rays: int = RAYS.field(100_000, "start rays of each trace")
     field_deg: float | None = FIELD_DEG.field(None, "field angle, degrees; that of the scene")
     azimuth_deg: float | None = AZIMUTH_DEG.field(None, "azimuth of the field, degrees; that of the scene")
     wavelength_nm: float | None = WAVELENGTH_NM.field(None, "wavelength, nm; that of the scene")

@@ -32,15 +32,17 @@ CRITERION = (
     f"A row agrees if the numbers differ by at most {ERRORS:g} standard errors of both, added in quadrature, plus what "
     "its source leaves open. Both are stated before the run."
 )
-LEAST_DIGITS, MOST_DIGITS = 4, 10
+LEAST_DIGITS, PRINTED, MOST_DIGITS = 4, 6, 10
 HEADS = ("<number", "<verdict", "published", "ours", "difference", "allowed", "<unit")
 COUNTS = ("pack", "title", "count", "agree", "known", "differ", "left_out", "seconds")
 
 
 def _number(value: Estimate, allowed: float) -> Value:
-    """Return a number as a cell; without an error of its own it is text, with one digit more than what is allowed."""
+    """Return a number as a cell; without an error of its own it is text, as printed or to what is allowed."""
     if value.se > 0 and math.isfinite(value.se):
         return value
+    if float(f"{value.value:.{PRINTED}g}") == value.value:
+        return number(value.value, PRINTED)
     digits = math.log10(abs(value.value) / allowed) if allowed > 0 and value.value else 0.0
     return number(value.value, min(max(math.floor(digits) + 2, LEAST_DIGITS), MOST_DIGITS))
 

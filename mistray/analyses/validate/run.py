@@ -150,8 +150,8 @@ def judged(pack: str, row: DeclaredRow, unit: str, published: Estimate, ours: Es
     if not math.isfinite(ours.value):
         way = " → ".join(row.path) or "of the image"
         verdict, why = DIFFERS, f"no light takes the path {way}; check its surfaces, the field and the rays"
-    elif not math.isfinite(ours.se):
-        verdict, why = TOO_FEW, "too few rays for a standard error; give more rays"
+    elif not (math.isfinite(ours.se) and math.isfinite(published.value)):
+        verdict, why = TOO_FEW, "too few rays for a number with an error; give more rays"
     elif abs(ours.value - published.value) <= allowed:
         verdict, why = AGREES, ""
     else:

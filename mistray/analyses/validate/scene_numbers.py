@@ -23,7 +23,6 @@ from mistray.trace import trace
 from mistray.trace.paths import PathRow
 from mistray.trace.result import Trace
 
-RAYS = 100_000  # of a file that gives none
 FAINTEST = 1e-9  # flux of a ray relative to a start ray, below which it is cut
 OUTERMOST_RAYS = 20_000  # whose hits give a diameter
 REFLECTED = ("SpecRefl", "TIR")
@@ -54,7 +53,7 @@ class SceneNumbers:
 
     def __init__(self, file: ReferenceFile, rays: int | None, seed: int) -> None:
         self._file = file
-        self._rays = rays or file.rays or RAYS
+        self._rays = rays or file.rays
         self._seed = seed
         self._scenes: dict[tuple[tuple[str, float], ...], mi.Scene] = {}
         self._traces: dict[tuple[Any, ...], Trace] = {}

@@ -13,7 +13,7 @@ from mistray.estimate import Estimate
 
 CELL_DEG = 0.2
 ANGLES_DEG = np.arange(0.5 * CELL_DEG, 1.8, CELL_DEG)  # of the white source, to 1.8°
-USUAL_RAYS = 200_000
+FAINTEST = 1e-9  # flux of a ray relative to a start ray, below which it is cut
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
@@ -26,7 +26,7 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
             ANGLES_DEG,
             cell_deg=CELL_DEG,
             method="adjoint",
-            rays=rays or file.rays or USUAL_RAYS,
+            rays=rays or file.rays,
             seed=seed,
             max_reflections=6,
             flux_threshold=FAINTEST,
@@ -35,6 +35,3 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
         return Estimate(glare.value, glare.se)
 
     return number
-
-
-FAINTEST = 1e-9

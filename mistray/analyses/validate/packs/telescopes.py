@@ -8,6 +8,7 @@ paths with two reflections are compared, each with the same surfaces in the same
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +23,6 @@ from mistray.trace import trace
 
 REFLECTANCE = 0.02
 FAINTEST = 1e-6  # of the star: fainter ghosts are not counted
-USUAL_RAYS = 5_000
 Names = tuple[str, ...]
 
 
@@ -45,24 +45,23 @@ class BothPrograms:
     @functools.cached_property
     def shared(self) -> list[Names]:
         """Two-reflection paths of batoid above `FAINTEST`, the strongest first."""
-        star = next(one.flux for one in self.theirs.values() if one.order == 0)
+        star = next((one.flux for one in self.theirs.values() if one.order == 0), 0.0)
         found = [names for names, one in self.theirs.items() if one.order == 2 and one.flux > FAINTEST * star]
         return sorted(found, key=lambda names: -self.theirs[names].flux)
 
     def number(self, quantity: str, bundles: Mapping[Names, Bundle]) -> float:
-        """Return a quantity of one of the programs."""
-        ghosts = [bundles[names] for names in self.shared if names in bundles]
-        image = next(one for one in bundles.values() if one.order == 0)
+        """Return a quantity of one of the programs; NaN where it has no such light."""
+        ghosts = {names: bundles[names] for names in self.shared if names in bundles}
+        image = next((one for one in bundles.values() if one.order == 0), None)
+        if image is None or not ghosts:
+            return math.nan
         if quantity == "ghosts":
             return len(ghosts)
         if quantity == "spot_um":
             return 1e3 * image.rms_mm
         if quantity == "ghost_permille":
-            return 1e3 * sum(one.flux for one in ghosts) / image.flux
-        smallest = min(
-            (names for names in self.shared if names in bundles), key=lambda names: self.theirs[names].rms_mm
-        )
-        return bundles[smallest].rms_mm
+            return 1e3 * sum(one.flux for one in ghosts.values()) / image.flux
+        return ghosts[min(ghosts, key=lambda names: self.theirs[names].rms_mm)].rms_mm
 
 
 @functools.cache
@@ -109,8 +108,7 @@ def _bundle(rays: Any, order: int) -> Bundle:
 def _of(file: ReferenceFile, rays: int | None, seed: int, row: DeclaredRow) -> BothPrograms:
     assert row.field_deg is not None
     assert row.wavelength_nm is not None
-    count = rays or file.rays or USUAL_RAYS
-    return _compared(row.argument("file"), row.wavelength_nm, row.field_deg, count, seed)
+    return _compared(row.argument("file"), row.wavelength_nm, row.field_deg, rays or file.rays, seed)
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
