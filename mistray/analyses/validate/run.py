@@ -23,7 +23,7 @@ from mistray.analyses.validate.result import (
     PackSummary,
     Validation,
 )
-from mistray.analyses.validate.scene_numbers import scene_numbers
+from mistray.analyses.validate.scene_numbers import SceneNumbers
 from mistray.errors import MistrayError, nearest
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.notes import quiet
@@ -67,7 +67,7 @@ def run_validation(request: ValidateRequest, progress: Progress | None = None) -
     MistrayError
         If a pattern fits no row, or a file of one's own is wrong.
     """
-    own = [OwnPack(Path(path).stem, scene_numbers, path=path) for path in request.own or ()]
+    own = [OwnPack(Path(path).stem, SceneNumbers, path=path) for path in request.own or ()]
     chosen = _chosen(own or PACKS, request.only)
     rows: list[ComparedRow] = []
     packs = []

@@ -8,17 +8,17 @@ such paths it is the strongest.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-import mistray.scene as scenes
 from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.scene_values import assign
+from mistray.scene import load
 from mistray.trace import trace
 from mistray.trace.paths import PathRow
 from mistray.trace.result import Trace
@@ -76,7 +76,7 @@ class SceneNumbers:
         key = tuple(sorted(values.items()))
         if key not in self._scenes:
             own = self._file.folder / self._file.scene
-            loaded = scenes.load(own if own.is_file() else self._file.scene)
+            loaded = load(own if own.is_file() else self._file.scene)
             if values:
                 set_values(loaded, values)
             self._scenes[key] = loaded
@@ -109,8 +109,6 @@ class SceneNumbers:
 
 def set_values(scene: mi.Scene, values: Mapping[str, float]) -> None:
     """Set parameters of a scene by their keys; raise `MistrayError` for a key that the scene has not."""
-    from mistray.errors import nearest
-
     params = mi.traverse(scene)
     known = [str(key) for key in params.keys()]  # noqa: SIM118  SceneParameters is no mapping
     for key in values:
@@ -152,8 +150,3 @@ def _diameter(t: Trace, row: PathRow | None, quantity: str) -> Estimate:
     if len(hits) < 3:
         return UNKNOWN
     return Estimate(float(np.ptp(hits)), math.hypot(hits[-1] - hits[-2], hits[1] - hits[0]))
-
-
-def scene_numbers(file: ReferenceFile, rays: int | None, seed: int) -> Callable[[DeclaredRow], Estimate]:
-    """Return the function that gives our number of each row of a file."""
-    return SceneNumbers(file, rays, seed)

@@ -8,12 +8,11 @@ from mistray.analyses.pst.glare.glare import veiling_glare_index
 from mistray.analyses.pst.run import pst
 from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
 from mistray.analyses.validate.pack import Finder
-from mistray.analyses.validate.scene_numbers import SceneNumbers
+from mistray.analyses.validate.scene_numbers import FAINTEST, SceneNumbers
 from mistray.estimate import Estimate
 
 CELL_DEG = 0.2
 ANGLES_DEG = np.arange(0.5 * CELL_DEG, 1.8, CELL_DEG)  # of the white source, to 1.8°
-FAINTEST = 1e-9  # flux of a ray relative to a start ray, below which it is cut
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
