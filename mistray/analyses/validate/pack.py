@@ -12,8 +12,8 @@ from pathlib import Path
 from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile, read_reference
 from mistray.estimate import Estimate
 
-Finder = Callable[[DeclaredRow], Estimate]
-"""Returns the number of a row."""
+Finder = Callable[[DeclaredRow], Estimate | None]
+"""Returns the number of a row; None if the light takes no such path, NaN if the rays are too few."""
 Numbers = Callable[[ReferenceFile, int | None, int], Finder]
 """Makes a finder from a file, the start rays of each trace (None: those of the file) and the seed."""
 

@@ -72,7 +72,7 @@ def reasons(rows: Sequence[ComparedRow]) -> list[str]:
             by_reason.setdefault(row.why, []).append(row.name)
         elif row.verdict == DIFFERS:
             by_reason.setdefault("no reason is known; please report it with this table", []).append(row.name)
-    return [f"{', '.join(names)}: {why}" for why, names in by_reason.items()]
+    return [f"{'; '.join(names)}: {why}" for why, names in by_reason.items()]
 
 
 def finding(found: Validation) -> str:

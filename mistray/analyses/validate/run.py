@@ -122,14 +122,14 @@ def _compared(
         if isinstance(theirs, str) and row.published is None:
             rows.append(ComparedRow(pack.name, row.name, unit, UNKNOWN, UNKNOWN, math.nan, NOT_ASKED, theirs))
             continue
-        published = theirs[row.name] if row.published is None else Estimate(row.published, row.uncertainty)
+        published = theirs[row.name] or UNKNOWN if row.published is None else Estimate(row.published, row.uncertainty)
         rows.append(judged(pack.name, row, unit, published, ours(row)))
     return rows
 
 
 def _asked(
     pack: Pack, file: ReferenceFile, rows: Sequence[DeclaredRow], request: ValidateRequest
-) -> dict[str, Estimate] | str:
+) -> dict[str, Estimate | None] | str:
     """Return the numbers of the other program by name of the row; if it cannot be asked, the remedy."""
     if pack.peer is None or not rows:
         return {}
@@ -144,13 +144,14 @@ def _asked(
         return f"{pack.peer.module} cannot be asked: {type(error).__name__}: {error}; {pack.peer.install}"
 
 
-def judged(pack: str, row: DeclaredRow, unit: str, published: Estimate, ours: Estimate) -> ComparedRow:
-    """Return a row with its verdict; without a standard error of ours there is none."""
+def judged(pack: str, row: DeclaredRow, unit: str, published: Estimate, found: Estimate | None) -> ComparedRow:
+    """Return a row with its verdict; light that is not there, None, differs, and a number without an error has none."""
+    ours = found or UNKNOWN
     allowed = row.allowed(ours.se, published.value, published.se)
-    if not math.isfinite(ours.value):
+    if found is None:
         way = " → ".join(row.path) or "of the image"
         verdict, why = DIFFERS, f"no light takes the path {way}; check its surfaces, the field and the rays"
-    elif not (math.isfinite(ours.se) and math.isfinite(published.value)):
+    elif not all(map(math.isfinite, (*ours, published.value))):
         verdict, why = TOO_FEW, "too few rays for a number with an error; give more rays"
     elif abs(ours.value - published.value) <= allowed:
         verdict, why = AGREES, ""

@@ -58,17 +58,18 @@ class SceneNumbers:
         self._scenes: dict[tuple[tuple[str, float], ...], mi.Scene] = {}
         self._traces: dict[tuple[Any, ...], Trace] = {}
 
-    def __call__(self, row: DeclaredRow) -> Estimate:
-        """Return our number of a row with its standard error; NaN if the light has no such path."""
+    def __call__(self, row: DeclaredRow) -> Estimate | None:
+        """Return our number of a row with its standard error; None if the light takes no such path."""
         if row.quantity == "pst":
             return self._pst(row)
         reflections = max([2, *(len(one.path) for one in self._file.rows)])
         if row.quantity.startswith("diameter"):
             t = self._trace(row, max(len(row.path), 1), OUTERMOST_RAYS)
-            return _diameter(t, named_path(t, row.path), row.quantity)
+            found = named_path(t, row.path)
+            return None if found is None else _diameter(t, found, row.quantity)
         t = self._trace(row, reflections, self._rays)
         found = named_path(t, row.path)
-        return UNKNOWN if found is None else Estimate(*(float(getattr(found, key)) for key in OF_PATH[row.quantity]))
+        return None if found is None else Estimate(*(float(getattr(found, key)) for key in OF_PATH[row.quantity]))
 
     def scene(self, row: DeclaredRow) -> mi.Scene:
         """Return the scene with the values that the file and the row set."""
@@ -141,10 +142,8 @@ def _without(names: list[str], design: list[str]) -> list[str]:
     return kept
 
 
-def _diameter(t: Trace, row: PathRow | None, quantity: str) -> Estimate:
+def _diameter(t: Trace, row: PathRow, quantity: str) -> Estimate:
     """Return the extent of the hits of a path along x or y; the outermost gap at each end is its standard error."""
-    if row is None:
-        return UNKNOWN
     column = f"detector_{quantity.removeprefix('diameter_')}"
     hits = np.sort(t.rays(f"path_id == {row.path_id}", n=None)[column].to_numpy())
     if len(hits) < 3:

@@ -60,7 +60,8 @@ def test_criterion() -> None:
     assert (verdict(3.0, row=known).verdict, verdict(3.0, row=known).why) == (KNOWN, "another glass")
     assert (verdict(1.0, row=known).verdict, verdict(1.0, row=known).why) == (AGREES, "")
     assert verdict(0.0, math.nan).verdict == TOO_FEW
-    lost = judged("pack", replace(known, path=("a", "b")), "", Estimate(2.0, 0.0), UNKNOWN)
+    lost = judged("pack", replace(known, path=("a", "b")), "", Estimate(2.0, 0.0), None)
+    assert judged("pack", known, "", Estimate(2.0, 0.0), UNKNOWN).verdict == TOO_FEW
     assert lost.verdict == DIFFERS, "a reason for a difference is none for light that is not there"
     assert "a → b" in lost.why
     exact = judged("pack", DeclaredRow("n", published=3.0), "1", Estimate(3.0, 0.0), Estimate(3.0, 0.0))
@@ -101,6 +102,7 @@ def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
     return tmp_path
 
 
+@pytest.mark.core
 def test_own_numbers(folder: Path, capsys: Captured) -> None:
     """From elsewhere, too: the scene lies beside the file. A wrong number gives the exit code 1, a known one 0."""
     found = json.loads(succeeds(capsys, "validate", "--own", "own.toml", "--rays", "2000", "--json"))
@@ -120,6 +122,7 @@ def test_own_numbers(folder: Path, capsys: Captured) -> None:
     assert "ghost: typed wrong" in succeeds(capsys, "validate", "--own", "own.toml", "--rays", "2000")
 
 
+@pytest.mark.long
 def test_every_quantity_of_a_scene(folder: Path) -> None:
     """Of the image: a disc of 5 mm beside its own closed forms, 2 r and r/√2, and E of a PST."""
     row = '\n[[row]]\nname = "{}"\nquantity = "{}"\npublished = {}\n'
