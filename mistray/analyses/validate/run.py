@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -40,7 +41,7 @@ class OwnPack(Pack):
     path: str = ""
 
     @property
-    def file(self) -> ReferenceFile:  # type: ignore[override]  # read again, not kept
+    def file(self) -> ReferenceFile:
         """Numbers of the file."""
         found = read_reference(self.path)
         require_own(found, self.path)
@@ -119,10 +120,13 @@ def _compared(
     rows = []
     for row in declared:
         unit = row.unit or UNITS.get(row.quantity, "")
-        if isinstance(theirs, str) and row.published is None:
+        if row.published is not None:
+            published = Estimate(row.published, row.uncertainty)
+        elif isinstance(theirs, str):
             rows.append(ComparedRow(pack.name, row.name, unit, UNKNOWN, UNKNOWN, math.nan, NOT_ASKED, theirs))
             continue
-        published = theirs[row.name] or UNKNOWN if row.published is None else Estimate(row.published, row.uncertainty)
+        else:
+            published = theirs[row.name] or UNKNOWN
         rows.append(judged(pack.name, row, unit, published, ours(row)))
     return rows
 
@@ -161,7 +165,17 @@ def judged(pack: str, row: DeclaredRow, unit: str, published: Estimate, found: E
 
 
 def _summary(pack: Pack, file: ReferenceFile, rows: Sequence[ComparedRow], seconds: float) -> PackSummary:
-    kinds = ((AGREES,), (KNOWN,), (DIFFERS,), (NOT_ASKED, TOO_FEW))
-    counts = [sum(row.verdict in kind for row in rows) for kind in kinds]
-    note = " ".join(file.note.split())
-    return PackSummary(pack.name, file.title, len(rows), *counts, seconds, file.source, file.licence, note)
+    verdicts = Counter(row.verdict for row in rows)
+    return PackSummary(
+        pack=pack.name,
+        title=file.title,
+        count=len(rows),
+        agree=verdicts[AGREES],
+        known=verdicts[KNOWN],
+        differ=verdicts[DIFFERS],
+        left_out=verdicts[NOT_ASKED] + verdicts[TOO_FEW],
+        seconds=seconds,
+        source=file.source,
+        licence=file.licence,
+        note=" ".join(file.note.split()),
+    )

@@ -72,12 +72,13 @@ def _compared(file: str, wavelength_nm: float, field_deg: float, rays: int, seed
     optic = batoid.Optic.fromYaml(file)
     read = from_batoid(optic, wavelength_nm=wavelength_nm, reflectance=REFLECTANCE, beam="exact")
     mirrors = {surface.name for surface in read.surfaces if surface.mirror}
+    assert read.detector is not None
     sequence = [*(surface.name for surface in read.surfaces), read.detector.name]
     coating = batoid.SimpleCoating(REFLECTANCE, 1 - REFLECTANCE)
     for name in set(sequence) - mirrors:
         optic[name].forwardCoating = optic[name].reverseCoating = coating
-    how = {"max_reflections": 2, "flux_threshold": 1e-6}
-    t = trace(read.to_scene(), rays=rays, seed=seed, field_deg=field_deg, **how)
+    scene = read.to_scene()
+    t = trace(scene, rays=rays, seed=seed, field_deg=field_deg, max_reflections=2, flux_threshold=1e-6)
     (run,) = t.runs
     origin, direction = run.start_rays(np.arange(run.rays))
     columns = [np.ascontiguousarray(column) for column in (*(1e-3 * origin).T, *direction.T)]
