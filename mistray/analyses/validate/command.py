@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mistray.toolkit.command import Command
-from mistray.toolkit.field_options import group, request_of
+from mistray.toolkit.command import Command, Group
+from mistray.toolkit.field_options import group, options_of, request_of
 from mistray.toolkit.shared_options import MACHINE, TABLE_FORMATS, output
 
 if TYPE_CHECKING:
@@ -26,8 +26,7 @@ COMMAND = Command(
     ),
     lambda request: (
         group("rows", request.ValidateRequest, "only", "own"),
-        group("traces", request.ValidateRequest, "rays", "seed"),
-        *MACHINE,
+        Group("traces", (*options_of(request.ValidateRequest, "rays", "seed"), *MACHINE)),
         output("report.html, CSV, JSON and PNG files", FILES, formats=TABLE_FORMATS),
     ),
     __package__,

@@ -80,7 +80,8 @@ def finding(found: Validation) -> str:
     words = {AGREES: "agree", KNOWN: "known to differ", DIFFERS: "differ and should agree"}
     words |= {NOT_ASKED: "without the program that they ask", TOO_FEW: "with too few rays"}
     told = ", ".join(f"{found.count(verdict)} {text}" for verdict, text in words.items() if found.count(verdict))
-    return f"{len(found.rows)} numbers beside ours: {told}"
+    numbers = "number" if len(found.rows) == 1 else "numbers"
+    return f"{len(found.rows)} {numbers} beside ours: {told}"
 
 
 def text(found: Validation) -> str:
