@@ -139,6 +139,17 @@ BRUSHED = "rotation_deg,theta_i_deg,theta_s_deg,phi_deg,bsdf\n" + "".join(
 )
 PSD = "frequency_1_mm,psd_nm2_mm2\n" + "".join(f"{2.0**k:g},{4e-5 / (1 + 4.0**k * 4e-4):.6g}\n" for k in range(10))
 
+OWN = """
+title = "Plate"
+source = "closed form"
+scene = "plate"
+[[row]]
+name = "ghost of both faces"
+quantity = "share_percent"
+path = ["plate_rear", "plate_front"]
+published = 0.1597
+tolerance = 0.0001
+"""
 INPUTS = {
     "lens.zmx": ZMX.format(glass="N-BK7 0 0 1.5168 64.17", coat=""),
     "other.zmx": ZMX.format(glass="MYCROWN 0 0 1.5168 64.17", coat="COAT AR\n  ") + CONFIGURATIONS,
@@ -154,6 +165,7 @@ INPUTS = {
     "edits.toml": EDITS,
     "brushed.csv": BRUSHED,
     "psd.csv": PSD,
+    "own.toml": OWN,
 }
 
 # Run before the calls of a command, for the files that they make
@@ -348,6 +360,12 @@ CALLS: dict[str, tuple[str, ...]] = {
         "--out out --formats pdf parquet",
         "lens_and_window study.toml --steps 2 --verification-seeds 2 --out out --resume --json",
         "lens_and_window study.toml --verification-seeds 2 --no-next-order --quiet --force",
+    ),
+    "validate": (
+        f"--only 'phone_camera/*filter*0°' tracepro_abg {MACHINE} --rays 2e4 --seed 3 --out out --formats pdf parquet",
+        "--only thin_films --out out --force --json",
+        "--own own.toml --rays 2e4",
+        "--only scatmech --quiet",
     ),
     "cache": ("info", "clear"),
     "completion": ("bash", "zsh", "fish"),

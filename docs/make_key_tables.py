@@ -15,11 +15,12 @@ from typing import Any
 from mistray.analyses.budget.allocation import PowerCost, StepCost
 from mistray.analyses.budget.read_budget import BudgetStudy, Grades, Requirement
 from mistray.analyses.optimize.study.model import CoatingKeys, Moved, Optimizer, Term, VariableGroup
+from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
 from mistray.ranges import demand_of, doc_of, number_text
 from mistray.toolkit.analysis import range_text
 
 DOCS = Path(__file__).parent
-PAGES = ("optimization.md", "sensitivity.md")
+PAGES = ("optimization.md", "sensitivity.md", "validation/index.md")
 SECTIONS: dict[str, tuple[type, ...]] = {
     "term": (Term,),
     "variable": (VariableGroup,),
@@ -30,6 +31,8 @@ SECTIONS: dict[str, tuple[type, ...]] = {
     "choose": (Grades, StepCost),
     "choose.cost": (PowerCost,),
     "solver": (BudgetStudy,),
+    "file": (ReferenceFile,),
+    "row": (DeclaredRow,),
 }
 REQUIRED = ("term.goal",)  # in a file, though not in Python
 HEAD = "| key | default | meaning |\n|---|---|---|\n"
@@ -40,7 +43,9 @@ PAGE = re.compile(r"docs/(\w+)\.md")  # named in a sentence
 def row(section: str, field: dataclasses.Field[Any]) -> str:
     """A key, its default, its sentence and its range."""
     key = f"{section}.{field.name}"
-    default = "–" if field.default in (dataclasses.MISSING, None) or key in REQUIRED else value_text(field.default)
+    default = (
+        "–" if field.default in (dataclasses.MISSING, None, "", ()) or key in REQUIRED else value_text(field.default)
+    )
     meaning = PAGE.sub(r"[\1](\1.md)", doc_of(field)).replace("|", r"\|")
     told = range_text(demand_of(field))
     return f"| `{key}` | {default} | {meaning}{f'; {told}' if told else ''} |\n"

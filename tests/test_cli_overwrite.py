@@ -43,6 +43,14 @@ SYSTEM = {
     "other.csv": TABLE,
 }
 NOTE = "written by hand\n"
+OWN = """title = "image"
+source = "nobody"
+scene = "scene.xml"
+[[row]]
+name = "power"
+quantity = "power_W"
+published = 1
+"""
 # The arguments of every command with --out, and a file that it writes there
 FOLDERS = {
     ("ghosts", "scene.xml", "--formats", "fits"): ("paths.csv", "ghosts_12.5deg.png", "irradiance_0deg.fits"),
@@ -55,6 +63,7 @@ FOLDERS = {
     ("sensitivity", "scene.xml"): ("sensitivity.json", "ranking.png"),
     ("budget", "scene.xml", "budget.toml"): ("scene.xml", "budget.csv"),
     ("optimize", "scene.xml", "study.toml"): ("scene.xml", "checkpoint.json", "terms.csv"),
+    ("validate", "--own", "own.toml"): ("validation.csv", "packs.csv", "differences.png"),
 }
 # The arguments of every command that is given names of files to write, without them, and the options of these
 FILES = {
@@ -80,6 +89,7 @@ def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
         "cube.obj": CUBE,
         "study.toml": STUDY,
         "budget.toml": BUDGET,
+        "own.toml": OWN,
     }
     for name, text in {**texts, "table.csv": TABLE}.items():
         (tmp_path / name).write_text(text)

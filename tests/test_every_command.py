@@ -256,6 +256,13 @@ CASES = {
         {"holds": {"ghosts": True}, "variables.0.name": "AR.thickness_nm[0]", "variables.0.before": close(60)},
         "search from start 1: all steps used",
     ),
+    "validate": Case(
+        "--only tracepro_abg",
+        "--out out",
+        "validation.csv packs.csv validation.json differences.png report.html",
+        {"holds": True, "rows.0.ours": close(pi / 2), "packs.0.agree": 11, "packs.0.known": 1},
+        "12 numbers beside ours: 11 agree, 1 known to differ.",
+    ),
     "completion": Case("bash", words="COMPREPLY"),
 }
 

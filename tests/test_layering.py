@@ -66,8 +66,9 @@ PAIRS = {
     ("sweep", "pst"): "a sweep of PSTs, with their curves and tables",
     ("sweep", "sensitivity"): "edits are ranked by what parameters may do",
     ("transfer", "image"): "the transfer function of the direct image",
+    ("validate", "pst"): "PSTs and the veiling glare index are compared",
 }
-MOST_PAIRS = 16
+MOST_PAIRS = 17
 # Names that change between Mitsuba releases live in one file.
 RELEASE_NAMES = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
 

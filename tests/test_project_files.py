@@ -47,7 +47,7 @@ def test_hooks_format_as_make_lint_does() -> None:
     assert ruff.specifier.contains(repos["ruff-pre-commit"]["rev"].removeprefix("v"))
 
 
-@pytest.mark.parametrize("name", ["bug", "wrong_number", "wish"])
+@pytest.mark.parametrize("name", ["bug", "own_numbers", "wrong_number", "wish"])
 def test_templates_ask_for_what_the_page_of_support_names(name: str) -> None:
     title = loaded(f".github/ISSUE_TEMPLATE/{name}.yml")["name"]
     assert f'"{title}"' in (ROOT / "docs" / "support.md").read_text(encoding="utf-8")

@@ -46,6 +46,7 @@ EXTRAS = {
     "nlopt": "further methods of mistray optimize",
     "pdf": "reports as PDF",
     "tables": "tables as Parquet files",
+    "validate": "the programs that mistray validate asks",
     "view": "scenes, rays and paths in 3-D, by mistray view",
     "widget": "the live explorer in Jupyter",
     "xarray": "traces and PSTs as xarray data sets, for NetCDF and Zarr",

@@ -64,9 +64,14 @@ class Options(argparse.Namespace):
 
     @property
     def title(self) -> str:
-        """Name of the scene for titles: that of its file, or of its folder if the file is called scene.xml."""
+        """Name of the scene for titles: that of its file, or of its folder if the file is called scene.xml.
+
+        It is empty for a command without a scene.
+        """
         from mistray.scene.titles import title_of_file
 
+        if self.has("scene") is None:
+            return ""
         return as_text(title_of_file(Path(self.scene).resolve()))
 
     def seconds_left(self, page_s: float = PAGE_S) -> float | None:

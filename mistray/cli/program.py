@@ -50,6 +50,7 @@ ORDER = (
     "sensitivity",
     "budget",
     "optimize",
+    "validate",
     "cache",
     "completion",
 )

@@ -1,0 +1,1 @@
+"""Validation: published numbers and other programs beside ours, with a verdict on each."""

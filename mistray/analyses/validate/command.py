@@ -1,0 +1,54 @@
+"""Command `mistray validate`: published numbers and other programs beside ours, with a verdict on each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mistray.toolkit.command import Command, Group
+from mistray.toolkit.field_options import group, options_of, request_of
+from mistray.toolkit.shared_options import MACHINE, TABLE_FORMATS, output
+
+if TYPE_CHECKING:
+    from mistray.cli.options import Options
+
+FILES = ("report.html", "validation.csv", "packs.csv", "validation.json", "differences.png")
+DISAGREES = 1  # exit code: a row differs that should agree
+COMMAND = Command(
+    "validate",
+    "published numbers beside ours, with a verdict on each",
+    "Compare numbers of publications and of other programs with ours, row by row: both numbers, their\n"
+    "errors, what is allowed, and a verdict. The exit code is 1 if a row differs that should agree.",
+    (
+        "mistray validate",
+        "mistray validate --only phone_camera 'rubin_ghosts/*flux' --out out",
+        "mistray validate --own my_lens.toml --rays 1e6",
+        "mistray validate --only lsst --json",
+    ),
+    lambda request: (
+        group("rows", request.ValidateRequest, "only", "own"),
+        Group("traces", (*options_of(request.ValidateRequest, "rays", "seed"), *MACHINE)),
+        output("report.html, CSV, JSON and PNG files", FILES, formats=TABLE_FORMATS),
+    ),
+    __package__,
+)
+
+
+def run(options: Options) -> int:
+    """Run `mistray validate` with parsed options; return 1 if a row differs that should agree, else 0."""
+    from mistray.analyses.validate.request import ValidateRequest
+
+    request = request_of(ValidateRequest, vars(options))
+    options.start()
+    from mistray.analyses.validate import page
+    from mistray.analyses.validate.run import run_validation
+
+    with options.bar("{desc} … {elapsed}", "validation") as bar:
+
+        def tell(title: str, number: int, packs: int) -> None:
+            if bar is not None:
+                bar.set_description_str(f"{number + 1} of {packs}: {title}", refresh=True)
+
+        found = run_validation(request, tell)
+    files = options.write(lambda _, command: page.page(found, command))
+    options.show(lambda: page.record(found), lambda: page.text(found), files, result=found)
+    return 0 if found.holds else DISAGREES

@@ -1,0 +1,68 @@
+"""A pack of rows of one source: its file, how ours are found, and the program that is asked where it is installed."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from pathlib import Path
+
+from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile, read_reference
+from mistray.estimate import Estimate
+
+Finder = Callable[[DeclaredRow], Estimate | None]
+"""Returns the number of a row; None if the light takes no such path, NaN if the rays are too few."""
+Numbers = Callable[[ReferenceFile, int | None, int], Finder]
+"""Makes a finder from a file, the start rays of each trace (None: those of the file) and the seed."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """
+    Program of others that gives the published number of rows that have none.
+
+    Attributes
+    ----------
+    module : str
+        Module that is imported.
+    install : str
+        Command that installs it.
+    ask : callable
+        Makes the function that returns its number of a row.
+    """
+
+    module: str
+    install: str
+    ask: Numbers
+
+    @property
+    def installed(self) -> bool:
+        """Whether its module is there."""
+        return importlib.util.find_spec(self.module) is not None
+
+
+@dataclass(frozen=True)
+class Pack:
+    """
+    Rows of one source.
+
+    Attributes
+    ----------
+    name : str
+        Name for `--only`, and of its file among the references.
+    numbers : callable
+        Makes the function that returns our number of a row.
+    peer : Peer, optional
+        Program that is asked for the numbers that the file has not.
+    """
+
+    name: str
+    numbers: Numbers
+    peer: Peer | None = None
+
+    @cached_property
+    def file(self) -> ReferenceFile:
+        """Published numbers of the pack."""
+        return read_reference(Path(str(files("mistray.analyses.validate").joinpath("references", f"{self.name}.toml"))))

@@ -1,0 +1,49 @@
+"""Reflectance and transmittance of stacks of layers beside tmm, s or p."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
+from mistray.analyses.validate.pack import Finder
+from mistray.estimate import Estimate
+from mistray.physics.thinfilm import reflectance_transmittance
+
+
+def _complex(value: Any) -> complex:
+    return complex(*value) if isinstance(value, list) else complex(value)
+
+
+def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
+    """Return the function that gives R or T of the stack of a row."""
+
+    def number(row: DeclaredRow) -> Estimate:
+        layers = [_complex(n) for n in row.argument("n")]
+        cosine = math.cos(math.radians(row.argument("angle_deg")))
+        substrate = _complex(row.argument("substrate"))
+        shares = reflectance_transmittance(
+            1.0, layers, row.argument("thickness_nm"), substrate, row.argument("nm"), cosine
+        )
+        return Estimate(float(shares["RT".index(row.argument("share"))]["sp".index(row.argument("polarization"))]), 0.0)
+
+    return number
+
+
+def asked(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
+    """Return the function that asks tmm."""
+    import tmm
+
+    def number(row: DeclaredRow) -> Estimate:
+        indices = [1.0, *map(_complex, row.argument("n")), _complex(row.argument("substrate"))]
+        thickness = [math.inf, *row.argument("thickness_nm"), math.inf]
+        found = tmm.coh_tmm(
+            row.argument("polarization"),
+            indices,
+            thickness,
+            math.radians(row.argument("angle_deg")),
+            row.argument("nm"),
+        )
+        return Estimate(float(found[row.argument("share")]), 0.0)
+
+    return number

@@ -1,0 +1,25 @@
+"""All packs that come along, in the order of the report."""
+
+from __future__ import annotations
+
+from mistray.analyses.validate.pack import Pack, Peer
+from mistray.analyses.validate.packs import films, glare, roughness, spheres, telescopes, tracepro
+from mistray.analyses.validate.scene_numbers import SceneNumbers
+
+BATOID = Peer("batoid", "pip install 'mistray[batoid]'", telescopes.asked)
+TMM = Peer("tmm", "pip install 'mistray[validate]'", films.asked)
+MIEPYTHON = Peer("miepython", "pip install 'mistray[validate]'", spheres.asked)
+SCATMECH = Peer("pySCATMECH", "pip install 'mistray[scatmech]'", roughness.asked)
+
+PACKS = (
+    Pack("rubin_ghosts", SceneNumbers),
+    Pack("lsst", telescopes.ours, BATOID),
+    Pack("hsc", telescopes.ours, BATOID),
+    Pack("decam", telescopes.ours, BATOID),
+    Pack("phone_camera", SceneNumbers),
+    Pack("veiling_glare", glare.ours),
+    Pack("tracepro_abg", tracepro.ours),
+    Pack("scatmech", roughness.ours, SCATMECH),
+    Pack("thin_films", films.ours, TMM),
+    Pack("mie_spheres", spheres.ours, MIEPYTHON),
+)

@@ -1,0 +1,31 @@
+"""Efficiencies of spheres by Mie's theory beside miepython."""
+
+from __future__ import annotations
+
+from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
+from mistray.analyses.validate.pack import Finder
+from mistray.estimate import Estimate
+from mistray.physics.mie import spheres
+
+
+def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
+    """Return the function that gives the efficiency of a sphere."""
+
+    def number(row: DeclaredRow) -> Estimate:
+        found = spheres([row.argument("x")], complex(row.argument("n"), row.argument("k")))
+        return Estimate(float(getattr(found, row.argument("efficiency"))[0]), 0.0)
+
+    return number
+
+
+def asked(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
+    """Return the function that asks miepython, whose index is n - ik."""
+    import miepython
+
+    def number(row: DeclaredRow) -> Estimate:
+        extinction, scattering, *_ = miepython.efficiencies_mx(
+            complex(row.argument("n"), -row.argument("k")), row.argument("x")
+        )
+        return Estimate(float({"extinction": extinction, "scattering": scattering}[row.argument("efficiency")]), 0.0)
+
+    return number

@@ -1,0 +1,113 @@
+"""Result of a validation: rows of published numbers and ours with their verdicts, and the packs that they belong to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from mistray.estimate import Estimate
+from mistray.result import KeyNumber, Result
+from mistray.toolkit.rows import column, derived
+
+if TYPE_CHECKING:
+    from mistray.toolkit.figures.figure import Figure
+    from mistray.toolkit.plain_page import Rows
+
+AGREES, KNOWN, DIFFERS = "agrees", "known to differ", "differs"
+NOT_ASKED, TOO_FEW = "peer not installed", "too few rays"
+VERDICTS = (AGREES, KNOWN, DIFFERS, NOT_ASKED, TOO_FEW)
+
+
+@dataclass(frozen=True)
+class ComparedRow:
+    """Published number beside ours, with the verdict."""
+
+    pack: str = column("pack that the row belongs to")
+    name: str = column("number that is compared", head="number")
+    unit: str = column("its unit")
+    published: Estimate = column("published number, or that of the other program, with its standard error")
+    ours: Estimate = column("our number, with its standard error")
+    allowed: float = column(
+        "largest difference that agrees: four standard errors of both, and what the source leaves open"
+    )
+    verdict: str = column("whether the numbers agree")
+    why: str = column("reason why they differ, or the command that installs the other program", "")
+
+    @derived.column("ours less the published number")
+    def difference(self) -> float:
+        """Difference of ours and the published number, in their unit."""
+        return self.ours.value - self.published.value
+
+    @property
+    def of_allowed(self) -> float:
+        """Difference over the allowed one; NaN if either number is unknown."""
+        if not self.allowed <= 0:
+            return self.difference / self.allowed
+        return math.copysign(math.inf, self.difference) if self.difference else 0.0 * self.difference
+
+
+@dataclass(frozen=True)
+class PackSummary:
+    """Numbers of rows of a pack by verdict."""
+
+    pack: str = column("pack")
+    title: str = column("system, or subject")
+    count: int = column("rows that were compared or left out", head="rows")
+    agree: int = column("rows that agree")
+    known: int = column("rows that are known to differ", head="known to differ")
+    differ: int = column("rows that differ and should agree")
+    left_out: int = column("rows whose program is not installed, or with too few rays for an error")
+    seconds: float = column("time that the pack took, s", head="seconds", digits=".1f")
+    source: str = column("source of its numbers")
+    licence: str = column("their licence", "")
+    note: str = column("what differs between the source and this program, and why", "")
+
+
+@dataclass(frozen=True, repr=False)
+class Validation(Result):
+    """
+    Published numbers and other programs beside ours.
+
+    Attributes
+    ----------
+    rows : tuple of ComparedRow
+        Rows in the order of their packs.
+    packs : tuple of PackSummary
+        Packs with their sources.
+    facts : dict
+        Versions and settings.
+    """
+
+    rows: Sequence[ComparedRow]
+    packs: Sequence[PackSummary]
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def count(self, verdict: str) -> int:
+        """Return the number of rows with a verdict."""
+        return sum(row.verdict == verdict for row in self.rows)
+
+    @property
+    def holds(self) -> bool:
+        """Whether every row agrees that should: none differs without a known reason."""
+        return not self.count(DIFFERS)
+
+    def of(self, pack: str) -> list[ComparedRow]:
+        """Return the rows of a pack."""
+        return [row for row in self.rows if row.pack == pack]
+
+    def key_numbers(self) -> Mapping[str, KeyNumber]:
+        """Return the numbers of rows, and of those that agree and differ."""
+        found = {verdict: self.count(verdict) for verdict in VERDICTS}
+        return {"rows": len(self.rows), **{verdict: str(count) for verdict, count in found.items() if count}}
+
+    def tables(self) -> Mapping[str, Rows]:
+        """Return the rows, and the packs."""
+        return {"validation": (ComparedRow, self.rows), "packs": (PackSummary, self.packs)}
+
+    def figures(self) -> Mapping[str, Callable[[], Figure]]:
+        """Return the figure of all differences."""
+        from mistray.analyses.validate.figures import differences_figure
+
+        return {"differences": lambda: differences_figure(self)}
