@@ -18,14 +18,14 @@ from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.spatial import ConvexHull
 
 from mistray.analyses.export.faces import polygon_normal
-from mistray.analyses.image.bundle import PointBundle, field_bundle
-from mistray.analyses.image.stop import Region, lit_region
 from mistray.errors import MistrayError
 from mistray.io.cad.write_step import StepFile
 from mistray.sampling.design_path import DesignPath, find_design_path, sphere_of
 from mistray.sampling.outlines import outline
 from mistray.sampling.sources import spectrum_of
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.trace.host.bundle import PointBundle, field_bundle
+from mistray.trace.host.stop import Region, lit_region
 
 Array = npt.NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.analyses.image.bundle import PointBundle
-from mistray.analyses.image.design_light import design_light
-from mistray.analyses.image.stop import PupilStop, Region
 from mistray.errors import MistrayError
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.outlines import outline
+from mistray.trace.host.bundle import PointBundle
+from mistray.trace.host.design_light import design_light
+from mistray.trace.host.stop import PupilStop, Region
 
 Array = npt.NDArray[np.float64]
 

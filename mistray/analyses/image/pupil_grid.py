@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.analyses.image.bundle import PointBundle
-from mistray.analyses.image.design_light import DesignLight, design_light
-from mistray.analyses.image.stop import PupilStop, Region
 from mistray.physics.imaging.pupil import Pupil
 from mistray.sampling.design_path import DesignPath
+from mistray.trace.host.bundle import PointBundle
+from mistray.trace.host.design_light import DesignLight, design_light
+from mistray.trace.host.stop import PupilStop, Region
 
 Array = npt.NDArray[np.float64]
 

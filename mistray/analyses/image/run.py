@@ -11,13 +11,10 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.analyses.image.bundle import PointBundle, field_bundle
-from mistray.analyses.image.design_light import check_sheets
 from mistray.analyses.image.field_geometry import ChiefRay, chief_ray, foci_beside, image_axes
 from mistray.analyses.image.pupil_grid import ImageFrame, PupilSamples, sample_pupil
 from mistray.analyses.image.request import ImageRequest
 from mistray.analyses.image.result import FieldImage, ImageQuality, LineImage
-from mistray.analyses.image.stop import PupilStop, Region, find_stop, lit_region
 from mistray.errors import MistrayError
 from mistray.interrupts import check
 from mistray.light import Light
@@ -28,6 +25,9 @@ from mistray.sampling.source import Sphere
 from mistray.sampling.sources import field_of, scene_sources, spectrum_of
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.toolkit.analysis import analysis
+from mistray.trace.host.bundle import PointBundle, field_bundle
+from mistray.trace.host.design_light import check_sheets
+from mistray.trace.host.stop import PupilStop, Region, find_stop, lit_region
 
 FIRST_GRID, LAST_GRID = 64, 512  # where the grid is as fine as the wavefront asks for
 STEEPEST = 0.25  # waves from one cell to the next that a grid may have

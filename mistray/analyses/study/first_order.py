@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from mistray.analyses.image.design_light import media
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources
 from mistray.surfaces.host_points import across
+from mistray.trace.host.design_light import media
 
 STEP = 1e-5  # height of the rays for derivatives, in units of the beam's size
 AFOCAL = 1e-9  # slope per unit of height, in units of 1/size, below which the system has no focus

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.analyses.image.bundle import PointBundle
-from mistray.analyses.image.design_light import stop_crossing
 from mistray.errors import MistrayError, nearest
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import Sphere
+from mistray.trace.host.bundle import PointBundle
+from mistray.trace.host.design_light import stop_crossing
 
 Array = npt.NDArray[np.float64]
 
