@@ -587,11 +587,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
             yield raw
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """
-        Return the detected and the stray flux (W) and the number of paths, by label.
-
-        For a dark detector also the largest loss.
-        """
+        """Return detected and stray flux (W) and the number of paths, by label; the largest loss if all is dark."""
         found: dict[str, KeyNumber] = {}
         if self.rays_traced != self.rays_planned:
             found["unfinished"] = f"{self.rays_traced} of {self.rays_planned} rays"
