@@ -19,6 +19,7 @@ class ChosenRow(Demand):
 
     demand = ROWS.demand
     metavar = "ID"
+    also = ({"type": "integer", "minimum": ROWS.low, "maximum": ROWS.high}, {"type": "string"})
 
     def check(self, name: str, value: Any, owner: str = "") -> int | str:
         """Return the number or the text; raise `MistrayError` if it is neither."""
