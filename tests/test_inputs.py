@@ -162,6 +162,8 @@ OPENING |= {"load_file", "parse_file", "load_scene", "parse", "iterparse", "Bitm
 ELSEWHERE = {
     "mistray/read_file.py: os.open": "the one place",
     "mistray/cache/fingerprint.py: path.read_bytes": "mistray's own code",
+    "mistray/toolkit/saved_result.py: zipfile.ZipFile": "in memory: what the one place has read, or what is written",
+    "mistray/toolkit/saved_result.py: archive.open": "an entry of the archive that is written",
     "mistray/cache/store.py: draft.open": "a file that is written",
     "mistray/cli/__init__.py: open": "the null device, in place of a closed stderr",
     "mistray/cli/__init__.py: os.open": "the null device, in place of what is closed",

@@ -60,14 +60,15 @@ class Keyword:
         usual = dataclasses.MISSING if self.required else usual
         made: Any = self.demand.field(usual, first.help)
         made.name, made.type = self.name, ""
-        return made  # type: ignore[no-any-return]  # see `Demand.field`
+        field: dataclasses.Field[Any] = made
+        return field
 
     @cached_property
     def demand(self) -> Demand:
         """Condition on the value."""
         first = self.options[0]
-        declared = demand_of(first.within or first.of) if first.within or first.of else None
-        return declared or _demand(first)
+        declared = first.within or first.of
+        return (demand_of(declared) if declared else None) or _demand(first)
 
     @property
     def usual(self) -> bool:
