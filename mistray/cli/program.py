@@ -142,9 +142,9 @@ def _command(arguments: list[str]) -> int:
 
 def _print_schema(options: Options) -> int:
     """Print the JSON schema of the request of a command, or of what it prints with --json; return 0."""
-    from mistray.toolkit.command_request import schema_of_request
+    from mistray.toolkit.command_request import schema_of_request, schema_of_result
 
-    schema = schema_of_request(options.command)
+    schema = (schema_of_result if options.schema == "result" else schema_of_request)(options.command)
     print(json.dumps(schema, indent=2, ensure_ascii=False, allow_nan=False))
     return 0
 

@@ -18,13 +18,14 @@ from mistray.errors import MistrayError, errors_of, nearest
 from mistray.files.json_values import plain
 from mistray.light import Light
 from mistray.ranges import FLAG, TEXT, ByName, Demand, Each, Range, Words, demand_of
-from mistray.read_file import read_text
+from mistray.read_file import read_file, read_text
 from mistray.settings import Settings
-from mistray.toolkit.arguments import Angles, Pairs
+from mistray.toolkit.arguments import Angles, Pairs, as_text
 from mistray.toolkit.command import RECORDED, REQUEST, Command, Option
 from mistray.toolkit.fields import Several
 from mistray.toolkit.json_schema import DRAFT, property_of
 
+RESULTS = Path(__file__).parent / "result_schemas"  # written by tests/result_schemas.py
 OF_SCENE = (*dataclasses.fields(Settings), *dataclasses.fields(Light))  # their defaults are what the scene says
 
 
@@ -58,7 +59,7 @@ class Keyword:
             return declared
         usual: Any = self.usual if self.demand is FLAG else first.default or None
         usual = dataclasses.MISSING if self.required else usual
-        made: Any = self.demand.field(usual, first.help)
+        made: Any = self.demand.field(usual, f"false: {first.help}" if usual is True else first.help)
         made.name, made.type = self.name, ""
         field: dataclasses.Field[Any] = made
         return field
@@ -152,7 +153,7 @@ def _as_parsed(option: Option, value: Any) -> Any:
 def _as_json(value: Any) -> Any:
     if isinstance(value, list):
         return [] if value == [""] else [_as_json(one) for one in value]
-    return str(value) if isinstance(value, Path) else plain(value)
+    return as_text(str(value)) if isinstance(value, str | Path) else plain(value)
 
 
 def _is_given(value: Any) -> bool:
@@ -188,6 +189,26 @@ def schema_of_request(command: Command) -> dict[str, Any]:
         "properties": {"$schema": {"type": "string"}} | {name: one.schema() for name, one in known.items()},
         "required": [name for name, one in known.items() if one.required],
         "additionalProperties": False,
+    }
+
+
+def schema_of_result(command: Command) -> dict[str, Any]:
+    """Return the JSON schema of what a command prints with --json; of another package what all results have.
+
+    Raise `MistrayError` if the command prints none.
+    """
+    if not any(option.name == "--json" for option in command.options):
+        raise MistrayError(f"{command.name} prints no JSON; --schema request is that of its arguments")
+    file = RESULTS / f"{command.name}.json"
+    known = json.loads(read_file(file, own=True)) if file.is_file() else {"type": "object"}
+    asked_for = {name: value for name, value in schema_of_request(command).items() if name != "$schema"}
+    files = {"type": "array", "items": {"type": "string"}, "description": "files that were written"}
+    return {
+        "$schema": DRAFT,
+        "title": f"result of mistray {command.name}",
+        **known,
+        "properties": {**known.get("properties", {}), RECORDED: asked_for, "files": files},
+        "required": [*known.get("required", ()), RECORDED, "files"],
     }
 
 

@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import jsonschema
 import pytest
 from command_line import Captured, fails, succeeds
 from test_docs import ROOT
+from test_docs_commands import TITLED
 
 from mistray.cli.options import Options
 from mistray.cli.program import COMMANDS, main
@@ -20,14 +22,14 @@ from mistray.errors import MistrayError
 from mistray.ranges import Interval
 from mistray.toolkit.arguments import Parser
 from mistray.toolkit.command import REQUEST, Command
-from mistray.toolkit.command_request import Keyword, asked, keywords, schema_of_request, take_request
+from mistray.toolkit.command_request import Keyword, asked, keywords, schema_of_request, schema_of_result, take_request
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
 from command_calls import CALLS
 
 KNOWN: dict[str, Command] = {module.COMMAND.name: module.COMMAND for module in COMMANDS}
 NAMES = sorted(KNOWN)
-BLOCK = re.compile(r"^```(json|toml) title=\"(\w+)\.request\.\w+\"\n(.*?)^```", re.MULTILINE | re.DOTALL)
+ASKED = re.compile(r"^    mistray (\w+) --request (\w+\.\w+)$", re.MULTILINE)
 VALUES = (
     *(True, False, 0, -1, 1, 2.5, 45, 1e308, 3e9, "", "x", " ", "R", "L1", "none"),
     *([], [1], [0.5, "x"], ["x"], ["x", ""], ["x", "x"], [1, 2], [2, 1], [1, 1], [1, 2, 3], [1, 2, 3, 4]),
@@ -179,7 +181,34 @@ def test_a_run_can_be_repeated_from_its_json(tmp_path: Path, capsys: Captured, m
     assert again["request"] == first["request"] | {"out": "again"}
 
 
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "completion"])
+def test_every_schema_of_a_result(name: str) -> None:
+    """It is valid, lists keys, and is held against what the command prints in tests/test_every_command.py."""
+    schema = schema_of_result(KNOWN[name])
+    validator(schema)
+    assert {"request", "files"} < {*schema["properties"]}
+    assert {"request", "files"} <= {*schema["required"]}
+
+
+def test_a_command_that_prints_no_json(capsys: Captured) -> None:
+    assert fails(capsys, "completion", "--schema", "result").startswith("completion prints no JSON; --schema request")
+
+
 def test_schemas_are_printed(capsys: Captured) -> None:
     for words in ((), ("request",)):
         assert json.loads(succeeds(capsys, "thermal", "--schema", *words)) == schema_of_request(KNOWN["thermal"])
     assert main(["thermal", "no_such_scene", "--schema"]) == 0
+
+
+def test_the_files_of_the_docs_fit_the_schemas(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "drive.md").read_text(encoding="utf-8")
+    files = dict(TITLED.findall(text))
+    asked_for = dict(reversed(pair) for pair in ASKED.findall(text))
+    assert asked_for.keys() == files.keys()
+    for file, name in asked_for.items():
+        content = tomllib.loads(files[file]) if file.endswith(".toml") else json.loads(files[file])
+        validator(schema_of_request(KNOWN[name])).validate(content)
+        (tmp_path / file).write_text(files[file])
+        options = parsed(name, "--request x")
+        take_request(KNOWN[name], options, tmp_path / file)
+        assert asked(KNOWN[name], options).keys() == content.keys()
