@@ -200,7 +200,7 @@ def schema_of_result(command: Command) -> dict[str, Any]:
     if not any(option.name == "--json" for option in command.options):
         raise MistrayError(f"{command.name} prints no JSON; --schema request is that of its arguments")
     file = RESULTS / f"{command.name}.json"
-    known = json.loads(read_file(file, own=True)) if file.is_file() else {"type": "object"}
+    known: dict[str, Any] = json.loads(read_file(file, own=True)) if file.is_file() else {"type": "object"}
     asked_for = {name: value for name, value in schema_of_request(command).items() if name != "$schema"}
     files = {"type": "array", "items": {"type": "string"}, "description": "files that were written"}
     return {

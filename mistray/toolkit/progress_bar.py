@@ -26,7 +26,8 @@ class ProgressBar:
     def __init__(self, what: str = "tracing") -> None:
         if not isinstance(what, str):
             raise MistrayError(f"what is of type {type(what).__name__}; give a text, such as ProgressBar('PST')")
-        self._what, self._bar, self._total = what, None, 0.0
+        self._what, self._total = what, 0.0
+        self._bar: Any = None
 
     def __call__(self, *state: Any) -> None:
         """Move the bar; `state` is what any function of mistray tells its `progress`."""
