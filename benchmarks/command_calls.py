@@ -10,7 +10,10 @@ EXACT = ("doctor", "import", "coat", "image", "coating", "bsdf", "cache", "compl
 """Commands that trace no random rays, or only to say that light arrives."""
 
 # Options that no call uses, and why
-EXCEPT: dict[str, str] = {}
+EXCEPT: dict[str, str] = {
+    "--request": "it stands for the options of all calls: tests/toolkit/test_command_request.py",
+    "--schema": "what it prints is tested there, too",
+}
 
 ZMX = """UNIT MM X W X CM MR CPMM
 ENPD 8

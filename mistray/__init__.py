@@ -39,7 +39,7 @@ _HOMES = {
     "mistray.explore": ("Explorer",),
     "mistray.optimize": ("Metric", "gradient", "sensitivity"),
     "mistray.prescription": ("Coating", "Detector", "Prescription", "Scatter", "Source", "Structure", "Surface"),
-    "mistray.report": ("StepExport", "View", "export_step", "load_result", "view"),
+    "mistray.report": ("ProgressBar", "StepExport", "View", "export_step", "load_result", "view"),
     "mistray.scene": ("coat", "load"),
     "mistray.sweeps": ("Sweep", "sweep"),
     "mistray.trace": ("Trace", "trace"),

@@ -48,6 +48,7 @@ from mistray.prescription import Scatter as Scatter
 from mistray.prescription import Source as Source
 from mistray.prescription import Structure as Structure
 from mistray.prescription import Surface as Surface
+from mistray.report import ProgressBar as ProgressBar
 from mistray.report import StepExport as StepExport
 from mistray.report import View as View
 from mistray.report import export_step as export_step
@@ -75,6 +76,7 @@ __all__ = [
     "MistrayWarning",
     "Objects",
     "Prescription",
+    "ProgressBar",
     "Pst",
     "Scatter",
     "Source",

@@ -15,7 +15,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Number
-from typing import Any
+from typing import Any, ClassVar
 
 from mistray.errors import MistrayError, nearest
 
@@ -29,9 +29,19 @@ def several(given: Any) -> list[Any]:
 
 
 class Demand:
-    """Condition on a value: a range of numbers, a choice of words, or a type."""
+    """
+    Condition on a value: a range of numbers, a choice of words, or a type.
+
+    Attributes
+    ----------
+    demand : str
+        Condition in words, for messages.
+    also : tuple of mapping
+        JSON schemas of values that are allowed, as far as a range, words or a type do not say.
+    """
 
     demand: str
+    also: ClassVar[tuple[Mapping[str, Any], ...]] = ()
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """Return the value if it is allowed; otherwise raise `MistrayError`, see `Range.check`."""

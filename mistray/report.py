@@ -33,6 +33,7 @@ __all__ = lazy_package(
         "mistray.toolkit.pages.formats": ("write_formats",),
         "mistray.toolkit.pages.output": ("writable_directory",),
         "mistray.toolkit.saved_result": ("load_result",),
+        "mistray.toolkit.progress_bar": ("ProgressBar",),
         "mistray.toolkit.pages.own_sections": ("remove_section",),
         "mistray.toolkit.tables.text": ("with_error",),
     },

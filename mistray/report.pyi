@@ -51,6 +51,7 @@ from mistray.toolkit.drawings.path_rays import rays_of_paths as rays_of_paths
 from mistray.toolkit.pages.formats import write_formats as write_formats
 from mistray.toolkit.pages.output import writable_directory as writable_directory
 from mistray.toolkit.pages.own_sections import remove_section as remove_section
+from mistray.toolkit.progress_bar import ProgressBar as ProgressBar
 from mistray.toolkit.saved_result import load_result as load_result
 from mistray.toolkit.tables.text import with_error as with_error
 from mistray.trace import Trace
@@ -59,6 +60,7 @@ __all__ = [
     "ColourPictures",
     "IrradianceMap",
     "Look",
+    "ProgressBar",
     "RayLine",
     "SortedPath",
     "StepExport",
@@ -174,8 +176,8 @@ def view(
     trace: Trace | Sequence[Trace] | None = None,
     *,
     paths: int = 8,
-    path_ids: Sequence[int | str] | None = None,
-    classes: Sequence[str] | None = None,
+    path_ids: int | str | Sequence[int | str] | None = None,
+    classes: str | Sequence[str] | None = None,
     selection: str = "",
     box: Sequence[float] | None = None,
     rays: int = 10,
@@ -196,9 +198,9 @@ def view(
         each are drawn, and the fluxes are summed.
     paths : int, optional
         Paths to draw, strongest first, each at its strongest wavelength. 0 … 1e6.
-    path_ids : Sequence[int | str], optional
+    path_ids : int | str | Sequence[int | str], optional
         These rows instead, by number, by name, as 'L2_rear -> L1_front', or by a filter (docs/rays.md).
-    classes : Sequence[str], optional
+    classes : str | Sequence[str], optional
         Rays by class instead of paths: direct, ghost, stray, all … on the detector; blocked, escaped, returned, or
         surfaces at which they arrive; backward: from the detector (docs/view.md).
     selection : str, optional

@@ -86,6 +86,8 @@ class Result:
         """
         Write the result to one file, an archive of JSON and NumPy arrays, which `mistray.load_result` loads.
 
+        A trace and others from which rays are traced again hold their scene, with the files that it names.
+
         Parameters
         ----------
         path : str or Path
@@ -99,7 +101,7 @@ class Result:
         Raises
         ------
         MistrayError
-            If the result holds rays or a scene, as a `Trace` does, or the file cannot be written.
+            If the result holds an object of a class of your own, such as a recorder, or the file cannot be written.
         """
         from mistray.toolkit.saved_result import save_result
 

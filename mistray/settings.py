@@ -43,6 +43,7 @@ class RayControl(Demand):
     """Condition on `Settings.ray_control`: a name of `RAY_CONTROLS`, or letters of `OPERATIONS`."""
 
     demand = f"must be one of {', '.join(RAY_CONTROLS)}, or letters of {', '.join(OPERATIONS)}"
+    also = ({"enum": [*RAY_CONTROLS]}, {"type": "string", "pattern": f"^[ ,]*[{OPERATIONS}][{OPERATIONS} ,]*$"})
 
     def check(self, name: str, value: Any, owner: str = "") -> str:
         """Return the name of a ray control, else its letters as in `OPERATIONS`; raise `MistrayError` if invalid."""
@@ -61,6 +62,12 @@ class ByBranch(Demand):
 
     demand = f"must be numbers for {', '.join(BRANCHES)}, as in 'R=1e-6, t=1e-9'"
     metavar = "LIST"
+    _number: Mapping[str, Any] = {"type": "number", "minimum": NOT_NEGATIVE.low, "maximum": NOT_NEGATIVE.high}
+    also = (
+        {"type": "string", "pattern": f"^([ ,]*[{''.join(BRANCHES)}]=[^ ,]+)*[ ,]*$"},
+        {"type": "object", "propertyNames": {"enum": [*BRANCHES]}, "additionalProperties": _number},
+        {"type": "array", "items": _number, "minItems": len(BRANCHES), "maxItems": len(BRANCHES)},
+    )
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
         """Return flux thresholds as a tuple in the order of `BRANCHES`, relative to a start ray or in W, as given."""

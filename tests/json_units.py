@@ -2,8 +2,14 @@
 
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
+
+from jsonschema import Draft202012Validator
+
+from mistray.cli.program import COMMANDS
+from mistray.toolkit.command_request import schema_of_result
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "json.md"
 
@@ -60,8 +66,30 @@ def wrong(value: Any, path: list[str] | None = None) -> set[str]:
     return found
 
 
-def read(text: str) -> dict[str, Any]:
-    """The object that a command printed; fails where it is no such object."""
+def unknown_keys(value: Any, schema: dict[str, Any], place: str = "") -> Iterator[str]:
+    """The places of keys that a schema does not name where it names keys."""
+    if isinstance(value, list):
+        for item in value:
+            yield from unknown_keys(item, schema.get("items", {}), place)
+    elif isinstance(value, dict):
+        named, others = schema.get("properties"), schema.get("additionalProperties", {})
+        for key, item in value.items():
+            if named is not None and key not in named:
+                yield f"{place}.{key}"
+            inner = (named or {}).get(key, others)
+            yield from unknown_keys(item, inner if isinstance(inner, dict) else {}, f"{place}.{key}")
+
+
+def check_schema(command: str, answer: dict[str, Any]) -> None:
+    """Fail where what a command printed does not fit the schema that it prints."""
+    schema = schema_of_result(next(module.COMMAND for module in COMMANDS if module.COMMAND.name == command))
+    errors = [f"{error.json_path}: {error.message}"[:300] for error in Draft202012Validator(schema).iter_errors(answer)]
+    errors += [f"{place} is unknown" for place in dict.fromkeys(unknown_keys(answer, schema))]
+    assert not errors, f"{errors[:5]}: python tests/result_schemas.py {command}"
+
+
+def read(text: str, command: str = "") -> dict[str, Any]:
+    """The object that a command printed; fails where it is no such object, or does not fit its schema."""
 
     def refuse(name: str) -> NoReturn:
         raise AssertionError(f"{name} is no JSON")
@@ -71,4 +99,6 @@ def read(text: str) -> dict[str, Any]:
     assert isinstance(answer["files"], list)
     unknown = sorted(wrong(answer))
     assert not unknown, f"say the unit in the names, or list them in docs/json.md: {', '.join(unknown)}"
+    if command:
+        check_schema(command, answer)
     return answer

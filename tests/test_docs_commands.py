@@ -22,6 +22,7 @@ from mistray.prescription import from_zemax
 
 DATA = Path(__file__).parent / "data"
 TOML = re.compile(r"^```toml\n(.*?)^```", re.MULTILINE | re.DOTALL)
+TITLED = re.compile(r"^```(?:json|toml) title=\"([\w.]+)\"\n(.*?)^```", re.MULTILINE | re.DOTALL)
 TRIPLET = ROOT / "scenes" / "cooke_triplet" / "scene.xml"
 # Last ones count: few rays, little time
 FEW = {"rays": ("--rays", "500"), "seconds": ("--seconds", "20"), "monte_carlo": ("--monte-carlo", "2")}
@@ -137,6 +138,8 @@ def test_the_commands_of_a_page_run(
     for name in ("examples", "scenes"):
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "out").mkdir()
+    for name, content in TITLED.findall(page.read_text(encoding="utf-8")):
+        (tmp_path / name).write_text(content, encoding="utf-8")
     namespace: dict = {"__name__": "__main__"}
     tomls: list[str] = []
     coming = [content for kind, content in steps(page) if kind == "toml"]  # a page may show its file after the command

@@ -295,7 +295,8 @@ def check(record: Any, path: str, expected: Any) -> None:
 def test_end_to_end(name: str, folder: Path, capsys: Captured) -> None:
     case = CASES[name]
     if name not in WITHOUT_JSON:
-        record = json_units.read(succeeds(capsys, name, *case.arguments.split(), *case.output.split(), "--json"))
+        arguments = (*case.arguments.split(), *case.output.split())
+        record = json_units.read(succeeds(capsys, name, *arguments, "--json"), name)
         for path, expected in case.numbers.items():
             check(record, path, expected)
         written = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()} - set(INPUTS)

@@ -72,7 +72,7 @@ def _refuse(options: argparse.Namespace, paths: Sequence[Path]) -> None:
 
 def named_places(options: argparse.Namespace) -> list[str]:
     """Return the texts among the arguments that name existing files or folders."""
-    own = ("outputs", "folder_files", "command_line")
+    own = ("outputs", "folder_files", "command_line", "asked")
     texts = _texts({name: value for name, value in vars(options).items() if name not in own})
     return [text for text in dict.fromkeys(texts) if "\0" not in text and os.path.exists(text)]
 

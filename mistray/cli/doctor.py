@@ -15,9 +15,9 @@ import platform
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from mistray._libatomic import NAME as LIBATOMIC
 from mistray._libatomic import provide_libatomic
@@ -114,7 +114,7 @@ def report() -> list[Check]:
     return [*checks, *_extras()]
 
 
-def show(checks: list[Check], as_json: bool = False) -> int:
+def show(checks: list[Check], as_json: bool = False, request: Mapping[str, Any] | None = None) -> int:
     """
     Print a report, as a table or as JSON.
 
@@ -124,6 +124,8 @@ def show(checks: list[Check], as_json: bool = False) -> int:
         Checks from `report`.
     as_json : bool
         Whether to print JSON instead of a table.
+    request : mapping, optional
+        Request of the command, for the JSON.
 
     Returns
     -------
@@ -132,7 +134,8 @@ def show(checks: list[Check], as_json: bool = False) -> int:
     """
     missing = [check.name for check in checks if check.status == "missing"]
     if as_json:
-        print(json.dumps({"checks": [asdict(check) for check in checks], "missing": missing, "files": []}, indent=2))
+        found = {"checks": [asdict(check) for check in checks], "missing": missing}
+        print(json.dumps(found | {"request": dict(request or {}), "files": []}, indent=2))
     else:
         width = max(len(check.name) for check in checks)
         for check in checks:

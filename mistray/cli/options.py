@@ -7,6 +7,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from mistray.ranges import SECONDS
 from mistray.supervisor import INTERRUPTED
 from mistray.time_budget import within
 from mistray.toolkit.arguments import as_text
+from mistray.toolkit.command import RECORDED
 from mistray.toolkit.field_options import flag
 from mistray.toolkit.shared_options import NAMES
 
@@ -276,6 +278,7 @@ class Options(argparse.Namespace):
         seconds = self.seconds_left(0.0) if self.has("seconds") else None
         with self.working("drawing the report"), within(seconds), replacing_folder(self.out):
             report = with_own_sections(make(f"{self.title}{note}", self.command_line))
+            report = replace(report, json={name: {**one, RECORDED: self.asked} for name, one in report.json.items()})
             files = write_report(report, self.out, scene(self.out) if scene else "")
             facts = {"command": self.command_line}
             more = self.has("formats") or ()
@@ -289,7 +292,7 @@ class Options(argparse.Namespace):
     ) -> int:
         """Print a result as JSON with the names of its files, or as text unless --quiet is given; return 0."""
         if self.json:
-            print_json(record(), files)
+            print_json({**record(), RECORDED: self.asked}, files)
         elif not self.has("quiet"):
             print(text())
         return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import shlex
 import sys
@@ -115,12 +116,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _command(arguments: list[str]) -> int:
     """Parse the arguments, run the command and return its exit code, also for --help and --version."""
     try:
+        from mistray.toolkit.command_request import asked, take_request
+
         began = time.monotonic()
         options = _parser().parse_args(arguments, Options())
         options.began = began
         _check_working_folder()
         # Names that are no text in the locale's encoding stand in reports, which are UTF-8
         options.command_line = as_text(shlex.join(["mistray", *arguments]))
+        if options.schema is not None:
+            return _print_schema(options)
+        if options.request is not None:
+            take_request(options.command, options, options.request)
+        options.asked = asked(options.command, options)
         options.guard = guard_of(options)
         for note in (*LEFT_OUT, *incomplete_notes(named_places(options))):
             print(f"mistray: warning: {note}", file=sys.stderr)
@@ -131,6 +139,15 @@ def _command(arguments: list[str]) -> int:
         return code
     except SystemExit as stop:
         return int(stop.code or 0)
+
+
+def _print_schema(options: Options) -> int:
+    """Print the JSON schema of the request of a command, or of what it prints with --json; return 0."""
+    from mistray.toolkit.command_request import schema_of_request, schema_of_result
+
+    schema = (schema_of_result if options.schema == "result" else schema_of_request)(options.command)
+    print(json.dumps(schema, indent=2, ensure_ascii=False, allow_nan=False))
+    return 0
 
 
 def _tell_of_compilation() -> None:

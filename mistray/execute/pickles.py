@@ -22,6 +22,7 @@ from mistray.execute.scene_numbers import StoredScene
 from mistray.execute.scene_task import agree, kernel_arrays
 from mistray.execute.tracer import Preparation, Run
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import DTYPES, upload
 
 OWN = ("rays", "seed", "unit", "parts", "executed")  # what a run has of its own, beside what it was prepared with
 Arrays = list[np.ndarray]
@@ -84,6 +85,8 @@ def _frame(frame: Any) -> tuple[Any, ...]:
 
 
 def _made_frame(kind: str, matrix: np.ndarray) -> Any:
+    if not kind.startswith("Scalar") or "Transform4" not in kind:
+        raise ValueError(kind)
     return getattr(mi, kind)(matrix)
 
 
@@ -127,6 +130,21 @@ def _made_run(
     paths = run.executed.paths
     ledger, slots = filled(run, paths.keys, paths.events, paths.lengths, capacity)
     return replace(run, ledger=ledger, executed=replace(run.executed, paths=replace(paths, slots=slots)))
+
+
+def reduced_array(array: Any) -> tuple[Any, ...]:
+    """Return what an array of Dr.Jit is made of again, in the active variant."""
+    return _made_array, (type(array).__name__, np.array(array))
+
+
+def _made_array(kind: str, values: np.ndarray) -> Any:
+    if kind not in DTYPES:
+        raise ValueError(kind)
+    return upload(getattr(mi, kind), values)
+
+
+MAKERS = (Missing, Preparation, StoredScene.load, _or_missing, _made_array, _made_frame, _made_table, _made_run)
+"""All that pickles of these types call, and what files of results may call, see `mistray.toolkit.saved_result`."""
 
 
 def _check(before: Arrays, now: Arrays) -> None:

@@ -82,6 +82,8 @@ class PackedScene:
                 )
         for path, content in self.files.items():
             file = folder / path
+            if not file.resolve().is_relative_to(folder.resolve()):
+                raise MistrayError(f"scene '{self.name}': '{path}' lies outside its folder; save the result again")
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content)
         return folder / self.scene

@@ -144,7 +144,7 @@ def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
     elif isinstance(demand, Each) and not demand.count:
         kind = "float | Iterable[float]"  # an array is no sequence
     elif isinstance(demand, Several):
-        kind = re.sub(r"tuple\[(\w+), \.\.\.\]", r"\1 | Sequence[\1]", kind)
+        kind = re.sub(r"^(?:tuple\[([\w |]+), \.\.\.\]|Sequence\[([\w |]+)\])$", r"\1\2 | Sequence[\1\2]", kind)
     return f"{kind} | None" if optional or field.default is None else kind
 
 

@@ -140,22 +140,38 @@ def as_text(name: str) -> str:
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
-def pairs(wrong: str, kind: Callable[[str], Any] = str) -> Callable[[str], tuple[str, Any]]:
+@dataclass(frozen=True)
+class Pairs:
     """
-    Return an argument parser for NAME=VALUE, such as PATTERN=COATING; the first = ends the name.
+    Argument type: a pair NAME=VALUE, such as PATTERN=COATING; the first = ends the name.
 
-    Parameters
+    Attributes
     ----------
     wrong : str
         End of the message "'text' is …" for other texts: fault and remedy.
     kind : callable
         Function that converts the text of the value.
+    repeats : bool
+        Whether a name may have several values.
     """
 
-    def pair(text: str) -> tuple[str, Any]:
+    wrong: str
+    kind: Callable[[str], Any] = str
+    repeats: bool = False
+
+    def __call__(self, text: str) -> tuple[str, Any]:
+        """Return the name and the value of a text of the command line."""
         found = name_and_value(text)
         if found is None or not found[1]:
-            raise argparse.ArgumentTypeError(f"'{text}' is {wrong}")
-        return found[0], kind(found[1])
+            raise argparse.ArgumentTypeError(f"'{text}' is {self.wrong}")
+        return found[0], self.kind(found[1])
 
-    return pair
+
+class InsteadOfArguments(argparse.Action):
+    """Action of an option with which positional arguments may be left out."""
+
+    def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
+        """Set the option, and require no positional arguments any more."""
+        setattr(namespace, self.dest, values)
+        for action in parser._actions:
+            action.required = False

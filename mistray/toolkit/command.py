@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -9,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mistray.toolkit.arguments import Angles, Help, Joined, OrAlone, Parser, place
+from mistray.toolkit.arguments import Angles, Help, InsteadOfArguments, Joined, OrAlone, Parser, place
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,12 @@ class Option:
         Whether values given later are added to those given before.
     writes : tuple of str, optional
         Patterns of the files written in the folder that the value names; empty if it names one file, None if no output.
+    of : dataclasses.Field, optional
+        Field of a request from which the option is made.
+    within : dataclasses.Field, optional
+        Field of the request whose object has that field.
+    alone : bool
+        Whether the positional arguments of the command may be left out with it.
     """
 
     name: str
@@ -45,6 +52,9 @@ class Option:
     default: Any = None
     extends: bool = False
     writes: tuple[str, ...] | None = None
+    of: dataclasses.Field[Any] | None = None
+    within: dataclasses.Field[Any] | None = None
+    alone: bool = False
 
     @property
     def dest(self) -> str:
@@ -58,6 +68,9 @@ class Option:
             how = {"action": "store_true"}
         elif self.nargs == "*" and self.name.startswith("-"):
             how["action"] = OrAlone
+        elif self.alone:
+            how |= {"action": InsteadOfArguments, "type": place if self.type is Path else None}
+            how |= {"choices": self.type, "const": self.type[0]} if isinstance(self.type, tuple) else {}
         elif isinstance(self.type, tuple):
             how["choices"] = self.type
         elif isinstance(self.type, Angles):
@@ -74,6 +87,15 @@ class Group:
 
     title: str
     options: tuple[Option, ...]
+
+
+RECORDED = "request"  # key of what a command prints and writes as JSON that holds its request
+REQUEST = Group("request as JSON (docs/drive.md)", (
+    Option("--request", "take arguments and options from a file, JSON or TOML; those given beside it go before",
+           Path, "FILE", alone=True),
+    Option("--schema", "print the JSON schema of such a file, or with result that of what --json prints, and exit",
+           ("request", "result"), nargs="?", alone=True),
+))  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -114,14 +136,14 @@ class Command:
 
     @cached_property
     def _made(self) -> tuple[Option | Group, ...]:
-        return self.parts(self.requests) if callable(self.parts) else self.parts
+        return *(self.parts(self.requests) if callable(self.parts) else self.parts), REQUEST
 
     def declare(self, commands: Any, run: Callable[[Any], int]) -> None:
         """Add the parser of the command to those of argparse; `run` carries out the command."""
         lines = [f"example{'s' if len(self.examples) > 1 else ''}:", *self.examples]
         texts = {"help": self.help, "description": self.description, "epilog": "\n  ".join(lines)}
         parser: Parser = commands.add_parser(self.name, formatter_class=Help, **texts)
-        parser.set_defaults(run=run)
+        parser.set_defaults(run=run, command=self)
         parser.declare_when_used(self._declare_arguments)
 
     def _declare_arguments(self, parser: Parser) -> None:

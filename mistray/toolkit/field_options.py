@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from mistray.errors import MistrayError
 from mistray.ranges import FLAG, Ascending, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
-from mistray.toolkit.arguments import Angles, pairs
+from mistray.toolkit.arguments import Angles, Pairs
 from mistray.toolkit.command import Group, Option
 from mistray.toolkit.fields import METAVAR, NEEDS, OPTION, FieldSubset, Nested, Several, flat_fields, from_flat
 
@@ -33,6 +33,11 @@ def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     default : str
         Text of the default, where it is not the one of the field.
     """
+    option = _option_of(field, default)
+    return dataclasses.replace(option, of=field)
+
+
+def _option_of(field: dataclasses.Field[Any], default: str) -> Option:
     demand, usual = demand_of(field), field.default
     taken_back = demand is FLAG and usual is True
     name = field.metadata.get(OPTION) or flag(f"no_{field.name}" if taken_back else field.name)
@@ -57,7 +62,7 @@ def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     if isinstance(demand, Interval):
         return Option(name, text, demand.of, metavar, 2)
     if isinstance(demand, ByName):
-        pair = pairs(f"no {metavar}, such as {demand.example}", demand.of if callable(demand.of) else str)
+        pair = Pairs(f"no {metavar}, such as {demand.example}", demand.of if callable(demand.of) else str)
         return Option(name, text, pair, metavar, "+", extends=True)
     return Option(name, text, metavar=metavar)
 
@@ -93,7 +98,8 @@ def options_of(request: type, *names: str) -> tuple[Option, ...]:
         if isinstance(demand, FieldSubset):
             found += map(option_of, demand.fields)
         elif isinstance(demand, Nested):
-            found += map(option_of, dataclasses.fields(demand.kind))
+            options = map(option_of, dataclasses.fields(demand.kind))
+            found += (dataclasses.replace(option, within=declared[name]) for option in options)
         else:
             found.append(option_of(declared[name]))
     return tuple(found)

@@ -71,7 +71,7 @@ class Several(Demand):
     def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
         """Return the values as a tuple; raise `MistrayError` if there are too few, or one fails its condition."""
         values: tuple[Any, ...] = (value,)
-        if not isinstance(value, str):
+        if not isinstance(value, str | dict):
             with contextlib.suppress(TypeError):  # it is one
                 values = tuple(value)
         if len(values) < self.least:

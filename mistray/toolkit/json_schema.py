@@ -28,21 +28,21 @@ def schema_of(kind: type) -> dict[str, Any]:
     return {
         "title": kind.__name__,
         "type": "object",
-        "properties": {field.name: _property(field, part is not None) for field, part in fields},
+        "properties": {field.name: property_of(field, part is not None, part is None) for field, part in fields},
         "required": [field.name for field, _ in fields if field.default is dataclasses.MISSING],
         "additionalProperties": False,
     }
 
 
-def _property(field: dataclasses.Field[Any], may_be_left_out: bool) -> dict[str, Any]:
-    """Return the JSON schema of one field: description, allowed values and default."""
+def property_of(field: dataclasses.Field[Any], may_be_null: bool, has_default: bool = True) -> dict[str, Any]:
+    """Return the JSON schema of a field: its description, allowed values and default."""
     usual, kinds = field.default, _kinds(demand_of(field))
     if usual == "":
         kinds.append({"const": ""})
-    if may_be_left_out or usual is None or "None" in type_of(field.type):
+    if may_be_null or usual is None or "None" in type_of(field.type):
         kinds.append({"type": "null"})
     found = {"description": doc_of(field), **_one_of(kinds)}
-    known = not may_be_left_out and usual is not None and usual is not dataclasses.MISSING
+    known = has_default and usual is not None and usual is not dataclasses.MISSING
     return {**found, "default": plain([*usual] if isinstance(usual, range) else usual)} if known else found
 
 
@@ -51,9 +51,10 @@ def _kinds(demand: Any) -> list[dict[str, Any]]:
 
     A condition that no schema can state is a comment.
     """
+    own = [dict(one) for one in demand.also]
     match demand:
         case Range():
-            return [_number(demand)]
+            return [_number(demand), *own]
         case Words():
             return [{"enum": [*demand.choices]}]
         case Interval():
@@ -63,7 +64,8 @@ def _kinds(demand: Any) -> list[dict[str, Any]]:
         case Each():
             return [_list(demand.of, demand.count, demand.count)]
         case Several():
-            return [*_kinds(demand.of), _list(demand.of, demand.least)]
+            single = [kind for kind in _kinds(demand.of) if kind.get("type") != "array"]  # a list has several
+            return [*single, _list(demand.of, demand.least)]
         case ByName():
             names = {"propertyNames": {"pattern": r"\S"}}
             return [{"type": "object", **names, "additionalProperties": _one_of(_kinds(demand.of))}]
@@ -72,7 +74,7 @@ def _kinds(demand: Any) -> list[dict[str, Any]]:
             return [{**schema_of(demand.kind), **one_of}]
         case OfType() if demand.kind in _TYPES:
             return [{**_TYPES[demand.kind]}]
-    return [{"$comment": demand.demand}]
+    return own or [{"$comment": demand.demand}]
 
 
 def _one_of(kinds: list[dict[str, Any]]) -> dict[str, Any]:

@@ -99,6 +99,16 @@ def _declared(kind: type) -> dict[str, _Shown]:
     return fields | {name: value.shown for name, value in vars(kind).items() if isinstance(value, derived)}
 
 
+def described(kind: type) -> dict[str, str]:
+    """Return the meaning of each column of a class of rows, as of `records`."""
+    found: dict[str, str] = {}
+    for name, shown in _declared(kind).items():
+        value, *error = flat({shown.name(name): UNKNOWN if "Estimate" in shown.kind else None})
+        found[value] = shown.doc
+        found |= {one: f"standard error of {value}" for one in error}
+    return found
+
+
 def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     """
     Return rows as a DataFrame, which has all columns of their class even without rows.

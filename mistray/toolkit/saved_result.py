@@ -1,16 +1,24 @@
-"""Saving and loading of results as archives of JSON and arrays, without pickle, so that loading runs no code."""
+"""
+Results in files: one archive of JSON and arrays, without pickle, from which no code can run.
+
+An object is saved as its class and state, once, however often it is used. Scenes, tables of surfaces and runs are saved
+as what they are made of again, see `mistray.execute.pickles`.
+"""
 
 from __future__ import annotations
 
+import copyreg
 import dataclasses
+import functools
 import importlib
+import inspect
 import io
 import json
 import math
 import re
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -26,11 +34,12 @@ from mistray.read_file import open_input
 from mistray.replace_file import replace_file
 from mistray.result import Result
 
-FORM = 1  # version of the content
+FORM = 2  # version of the content
 TEXT = "result.json"  # entry of the archive
 KIND = "kind"  # key of an object of JSON that stands for another value
 MOST_BYTES = 4 << 30  # largest size of an unpacked result
-_CLASS = re.compile(r"(mistray(?:\.[a-z]\w*)+):([A-Z]\w*)")
+_CLASS = re.compile(r"(mistray(?:\.[a-z]\w*)+):(_?[A-Z]\w*)")
+_PLAIN = bool | int | float | str | tuple | None
 _DAMAGES = (
     *(ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError, RecursionError, ImportError),
     *(zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError),
@@ -42,21 +51,19 @@ class _NotSaved(Exception):
 
 
 def save_result(result: Result, path: str | Path) -> Path:
-    """Save a result to a file, completely or not at all, and return the path; see `mistray.result.Result.save`."""
-    name = type(result).__name__
-    arrays: list[np.ndarray] = []
+    """Write a result to a file, complete or not at all, see `mistray.result.Result.save`."""
+    encoder = _Encoder()
     try:
-        if not dataclasses.is_dataclass(type(result)):
-            raise _NotSaved("rays")
-        text = json.dumps({"form": FORM, "result": _encoded(result, arrays)}, allow_nan=False)
+        text = json.dumps({"form": FORM, "result": encoder.encoded(result)}, allow_nan=False)
     except _NotSaved as what:
         raise MistrayError(
-            f"{name} cannot be saved: it holds {what}, a file numbers and texts; write its tables, or pickle it"
+            f"{type(result).__name__} cannot be saved: it holds {what}, and files hold what mistray knows; write its "
+            "tables, or pickle it"
         ) from None
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(TEXT, text)
-        for number, array in enumerate(arrays):
+        for number, array in enumerate(encoder.arrays):
             with archive.open(f"{number}.npy", "w", force_zip64=True) as entry:
                 np.lib.format.write_array(entry, array, allow_pickle=False)
     return replace_file(path, buffer.getvalue(), "result")
@@ -69,7 +76,7 @@ def load_result(path: str | Path) -> Result:
     Parameters
     ----------
     path : str or Path
-        File of the result. It holds numbers and texts only: to load it runs nothing of it.
+        File of the result. To load it runs nothing of it. Scenes within it are read as `mistray.load` reads files.
 
     Returns
     -------
@@ -88,6 +95,8 @@ def load_result(path: str | Path) -> Result:
     >>> mistray.load_result("lens_pst.npz").field_deg
     array([10., 30.])
     """
+    if not isinstance(path, str | Path):
+        raise MistrayError(f"result is of type {type(path).__name__}; give a path, as of result.save(path)")
     with _told(path):
         with open_input(path, own=True) as file:
             content = file.read()
@@ -99,7 +108,7 @@ def load_result(path: str | Path) -> Result:
             data = (check_arrays(archive.read(f"{number}.npy"), MOST_BYTES) for number in range(count))
             arrays = [np.lib.format.read_array(entry, allow_pickle=False) for entry in data]
         own = written["form"] == FORM
-        found = _decoded(written["result"], arrays) if own else None
+        found = _Decoder(arrays).decoded(written["result"]) if own else None
         if own and not isinstance(found, Result):
             raise TypeError
     if not isinstance(found, Result):
@@ -122,66 +131,205 @@ def _told(path: str | Path) -> Iterator[None]:
         raise MistrayError(f"result '{path}' is damaged, or no result; save one with result.save(path)") from None
 
 
-def _encoded(value: Any, arrays: list[np.ndarray]) -> Any:
+class _Encoder:
     """
-    Return a value in JSON form, its arrays moved to the list `arrays`.
+    Conversion of values to those of JSON.
 
-    Raise `_NotSaved` for values that are no data.
+    Attributes
+    ----------
+    arrays : list of ndarray
+        Arrays that the values of JSON refer to by number.
     """
 
-    def inside(item: Any) -> Any:
-        return _encoded(item, arrays)
+    def __init__(self) -> None:
+        self.arrays: list[np.ndarray] = []
+        self._known: dict[int, tuple[int, Any]] = {}  # numbers of objects by id, which the objects keep from reuse
 
-    match value:
-        case Note():
-            return {KIND: "note", "text": str(value), "code": value.code.name, "warns": value.warns}
-        case Enum():
-            return {KIND: "enum", "of": _name(type(value)), "name": value.name}
-        case None | bool() | int() | str():
-            return value
-        case np.generic():
-            return inside(value.item())
-        case float():
-            return value if math.isfinite(value) else {KIND: "float", "text": repr(value)}
-        case complex():
-            return {KIND: "complex", "parts": [inside(value.real), inside(value.imag)]}
-        case Path():
-            return {KIND: "path", "text": str(value)}
-        case np.ndarray() if not value.dtype.hasobject:
-            arrays.append(value)
-            return {KIND: "array", "number": len(arrays) - 1}
-        case pd.DataFrame():
-            columns = {name: column.to_numpy() for name, column in value.items()}
-            plain = {name: list(one) if one.dtype.hasobject else one for name, one in columns.items()}
-            return {KIND: "frame", "columns": inside(plain), "rows": len(value)}
-        case range():
-            return {KIND: "range", "ends": [value.start, value.stop, value.step]}
-        case Mapping():
+    def encoded(self, value: Any) -> Any:
+        """Return a value as one of JSON; raise `_NotSaved` for what is no data."""
+        inside = self.encoded
+        match value:
+            case Note():
+                return {KIND: "note", "text": str(value), "code": value.code.name, "warns": value.warns}
+            case Enum():
+                return {KIND: "enum", "of": _name(type(value)), "name": value.name}
+            case None | bool() | int() | str():
+                return value
+            case np.generic():
+                return inside(value.item())
+            case float():
+                return value if math.isfinite(value) else {KIND: "float", "text": repr(value)}
+            case complex():
+                return {KIND: "complex", "parts": [inside(value.real), inside(value.imag)]}
+            case bytes():
+                return {KIND: "bytes", "in": inside(np.frombuffer(value, np.uint8))}
+            case Path():
+                return {KIND: "path", "text": str(value)}
+            case np.ndarray() if value.dtype.hasobject:
+                return {KIND: "objects", "shape": [*value.shape], "items": [inside(item) for item in value.ravel()]}
+            case np.ndarray():
+                self.arrays.append(value)
+                return {KIND: "array", "number": len(self.arrays) - 1}
+            case pd.DataFrame():
+                columns = {name: column.to_numpy() for name, column in value.items()}
+                index = None if isinstance(value.index, pd.RangeIndex) else inside(value.index.to_numpy())
+                return {KIND: "frame", "columns": inside(columns), "rows": len(value), "index": index}
+            case range():
+                return {KIND: "range", "ends": [value.start, value.stop, value.step]}
+            case list():
+                return [inside(item) for item in value]
+            case set() | frozenset():
+                return {KIND: type(value).__name__, "items": [inside(item) for item in value]}
+            case tuple():
+                of = {"of": _name(type(value))} if hasattr(value, "_fields") else {}
+                return {KIND: "tuple", **of, "items": [inside(item) for item in value]}
+        if type(value) is dict or (isinstance(value, Mapping) and not _is_own(type(value))):
             return {KIND: "dict", "items": [[inside(key), inside(item)] for key, item in value.items()]}
-        case list():
-            return [inside(item) for item in value]
-        case tuple():
-            of = {"of": _name(type(value))} if hasattr(value, "_fields") else {}
-            return {KIND: "tuple", **of, "items": [inside(item) for item in value]}
-    if not dataclasses.is_dataclass(value) or isinstance(value, type):
-        raise _NotSaved(f"an object of class {type(value).__name__}")
-    return {KIND: "object", "of": _name(type(value)), "fields": _fields(value, arrays)}
+        return self._object(value)
 
-
-def _fields(value: Any, arrays: list[np.ndarray]) -> dict[str, Any]:
-    """Return a dataclass's fields in JSON form; values that cannot be stored become None where the field allows it."""
-    found = {}
-    for field in dataclasses.fields(value):
-        before = len(arrays)
+    def _object(self, value: Any) -> Any:
+        """Return an object that has a class of its own as a value of JSON, or as a reference if it is known."""
+        if id(value) in self._known:
+            return {KIND: "known", "number": self._known[id(value)][0]}
+        if isinstance(value, type) or inspect.isroutine(value):
+            raise _NotSaved(f"the {'class' if isinstance(value, type) else 'function'} {value.__name__}")
+        kind, number, arrays = type(value), len(self._known), len(self.arrays)
+        self._known[id(value)] = number, value
+        reduce = copyreg.dispatch_table.get(kind) or vars(kind).get("__reduce__")
+        if kind.__module__.partition(".")[0] == "drjit":
+            from mistray.execute.pickles import reduced_array as reduce
         try:
-            if field.init:
-                found[field.name] = _encoded(getattr(value, field.name), arrays)
+            if reduce is None:
+                return {KIND: "object", "number": number, "of": _name(kind), "state": self._state(value)}
+            reduced: Any = reduce(value)
+            make, given = reduced[:2]
+            if make is type(None):
+                raise _NotSaved("what stays in its process")
+            return {KIND: "made", "number": number, "by": _maker(make), "given": [self._given(one) for one in given]}
         except _NotSaved:
-            if field.compare or field.default is not None:
-                raise
-            del arrays[before:]
-            found[field.name] = None
-    return found | ({"scene_name": value.scene_name} if isinstance(value, Result) and value.scene_name else {})
+            for _ in range(len(self._known) - number):
+                self._known.popitem()
+            del self.arrays[arrays:]
+            raise
+
+    def _given(self, value: Any) -> Any:
+        """Return an argument of what makes an object as a value of JSON; it may be what makes another one."""
+        return {KIND: "maker", "of": _maker(value)} if inspect.isroutine(value) else self.encoded(value)
+
+    def _state(self, value: Any) -> dict[str, Any]:
+        """Return the state of an object; a field that belongs to the process is None where that is allowed."""
+        kind = type(value)
+        declared = {field.name: field for field in dataclasses.fields(value)} if dataclasses.is_dataclass(kind) else {}
+        own = "__getstate__" in vars(kind) or not declared
+        state = (value.__getstate__() if own else vars(value)) or {}
+        names = [name for name, field in declared.items() if field.init]
+        names += [name for name in state if not declared or name == "scene_name"]
+        found = {}
+        for name in names:
+            one = state[name] if name in state else getattr(value, name)
+            try:
+                found[name] = self.encoded(one)
+            except _NotSaved:
+                if name not in declared or declared[name].compare or declared[name].default is not None:
+                    raise
+                found[name] = None
+        return found
+
+
+class _Decoder:
+    """
+    Conversion of values of JSON, made by `_Encoder`, to what they were.
+
+    Parameters
+    ----------
+    arrays : list of ndarray
+        Arrays that the values refer to.
+    """
+
+    def __init__(self, arrays: list[np.ndarray]) -> None:
+        self._arrays = arrays
+        self._known: dict[int, Any] = {}
+
+    def decoded(self, value: Any) -> Any:
+        """Return the value that was encoded; raise one of `_DAMAGES` for what no encoder makes."""
+        inside = self.decoded
+        if isinstance(value, list):
+            return [inside(item) for item in value]
+        if not isinstance(value, dict):
+            return value
+        match value[KIND]:
+            case "note":
+                return Note(value["text"], Code[value["code"]], bool(value["warns"]))
+            case "enum":
+                return _class(value["of"], Enum)[value["name"]]
+            case "float":
+                return float(value["text"])
+            case "complex":
+                return complex(*map(inside, value["parts"]))
+            case "bytes":
+                return bytes(inside(value["in"]))
+            case "path":
+                return Path(value["text"])
+            case "objects":
+                found = np.empty(value["shape"], dtype=object)
+                found.ravel()[:] = [*map(inside, value["items"])]
+                return found
+            case "array":
+                return self._arrays[value["number"]]
+            case "frame":
+                index = range(value["rows"]) if value["index"] is None else inside(value["index"])
+                return pd.DataFrame(inside(value["columns"]), index=index)
+            case "range":
+                return range(*value["ends"])
+            case "dict":
+                return {inside(key): inside(item) for key, item in value["items"]}
+            case "set":
+                return {*map(inside, value["items"])}
+            case "frozenset":
+                return frozenset(map(inside, value["items"]))
+            case "tuple":
+                items = tuple(map(inside, value["items"]))
+                return _class(value["of"], tuple)._make(items) if "of" in value else items
+            case "maker":
+                return _makers()[value["of"]]
+            case "made":
+                given = [*map(inside, value["given"])]
+                self._known[value["number"]] = made = _makers()[value["by"]](*given)
+                return made
+            case "known":
+                return self._known[value["number"]]
+            case "object":
+                return self._object(value)
+        raise ValueError
+
+    def _object(self, value: Any) -> Any:
+        """Return an instance of a class with its state, as copies are made: nothing is computed or checked."""
+        kind = _class(value["of"])
+        self._known[value["number"]] = made = object.__new__(kind)
+        state = {name: self.decoded(item) for name, item in value["state"].items()}
+        if dataclasses.is_dataclass(kind):
+            declared = {field.name: field for field in dataclasses.fields(kind)}
+            own = {name: field.default_factory() for name, field in declared.items()
+                   if not field.init and field.default_factory is not dataclasses.MISSING}  # fmt: skip
+            allowed = {*declared, "scene_name"} if isinstance(made, Result) else {*declared}
+            if not {*declared} <= {*state} | {*own} <= allowed:
+                raise ValueError
+            state |= own
+        elif any(_is_part_of(kind, name) for name in state):
+            raise ValueError
+        for name, one in state.items():
+            object.__setattr__(made, name, one)
+        return made
+
+
+def _is_own(kind: type) -> bool:
+    return kind.__module__.partition(".")[0] == "mistray"
+
+
+def _is_part_of(kind: type, name: str) -> bool:
+    """Whether a name is an attribute of a class that its instances must not hide: anything but a plain default."""
+    own = inspect.getattr_static(kind, name, None)
+    return name.startswith("__") or not isinstance(own, _PLAIN | functools.cached_property)
 
 
 def _name(kind: type) -> str:
@@ -191,64 +339,28 @@ def _name(kind: type) -> str:
     return name
 
 
-def _class(name: str) -> Any:
-    """Return one of mistray's data classes by module and name; raise `ValueError` for any other."""
+def _class(name: str, base: type = object) -> Any:
+    """Return a class of mistray by module and name; raise `ValueError` for any other, or without the base."""
     found = _CLASS.fullmatch(name)
     kind: Any = getattr(importlib.import_module(found[1]), found[2]) if found else None
-    if not isinstance(kind, type) or f"{kind.__module__}:{kind.__qualname__}" != name:
-        raise ValueError
-    if not (dataclasses.is_dataclass(kind) or issubclass(kind, Enum) or hasattr(kind, "_make")):
+    if not isinstance(kind, type) or f"{kind.__module__}:{kind.__qualname__}" != name or not issubclass(kind, base):
         raise ValueError
     return kind
 
 
-def _decoded(value: Any, arrays: list[np.ndarray]) -> Any:
-    """Return the value whose JSON form `_encoded` produced, with its arrays taken from the list `arrays`."""
+@functools.cache
+def _makers() -> dict[str, Callable[..., Any]]:
+    """Return what makes scenes, tables and runs again, by name."""
+    from mistray._variant import ensure_variant
 
-    def inside(item: Any) -> Any:
-        return _decoded(item, arrays)
+    ensure_variant()
+    from mistray.execute.pickles import MAKERS
 
-    if isinstance(value, list):
-        return [inside(item) for item in value]
-    if not isinstance(value, dict):
-        return value
-    match value[KIND]:
-        case "note":
-            return Note(value["text"], Code[value["code"]], bool(value["warns"]))
-        case "enum":
-            return _class(value["of"])[value["name"]]
-        case "float":
-            return float(value["text"])
-        case "complex":
-            return complex(*map(inside, value["parts"]))
-        case "path":
-            return Path(value["text"])
-        case "array":
-            return arrays[value["number"]]
-        case "frame":
-            return pd.DataFrame(inside(value["columns"]), index=range(value["rows"]))
-        case "range":
-            return range(*value["ends"])
-        case "dict":
-            return {inside(key): inside(item) for key, item in value["items"]}
-        case "tuple":
-            items = tuple(map(inside, value["items"]))
-            return _class(value["of"])._make(items) if "of" in value else items
-        case "object":
-            return _object(_class(value["of"]), {name: inside(item) for name, item in value["fields"].items()})
-    raise ValueError
+    return {f"{one.__module__}:{one.__qualname__}": one for one in MAKERS}
 
 
-def _object(kind: Any, fields: dict[str, Any]) -> Any:
-    """Return an instance of a dataclass with these field values; its constructor is not run."""
-    made: Any = object.__new__(kind)
-    if isinstance(made, Result) and "scene_name" in fields:
-        made.of_scene(str(fields.pop("scene_name")))
-    declared = {field.name: field for field in dataclasses.fields(kind)}
-    own = {name: field.default_factory() for name, field in declared.items()
-           if not field.init and field.default_factory is not dataclasses.MISSING}  # fmt: skip
-    if {*fields} | {*own} != {*declared}:
-        raise ValueError
-    for name, value in (fields | own).items():
-        object.__setattr__(made, name, value)
-    return made
+def _maker(make: Any) -> str:
+    name = f"{getattr(make, '__module__', '')}:{getattr(make, '__qualname__', '')}"
+    if name not in _makers():
+        raise _NotSaved(f"an object that {name.rpartition(':')[2]} makes")
+    return name

@@ -9,7 +9,7 @@ from pathlib import Path
 from mistray.light import Light
 from mistray.ranges import RAYS, SECONDS, THREADS
 from mistray.settings import NO_LIMIT, NOTHING_CUT, Settings
-from mistray.toolkit.arguments import pairs
+from mistray.toolkit.arguments import Pairs
 from mistray.toolkit.command import Group, Option
 from mistray.toolkit.field_options import option_of
 from mistray.toolkit.fields import Request
@@ -69,13 +69,13 @@ SCATTER = Group(f"scatter {ELSE}", tuple(map(setting, NAMES[NAMES.index("max_sca
 SURFACES = Group("surfaces, by PATTERN: the name of a surface or of a part, or with *, ?", (
     Option("--coating", "'L?_*=bbar3', 'L1_front=MgF2 99.64': a preset, layers, table.csv, R=0.01 T=0.99, bare, or one "
            "of the scene (docs/coatings.md)",
-           pairs("no coating; write PATTERN=COATING, such as 'lens_*=bbar3'"), "PATTERN=COATING", "+", extends=True),
+           Pairs("no coating; write PATTERN=COATING, such as 'lens_*=bbar3'"), "PATTERN=COATING", "+", extends=True),
     Option("--paint", "'barrel*=flat_black', 'wall=0.05' (Lambertian), 'ring=R=0.1'; black absorbs everything",
-           pairs("no paint; write PATTERN=PAINT, such as 'vane*=flat_black'"), "PATTERN=PAINT", "+", extends=True),
+           Pairs("no paint; write PATTERN=PAINT, such as 'vane*=flat_black'"), "PATTERN=PAINT", "+", extends=True),
     Option("--scatter", "'L*=harvey_shack rms_nm=4', 'window=particulate level=300': a model with its numbers, beside "
            "those of other kinds; none takes all off (docs/scatter.md)",
-           pairs("no scatter model; write PATTERN=MODEL, such as 'L*=harvey_shack rms_nm=4'"), "PATTERN=MODEL", "+",
-           extends=True),
+           Pairs("no scatter model; write PATTERN=MODEL, such as 'L*=harvey_shack rms_nm=4'", repeats=True),
+           "PATTERN=MODEL", "+", extends=True),
 ))
 DETECTOR = _LIGHT["detector"]
 JSON = Option("--json", "print JSON instead of text", bool)

@@ -5,6 +5,7 @@ import math
 import re
 from typing import Any
 
+import jsonschema
 import pytest
 import stubs
 import vectors
@@ -18,7 +19,6 @@ from mistray.analyses.thermal.request import DetectorNoise, ThermalRequest
 from mistray.analyses.view.request import ViewRequest
 from mistray.toolkit.fields import Request
 
-jsonschema = pytest.importorskip("jsonschema")
 NOISE = {"pixel_um": 15, "bandwidth_hz": 1e4, "detectivity": 1e11}
 
 

@@ -24,7 +24,7 @@ from mistray.ranges import (
     check_fields,
 )
 from mistray.settings import Settings
-from mistray.toolkit.arguments import pairs
+from mistray.toolkit.arguments import Pairs
 from mistray.toolkit.fields import FieldSubset, Nested, Request, Several, field
 
 # What paths are ranked by, and the column of a path table with that rank
@@ -119,7 +119,11 @@ class Alias(Demand):
 
     metavar = "PATTERN=NAME"
     demand = f"must be {', '.join(ALL_SURFACES)}, or a pattern and a name"
-    _pair = staticmethod(pairs("no alias; give PATTERN=NAME, part or space"))
+    also = (
+        {"enum": [*ALL_SURFACES]},
+        {"type": "array", "items": {"type": "string", "minLength": 1}, "minItems": 2, "maxItems": 2},
+    )
+    _pair = Pairs("no alias; give PATTERN=NAME, part or space")
 
     def __call__(self, text: str) -> str | tuple[str, str]:
         """Parse an alias from the command line: a word, or a pair of pattern and name."""
@@ -129,7 +133,7 @@ class Alias(Demand):
         """Return an alias, a pair as a tuple; raise `MistrayError` if it is not one."""
         if isinstance(value, str) and value in ALL_SURFACES:
             return value
-        if isinstance(value, tuple | list) and len(value) == 2:
+        if isinstance(value, tuple | list) and len(value) == 2 and all(isinstance(one, str) and one for one in value):
             return tuple(value)
         raise MistrayError(f"{name} is {value!r}; it {self.demand}")
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -106,7 +105,7 @@ class GhostReport(
         self._made: dict[tuple[Any, ...], Any] = {}  # see `_once`
         self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
         self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were requested
-        self._cones: defaultdict[float, dict[int, LightCone | None]] = defaultdict(dict)
+        self._cones: dict[float, dict[int, LightCone | None]] = {}
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self.light_maps: dict[float, list[LightMap]] = {}
         self.photometric = False  # whether reports have photometric units, too
@@ -277,7 +276,7 @@ class GhostReport(
 
         For paths with so small a radius that it matters, some rays are traced again to find their light cones.
         """
-        known, wanted = self._cones[field_deg], set(tight(rows).path_id)
+        known, wanted = self._cones.setdefault(field_deg, {}), set(tight(rows).path_id)
         if wanted - known.keys():
             tables = [table for (field, _), table in self._tables.items() if field == field_deg]
             every = [int(i) for i in wanted.union(*(tight(table).path_id for table in tables)) if i not in known]

@@ -19,11 +19,22 @@ from mistray.ranges import (
     RELATIVE_ERROR,
     TEXT,
     ByName,
+    Demand,
     Each,
-    OfType,
 )
 from mistray.settings import Settings
 from mistray.toolkit.fields import FieldSubset, Request, Several, field
+
+
+class Step(Demand):
+    """Condition that a value is a step of a parameter: a number in its unit, or per cent as text."""
+
+    demand = "must be a number, or per cent as text, '2 %'"
+    also = ({"type": "number"}, {"type": "string", "minLength": 1})
+
+    def check(self, name: str, value: Any, owner: str = "") -> Any:
+        """Return the step; raise `MistrayError` if it is neither a number nor a text."""
+        return value if isinstance(value, str) and value else FINITE.check(name, value, owner)
 
 
 @dataclass(frozen=True)
@@ -71,7 +82,7 @@ class RankingRequest(Request):
     )
     _: KW_ONLY
     steps: Mapping[str, float | str] | None = field(
-        ByName(OfType(object, "must be a number, or per cent as text"), "rim=0.5 or paint.reflectance=2%"),
+        ByName(Step(), "rim=0.5 or paint.reflectance=2%"),
         None,
         "of --rank: steps by kind, key or pattern, such as rim=0.5 or paint.reflectance=2%. Kinds with their usual "
         "steps are position, tilt, rim (0.1 mm or deg), scatter, share (1%) and coating (1 nm)",

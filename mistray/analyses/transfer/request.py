@@ -33,6 +33,7 @@ class Curve(Demand):
     """Condition that a value is a curve: two sequences of numbers, abscissae and values."""
 
     demand = "must be two sequences of numbers, places and values"
+    also = ({"type": "array", "items": {"type": "array", "items": {"type": "number"}}, "minItems": 2, "maxItems": 2},)
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return both sequences as tuples; raise `MistrayError` if they are not two sequences of numbers."""

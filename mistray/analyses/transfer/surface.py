@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -136,7 +135,7 @@ def run_bsdf(models: LobeModel | Sequence[LobeModel], request: BsdfTransferReque
         raise MistrayError(f"surface transfer function: nothing goes on in {event}; give a share above 0")
     plateau = specular / (specular + scattered)
     if scattered == 0:
-        return SurfaceTransfer(wavelength_um, 1.0, partial(np.ones_like, dtype=np.float64))
+        return SurfaceTransfer(wavelength_um, 1.0, _AtLag())
     cos_0 = float(specular_cosine(event, cosines, n_in, n_out)[0])
     sin_0 = float(np.sqrt(1 - cos_0 * cos_0))
     symmetric = sin_0 == 0 and not any(lobe.anisotropic for lobe in lobes)
@@ -151,7 +150,7 @@ def run_bsdf(models: LobeModel | Sequence[LobeModel], request: BsdfTransferReque
 
     rings = _Rings.of(profile, 1 + sin_0)
     n = n_in if event == "reflection" else n_out
-    return SurfaceTransfer(wavelength_um, plateau, partial(rings.beside, plateau, n / wavelength_um))
+    return SurfaceTransfer(wavelength_um, plateau, _AtLag(rings, n / wavelength_um, specular=plateau))
 
 
 transfer_of_bsdf = analysis("transfer_of_bsdf", BsdfTransferRequest, run_bsdf)
@@ -208,10 +207,10 @@ def run_spectrum(model: RoughSurface, request: SurfaceTransferRequest) -> Surfac
         )
     variance = float(ghs.phase_variance(path, rms_um, wavelength_um))
     if variance == 0:
-        return SurfaceTransfer(wavelength_um, 1.0, partial(np.ones_like, dtype=np.float64))
+        return SurfaceTransfer(wavelength_um, 1.0, _AtLag())
     psd, highest = model.psd(wavelength_nm), n / wavelength_um
     rings = _Rings.of(lambda r: np.asarray(psd(r * highest)), 1.0)
-    return SurfaceTransfer(wavelength_um, float(np.exp(-variance)), partial(rings.of_phase, variance, highest))
+    return SurfaceTransfer(wavelength_um, float(np.exp(-variance)), _AtLag(rings, highest, variance=variance))
 
 
 transfer_of_spectrum = analysis("transfer_of_spectrum", SurfaceTransferRequest, run_spectrum)
@@ -253,10 +252,34 @@ class _Rings:
         flat = np.atleast_1d(frequency)
         return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))
 
-    def beside(self, specular: float, highest: float, lag: Array) -> Array:
-        """Return the transform at lags, µm, of a specular share and the rings, whose highest frequency is in 1/µm."""
-        return specular + (1 - specular) * self.transform(highest * np.asarray(lag))
 
-    def of_phase(self, variance: float, highest: float, lag: Array) -> Array:
-        """Return the transfer function at lags, µm, of a random phase with a variance, rad², and spectrum `rings`."""
-        return formulas.surface_transfer(self.transform(highest * np.asarray(lag)), variance)
+@dataclass(frozen=True, eq=False)
+class _AtLag:
+    """
+    Surface transfer function of lags on the surface, µm.
+
+    Attributes
+    ----------
+    rings : _Rings or None
+        Scattered light, or the spectrum of the phase; None: nothing is scattered.
+    highest : float
+        Highest frequency of the rings, 1/µm.
+    specular : float
+        Share of the light that is not scattered.
+    variance : float, optional
+        Variance of the phase whose spectrum the rings are, rad².
+    """
+
+    rings: _Rings | None = None
+    highest: float = 0.0
+    specular: float = 1.0
+    variance: float | None = None
+
+    def __call__(self, lag: Array) -> Array:
+        """Return the values at lags, µm, of any shape."""
+        if self.rings is None:
+            return np.ones_like(lag, dtype=np.float64)
+        found = self.rings.transform(self.highest * np.asarray(lag))
+        if self.variance is not None:
+            return formulas.surface_transfer(found, self.variance)
+        return self.specular + (1 - self.specular) * found

@@ -18,6 +18,8 @@ WHOLE = "none"
 class CutAzimuth(Range):
     """Condition that a value is the azimuth of a cut, degrees about z from x, or "none" for no cut."""
 
+    also = ({"const": WHOLE},)
+
     def check(self, name: str, value: Any, owner: str = "") -> float | None:
         """Return the azimuth, degrees, or None for no cut; raise `MistrayError` if it is out of range."""
         return None if isinstance(value, str) and value == WHOLE else super().check(name, value, owner)

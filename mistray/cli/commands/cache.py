@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mistray.cli.options import Options, print_json
+from mistray.cli.options import Options
 from mistray.toolkit.command import Command, Option
 
 BYTES_PER_MB = 1e6
@@ -48,8 +48,4 @@ def run(options: Options) -> int:
             f"{cache.folder}: {done} {found.entries} results, {found.size_bytes / BYTES_PER_MB:.3g} of "
             f"{cache.limit_bytes / BYTES_PER_MB:g} MB"
         )
-    if options.json:
-        print_json({"action": options.action, **record})
-    else:
-        print(text)
-    return 0
+    return options.say(lambda: {"action": options.action, **record}, lambda: text)

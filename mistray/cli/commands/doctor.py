@@ -24,4 +24,4 @@ def run(options: Options) -> int:
 
     with working("looking at this machine"):
         checks = doctor.report()
-    return doctor.show(checks, as_json=options.json)
+    return doctor.show(checks, options.json, options.asked)

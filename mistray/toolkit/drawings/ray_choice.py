@@ -19,6 +19,7 @@ class ChosenRow(Demand):
 
     demand = ROWS.demand
     metavar = "ID"
+    also = ({"type": "integer", "minimum": ROWS.low, "maximum": ROWS.high}, {"type": "string"})
 
     def check(self, name: str, value: Any, owner: str = "") -> int | str:
         """Return a value if it is a row number or a text; otherwise raise `MistrayError`."""

@@ -1,0 +1,81 @@
+"""Progress bar of Python sessions: a line of a terminal, or a bar of a notebook."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from numbers import Real
+from typing import Any, Self
+
+from mistray.errors import MistrayError
+
+
+class ProgressBar:
+    """
+    Bar in a terminal or a notebook that functions with an argument `progress` move: ``progress=ProgressBar()``.
+
+    It ends when the work is done, or with its block where it is a context: ``with ProgressBar() as bar:``. In a
+    notebook it is a widget if ipywidgets is installed, else a line of text. Elsewhere, as in a log, it shows nothing.
+
+    Parameters
+    ----------
+    what : str
+        Description of the work.
+    """
+
+    def __init__(self, what: str = "tracing") -> None:
+        if not isinstance(what, str):
+            raise MistrayError(f"what is of type {type(what).__name__}; give a text, such as ProgressBar('PST')")
+        self._what, self._total = what, 0.0
+        self._bar: Any = None
+
+    def __call__(self, *state: Any) -> None:
+        """Move the bar; `state` is what any function of mistray tells its `progress`."""
+        done, total = _share(state)
+        if self._bar is None:
+            self._bar = _bar(self._what)
+        if self._bar is None:
+            return
+        if total != self._total:  # the plan is another one, or a new piece of work begins
+            self._bar.n, self._total = 0.0, total
+        self._bar.n = max(min(done / total, 1.0) if total > 0 else 0.0, self._bar.n)
+        self._bar.refresh()
+        if self._bar.n >= 1:
+            self.close()
+
+    def close(self) -> None:
+        """End the bar; a later call begins a new one."""
+        if self._bar is not None:
+            self._bar.close()
+        self._bar = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _share(state: tuple[Any, ...]) -> tuple[float, float]:
+    """Return what is done and the whole, from the rays of a trace, a state of a PST, or a step and its share."""
+    last = state[-1] if state else 0.0
+    if hasattr(last, "share_done"):
+        return float(last.share_done), 1.0
+    if not isinstance(last, Real):
+        return 0.0, 1.0
+    counted = len(state) == 2 and isinstance(state[0], Real)
+    return (float(state[0]), float(last)) if counted else (float(last), 1.0)
+
+
+def _bar(what: str) -> Any | None:
+    """Return a new bar of tqdm; None where nobody looks."""
+    kernel = sys.modules.get("ipykernel.kernelapp")
+    notebook = kernel is not None and kernel.IPKernelApp.initialized()
+    if not notebook and (sys.stderr is None or not sys.stderr.isatty()):
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that ipywidgets is not installed
+        from tqdm.auto import tqdm
+
+        form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+        return tqdm(desc=what, total=1.0, bar_format=form, leave=notebook, file=sys.stderr, dynamic_ncols=not notebook)
