@@ -45,6 +45,12 @@ def test_nd_and_vd_come_back_and_tables_are_linear():
     assert complex_index(text, 536.85) == pytest.approx((1.53116 + 1.5378) / 2, abs=1e-15)
     assert refractive_index("n( 550 ) = 1.5", 550.0) == refractive_index("n(550)=1.5 extrapolate", 800.0) == 1.5
     assert not source(text).page
+    metal = "n(500)=0.2 k(500)=3 n(600)=0.3 k(700)=4"
+    assert complex_index(metal, 550.0) == pytest.approx(0.25 + 3.25j, abs=1e-15)
+    assert source(metal).k_range_nm == (500.0, 700.0)
+    with refused("k of material .* 700 nm; append ' k=VALUE'"):
+        complex_index("n(800)=0.2 k(500)=3 k(700)=4", 800.0)
+    assert complex_index("n(500)=0.2 n(600)=0.3 k=3", 550.0) == pytest.approx(0.25 + 3j, abs=1e-15)
 
 
 def test_an_explicit_k_replaces_that_of_the_data():
@@ -94,6 +100,11 @@ def test_extrapolation_goes_on_with_the_formula_and_keeps_the_end_of_a_table():
         ("nd=1.5 Vd=60", 250.0, "400 … 1000 nm"),
         ("n(0)=1.5", 550.0, "wavelength 0 nm"),
         ("n(550)=1.5 n(550)=1.6", 550.0, "is there twice"),
+        ("n(550)=0.5", 550.0, "a real index is at least 0.99"),
+        ("k(550)=3", 550.0, "it has k and no n"),
+        ("n(550)=0.5 k(550)=3 k=3", 550.0, "k is given twice; leave out 'k=' or the points of k"),
+        ("mitsuba/Gold", 550.0, "Mitsuba has no tables of it; the nearest are mitsuba/"),
+        ("mitsuba/Au", 1064.0, "1064 nm is outside of its 298.757 … 885.601 nm"),
         ("n(500)=1.5 n(600)=1.4", 650.0, "500 … 600 nm"),
         ("N-BK7", 200.0, "300 … 2500 nm; use a wavelength inside"),
         ("glass.agf", 550.0, "Write 'glass.agf:NAME'"),
