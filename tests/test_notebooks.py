@@ -41,6 +41,10 @@ CLAIMS = {
         assert slope["tube_vane_5.r1"] > 4.5 * error["tube_vane_5.r1"]
         assert (relative["half the width"].abs() < 4.5 * error).all()
     """,
+    "mitsuba_adam": """
+        assert losses[best] < 0.05 * losses[0] and 100 < layers[best][0] < 115
+        assert ghosts["result"] < 0.9 * ghosts["quarter wave of MgF2"] < 0.1 * ghosts["start"]
+    """,
     "phone_camera_ar": """
         assert (price.ratio - 4.5 * price.ratio_se > 1).all()
         assert price.designed.is_monotonic_decreasing
