@@ -166,6 +166,7 @@ def test_slab_of_glass() -> None:
     assert t.energy.cut["medium"] == 0
 
 
+@pytest.mark.long
 class TestPlate:
     """A diffuse plate under a distant lamp, and a black meter that sees it."""
 
@@ -328,6 +329,7 @@ ROOM = """<scene version="3.0.0">
 </scene>"""
 
 
+@pytest.mark.long
 def test_a_scene_as_users_of_mitsuba_write_it(tmp_path: Path) -> None:
     """Includes, parameters, shared materials, a file of a spectrum, `lookat`: all is traced, and energy closes."""
     (tmp_path / "materials.xml").write_text(MATERIALS)
