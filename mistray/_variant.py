@@ -55,6 +55,8 @@ def ensure_variant(name: str | None = None) -> str:
     '..._ad_rgb'
     """
     wanted = name or active_variant() or os.environ.get("MISTRAY_VARIANT") or DEFAULT_VARIANT
+    if wanted == active_variant():
+        _follow_variants(import_mitsuba())  # also if this one will not do: the next may
     _require_jit(wanted)
     if "drjit" not in sys.modules:
         try:
@@ -179,18 +181,29 @@ def use_plugins(modules: Sequence[str]) -> None:
 def register_plugins() -> None:
     """Register every plugin with the active variant, now and after each later switch of variant."""
     mi = import_mitsuba()
-    mi.detail.remove_variant_callback(_on_variant_change)
-    mi.detail.add_variant_callback(_on_variant_change)
-    if _registered_variant is None:
-        own_folder_first(mi.file_resolver())
+    _follow_variants(mi)
     if mi.variant() != _registered_variant:
         _register_for(mi.variant())
+
+
+def warn_without_plugins() -> None:
+    """Warn if the active variant can have no plugins; those of the next variant follow by themselves."""
+    variant = active_variant() or ""
+    if variant.startswith("scalar_"):
+        text = f"mistray: no plugins in variant '{variant}', the ray tree needs a JIT variant"
+        warnings.warn(f"{text}; call mi.set_variant('{DEFAULT_VARIANT}')", stacklevel=3)
+
+
+def _follow_variants(mi: ModuleType) -> None:
+    """Have the plugins registered after each switch of variant."""
+    mi.detail.remove_variant_callback(_on_variant_change)
+    mi.detail.add_variant_callback(_on_variant_change)
 
 
 def _on_variant_change(old: str | None, new: str) -> None:
     """Register the plugins for a new variant; Mitsuba calls this after each switch."""
     if new.startswith("scalar_"):
-        warnings.warn(f"mistray: no plugins in variant '{new}', the ray tree needs a JIT variant", stacklevel=2)
+        warn_without_plugins()
         return
     _require_backend(new)
     if new != _registered_variant:
@@ -201,6 +214,8 @@ def _register_for(variant: str) -> None:
     # Plugin classes derive from classes of one variant. All modules are dropped before the first is imported again:
     # reloading them one by one would leave a class derived from another plugin's base on the base of the old variant.
     global _registered_variant
+    if _registered_variant is None:
+        own_folder_first(import_mitsuba().file_resolver())
     names, others = plugin_modules(), plugins_of_others()
     inside = tuple(f"{name}." for name in others)
     for name in [name for name in sys.modules if name in names or f"{name}.".startswith(inside)]:

@@ -3,7 +3,9 @@
 The package is `mistray.plugins`; in a checkout it is `plugins`, too.
 """
 
-if __name__ == "plugins":
-    from mistray._variant import ensure_variant
+from mistray._variant import ensure_variant, warn_without_plugins
 
+if __name__ == "plugins":
     ensure_variant()
+else:  # `import mistray` has registered them, if it could
+    warn_without_plugins()

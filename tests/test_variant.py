@@ -126,8 +126,33 @@ def test_other_variants_have_no_plugins():
         print(caught[0].message)
         """
     )
-    message = "mistray: no plugins in variant 'scalar_rgb', the ray tree needs a JIT variant"
+    message = (
+        "mistray: no plugins in variant 'scalar_rgb', the ray tree needs a JIT variant; "
+        "call mi.set_variant('llvm_ad_rgb')"
+    )
     assert run.stdout == f"llvm_ad_rgb True 25.0\n{message}\n", run.stderr
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("steps", "told"),
+    [
+        ("mi.set_variant('llvm_ad_rgb'); import mistray.plugins", 0),
+        ("import mistray.plugins", 0),
+        ("import mistray.plugins; mi.set_variant('llvm_ad_mono')", 0),
+        ("mi.set_variant('llvm_ad_spectral_polarized'); from mistray import plugins", 0),
+        ("mi.set_variant('scalar_rgb'); import mistray.plugins; mi.set_variant('llvm_ad_rgb')", 1),
+        ("mi.set_variant('scalar_rgb'); import mistray; mi.set_variant('llvm_ad_rgb')", 0),
+    ],
+)
+def test_an_import_registers_in_any_order(steps: str, told: int) -> None:
+    lens = {"type": "asphere", "semi_diameter": 1.0, "bsdf": {"type": "interface"}}
+    run = run_python(
+        f"import mitsuba as mi\n{steps}\nprint(mi.load_dict({{'type': 'scene', 'lens': {lens}}}).shapes()[0].bsdf())",
+        DRJIT_LIBLLVM_PATH=_llvm.find_llvm().path,
+    )
+    assert run.stdout == "Interface[air | air, Fresnel]\n", run.stderr
+    assert run.stderr.count("no plugins in variant 'scalar_rgb'") == told
 
 
 def test_threads() -> None:

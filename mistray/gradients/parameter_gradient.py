@@ -38,6 +38,32 @@ NO_STOKES = (
     "gradients need polarization='unpolarized' and sources without stokes, jones or polarization_deg; the Stokes "
     "vector has no derivative yet"
 )
+NO_PARAMETERS = (
+    "the scene has no parameter with a derivative: none of its shapes is an 'asphere', 'freeform' or 'frustum', and no "
+    "'interface' has a coating or scatter above 0"
+)
+
+
+def without_derivative(key: str) -> str:
+    """
+    Return why a trace has no derivative by a key of ``mi.traverse``, with a remedy; empty if nothing is known of it.
+
+    Parameters
+    ----------
+    key : str
+        Key of a value that belongs to one of Mitsuba's own plugins, such as ``"plate.to_world"``.
+    """
+    owner, _, name = key.rpartition(".")
+    if name == "to_world" and not owner.endswith((".sensor", ".emitter")):
+        return (
+            "a shape of Mitsuba's own has no formula; draw it as an 'asphere', 'freeform' or 'frustum', which has "
+            "derivatives by x, y, z and tilts"
+        )
+    if name.startswith("vertex_"):
+        return "vertices have none: they follow from a formula, and a mesh of Mitsuba's own has no formula"
+    if f".{key}".rpartition(".emitter.")[1]:
+        return "an emitter of Mitsuba's own has none; use a source of mistray"
+    return ""
 
 
 def number_rates(

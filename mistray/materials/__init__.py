@@ -9,11 +9,12 @@ string                        n                                                 
 ``1.5168``                    constant                                                                 0
 ``1.5+0.01i``                 constant                                                                 constant
 ``nd=1.544 Vd=56.1``          two-term Cauchy through nd and Vd, see `cauchy_index`                    unknown
-``n(480)=1.52 n(590)=1.51``   linear between these points, wavelengths in nm                           unknown
+``n(480)=1.52 n(590)=1.51``   linear between these points, wavelengths in nm                           of ``k(480)=…``
 ``N-BK7``, ``schott/F2``      formula of the maker's catalogue (see `catalogue.MAKERS`)                from internal
                                                                                                        transmittances
 ``MgF2``, ``Al``, ``PMMA``    pinned page of refractiveindex.info (see `catalogue.PINNED`)             of the page
 ``main/Ag/nk/Yang``           any page of its database, by its path                                    of the page
+``mitsuba/Au``                table of Mitsuba's plugin `conductor`                                    of its table
 ``glass.csv``                 user's table, see `user_table`                                           of the table
 ``makers.agf:N-BK7``          glass of a Zemax AGF file, see `agf`                                     from IT lines
 ``COATING.DAT:MGF2``          MATE section of a Zemax coating file, see `mate`                         of the section

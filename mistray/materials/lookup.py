@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+
+import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials import agf, user_table
@@ -17,7 +20,18 @@ from mistray.materials.formulas import CAUCHY_RANGE_NM, cauchy_index
 from mistray.materials.infrared import MAKERS
 from mistray.materials.mate import read_mate
 from mistray.materials.pages import book, read_page
-from mistray.materials.spec import AbbeNumber, BulkScatter, Constant, IndexSamples, Name, Spec, UserFile, parse
+from mistray.materials.spec import (
+    MITSUBA,
+    AbbeNumber,
+    BulkScatter,
+    Constant,
+    IndexSamples,
+    MitsubaData,
+    Name,
+    Spec,
+    UserFile,
+    parse,
+)
 from mistray.read_file import count_as_read
 
 CLEAR_K = 1e-3  # greatest k of a suggestion for a material that light passes
@@ -376,9 +390,11 @@ def _materials(spec: Spec) -> tuple[_Material, ...]:
     if isinstance(form, AbbeNumber):
         found = (_abbe(form),)
     elif isinstance(form, IndexSamples):
-        found = (
-            _Material(table(*zip(*form.points, strict=True)), None, spec.text, None, "a table of n in the string"),
-        )
+        curve_k = table(*zip(*form.k_points, strict=True)) if form.k_points else None
+        reference = f"a table of n{' and k' if curve_k else ''} in the string"
+        found = (_Material(table(*zip(*form.points, strict=True)), curve_k, spec.text, None, reference),)
+    elif isinstance(form, MitsubaData):
+        found = (_from_mitsuba(form.name),)
     elif isinstance(form, UserFile):
         found = (_from_file(form, spec.text),)
     else:
@@ -417,6 +433,20 @@ def _from_page(entry: Entry) -> _Material:
         return found
     k_page = read_page(entry.k_page)
     return replace(found, k=k_page.k, k_page=k_page.path, k_reference=k_page.reference)
+
+
+@lru_cache(maxsize=64)
+def _from_mitsuba(name: str) -> _Material:
+    """Return the curves of n and k in the tables that come with Mitsuba, see its plugin `conductor`."""
+    found = importlib.util.find_spec("mitsuba")
+    folder = Path(found.origin if found is not None and found.origin else "").parent / "data" / "ior"
+    names = sorted(file.name.removesuffix(".eta.spd") for file in folder.glob("*.eta.spd"))
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=3, cutoff=0.0)
+        hint = f"the nearest are {', '.join(MITSUBA + one for one in near)}" if near else "install mitsuba anew"
+        raise MistrayError(f"material '{MITSUBA}{name}': Mitsuba has no tables of it; {hint}")
+    n, k = (table(*np.loadtxt(folder / f"{name}.{part}.spd", unpack=True)) for part in ("eta", "k"))
+    return _Material(n, k, f"{MITSUBA}{name}", None, f"tables {name}.eta.spd and {name}.k.spd of Mitsuba")
 
 
 def _from_file(form: UserFile, text: str) -> _Material:

@@ -9,12 +9,13 @@ from functools import lru_cache
 from mistray.errors import MistrayError
 from mistray.ranges import ABBE_NUMBER, EXTINCTION, INDEX, INDEX_SHIFT, SCATTER_PER_MM
 
+MITSUBA = "mitsuba/"  # before the name of a material of which Mitsuba has tables
 LEAST_REAL = 0.99  # n without k: gases and vacuum may lie below the air that is 1 in a lens file
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _REAL = re.compile(rf"[-+]?{_NUMBER}")
 _COMPLEX = re.compile(rf"([-+]?{_NUMBER})\s*([-+])\s*({_NUMBER})\s*[ij]")
 _ND_VD = re.compile(rf"nd\s*=\s*([-+]?{_NUMBER})\s*[,;\s]\s*Vd\s*=\s*([-+]?{_NUMBER})", re.IGNORECASE)
-_SAMPLE = rf"n\(\s*({_NUMBER})\s*\)\s*=\s*({_NUMBER})"
+_SAMPLE = rf"([nk])\(\s*({_NUMBER})\s*\)\s*=\s*({_NUMBER})"
 _SAMPLES = re.compile(rf"{_SAMPLE}(?:[,;\s]\s*{_SAMPLE})*")
 _ENTRY = re.compile(r"(.*\.(?:agf|dat)):(.+)", re.IGNORECASE)
 _SUFFIX = re.compile(r"\s+(?:(extrapolate)|(k|shift|scatter|g)\s*=\s*(\S*))$", re.IGNORECASE)
@@ -38,9 +39,10 @@ class AbbeNumber:
 
 @dataclass(frozen=True)
 class IndexSamples:
-    """Material with n tabulated in its string: pairs of wavelength, nm, and n, by ascending wavelength."""
+    """Material tabulated in its string: pairs of wavelength, nm, and n or k, ascending; k may be unknown."""
 
     points: tuple[tuple[float, float], ...]
+    k_points: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -52,10 +54,20 @@ class UserFile:
 
 
 @dataclass(frozen=True)
+class MitsubaData:
+    """Material of which Mitsuba has tables of n and k."""
+
+    name: str
+
+
+@dataclass(frozen=True)
 class Name:
     """Material given by its name in the catalogues."""
 
     name: str
+
+
+Form = Constant | AbbeNumber | IndexSamples | UserFile | MitsubaData | Name
 
 
 @dataclass(frozen=True)
@@ -90,7 +102,7 @@ class Spec:
     ----------
     text : str
         String without leading and trailing blanks.
-    form : Constant, AbbeNumber, IndexSamples, UserFile or Name
+    form : Constant, AbbeNumber, IndexSamples, UserFile, MitsubaData or Name
         Material that the string names, without the suffixes.
     suffix : str
         Suffixes as they were written, with the blank before them.
@@ -105,7 +117,7 @@ class Spec:
     """
 
     text: str
-    form: Constant | AbbeNumber | IndexSamples | UserFile | Name
+    form: Form
     suffix: str
     k: float | None
     shift: float
@@ -133,9 +145,11 @@ def parse(material: str) -> Spec:
         given[key] = value
         body = body[: match.start()]
     k = _k(text, given["k"]) if "k" in given else None
-    form = _form(text, body)
+    form = _form(text, body, k)
     if k is not None and isinstance(form, Constant) and form.k is not None:
         raise MistrayError(f"material '{text}': k is given twice; leave out 'k=' or the imaginary part")
+    if k is not None and isinstance(form, IndexSamples) and form.k_points:
+        raise MistrayError(f"material '{text}': k is given twice; leave out 'k=' or the points of k")
     shift = _shift(text, given["shift"]) if "shift" in given else 0.0
     return Spec(text, form, text[len(body) :], k, shift, "extrapolate" in given, _bulk(text, given))
 
@@ -160,7 +174,7 @@ def shifted(material: str, by: float) -> str:
     return f"{spec.text[: len(spec.text) - len(spec.suffix)]}{others}{f' shift={total!r}' if total else ''}"
 
 
-def _form(text: str, body: str) -> Constant | AbbeNumber | IndexSamples | UserFile | Name:
+def _form(text: str, body: str, k: float | None) -> Form:
     if body.lower() in ("air", "vacuum"):
         return Constant(1.0, None)
     if _REAL.fullmatch(body):
@@ -176,23 +190,35 @@ def _form(text: str, body: str) -> Constant | AbbeNumber | IndexSamples | UserFi
         nd, vd = _real_index(text, float(match[1])), float(match[2])
         return AbbeNumber(nd, ABBE_NUMBER.check("Vd", vd, f"material '{text}'"))
     if _SAMPLES.fullmatch(body):
-        return _samples(text, body)
+        return _samples(text, body, k)
     if match := _ENTRY.fullmatch(body):
         return UserFile(match[1].strip(), match[2].strip())
     if body.lower().endswith((".agf", ".dat")):
         raise MistrayError(f"material '{text}': which material of the file? Write '{body}:NAME'")
     if body.lower().endswith(".csv"):
         return UserFile(body, None)
+    if body.startswith(MITSUBA):
+        return MitsubaData(body.removeprefix(MITSUBA))
     return Name(body)
 
 
-def _samples(text: str, body: str) -> IndexSamples:
-    points = {float(wavelength): _real_index(text, float(n)) for wavelength, n in re.findall(_SAMPLE, body)}
-    if min(points) <= 0:
-        raise MistrayError(f"material '{text}': wavelength {min(points):g} nm; it must be greater than 0")
-    if len(points) < len(re.findall(_SAMPLE, body)):
-        raise MistrayError(f"material '{text}': a wavelength is there twice; give it once")
-    return IndexSamples(tuple(sorted(points.items())))
+def _samples(text: str, body: str, given_k: float | None) -> IndexSamples:
+    tables: dict[str, dict[float, float]] = {"n": {}, "k": {}}
+    for name, wavelength, value in re.findall(_SAMPLE, body):
+        nm, table = float(wavelength), tables[name]
+        if nm <= 0:
+            raise MistrayError(f"material '{text}': wavelength {nm:g} nm; it must be greater than 0")
+        if nm in table:
+            raise MistrayError(f"material '{text}': a wavelength is there twice; give it once")
+        table[nm] = float(value)
+    if not tables["n"]:
+        raise MistrayError(f"material '{text}': it has k and no n; add n, as in 'n(550)=0.2 k(550)=3.1'")
+    absorbs = bool(tables["k"]) or given_k is not None  # it may be a metal, whose n is small
+    for value in tables["n"].values():
+        INDEX.check("index", value, f"material '{text}'") if absorbs else _real_index(text, value)
+    for value in tables["k"].values():
+        _extinction(text, value)
+    return IndexSamples(*(tuple(sorted(table.items())) for table in tables.values()))
 
 
 def _real_index(text: str, index: float) -> float:

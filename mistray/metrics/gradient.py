@@ -17,7 +17,7 @@ from mistray.gradients.parameter_gradient import gathered
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.metrics.metric import Metric
 from mistray.metrics.one_sided import FullKey, OneSided, full_keys, one_sided
-from mistray.metrics.parameters import Parameter, match, parameters
+from mistray.metrics.parameters import Parameter, chosen_keys, parameters
 from mistray.metrics.views import seen_unpolarized
 from mistray.notes import warns
 from mistray.ranges import EDGE_WIDTH as ZONE
@@ -417,10 +417,7 @@ def chosen_parameters(
         If a key is unknown or has no derivative, or no parameter is left.
     """
     known = parameters(scene, params)
-    chosen = list(known) if keys is None else match(known, keys)
-    if not chosen:
-        raise MistrayError("no parameter to differentiate by; give some of list(mistray.metrics.parameters(scene))")
-    return {key: known[key] for key in chosen}
+    return {key: known[key] for key in chosen_keys(scene, known, keys)}
 
 
 def gradient_request(

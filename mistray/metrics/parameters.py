@@ -22,6 +22,7 @@ from mistray.errors import MistrayError
 from mistray.execute.pickles import Missing
 from mistray.gradients.coating_gradient import IDEAL_PARAMETERS, SHIFTS
 from mistray.gradients.geometry_gradient import shape_parameters
+from mistray.gradients.parameter_gradient import NO_PARAMETERS, without_derivative
 from mistray.ids import fits
 from mistray.metrics.default_tolerances import About, about_bsdf, about_scatter, about_shape, about_source
 from mistray.ranges import several
@@ -161,9 +162,27 @@ def match(known: Mapping[str, Parameter], patterns: str | Iterable[str]) -> list
     for pattern in several(patterns):
         keys = [pattern] if pattern in known else [key for key in known if fits(key, pattern)]
         if not keys:
-            raise MistrayError(f"no parameter '{pattern}' with a derivative; {_nearest(known, pattern)}")
+            advice = without_derivative(pattern) or _nearest(known, pattern)
+            raise MistrayError(f"no parameter '{pattern}' with a derivative; {advice}")
         found |= dict.fromkeys(keys)
     return list(found)
+
+
+def chosen_keys(scene: mi.Scene, known: Mapping[str, Parameter], keys: str | Iterable[str] | None) -> list[str]:
+    """
+    Return the keys by which something is differentiated: all, or those that patterns match.
+
+    Raises
+    ------
+    MistrayError
+        If no key is left, because none was given or the scene has no parameter, or a pattern matches nothing.
+    """
+    if not known and not parameters(scene):
+        raise MistrayError(NO_PARAMETERS)
+    found = list(known) if keys is None else match(known, keys)
+    if not found:
+        raise MistrayError("no parameter to differentiate by; give some of list(mistray.metrics.parameters(scene))")
+    return found
 
 
 def groups(known: Mapping[str, Parameter]) -> dict[str, list[str]]:

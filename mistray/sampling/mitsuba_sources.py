@@ -35,6 +35,7 @@ class AreaLight:
     precise: ClassVar[bool] = False
     differentiable: ClassVar[tuple[str, ...]] = ()
     values: ClassVar[Mapping[str, float]] = {}
+    parameters: ClassVar[Mapping[str, mi.Float]] = {}
 
     def __init__(self, emitter: mi.Emitter) -> None:
         self.shape = emitter.get_shape()

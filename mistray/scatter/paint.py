@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from mistray.errors import MistrayError
-from mistray.param import Param
+from mistray.errors import MistrayError, errors_of
+from mistray.named_values import finite_of
+from mistray.param import Param, fixed
 from mistray.physics import harvey_shack
 from mistray.physics.paint import gain
 from mistray.ranges import BINDER_INDEX, SHARE, TEXT
@@ -55,6 +56,9 @@ class Paint(Placement):
         Shoulder (direction cosine, > 0) and exponent (< 0) of the glossy lobe.
     n : float, optional
         Refractive index of the binder, > 1; about 1.5 for most paints.
+    spectrum : str
+        Factor of the reflectance over wavelength, nm: ``"400:0.02, 700:0.05"``, linear between its points and unknown
+        beyond them. Empty if the reflectance is the same at every wavelength.
     event, side, name
         Options of `Placement`; by default a paint only reflects.
     relative_to : {"incident", "specular"}
@@ -73,6 +77,12 @@ class Paint(Placement):
     n: float | None = Param(
         "1", BINDER_INDEX, "index of the binder, about 1.5, with which the lobe grows towards grazing angles", 0.0
     ).field(None)
+    spectrum: str = fixed(
+        "string",
+        TEXT,
+        "factor of ``reflectance`` over wavelength in nm, linear between: ``400:0.02, 700:0.05, 1100:0.6``; "
+        "``reflectance`` is then 1 by default",
+    ).field("")
     _: KW_ONLY
     event: str = EVENT.field("reflection")
     relative_to: str = RELATIVE_TO.field("incident")
@@ -91,9 +101,11 @@ class Paint(Placement):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.reflectance == 0 and self.b0 == 0:
+        with errors_of(self.title):
+            brightest = max(_points(self.spectrum)[1], default=1.0) * self.reflectance
+        if brightest == 0 and self.b0 == 0:
             raise MistrayError(f"{self.title}: reflectance and b0 are 0, nothing is scattered; leave the model out")
-        total, angle_deg = _most_scattered(self.reflectance, self.b0, self.l, self.s, self.n)
+        total, angle_deg = _most_scattered(brightest, self.b0, self.l, self.s, self.n)
         if total > 1 + ROUNDING:
             raise MistrayError(
                 f"{self.title}: scatters {total:.4g} of the light at {angle_deg:.3g}°; lower reflectance or b0"
@@ -103,7 +115,8 @@ class Paint(Placement):
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Paint:
         """Return the model with given properties, see `Placement.of`; `preset` sets the reflectance."""
         if "preset" not in properties:
-            return super().of(**properties)
+            usual = {"reflectance": 1.0} if properties.get("spectrum") else {}
+            return super().of(**usual | properties)
         if "reflectance" in properties:
             raise MistrayError(f"{cls.__name__}: preset and reflectance given; give one of them")
         return cls.preset(**properties)
@@ -132,8 +145,39 @@ class Paint(Placement):
         return cls(PRESETS[preset], **{"name": preset, **options})
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobes of an event, see `Placement.event_lobes`; they do not depend on the wavelength."""
-        return _lobes(self.reflectance, self.b0, self.l, self.s, self.n, event=event, shares=self.shares)
+        """Return the lobes of an event, see `Placement.event_lobes`."""
+        return _lobes(
+            self.reflectance * self._factor(wavelength_nm),
+            self.b0,
+            self.l,
+            self.s,
+            self.n,
+            event=event,
+            shares=self.shares,
+        )
+
+    def _factor(self, wavelength_nm: float) -> float:
+        """Return the factor of the reflectance at a wavelength, nm."""
+        at, values = _points(self.spectrum)
+        if at and not at[0] <= wavelength_nm <= at[-1]:
+            raise MistrayError(
+                f"{self.title}: {wavelength_nm:g} nm is outside of its spectrum, {at[0]:g} … {at[-1]:g} nm; add a point"
+            )
+        return float(np.interp(wavelength_nm, at, values)) if at else 1.0
+
+
+@lru_cache(maxsize=256)
+def _points(spectrum: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the ascending wavelengths, nm, and the factors of a text such as "400:0.02, 700:0.05"; empty for none."""
+    found: list[tuple[float, float]] = []
+    for word in spectrum.replace(",", " ").split():
+        nm, factor = (finite_of(part) for part in word.partition(":")[::2])
+        if nm is None or factor is None or nm <= 0 or factor < 0:
+            raise MistrayError(f"spectrum holds '{word}'; write wavelength:factor, such as 550:0.04")
+        if found and nm <= found[-1][0]:
+            raise MistrayError(f"spectrum has {nm:g} nm after {found[-1][0]:g} nm; let wavelengths ascend")
+        found.append((nm, factor))
+    return tuple(nm for nm, _ in found), tuple(factor for _, factor in found)
 
 
 def _lobes(

@@ -24,6 +24,7 @@ from mistray.scene.check import check_overlaps, check_values
 from mistray.scene.depth import check_source
 from mistray.scene.improbable import improbable
 from mistray.scene.messages import explain, is_interrupt
+from mistray.scene.mitsuba_bsdfs import translate_bsdfs
 from mistray.scene.other_sensors import sensor_dicts
 from mistray.scene.other_sources import source_dicts, with_parts
 from mistray.scene.source import remember
@@ -210,10 +211,11 @@ def _search(*folders: str) -> Iterator[None]:
 
 
 def _built(state: Any) -> Any:
-    """Check a parsed scene, build its objects, and return the scene."""
+    """Check a parsed scene, take Mitsuba's own BSDFs for interfaces, build its objects, and return the scene."""
     check_values(state)
     config = _config()
     mi.parser.transform_all(config, state)
+    translate_bsdfs(state)
     own_folder_first(mi.file_resolver())  # elements <path> came before
     return mi.parser.instantiate(config, state)
 

@@ -26,6 +26,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import in_proportion
 from mistray.ranges import FILM_PIXELS, FILM_SIDE
+from mistray.scene.mitsuba_bsdfs import remedy
 from mistray.surfaces.bodies import Bodies
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.family_table import FamilyTable
@@ -447,10 +448,7 @@ def require_one(detectors: Sequence[str]) -> None:
 def _interface(shape: Any) -> Any:
     bsdf = shape.bsdf()
     if not hasattr(bsdf, "coating"):
-        kind = type(bsdf).__name__ if bsdf is None else str(bsdf).split("[")[0].strip()
-        raise MistrayError(
-            f"shape '{shape.id()}' carries the BSDF {kind}, which the ray tree cannot split; nest an 'interface' in it"
-        )
+        raise MistrayError(f"shape '{shape.id()}' carries the BSDF {remedy(bsdf)}")
     return bsdf
 
 

@@ -17,7 +17,7 @@ from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
 from mistray.gradients.edge_widths import least_error, widths_of
 from mistray.gradients.frozen_tangent import run_tangent
 from mistray.gradients.geometry_gradient import geometry_columns
-from mistray.gradients.parameter_gradient import gathered
+from mistray.gradients.parameter_gradient import gathered, without_derivative
 from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.light import Light
@@ -222,10 +222,8 @@ def _check_differentiable(params: Any, tracked: dict[tuple[int, str], tuple[str,
     for key in params.keys() if params is not None else ():
         value = peek(params, key)
         if dr.grad_enabled(value) and getattr(value, "index_ad", None) not in known:
-            raise MistrayError(
-                f"integrator 'straylight' has no derivative by '{key}'; mistray.metrics.parameters(scene) lists those "
-                "that it has"
-            )
+            reason = without_derivative(key) or "mistray.metrics.parameters(scene) lists those that it has"
+            raise MistrayError(f"integrator 'straylight' has no derivative by '{key}'; {reason}")
 
 
 mi.register_integrator("straylight", lambda props: StrayLight(props))

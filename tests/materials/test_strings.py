@@ -42,6 +42,12 @@ def test_nd_and_vd_come_back_and_tables_are_linear():
     assert complex_index(text, 536.85) == pytest.approx((1.53116 + 1.5378) / 2, abs=1e-15)
     assert refractive_index("n( 550 ) = 1.5", 550.0) == refractive_index("n(550)=1.5 extrapolate", 800.0) == 1.5
     assert not source(text).page
+    metal = "n(500)=0.2 k(500)=3 n(600)=0.3 k(700)=4"
+    assert complex_index(metal, 550.0) == pytest.approx(0.25 + 3.25j, abs=1e-15)
+    assert source(metal).k_range_nm == (500.0, 700.0)
+    with refused("k of material .* 700 nm; append ' k=VALUE'"):
+        complex_index("n(800)=0.2 k(500)=3 k(700)=4", 800.0)
+    assert complex_index("n(500)=0.2 n(600)=0.3 k=3", 550.0) == pytest.approx(0.25 + 3j, abs=1e-15)
 
 
 def test_an_explicit_k_replaces_that_of_the_data():

@@ -7,6 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 from oracles.statistics import z_limit, z_score
@@ -179,6 +180,43 @@ def test_what_has_no_derivative(plate) -> None:
     params.keep(["p0_front.silhouette_sampling_weight"])
     with pytest.raises(mistray.MistrayError, match="no parameter to differentiate by"):
         gradient(metric, params)
+
+
+def test_a_scene_of_mitsubas_own_shapes_says_why_it_has_no_derivative() -> None:
+    """A lamp, a white plate and a black meter: the paint is a parameter, and nothing is once it is black."""
+    turned = mi.ScalarTransform4d().translate([0, 0, 9]).rotate([0, 1, 0], 180).scale(5)
+
+    def scene(reflectance: float) -> mi.Scene:
+        sheet = {"type": "rectangle", "bsdf": {"type": "twosided", "a": {"type": "diffuse", "reflectance": 0.0}}}
+        return scene_dicts.load(
+            lamp={"type": "rectangle", "emitter": {"type": "area", "radiance": 1.0}},
+            plate={**sheet, "to_world": turned, "bsdf": {"type": "diffuse", "reflectance": reflectance}},
+            meter={**sheet, "to_world": scene_dicts.at(-3), "sensor": scene_dicts.meter(1)},
+            integrator={"type": "straylight", "rays": 16},
+        )
+
+    black = scene(0.0)
+    with pytest.raises(mistray.MistrayError, match=r"^the scene has no parameter .*'asphere', .* scatter above 0$"):
+        gradient(path_power(black, "all", rays=16), mi.traverse(black), ["plate.bsdf.R"])
+    with pytest.raises(
+        mistray.MistrayError, match=r"^the scene has no parameter with a derivative: none of its shapes"
+    ):
+        mistray.sensitivity(path_power(black, "all", rays=16))
+    white = scene(0.5)
+    assert set(parameters(white)) >= {"plate.bsdf.paint.reflectance"}
+    for key, why in (
+        ("plate.to_world", "; a shape of Mitsuba's own has no formula; draw it as an 'asphere'"),
+        ("lamp.emitter.radiance.value", "; an emitter of Mitsuba's own has none; use a source of mistray"),
+    ):
+        params = mi.traverse(white)
+        with pytest.raises(mistray.MistrayError, match=f"^no parameter '{key}' with a derivative{why}"):
+            gradient(path_power(white, "all", rays=16), params, [key])
+        dr.enable_grad(params[key])
+        params.update()
+        image = mi.render(white, params)
+        with pytest.raises(mistray.MistrayError, match=f"has no derivative by '{key}'{why}"):
+            dr.backward(dr.sum(image.array))
+        dr.disable_grad(params[key])
 
 
 def test_parameters_that_no_ray_depends_on_are_named_in_one_line(plate) -> None:

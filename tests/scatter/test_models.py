@@ -49,6 +49,13 @@ REFUSED: list[tuple[type, dict[str, Any], str]] = [
     (Paint, {}, "nothing is scattered"),
     (Paint, {"reflectance": 0.99, "b0": 1.0}, "of the light at 0°; lower reflectance or b0"),
     (Paint, {"reflectance": 0.9, "b0": 1.0, "l": 0.1, "s": -3.0, "n": 1.5}, r"scatters 1\.\d+ of the light at \d+.*°"),
+    (Paint, {"spectrum": "400:0.1"}, "nothing is scattered"),  # as a factor of no reflectance
+    (Paint, {"reflectance": 1.0, "spectrum": "400:0.1, 500"}, "spectrum holds '500'; write wavelength:factor"),
+    (Paint, {"reflectance": 1.0, "spectrum": "400:nan"}, "spectrum holds '400:nan'"),
+    (Paint, {"reflectance": 1.0, "spectrum": "0:0.1"}, "spectrum holds '0:0.1'"),
+    (Paint, {"reflectance": 1.0, "spectrum": "500:-0.1"}, "spectrum holds '500:-0.1'"),
+    (Paint, {"reflectance": 1.0, "spectrum": "500:0.1 400:0.2"}, "400 nm after 500 nm; let wavelengths ascend"),
+    (Paint, {"reflectance": 0.5, "spectrum": "400:0.1, 500:2.5"}, "scatters 1.25 of the light"),
     (Particulate, {}, "neither of level and coverage_percent"),
     (Particulate, {"level": 300.0, "coverage_percent": 0.1}, "both of level and coverage_percent"),
     (Particulate, {"level": 300.0, "max_um": 400.0}, "max_um ≤ level"),
@@ -139,6 +146,19 @@ BOTH, REFLECTED, TRANSMITTED = ["reflection", "transmission"], ["reflection"], [
 )
 def test_what_scatters(model: Any, indices: tuple[float, float], from_front: bool, events: list[str]) -> None:
     assert [lobe.event for lobe in model.lobes(550.0, *indices, from_front)] == events
+
+
+def test_paint_over_wavelength() -> None:
+    """Its reflectance times the factor, linear between the points and unknown beyond them."""
+    paint = Paint.of(spectrum="400:0.1, 500:0.3 700:0")
+    assert paint.reflectance == 1
+    for nm, reflectance in ((400.0, 0.1), (450.0, 0.2), (600.0, 0.15)):
+        (lobe,) = paint.lobes(nm, 1.0, 1.5, True)
+        assert np.pi * lobe.profile(np.zeros(1)) == pytest.approx(reflectance, rel=1e-12)
+    assert paint.lobes(700.0, 1.0, 1.5, True) == ()
+    assert Paint.of(spectrum="400:0.5", reflectance=0.2).reflectance == 0.2
+    with refused(r"Paint 'wall': 701 nm is outside of its spectrum, 400 … 700 nm"):
+        Paint.of(spectrum=paint.spectrum, name="wall").lobes(701.0, 1.0, 1.5, True)
 
 
 def test_shares_and_steps() -> None:

@@ -285,7 +285,7 @@ class TestDetector:
     def test_what_is_refused(self, load_scene) -> None:
         for ball, words in (
             (stock("sphere", "detector", meter_xml(8)), "detector 'detector' is Sphere"),
-            (stock("sphere", "ball", "", bsdf='<bsdf type="diffuse"/>') + SCREEN, "shape 'ball' carries the BSDF .*"),
+            (stock("sphere", "ball", "", bsdf='<bsdf type="plastic"/>') + SCREEN, "shape 'ball' carries the BSDF .*"),
             (stock("sphere", "ball", "", bsdf="<!-- none -->") + SCREEN, "nest an 'interface' in it"),
         ):
             scene = load_scene(scene_text(ball))

@@ -26,7 +26,7 @@ from mistray.execute.workers import refuse_workers_in_time
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.metrics.gradient import Gradient, gradient_request
 from mistray.metrics.metric import Metric
-from mistray.metrics.parameters import Parameter, match, parameters
+from mistray.metrics.parameters import Parameter, chosen_keys, match, parameters
 from mistray.metrics.steps import Progress, Steps
 from mistray.metrics.views import seen_unpolarized
 from mistray.sampling.sources import spectrum_of
@@ -99,9 +99,7 @@ def run(
     advance = Steps(progress, 1 + looks + systems, seconds)
     given = mi.traverse(metric.scene) if params is None else params
     known = parameters(metric.scene, given)
-    chosen = list(known) if request.keys is None else match(known, request.keys)
-    if not chosen:
-        raise MistrayError("there is no parameter to differentiate by; the scene has none, or no key is given")
+    chosen = chosen_keys(metric.scene, known, request.keys)
     lines = lines_of(metric.scene, given, known, chosen)
     limits = _tolerances(known, request.tolerances or {})
     _groups(known, lines, request.together)  # before the trace: what is wrong with them costs no time
