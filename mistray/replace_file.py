@@ -187,7 +187,7 @@ class Guard:
 
 
 def is_input(path: str | Path) -> bool:
-    """True if an active guard's block has read a file; False without a guard."""
+    """True if the file was read inside a `with` block that guards outputs against overwriting inputs; False outside."""
     return any(guard.was_read(path) for guard in _guards)
 
 

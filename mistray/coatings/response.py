@@ -106,15 +106,18 @@ def layered_response(
     from_front: bool,
 ) -> Response:
     """
-    Return R, T and phases of homogeneous layers, or of a bare interface without layers.
+    Return R and T of homogeneous layers for s and p light, and phase differences s minus p, radians.
+
+    Without layers it is the bare interface.
 
     Parameters
     ----------
     n_layers, d_nm : sequence
         Indices n + ik and thicknesses, nm, of the layers from the front to the back.
     wavelength_nm, n_front, n_back, cos_incident, from_front
-        Parameters of `CoatingModel.response`. Only the real index of the medium that the light comes from is used. Its
-        absorption is counted along the ray, and R and T of waves that decay along their way do not add up.
+        Parameters of `CoatingModel.response`. Only the real index of the medium that the light comes from is used: its
+        absorption is counted along the ray. In an absorbing medium incident and reflected waves interfere, so that R and
+        T alone would not balance the energy.
     """
     if not from_front:
         n_layers, d_nm, n_front, n_back = n_layers[::-1], d_nm[::-1], n_back, n_front

@@ -41,7 +41,7 @@ INDEX_STEP, EQUAL_INDICES = 2e-3, 1e-9
 
 
 def table_rows(optics: Optics, surface: int) -> slice:
-    """Return the slice of rows that hold a surface's R and T, for refraction and for total reflection."""
+    """Return the slice of coating-table rows that hold a surface's R and T, for refraction and total reflection."""
     first, _, total, last = (int(v) for v in optics.host_places[surface])
     return slice(first, total + last + 1)
 
@@ -92,7 +92,7 @@ def layer_gradient(
 
 def layer_tangent(optics: Optics, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.ndarray:
     """
-    Return the rates of change of the rows of R and T, (rows, 3) float64, for given rates of layer parameters.
+    Return the rates of change of R and T in coating tables, (rows, 3) float64, for given rates of layer parameters.
 
     See `mistray.gradients.parameter_gradient.number_tangent` for `tangents`.
     """
@@ -110,7 +110,7 @@ def layer_tangent(optics: Optics, tangents: Mapping[tuple[int, str], np.ndarray]
 @dataclass(frozen=True)
 class _Side:
     """
-    Coating as seen by light from one side, at some rows of its table.
+    Coating seen by light that arrives from one side, at chosen angles of its table of R and T.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ def _tangents(
     sides: Sequence[_Side], parts: tuple[int, ...], wavelength_nm: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """
-    Return derivatives of mean R and T of all `sides` by one kind of parameter of every layer.
+    Return derivatives of R and T, means of s and p, by one kind of layer parameter, for every layer and side.
 
     The coatings have equally many layers.
     """
@@ -257,7 +257,7 @@ def _cosines(
     n_front: complex, n_back: complex, same: bool, last: int, total_last: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the cosines of incidence at the nodes of both parts of a table, whose last intervals are given.
+    Return the cosines of incidence at the nodes of a coating table, for refraction and for total reflection.
 
     They are those in front, behind and, in total reflection, on the denser side. With `same` light is not refracted:
     the first two are the nodes, and the last are 0.

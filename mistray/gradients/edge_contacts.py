@@ -1,5 +1,4 @@
-"""
-Edges next to hits: where they are, which surfaces touch them, and what a ray just beside them meets.
+"""Edges of surfaces next to ray hits: other surfaces that touch them, and what a ray that just misses an edge meets.
 
 At a contact no gap opens when the rim alone moves: the edge that light sees is the line in which the two surfaces meet.
 Nothing changes along the edge, so the plane across it decides. Let u be the direction in which the rim ends the
@@ -155,7 +154,7 @@ class EdgeContacts:
 
     def edge(self, s: mi.UInt32, rim: mi.UInt32, p: mi.Vector3d, size: mi.Float64, active: mi.Bool) -> Edge:
         """
-        Return the points of rims beside hits at p; `size` is the rim's radius or half side, mm.
+        Return the points of rims nearest to hits at p, mm; `size` is the rim's radius or half side, mm.
 
         The other parameters are those of `past`.
         """
@@ -206,7 +205,7 @@ class EdgeContacts:
     def corner(
         self, place: mi.UInt32, edge: Edge, d: mi.Vector3d, size: mi.Float64, starts: mi.Bool, active: mi.Bool
     ) -> Corner:
-        """Return start data of rays along d that just miss an edge; `place` indexes tables of (surfaces, rims)."""
+        """Return start data of rays along d that just miss a rim's edge; `place` indexes (surfaces, rims) tables."""
         count = dr.width(place)
         none, one = dr.full(mi.UInt32, NO_SURFACE, count), dr.full(mi.Float64, 1, count)
         found = Corner(mi.UInt32(none), mi.UInt32(none), mi.UInt32(none), one, mi.Vector3d(edge.outward))
@@ -271,7 +270,7 @@ class EdgeContacts:
         return Corner(*state)
 
     def _holds(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """Return a mask of points, mm, next to surfaces s that lie within the rims of these surfaces."""
+        """Return a mask of points, mm, close to surfaces s that lie inside all rims of these surfaces."""
         distances = self._surfaces.rim_distances(self._surfaces.local_point(p, s, active), s, mi.UInt32(0), active)
         for rim, distance in enumerate(distances):
             exists = dr.gather(mi.Float64, self._sizes, s * len(RIM_COLUMNS) + rim, active) > 0

@@ -87,7 +87,7 @@ class WidthErrors:
     @classmethod
     def of(cls, sums: np.ndarray) -> WidthErrors:
         """
-        Return the errors of derivatives, estimated from batches and from the differences between zone widths.
+        Return noise and bias of derivatives, from the spread of batches and the differences between zone widths.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class WidthErrors:
 
 def further_samples(number: int) -> int:
     """
-    Return how many more ray samples a zone needs, after `number` halvings of its width, for as many hits as the widest.
+    Return how many more ray samples a halved zone needs so that it has as many hits as the widest zone.
 
     It is at most `MOST_SAMPLES`. Each sample has as many rays as the trace.
     """

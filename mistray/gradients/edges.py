@@ -153,11 +153,11 @@ class RimRecorder(Recorder):
         dr.eval(self.columns, self.axis, self.before)
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Allocate arrays by depth in each lane: slot of a recorded hit, contribution to the metric before it."""
+        """Allocate arrays by depth in each lane: slot of each recorded hit, and the metric's running sum before it."""
         memory[RIMS] = dr.alloc_local(mi.UInt32, max_events), dr.alloc_local(mi.Float64, max_events)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record the hits that lie in the zone of a rim, silhouette or critical angle, with their paths."""
+        """Record hits within the zone of a rim, silhouette or critical angle, with their paths."""
         it, state, valid = visit.interaction, visit.state, visit.active
         slots, before = memory[RIMS]
         depth = state["depth"]
@@ -215,7 +215,7 @@ class RimRecorder(Recorder):
         return rim, dr.select(first, to_first, to_second), near_first | near_second, both
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Record the contributions to the metric of hits whose subtrees are complete."""
+        """Store, for recorded hits whose subtrees are complete, what the subtree contributes to the metric."""
         (slots, before), gain, active = memory[RIMS], memory[GAIN], back.active
 
         def step(k):  # type: ignore[no-untyped-def]
@@ -338,7 +338,7 @@ class Edges:
 
     def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents | None:
         """
-        Trace rays that just miss the rims.
+        Trace rays that just miss the rims, to compare them with the recorded hits.
 
         Return the recorded hits that matter, with their coefficients in the derivative.
         """

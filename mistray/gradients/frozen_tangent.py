@@ -1,5 +1,4 @@
-"""
-Tangent of an image, visibility held, where the numbers of a scene move together: forward mode of path replay.
+"""Directional derivative of an image as scene parameters move together, with visibility held fixed, by path replay.
 
 Recorded rays are followed in float64 with the numbers moved a little to either side, through the same events. The
 tangent of the flux and of the place on the detector is a central difference of the two. See `mistray.gradients.replay`
@@ -62,7 +61,7 @@ def step_of(direction: SurfaceNumbers, sizes: np.ndarray) -> float:
 
 
 class Followed:
-    """Points of the events of recorded rays, mm, recomputed in float64."""
+    """Hit points of recorded rays, mm, recomputed in float64 event by event."""
 
     def __init__(self, rays: int, longest: int) -> None:
         self.rays = dr.opaque(mi.UInt32, rays)
@@ -75,12 +74,12 @@ class Followed:
         return k * self.rays + dr.arange(mi.UInt32, self.rays[0])
 
     def write(self, k: mi.UInt32, p: mi.Vector3d, active: mi.Bool) -> None:
-        """Store the point of event number `k` of each ray, mm."""
+        """Store the point, mm, of event number `k` of each ray."""
         for values, value in zip(self.points, p, strict=True):
             dr.scatter(values, value, self._index(k), active)
 
     def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Return the point of event number `k` of each ray, mm."""
+        """Return the stored point, mm, of event number `k` of each ray."""
         return mi.Vector3d(*(dr.gather(mi.Float64, values, self._index(k), active) for values in self.points))
 
 
@@ -132,7 +131,7 @@ def march(
 
 def follow(surfaces: ReplaySurfaces, rays: RecordedRays) -> Followed:
     """
-    Recompute the events of recorded rays in float64, and return their points, mm.
+    Return the hit points of recorded rays, mm, recomputed in float64 event by event.
 
     Parameters
     ----------

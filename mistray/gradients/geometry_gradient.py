@@ -20,7 +20,7 @@ from mistray.surfaces.gradient_columns import DISPLACEMENT, GEOMETRY, PARAMETER_
 
 def geometry_columns(names: Iterable[str]) -> frozenset[str]:
     """
-    Return the names of the `GEOMETRY` columns that given shape parameters may change.
+    Return the `GEOMETRY` columns, such as curvature or position, that given shape parameters may change.
 
     Raises
     ------

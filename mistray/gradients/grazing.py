@@ -1,5 +1,4 @@
-"""
-Discontinuities without a rim: silhouettes of curved surfaces, and the onset of total reflection.
+"""Jumps in contribution without a rim: silhouettes of curved surfaces, and the onset of total reflection.
 
 A ray that just touches a curved surface either meets it or goes past. A real interface reflects everything at grazing
 incidence, so that both have the same contribution. A wall, and an ideal coating whose R and T are the same at every
@@ -39,7 +38,7 @@ FLAT = 1e-6  # curvature along the ray in units of that of the aperture, below w
 
 def grazing_kernel(delta: Any, width: Any) -> Any:
     """
-    Return the one-sided boundary kernel k, in the inverse unit of Δ, at a distance Δ from a jump.
+    Return the one-sided boundary kernel at a distance Δ from a silhouette or critical angle, in 1/Δ's unit.
 
     It is 0 beyond its width.
     """

@@ -60,7 +60,7 @@ class NumberRows:
         self._derivatives = tracked(BATCHES * self._count * self._length) if self.moving else None
 
     def read(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
-        """Return the parameters of the surfaces s by column name, in the columns' units; 0 for columns left out."""
+        """Return the geometry columns of surfaces s by name, each in its own unit; columns left out are 0."""
         # Zeros are literals: Dr.Jit drops the terms of columns that are left out
         found: dict[str, Any] = dict.fromkeys(self._columns, self._real(0))
         four = mi.Vector4f if self._real is mi.Float else mi.Vector4d
@@ -95,13 +95,13 @@ def tracked(count: int) -> mi.Float64:
 
 
 def derived(value: Any, zeros: mi.Float64, index: mi.UInt32, active: mi.Bool) -> Any:
-    """Return a value whose derivatives are added to an entry of `tracked` zeros; the zeros are not read."""
+    """Return a value whose derivatives add to entry `index` of `zeros` from `tracked`; its number does not change."""
     return dr.replace_grad(value, type(value)(dr.gather(mi.Float64, zeros, index, active)))
 
 
 def _rows(geometry: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """
-    Return columns by name as rows, padded with zeros to a multiple of `WIDTH`.
+    Return geometry columns by name as rows, padded with zeros to a multiple of `WIDTH` numbers.
 
     Returns
     -------

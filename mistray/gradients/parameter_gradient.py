@@ -46,7 +46,7 @@ NO_PARAMETERS = (
 
 def without_derivative(key: str) -> str:
     """
-    Return why a trace has no derivative by a key of ``mi.traverse``, with a remedy; empty if nothing is known of it.
+    Return why a trace has no derivative by this key of ``mi.traverse``, with a remedy; "" if unknown.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = Fal
 
 
 def _ideal(optics: Optics, rows: np.ndarray) -> np.ndarray:
-    """Return derivatives by R and T of ideal coatings, (BATCHES, surfaces, 2), from derivatives by table rows."""
+    """Return derivatives by R and T of ideal coatings, (BATCHES, surfaces, 2), from those by coating-table rows."""
     own = rows[:, optics.host_places[:, 0]]
     both = own[..., REFLECTION_AND_TRANSMISSION]
     R = own[..., REFLECTION_FRONT] + own[..., REFLECTION_BACK] + both

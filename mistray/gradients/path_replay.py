@@ -144,7 +144,7 @@ class PathReplay:
                 yield RecordedRays.of(self.recorder, part, np.arange(count))
 
     def _replay(self, start: StartRays, ends: Ends) -> None:
-        """Replay the recorded rays of one portion and accumulate derivatives with visibility held fixed."""
+        """Replay the recorded rays of one portion, and add derivatives with visibility held fixed."""
         keys = np.array(self.recorder.path)[: int(self.recorder.count[0])]
         # Sorted by path, so that the lanes of a warp run through the same events
         order = np.argsort(keys, kind="stable")
@@ -160,7 +160,7 @@ class PathReplay:
         replay_rays(self._surfaces[0], rays, ends.end(rays, paths, upload(mi.UInt32, path)), self.scatter)
 
     def _replay_edges(self, start: StartRays, events: EdgeEvents) -> None:
-        """Replay one portion's hits close to rims and accumulate boundary terms for each zone width."""
+        """Replay the hits close to rims of one portion, and add the boundary terms for each zone width."""
         rows = np.array(events.row)
         for surfaces, c in zip(self._surfaces[1:], events.c, strict=True):
             used = np.flatnonzero(np.array(c))

@@ -135,7 +135,7 @@ class PstRays:
     def _replayed(
         self, number: int, derivative: np.ndarray, request: GradientRequest, moves: bool, ends: PstEnds
     ) -> TableGradient:
-        """Return derivatives from all forward or all backward rays at one wavelength, with notes on omitted parts."""
+        """Return derivatives of a metric by replay of all forward or backward rays at one wavelength, and notes."""
         trace, backward = self.trace, ends.sky is not None
         scene = trace.split_scene(number) if backward else trace.forward_scene(number)
         start = scene.table.detector if backward else None
@@ -158,7 +158,7 @@ class PstRays:
     def _backward(
         self, number: int, derivative: np.ndarray, moves: bool, recorder: BranchRecorder
     ) -> Iterator[tuple[StartRays, Trace]]:
-        """Yield the backward start rays of all passes, and functions that trace them again."""
+        """Yield the backward start rays of each pass, with a function that traces them again into the recorder."""
         trace = self.trace
         assert trace.pass_rays is not None
         # The metric by the flux of a start ray instead of PST_normal
@@ -183,7 +183,7 @@ class PstRays:
     def _forward(
         self, number: int, derivative: np.ndarray, moves: bool, recorder: BranchRecorder
     ) -> Iterator[tuple[StartRays, Trace]]:
-        """Yield the forward start rays of all passes, and functions that trace them again."""
+        """Yield the forward start rays of each pass, with a function that traces them again into the recorder."""
         trace, cells = self.trace, self.cells
         assert cells is not None
         # The metric by the flux of a start ray of each cell, with MIS weights
@@ -199,7 +199,7 @@ class PstRays:
 
 def _parts(request: GradientRequest) -> list[tuple[GradientRequest, bool]]:
     """
-    Split a request into parameters that leave paths in place and parameters that move them.
+    Return a request split in two: parameters that leave ray paths in place, and parameters that move them.
 
     Returns
     -------

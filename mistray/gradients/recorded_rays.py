@@ -1,4 +1,4 @@
-"""Rays traced again in portions that fit into a recorder, and their records as replay input, one lane each."""
+"""Rays that are traced again in portions that fit into a recorder, and their records as input of path replay."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Portions:
 
     @classmethod
     def filling(cls, recorder: BranchRecorder, records: float, too_many: str) -> Portions:
-        """Return portions sized to fill the recorder, given the mean number of `records` per start ray."""
+        """Return portions that just fill the recorder, given the expected `records` per start ray."""
         return cls(recorder, int(ROOM * recorder.capacity / max(records, 1.0)), too_many)
 
     def of(
@@ -136,5 +136,5 @@ class RecordedRays:
         return mi.Vector3f(*(dr.gather(mi.Float, self.recorder.heading, 3 * self.row + k) for k in range(3)))
 
     def node(self, k: mi.UInt32, active: mi.Bool) -> Node:
-        """Return event number `k` of each recorded ray."""
+        """Return event number `k` of each recorded ray: point, mm, direction of arrival, and event code."""
         return self.recorder.node(self.row, k, active)

@@ -40,7 +40,7 @@ End = Callable[[ReplaySurfaces, ReplayedEvent], mi.Float64]
 @dataclass
 class Exit:
     """
-    Contributions and exit directions of rays that leave the scene after their last event.
+    Rays that leave the scene after their last event: contribution to the metric, and direction.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Exit:
 
 class SegmentMedia:
     """
-    Medium of every segment of recorded rays.
+    Media that the segments of recorded rays run through, by medium number.
 
     Parameters
     ----------

@@ -198,7 +198,7 @@ class ReplaySurfaces:
     # ---- numbers
 
     def _sides(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[Any]:
-        """Return the real refractive indices in front of and behind the surfaces s, differentiable if requested."""
+        """Return the real indices in front of and behind the surfaces s, differentiable if so requested."""
         sides = [dr.gather(self.real, self._indices, 2 * s + side, active) for side in range(2)]
         if self._by_index is None:
             return sides
@@ -470,19 +470,19 @@ class ReplaySurfaces:
         return value / dr.detach(2 * dr.norm(gradient))
 
     def pose(self, numbers: dict[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return displacement, mm, and rotation vector, rad, of the frames of surfaces."""
+        """Return displacement, mm, and rotation vector, rad, of surface frames from their shape parameters."""
         shift, turn = (self.vector(*(numbers[prefix + axis] for axis in "xyz")) for prefix in ("", "tilt_"))
         return shift, turn
 
     @staticmethod
     def _at_rest(q: mi.Vector3d, shift: mi.Vector3d, turn: mi.Vector3d) -> mi.Vector3d:
-        """Return points of frames, mm, relative to the frames after displacement (mm) and a small rotation (rad)."""
+        """Return points, mm, in frames displaced (mm) and slightly rotated (rad) from the given ones."""
         q = q - shift
         return q - dr.cross(turn, q)
 
     def move_start(self, rays: RecordedRays, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
         """
-        Accumulate the part of the derivatives that comes from moving ray starts.
+        Add the part of the derivatives by source parameters that comes from moving ray starts.
 
         `by_o` and `by_d` are the derivatives of the metric with respect to origins and directions.
         """
@@ -570,7 +570,7 @@ class ReplaySurfaces:
         return R, dr.select(total | opaque, 0, T), cos_t, eta
 
     def _row(self, row: mi.UInt32, active: mi.Bool) -> tuple[Any, Any]:
-        """Return R from the front, R from the back and T at rows of coating tables, and their change per row."""
+        """Return R from front and back, and T, at rows of coating tables, and their change per row."""
         four = mi.Vector4f if self.real is mi.Float else mi.Vector4d
         values, slopes = (dr.gather(four, self._rows, 2 * row + k, active) for k in range(2))
         return values, slopes

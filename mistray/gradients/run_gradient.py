@@ -56,14 +56,14 @@ class DetectorEnds(Ends):
     scatter: ScatterReplay | None
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
-        """Return a mask of the path keys, (n,) bool, whose paths contribute to the metric."""
+        """Return a mask of the paths, (n,) bool, by their keys, that contribute to the metric."""
         if self.paths is None:
             return super().counts(keys)
         coefficients, maps = self.paths.of(keys)
         return np.asarray(coefficients.any(axis=1) | ((maps >= 0) & (self.pixel is not None)))
 
     def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End:
-        """Return the contribution of each ray to the metric as a function of its hit at the detector."""
+        """Return the contribution of each ray to the metric, as a function of its hit on the detector."""
         terms: list[mi.Float64] = []
         mapped, first = mi.Bool(True), mi.UInt32(0)
         if self.paths is not None:
@@ -96,7 +96,7 @@ class DetectorEnds(Ends):
 
     def _image(self, x: mi.Float64, y: mi.Float64, first: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """
-        Return the metric's derivative by flux, in units of a start ray's, at a place x, y, mm, of the film.
+        Return the metric's derivative by flux (in start rays' flux) at a place x, y, mm, on the detector.
 
         The value is that of the film's own filter, the slope that of bilinear interpolation between pixel centres.
         """

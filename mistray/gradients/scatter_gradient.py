@@ -192,7 +192,7 @@ def table_slopes(
 
 
 def _sum(terms: Iterable[tuple[float, np.ndarray]]) -> np.ndarray:
-    """Return the weighted sum of arrays, given as pairs of a weight and an array."""
+    """Return the weighted sum of arrays, which are given as pairs of a weight and an array."""
     return np.asarray(sum(weight * values for weight, values in terms))
 
 

@@ -89,7 +89,7 @@ class ScatterEvent:
         return 2 * self.s + dr.select(self.from_front, mi.UInt32(0), 1)
 
     def where(self, active: mi.Bool) -> ScatterEvent:
-        """Return the event with harmless numbers in inactive lanes, so that they produce no NaN."""
+        """Return the event with valid dummy values in inactive lanes, so that these produce no NaN."""
         up = (0, 0, 1)
         return replace(
             self,
@@ -116,12 +116,12 @@ class ScatterReplay(Scattering):
         self.tables: ReplayTables = ReplayTables(scattering.tables)
 
     def derivatives(self) -> dict[str, np.ndarray]:
-        """Return the accumulated derivatives by entries of the scatter tables, (BATCHES, size) for each array name."""
+        """Return the accumulated derivatives by scatter-table entries, (BATCHES, size) by array name."""
         return {name: np.array(dr.grad(leaf)).reshape(BATCHES, -1) for name, leaf in self.tables.leaves.items()}
 
     def log_kept(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
         """
-        Return ln of the fraction of R or T that stays in the specular beam.
+        Return the natural logarithm of the fraction of R or T that stays in the specular beam.
 
         The result is 0 if the lane is inactive or nothing stays.
         """
@@ -143,7 +143,7 @@ class ScatterReplay(Scattering):
 
     def _all_shares(self, event: ScatterEvent, active: mi.Bool) -> tuple[Shares, Shares, Shares, Shares]:
         """
-        Return the fractions of R and T that stay specular and that are scattered at an event.
+        Return the specular and scattered fractions of R and T at an event.
 
         Returns
         -------
@@ -256,16 +256,16 @@ class ReplayTables(ScatterTables):
             dr.enable_grad(self.leaves)
 
     def _zero(self, name: str, index: mi.UInt32, active: mi.Bool) -> mi.Float:
-        """Return the zero that carries the derivative by entry `index` of the named array, in the present batch."""
+        """Return a zero that carries the derivative by entry `index` of the array `name` for the present batch."""
         return mi.Float(dr.gather(mi.Float64, self.leaves[name], self.batch * self._sizes[name] + index, active))
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
-        """Return rows of total scatter as `ScatterTables.total` does, with derivatives by the table entries."""
+        """Return rows of total scatter, as `ScatterTables.total` does, with derivatives by the table's entries."""
         zeros = mi.Vector4f(*(self._zero(TOTALS, TOTAL_FLOATS * row + k, active) for k in range(TOTAL_FLOATS)))
         return super().total(row, active) + zeros
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
-        """Return numbers and flag words of lobes as `ScatterTables.lobe` does, with derivatives by the entries."""
+        """Return lobe parameters and flag words, as `ScatterTables.lobe` does, with derivatives by the entries."""
         shares, limit, log2_r_min, words = super().lobe(row, active)
         zeros = [self._zero(LOBES, LOBE_FLOATS * row + k, active) for k in range(LOBE_FLOATS)]
         return shares + mi.Vector4f(*zeros[:4]), limit + zeros[4], log2_r_min + zeros[5], words

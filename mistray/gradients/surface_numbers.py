@@ -1,5 +1,4 @@
-"""
-Properties of surfaces by which a metric is differentiated, as the replay reads them.
+"""Differentiable properties of surfaces as path replay reads them: geometry, refractive indices, R and T.
 
 Aspheric coefficients are scaled to the size of their surface, so that all numbers are within single precision. Tables
 of R and T have slopes beside their values: differences of neighbours, which need the host's float64.
@@ -51,7 +50,7 @@ class SurfaceNumbers:
 
 
 def numbers_of(table: SurfaceTable) -> SurfaceNumbers:
-    """Return the current differentiable properties of the surfaces of a table, in float64."""
+    """Return the present geometry, indices, R and T of the surfaces of a table as `SurfaceNumbers`, in float64."""
     geometry = np.zeros((table.count, len(GEOMETRY)))
     for piece in table.pieces:
         for name, value in piece.columns.items():
@@ -67,7 +66,7 @@ def numbers_of(table: SurfaceTable) -> SurfaceNumbers:
 
 
 def of_four(rows: np.ndarray) -> np.ndarray:
-    """Pad rows of three numbers with a zero, so that the device reads a row as one vector of four."""
+    """Return rows of three numbers padded with a zero, so that the device reads each as one vector of four."""
     return np.pad(rows, ((0, 0), (0, 4 - rows.shape[1])))
 
 
@@ -131,7 +130,7 @@ class AsphericTerms(dr.CustomOp):
         return (polynomial_derivative if derivative else polynomial)(self.r2, self.still, self.per_area) + 0 * self.r2
 
     def backward(self) -> None:
-        """Propagate the adjoint of the result to r² and to the coefficients a_i."""
+        """Propagate the adjoint of the sag's polynomial to r² and to its coefficients a_i."""
         adjoint = self.grad_out()
         further = polynomial_second_derivative if self.derivative else polynomial_derivative
         self.set_grad_in("r2", adjoint * further(self.r2, self.still, self.per_area))

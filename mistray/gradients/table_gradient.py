@@ -93,7 +93,7 @@ class Derivatives:
 
     @classmethod
     def stacked(cls, parts: Sequence[Derivatives]) -> Derivatives:
-        """Return derivatives by geometry, indices and sources, stacked along a new first axis, one entry per part."""
+        """Return derivatives by geometry, indices and sources of several parts, stacked along a new first axis."""
         columns = ([getattr(part, name) for part in parts] for name in ("geometry", "indices"))
         geometry, indices = (np.stack(arrays) if arrays and arrays[0] is not None else None for arrays in columns)
         sources = zip(*(part.sources for part in parts), strict=True)
@@ -102,7 +102,7 @@ class Derivatives:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Derivative arrays that are present, by name, including those by scatter tables."""
+        """Arrays of derivatives that are present, by name, those by scatter tables included."""
         named = {name: getattr(self, name) for name in ("rows", "geometry", "indices")}
         return {name: values for name, values in named.items() if values is not None} | self.scatter
 
@@ -149,7 +149,7 @@ class TableGradient:
 
     @property
     def parts(self) -> tuple[tuple[str, ...], ...]:
-        """Names of the derivative arrays: with visibility held fixed, then of the boundary terms of rims."""
+        """Names of derivative arrays: those with visibility held fixed, then those of boundary terms of rims."""
         return tuple(self.inner.arrays), tuple(self.rims.arrays)
 
     def add(self, other: TableGradient) -> None:

@@ -53,7 +53,7 @@ class BranchLimits:
         self._record(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """Return the throughput absorbed at hits (0 where a limit cuts it) and a mask of hits that detectors count."""
+        """Return the throughput absorbed at hits, 0 if absorption is not allowed, and a mask of hits to count."""
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
             return mi.Float(0), mi.Bool(False)
@@ -143,7 +143,7 @@ class BranchLimits:
         return child
 
     def arrive(self, run: mi.UInt32, surface: mi.UInt32, flux: mi.Float, hit: mi.Bool, contributes: mi.Bool) -> mi.Bool:
-        """Return the mask `hit` without rays that exceed the limit on consecutive hits of one surface."""
+        """Return the mask `hit` without rays that met one surface more often in a row than `max_consecutive` allows."""
         if self._consecutive is None:
             return hit
         over = hit & ((run & SURFACE_MASK) == surface) & ((run >> RUN_SHIFT) >= self._consecutive)

@@ -234,7 +234,7 @@ class Branching:
         self._split, self._roulette = settings.splitting == "split", settings.below_threshold == "roulette"
 
     def _lost(self, node: Node, channel: int | mi.UInt32, flux: mi.Float, active: mi.Bool, memory: Memory) -> None:
-        """Record throughput that is lost at a node in a loss channel, for lanes that count in the energy ledger."""
+        """Record throughput lost at a node in a loss channel of the energy ledger, for lanes that count in it."""
         self._lose(channel, flux, active & node.contributes, memory)
 
     # ---- the flux of each child
@@ -331,7 +331,7 @@ class Branching:
         return dr.select(under_way, 0, w_t), dr.select(under_way, 0, w_r), w_s
 
     def _connection(self, node: Node, rng: mi.PCG32) -> Connection:
-        """Return the connection of a node to a random light vertex; at that vertex, back along the incident light."""
+        """Return the connection of a node to a random light vertex, or at that vertex back along its incident light."""
         assert self._vertices is not None
         it, vertex = node.interaction, node.state["light_vertex"]
         # The word of a ray at its vertex gets the flag CONNECTED
@@ -374,7 +374,7 @@ class Branching:
         return self._next(node, children, factors)
 
     def _flux_limit(self, node: Node) -> mi.Float:
-        """Return the throughput below which unscattered light is cut or plays Russian roulette."""
+        """Return the throughput, relative to a start ray, below which unscattered light is cut or plays roulette."""
         scale = node.start.scale
         return self._threshold if scale is None else self._threshold * scale
 
@@ -405,12 +405,12 @@ class Branching:
         return ScatterFactors(*(dr.select(first, factor, kept) for kept in self._kept(state)))
 
     def _kept(self, state: dict[str, Any]) -> ScatterFactors:
-        """Return the roulette factors 1/q of scattered rays that a node stored at its first visit."""
+        """Return the roulette factors 1/q of scattered rays that each node stored at its first visit."""
         surface = state["scatter_factor"]
         return ScatterFactors(surface, state["medium_factor"] if self._bulk and self._optics.one_child else surface)
 
     def plays_roulette(self, it: Interaction, children: Children) -> mi.Bool:
-        """True where a reflection of an unscattered ray plays Russian roulette, given `BranchProbabilities`."""
+        """Return a mask of nodes at which the reflection of an unscattered ray plays Russian roulette."""
         return children.transmits & children.counted & ((it.word & ONE_CHILD) == 0)
 
     def reference(self, state: dict[str, Any], by_roulette: mi.Bool) -> mi.Float:
@@ -487,7 +487,7 @@ class Branching:
     # ---- the choice
 
     def _next(self, node: Node, children: Children, factors: ScatterFactors) -> Choice:
-        """Return the next child of each node that has flux, as ``splitting="split"`` sends on one per visit."""
+        """Return the next child with flux at each node; with ``splitting="split"`` each visit sends on one."""
         first, visit, budget, bulk_aim = node.first, node.visit, node.budget, children.bulk_aim
         w_t, w_r, w_s, w_m = children.transmitted, children.reflected, children.scattered, children.in_scattered
         random_rays, random_medium_rays = children.random_rays, children.random_medium_rays

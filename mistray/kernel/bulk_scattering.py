@@ -1,5 +1,4 @@
-"""
-Scatter of rays within media.
+"""Scatter of light within media: scatter points along ray segments, and directions by phase function or target.
 
 The place on a segment has the density of the flux that is scattered there. The direction is sampled either from the
 phase function or towards a target of the side of the surface at which the segment ends. All rays of a segment together
@@ -91,7 +90,7 @@ class BulkScattering:
         self._rows, self._targets = upload(mi.UInt32, rows), DeviceTargets(sets, table.centre)
 
     def aim(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> BulkAim:
-        """Return the importance targets of segments that end at surfaces `s`, for light that their media scatter."""
+        """Return the targets at which media aim the light scattered on ray segments that end at surfaces `s`."""
         if not self._aimed:
             return BulkAim(mi.Vector2u(0), mi.UInt32(0))
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
@@ -100,7 +99,7 @@ class BulkScattering:
 
     def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, rng: mi.PCG32) -> MediumRay:
         """
-        Return the technique for the only scattered ray of a segment.
+        Return the sampling technique, phase function or target, of the only scattered ray of a segment.
 
         With targets, the ray is aimed with probability ½ or 1.
         """

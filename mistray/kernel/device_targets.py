@@ -179,7 +179,7 @@ class DeviceTargets:
 
 def _sphere(rows: list[mi.Vector4f], p: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
     """
-    Map an ellipsoid to the unit sphere.
+    Transform lines of sight so that an ellipsoid becomes the unit sphere.
 
     Return point p there, the direction to the centre, and 1 - cos of its half-angle.
     """

@@ -101,7 +101,7 @@ class Interaction:
     polarized: Polarized | None
 
     def channel(self, reflect: mi.Bool) -> mi.UInt32:
-        """Return the coating channel that sets the child's flux: R from the front, R from the back, T, or R + T."""
+        """Return which tabulated value sets each child's flux: R from the front or the back, T, or R + T."""
         # An ideal coating has no entry of its own for total reflection: it reflects R + T then
         both = self.tir & ((self.word & 3) == IDEAL)
         reflection = dr.select(self.from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
@@ -283,7 +283,7 @@ def shares_at(
     optics: mi.Vector4f | None = None,
 ) -> tuple[mi.Float, mi.Float, mi.Float]:
     """
-    Return R, T and cos θt of surfaces s for unpolarised light at `cos_i`.
+    Return R, T and cos θt of surfaces s for unpolarised light that arrives at the cosine `cos_i`.
 
     `optics` holds the surfaces' indices, R and T; it is given where derivatives by them are needed.
     """
@@ -324,7 +324,7 @@ class _Incidence:
 
 def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i: mi.Float) -> _Incidence:
     """
-    Return indices and angles at a surface by Snell's law n_i sin θi = n_t sin θt.
+    Return indices and angles of light at a surface by Snell's law n_i sin θi = n_t sin θt.
 
     `optics` holds the index on each side.
     """
@@ -352,7 +352,7 @@ def _place(table: SurfaceTable, s: mi.UInt32, at: _Incidence, active: mi.Bool) -
 def _unpolarized(
     table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
-    """Return R and T as means of s and p. At total reflection R is everything that is not absorbed."""
+    """Return R and T for unpolarised light; in total reflection R is all light that is not absorbed."""
     kinds = table.optics.kinds
     # Ideal coatings have R and T of their own
     R, T = optics.z, optics.w
@@ -372,7 +372,7 @@ def _unpolarized(
 
 
 def _bare(at: _Incidence) -> tuple[mi.Vector4f, mi.Vector4f]:
-    """Return the coefficients (S, P, Re j_s j_p*, Im j_s j_p*) of reflection and of transmission at a bare surface."""
+    """Return the Mueller coefficients (S, P, Re j_s j_p*, Im j_s j_p*) of a bare surface, reflected and transmitted."""
     r_s, r_p = amplitudes(at.cos_i, at.cos_t, at.n_i, at.n_t)
     s, p = r_s * r_s, r_p * r_p
     # In total reflection |r_s| = |r_p| = 1, and s and p differ in phase
@@ -385,7 +385,7 @@ def _bare(at: _Incidence) -> tuple[mi.Vector4f, mi.Vector4f]:
 def _mueller(
     table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[Mueller, Mueller]:
-    """Return the Mueller matrices of surfaces for reflection and for transmission, in the plane of incidence."""
+    """Return the Mueller matrices of surfaces for reflection and transmission, in axes of the plane of incidence."""
     kinds = table.optics.kinds
     # An ideal coating acts on s and p alike, as a bare surface does at normal incidence
     R, T = dr.select(at.tir, optics.z + optics.w, optics.z), optics.w
@@ -412,7 +412,7 @@ def _mueller(
 
 
 def counts_as_reflection(interaction: Interaction) -> mi.Bool:
-    """Return a mask of reflections that count towards `max_reflections`: not total ones, nor those at mirrors."""
+    """Return a mask of reflections that count towards `max_reflections`: neither total ones nor those at mirrors."""
     return ~interaction.tir & ((interaction.word & MIRROR) == 0)
 
 
@@ -445,7 +445,7 @@ def event_code(
 
 
 def is_diffraction(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.Bool:
-    """Return a mask of diffraction at edges: scatter without reflection at a surface that diffracts."""
+    """Return a mask of scatter events that are diffraction at edges: transmitted, at a surface that diffracts."""
     if not optics.diffracts:
         return mi.Bool(False)
     return scatter & ~reflect & ((it.word & DIFFRACTS) != 0)

@@ -1,4 +1,4 @@
-"""A scene as the kernel sees it, and the next hits of rays in it."""
+"""A scene as the kernel reads it at one wavelength, and the search for the next surface that each ray meets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_RAYS, LEAST_PROBABILITY = 64, 1 / 8  # a weight window splits a hit into so
 @dataclass(frozen=True)
 class BranchProbabilities:
     """
-    Probabilities that a hit scatters and that a reflection is followed.
+    Probabilities that a hit scatters and that a reflection at a transparent surface is followed.
 
     A followed branch's throughput is divided by them.
 
@@ -55,12 +55,12 @@ class WeightWindows:
     inverse_lower: mi.Float
 
     def split(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
-        """Return the integer factor by which splitting raises a hit's number of scattered rays, 1 … `MOST_RAYS`."""
+        """Return the factor, 1 … `MOST_RAYS`, on a hit's scattered rays: throughput over the window's upper bound."""
         rays = weight * dr.gather(mi.Float, self.inverse_upper, row, active)
         return mi.UInt32(dr.clip(dr.round(rays), 1, MOST_RAYS))
 
     def survival(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the roulette probability that a hit scatters, `LEAST_PROBABILITY` … 1: throughput over lower bound."""
+        """Return the probability that a hit scatters, `LEAST_PROBABILITY` … 1: throughput over lower bound."""
         rays = weight * dr.gather(mi.Float, self.inverse_lower, row, active)
         return dr.clip(rays, LEAST_PROBABILITY, 1)
 
@@ -157,7 +157,7 @@ def next_hit(
 
 
 def film_coordinates(table: SurfaceTable, it: Interaction, s: mi.UInt32) -> tuple[mi.Float, mi.Float]:
-    """Return the coordinates x and y of hits in the frame of their detector `s`, mm."""
+    """Return the coordinates x and y, mm, of detector hits in the frame of the detector with number `s`."""
     x, y = it.local.x, it.local.y
     for detector, (middle, right, up) in table.detector_axes.items():
         if detector in table.detectors:

@@ -102,7 +102,7 @@ class Launches:
 
     def whole(self, start: StartRays, trace: Callable[[StartRays], object]) -> None:
         """
-        Trace all start rays regardless of the time budget; raise KeyboardInterrupt if an interrupt is overdue.
+        Trace all start rays regardless of the time budget; raise `KeyboardInterrupt` after an overdue interrupt.
 
         See `run`.
         """
@@ -113,7 +113,7 @@ class Launches:
 
     @staticmethod
     def _next(left: int, most: int) -> int:
-        """Return the number of rays of the next launch, about `most` or fewer, such that `left` divides equally."""
+        """Return the rays of the next launch, about `most`, such that launches share the rays `left` equally."""
         return left if left <= STRETCH * most else math.ceil(left / math.ceil(left / most))
 
     def time(self, lanes: int, work: Callable[[], object]) -> None:

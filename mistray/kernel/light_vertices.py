@@ -43,11 +43,11 @@ class LightVertexRecorder(Recorder):
 
     @property
     def count(self) -> int:
-        """Number of light vertices that were found, those beyond `room` included."""
+        """Number of light vertices found so far, those beyond `room`, which are not stored, included."""
         return int(self._count[0])
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record a light vertex for each active ray that meets a surface that scatters."""
+        """Record a light vertex for each active ray with flux that meets a scattering surface."""
         if visit.shares is None:
             return
         start = visit.start
@@ -152,13 +152,13 @@ class LightVertices:
         return dr.gather(mi.Vector4f, self._headings, number, active).xyz
 
     def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Return a mask of rays whose hit of surface s at p (mm) is the light vertex that they were sent to."""
+        """Return a mask of rays that hit surface s at the light vertex, p (mm), to which they were sent."""
         row = dr.gather(mi.Vector4f, self._headings, number, active)
         apart = dr.norm(p - self.point(number, active))
         return active & (mi.UInt32(row.w) == s) & (apart < self._slack)
 
     def comes_from(self, number: mi.UInt32, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """Return a mask of connected rays that leave in a cell and retrace the incident path of their light vertex."""
+        """Return a mask of connected rays that leave in a cell by the path on which light reached their vertex."""
 
         # The key of the path from the start to the light vertex: from the last event back to the first scatter event
         def back(k: mi.UInt32, key: mi.UInt64, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt64, mi.Bool]:

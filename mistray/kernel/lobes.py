@@ -23,16 +23,16 @@ CELLS = RINGS + 1
 LAST_BIT = 2.0**-24  # last bit of a random number: a cell of no share is not kept even if the number is 0
 LOG2_FIRST = 1.0 - OCTAVES  # log2 of the radius of the first node
 FIRST_R2 = 4.0**LOG2_FIRST
-TURNED = -0.3  # z component of a normal below which its tangents are mirrored
+TURNED = -0.3  # z component of a normal below which its tangents take the other branch
 
 
 def tangents(normal: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
     """
-    Return two unit vectors that form a right-handed frame with a unit normal.
+    Return unit vectors t1 and t2 such that t1, t2 and a unit normal, in this order, are a right-handed frame.
 
     T. Duff et al., "Building an orthonormal basis, revisited", Journal of Computer Graphics Techniques 6 (2017) 1.
-    There the frame is mirrored at z = 0, which is where all normals of a tube lie: a rounding of a position would turn
-    the scattered rays. Here it is mirrored where few normals lie.
+    There the frame switches branch at z = 0, which is where all normals of a tube lie: a rounding of a position would
+    turn the scattered rays. Here it does so at z = -0.3, away from normals of tubes and of planes across the axis.
     """
     mirrored = dr.select(normal.z < TURNED, mi.Float(-1), 1)
     a = -dr.rcp(mirrored + normal.z)
@@ -72,7 +72,7 @@ class RadialSampler:
         return [self._logs, self._cells]
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the radial profile f, 1/sr, at the squared radius r2, by the number of its table."""
+        """Return the profile f, 1/sr, of radial table `table` at the squared radius r2 from the lobe's centre."""
         place = radial_place(r2)
         node = mi.UInt32(place)
         low, high = self._pair(table, node, active)
@@ -105,7 +105,7 @@ class RadialSampler:
         return dr.exp2(LOG2_FIRST + mi.Float(ring) * (1 / PER_OCTAVE) + octaves)
 
     def _pair(self, table: mi.UInt32, node: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
-        """Return log2 of the profile f (1/sr) at a node of a radial table and at the next node."""
+        """Return log2 of a profile f (in 1/sr) at a node of a radial table and at the node after it."""
         at = table * STRIDE + node
         return dr.gather(mi.Float, self._logs, at, active), dr.gather(mi.Float, self._logs, at + 1, active)
 

@@ -64,7 +64,7 @@ class PdfRatios:
 
     @staticmethod
     def first(width: int, connected_width: int) -> State:
-        """Return the initial density ratios of `width` start rays, by name, as variables of the loop."""
+        """Return the density ratios of `width` start rays before any event, by name, as loop variables."""
         return {
             "pdf_ratio": dr.full(mi.Float, 1, width),  # ∏ pdf_rev/pdf_own over the scatter events so far
             "survival_ratio": dr.full(mi.Float, 1, width),  # ∏ q_rev/q_own since the last of them
@@ -181,20 +181,20 @@ class PdfRatios:
         return {"partial_ratio": dr.select(at_y & dr.isfinite(begun), begun, 0), "connection_ratio": ratio}
 
     def connection_ratio_at_end(self, state: State) -> mi.Float | None:
-        """Return the number of connections that find a completed path, per ray and light vertex; None without any."""
+        """Return the expected connections that find a complete path, per ray and light vertex; None without any."""
         if not self.connects:
             return None
         return state["connection_ratio"] * state["survival_ratio"] if self._backward else state["connection_ratio"]
 
     def at_end(self, state: State) -> mi.Float:
-        """Return pdf_rev/pdf_own of completed paths, which end at the detector or leave the scene."""
+        """Return the density ratio pdf_rev/pdf_own of complete paths, which end at the detector or leave the scene."""
         ratio = state["pdf_ratio"] * state["survival_ratio"]
         if self._backward or not self._scatters:
             return ratio
         return ratio / dr.select((state["scatters"] & AT_WALL) != 0, self._survival(state, mi.Float(1)), 1)
 
     def _survival(self, state: State, share: mi.Float) -> mi.Float:
-        """Return the probability that a ray with this share (0 … 1) of the node's throughput survives roulette."""
+        """Return the probability that roulette spares a ray that has this share, 0 … 1, of its node's throughput."""
         if not self._by_weight:
             return mi.Float(1)
         return dr.minimum(state["w"] * share / (state["reference"] * self._threshold), 1)

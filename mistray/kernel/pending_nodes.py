@@ -1,5 +1,4 @@
-"""
-Pending nodes, to which the lanes come back, and the schedule of the lanes of a packet.
+"""Pending nodes of the ray tree, to which lanes return for further children, and the lockstep of lanes in a packet.
 
 A lane that has followed a branch to its end goes on at its deepest pending node. If each did so at once, the first of
 them whose branch is one surface shorter would be one node ahead of the others from then on: neighbours would be at
@@ -121,7 +120,7 @@ class PendingNodes:
         return dr.if_stmt(memory, needed, store, lambda *memory: memory, mode="symbolic", label="keep")
 
     def resume(self, state: dict[str, Any], child: int) -> dict[str, Any]:
-        """Return the state after lanes at level 1 have resumed, at `child` unless their node stores a later one."""
+        """Return the loop state after waiting lanes have resumed their pending node, at its stored child or `child`."""
         resumes = state["resume_level"] == 1
         values = iter([array.read(state["depth"], resumes) for array in state["memory"][0]])
         unknown, width = mi.UInt32(0), dr.width(resumes)
@@ -195,7 +194,7 @@ def recorded_once(
     label: str,
 ) -> dict[str, Any]:
     """
-    Return the variables of a symbolic loop at its end, whose body Dr.Jit records once.
+    Return the final variables of a symbolic loop whose body Dr.Jit records once instead of twice.
 
     To find variables that a loop leaves as they are, Dr.Jit follows its body twice. The loops of the ray tree have
     none, see `_Tree.walk`, and recording them is a quarter of the time of a trace of few rays.

@@ -1,4 +1,4 @@
-"""Stokes vectors along skew paths.
+"""Stokes vectors along skew rays: polarisation axes by direction, and rotation into the plane of incidence.
 
 A branch carries (q, u, v) = (Q, U, V)/I with respect to axes that follow from its direction d alone: the first is the
 projection of the world's x axis onto the plane normal to d (of the y axis where d is within 26° of x), the second
@@ -51,7 +51,7 @@ def carried(u: Any, axis: Any, d: Any) -> Any:
 
 
 def plane_of_incidence(d: mi.Vector3f, normal: mi.Vector3f) -> mi.Vector3f:
-    """Return the unit vector s normal to the plane of incidence of light along d; at normal incidence `first_axis`."""
+    """Return the unit vector s normal to the plane of incidence of light along d; `first_axis` at normal incidence."""
     s = dr.cross(d, normal)
     square = dr.squared_norm(s)
     return dr.select(square > NORMAL_INCIDENCE, s * dr.rsqrt(square), first_axis(d))
@@ -78,7 +78,7 @@ def from_plane(stokes: Any, d: Any, s: Any) -> Any:
 @dataclass
 class Mueller:
     """
-    Mueller matrix of a coating for reflected or for transmitted light.
+    Mueller matrix of a surface for reflected or for transmitted light, with respect to the plane of incidence.
 
     Attributes
     ----------
@@ -89,13 +89,13 @@ class Mueller:
     coefficients: mi.Vector4f
 
     def share(self, stokes: mi.Vector3f) -> mi.Float:
-        """Return the fraction of the incident flux in the child; `stokes`, (q, u, v), is in the plane of incidence."""
+        """Return the child's flux over the incident flux; `stokes`, (q, u, v), refers to the plane of incidence."""
         s, p = self.coefficients.x, self.coefficients.y
         # Not as S + P + (S - P) q: where q is ±1 this leaves the rounding of the larger share on the smaller one
         return 0.5 * (s * larger(1 + stokes.x, 0) + p * larger(1 - stokes.x, 0))
 
     def apply(self, stokes: mi.Vector3f) -> mi.Vector3f:
-        """Return the child's Stokes vector (q, u, v), in units of its flux, in the plane of incidence."""
+        """Return the child's normalised Stokes vector (q, u, v) with respect to the plane of incidence."""
         s, p, re, im = self.coefficients
         flux = self.share(stokes)
         scale = dr.select(flux > 0, 1 / flux, 0)  # not `dr.rcp`: polarised light must stay so by more than 1e-7

@@ -113,13 +113,13 @@ class _Tree:
 
     # A Local array takes an index of traced size 1 as uniform over the lanes: every index must start at full width
     def full(self, value: int = 0) -> mi.UInt32:
-        """Return an array with the same integer in every lane."""
+        """Return a device array, one entry per lane, filled with an integer."""
         return dr.full(mi.UInt32, value, self.n)
 
     # ---- the state of the loop
 
     def first_segment(self) -> State:
-        """Trace start rays to the first surface that they meet. Return the variables of the loop there."""
+        """Return the loop variables after the start rays are traced to the first surface that they meet."""
         start, table, n, full = self.start, self.scene.table, self.n, self.full
         o, d, bulk = start.o, start.d, self.bulk
         memory: Memory = {}
@@ -197,7 +197,7 @@ class _Tree:
         }
 
     def idle(self) -> State:
-        """Return the initial loop variables for lanes that have no start ray yet."""
+        """Return the initial loop variables of lanes that wait for their first start ray."""
         assert self.supply is not None
         memory: Memory = {}
         self.recorders.begin(self.start, self.settings.max_events, memory)
@@ -210,7 +210,7 @@ class _Tree:
     # ---- the loop
 
     def walk(self, state: State) -> None:
-        """Visit the nodes of all ray trees, starting from given loop variables, and collect recorders' results."""
+        """Follow all ray trees to their ends from the given loop variables, and collect the recorders' results."""
         if LaneRows.pay(self.scene.table):
             self.rows = LaneRows(self.scene.table, self.n)
         # Variables that keep their values in this scene are none of the loop. These change in all, kept or not
@@ -272,7 +272,7 @@ class _Tree:
         self.recorders.end(start, segments, segments >= self.branching.max_segments, done, memory)
 
     def end(self, state: State, done: mi.Bool) -> None:
-        """Record the complete ray trees of the lanes `done`, and collect the results of all lanes."""
+        """Record the complete ray trees of the lanes in `done`, and collect the per-lane sums of all lanes."""
         self._complete(self.start, state["segments"], done, state["recorders"])
         self.recorders.collect_lanes(self.start, state["recorders"])
 

@@ -96,12 +96,12 @@ class SurfaceFrames:
         self.rows = upload(mi.Float, rows)
 
     def local(self, s: mi.UInt32, normal: Any, q: Any, active: mi.Bool | bool = True) -> Any:
-        """Return the unit x axis of the sample at a point q, mm, in the frame of the surface; see `tangent_axis`."""
+        """Return the sample's unit x axis at a point q, mm, in the frame of the surface; see `tangent_axis`."""
         row = dr.gather(mi.Vector4f, self.rows, s, active)
         return tangent_axis(row, normal, q, self._any_meridian)
 
     def at(self, s: mi.UInt32, normal: mi.Vector3f, q: mi.Vector3f, active: mi.Bool) -> mi.Vector3f:
-        """Return the sample's x axis at a point q, mm, in the surface's frame, as unit vector in the scene's frame."""
+        """Return the sample's unit x axis in the scene's frame, at a point q, mm, of the surface's frame."""
         frame = self._table.frame(s, active)
         return frame.outward(self.local(s, frame.inward(normal), q, active))
 
@@ -163,5 +163,5 @@ def plane_of_sample(
 
 
 def fraction_of(turns: mi.Float) -> mi.Float:
-    """Return the fractional part of a number of turns, at least 0 and below 1."""
+    """Return the part of an angle in turns that exceeds whole turns, 0 … 1, also for negative angles."""
     return turns - dr.floor(turns)

@@ -101,7 +101,7 @@ class ScatterBudget:
         self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32, connection: Connection | None = None
     ) -> ScatteredRay:
         """
-        Return the event and sampling technique of scattered ray `number` of a node.
+        Return the event and the sampling technique of scattered ray number `number` of a node.
 
         The first `random_rays` are drawn at random, then come the aimed ones of transmission and of reflection, and
         then those of `connection`, if there is one.
@@ -120,7 +120,7 @@ class ScatterBudget:
 
     def one_ray(self, probability: mi.Float, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
         """
-        Return the event and sampling technique of a node's only scattered ray, which it sends with this probability.
+        Return the event and sampling technique of a node's only scattered ray, sent with `probability`.
 
         It is aimed in half of the cases in which there is a target. Without random rays it has no weight in an event
         without a target.
@@ -138,7 +138,7 @@ class ScatterBudget:
 @dataclass
 class Turn:
     """
-    Azimuth of an anisotropic sample relative to the plane of incidence.
+    Azimuth of an anisotropic sample, such as brushed metal, relative to the plane of incidence.
 
     Attributes
     ----------
@@ -264,7 +264,7 @@ class ScatterShares:
         return ScatterBudget(transmission, reflection, scattered, absorbed, 2 * side, aimed_t, aimed_r, random_rays)
 
     def _transmittance(self, it: Interaction) -> mi.Float:
-        """Return T of the coating; 1 for backward rays in total reflection, into which light can still be scattered."""
+        """Return T of the coating, but 1 for backward rays in total reflection, where light can still scatter in."""
         return dr.select(it.tir, 1, it.T) if self.tables.backward else it.T
 
     def _x_axis(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> mi.Vector3f | None:
@@ -316,7 +316,7 @@ class ScatterShares:
         self, first: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool, turn: Turn | None = None
     ) -> Shares:
         """
-        Return the specular and scattered shares at a cosine of incidence.
+        Return the specular and scattered fractions of the incident flux at a cosine of incidence.
 
         The case's table starts at row `first`; `x` is R or T.
         """

@@ -99,7 +99,7 @@ class Side:
     models: tuple[int, ...] = ()  # number of the model of each lobe
 
     def members(self, plugins: Sequence[Any], event: str) -> tuple[Member, ...]:
-        """Return the lobes of one event, transmission or reflection, of a surface with these scatter plugins."""
+        """Return the scatter lobes of one event, transmission or reflection, with the plugins they come from."""
         lobes = enumerate(zip(self.lobes, self.tables, self.models, strict=True))
         return tuple(
             Member(plugins[model], k - self.models.index(model), lobe, table)
@@ -119,7 +119,11 @@ class Side:
 
 
 def side_of(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
-    """Return lobes and total scatter of models for light from one side of a surface, from a cache. Indices are real."""
+    """
+    Return the scatter lobes and total scatter of models for light from one side of a surface, cached.
+
+    Indices are real.
+    """
     return _known_side(models, particle_indices(models, wavelength_nm), wavelength_nm, n_in, n_out, from_front)
 
 
@@ -137,7 +141,7 @@ def _known_side(
 
 def make_side(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
     """
-    Return the lobes of scatter models, and their total integrated scatter over the angle of incidence.
+    Return the lobes of scatter models, and their total integrated scatter by angle of incidence.
 
     Nodes are uniform in cos θi for reflection. For transmission they are uniform in the cosine in the rarer medium;
     light in the denser one has the cosine of the direction that is refracted to it.
@@ -167,7 +171,7 @@ def make_side(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, 
 
 
 def _finer(rows: np.ndarray) -> np.ndarray:
-    """Return totals interpolated from `TURNED_ANGLES` to `ANGLES` intervals of the cosine, (turns, ANGLES + 1, 4)."""
+    """Return tables of total scatter interpolated to `ANGLES` steps of the cosine, (turns, ANGLES + 1, 4)."""
     places = np.linspace(0, TURNED_ANGLES, ANGLES + 1)
     low = np.minimum(places.astype(int), TURNED_ANGLES - 1)
     fraction = (places - low)[:, None]
@@ -285,7 +289,7 @@ def lobe_floats(lobe: Lobe, table: RadialTable) -> np.ndarray:
 
 
 def _flags(lobe: Lobe) -> int:
-    """Return the flag bits that encode a lobe's measure (angle or direction cosine), centre, factor and ratio table."""
+    """Return the flag bits of a lobe: its radius (angle or direction cosine), centre, cosine factor and ratio table."""
     flags = BY_ANGLE if lobe.measure == "angle" else 0
     flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
     flags |= FACTOR_FLAGS.get(lobe.factor, 0)
@@ -418,13 +422,13 @@ class ScatterTables:
 
     @staticmethod
     def _frames(table: SurfaceTable, turned: Sequence[int]) -> SurfaceFrames | None:
-        """Return the sample axes of the surfaces with anisotropic scatter, whose numbers are `turned`."""
+        """Return the sample axes of surfaces with anisotropic scatter; `turned` are their numbers."""
         return SurfaceFrames(table, turned)
 
     @staticmethod
     def _sides_of(ids: Sequence[str], optics: Optics, s: int, kind: Hashable) -> list[Side]:
         """
-        Return the scatter of surface s from front and back.
+        Return the scatter of surface s for light from its front and from its back.
 
         Raise `MistrayError` if it returns more than the incident flux.
         """
@@ -444,11 +448,11 @@ class ScatterTables:
         return found
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
-        """Return a row of total scatter: lost specular fraction, scattered fraction as three coefficients."""
+        """Return the row of total scatter: lost specular fraction, and coefficients of the scattered fraction."""
         return dr.gather(mi.Vector4f, self.totals, row, active)
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
-        """Return coefficients and profile totals of lobes, limits of 1/cos θi, log2 of r_min, and flag words."""
+        """Return lobe parameters: flux coefficients and profile total, limit of 1/cos θi, log2 of r_min, flag words."""
         numbers, more = (dr.gather(mi.Vector4u, self.lobes, 2 * row + k, active) for k in range(2))
         shares = mi.Vector4f(*(dr.reinterpret_array(mi.Float, v) for v in numbers))
         limit, log2_r_min = (dr.reinterpret_array(mi.Float, v) for v in more.xy)

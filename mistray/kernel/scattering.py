@@ -182,7 +182,7 @@ class Scattering(ScatterShares):
         rng: mi.PCG32,
         competing: Scattering | None,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Float, mi.Float]:
-        """Return direction, throughput and slope of `scatter`, and `pdf_ratio` and `pdf_rev` of `ScatterPdfs`."""
+        """Return direction, throughput and slope of the rays that `scatter` returns, and the pdfs of `ScatterPdfs`."""
         table, s, it, d = hit
         # The case of reflection follows that of transmission from the same side
         case = budget.first_case + dr.select(ray.reflect, mi.UInt32(1), 0)
@@ -326,7 +326,7 @@ class Scattering(ScatterShares):
         self, plan: mi.Vector4u, reflect: mi.Bool, x: mi.Float, cos_i: mi.Float, cos_t: mi.Float
     ) -> list[dict[str, Any]]:
         """
-        Return the lobes by which forward light scatters into a backward ray.
+        Return the lobes by which forward light can scatter into a backward ray.
 
         In total reflection only those about the normal pass.
         """
@@ -338,7 +338,7 @@ class Scattering(ScatterShares):
         return lobes
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
-        """Return the lobes of a case, each with its mask and the fraction of incident flux that it scatters in all."""
+        """Return the lobes of a case, each with a mask of lanes and the fraction of incident flux that it scatters."""
         # All cases read as many lobes as the largest has; those that a case has not are masked
         lobes = []
         for j in range(self.tables.most_lobes):
@@ -368,7 +368,7 @@ class Scattering(ScatterShares):
         return lobes
 
     def _centre(self, words: mi.Vector2u, frame: LobeFrame) -> mi.Vector3f:
-        """Return the unit vector at a lobe's centre: the specular direction, the backward one, or the normal."""
+        """Return the unit vector about which a lobe is centred: specular direction, incident direction or normal."""
         # The specular direction, the one of arrival (retro-reflection) or the normal
         centre = frame.specular
         if self.tables.flags & RETRO:
@@ -385,7 +385,7 @@ class Scattering(ScatterShares):
         frame: LobeFrame,
     ) -> mi.Vector3f:
         """
-        Return a random unit direction.
+        Return a unit direction drawn from the lobes, each chosen in proportion to its flux.
 
         The four uniform numbers `u` choose a lobe by its flux and a place in its profile.
         """
@@ -525,7 +525,7 @@ def specular_direction(
     reflect: mi.Bool, d: mi.Vector3f, axis: mi.Vector3f, cos_i: mi.Float, cos_t: mi.Float, eta: mi.Float
 ) -> mi.Vector3f:
     """
-    Return the unit direction into which light along d is reflected or refracted.
+    Return the unit direction into which light along d is specularly reflected or refracted.
 
     The normal `axis` is on the side that the light goes to; eta is n_i/n_t.
     """

@@ -62,7 +62,7 @@ class StartSupply:
     @staticmethod
     def pays(scene: KernelScene, settings: Settings) -> bool:
         """
-        True if a trace is faster when each lane takes several start rays, as if their ray trees differ much in size.
+        True if a trace is expected to be faster when each lane takes several start rays in turn.
 
         Neighbouring rays of one source have similar trees for the most part, as have rays with small trees: these are
         faster side by side. A GPU has too many lanes for more than one ray each.
@@ -73,7 +73,7 @@ class StartSupply:
         return bool(settings.max_scatters > 1 or transmitting >= MANY_SURFACES)
 
     def renew(self, state: dict[str, Any]) -> dict[str, Any]:
-        """Return the loop variables after idle lanes have taken new start rays; lanes that find none go inactive."""
+        """Return the loop variables after idle lanes have taken a new start ray; others go inactive."""
         # The next ray of its batch: a lane that finds it used up stays idle, and the counter may run past the end
         idle = state["idle"]
         place = dr.scatter_inc(self._next, self._batch, idle)
@@ -92,5 +92,5 @@ class StartSupply:
         return found
 
     def at_surface(self, name: str, ray: mi.UInt32, active: mi.Bool | bool = True) -> Any:
-        """Return the loop variable `name` of start rays at their first surface."""
+        """Return the loop variable `name` of start rays `ray` at the first surface that they meet."""
         return chosen(self._at_surface[name], ray, active)

@@ -128,12 +128,12 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Return whether any ray aimed from points (n, 3), mm, goes against its normal, and if any goes along it."""
+        """Return two bools: whether any ray from points (n, 3), mm, leaves against its normal, and any along it."""
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
     def size(self) -> tuple[float, float]:
-        """Lengths of u and v, mm: half width and half height, or two edges of a triangle."""
+        """Lengths of u and v, mm: half axes of an ellipse, half sides of a parallelogram, or edges of a triangle."""
         return float(np.linalg.norm(self.u)), float(np.linalg.norm(self.v))
 
 
@@ -177,7 +177,7 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Return whether any ray aimed from points (n, 3), mm, goes against its normal, and if any goes along it."""
+        """Return two bools: whether any ray from points (n, 3), mm, leaves against its normal, and any along it."""
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
@@ -245,7 +245,7 @@ class TargetCone:
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
         """
-        Return whether any ray aimed from points (n, 3), mm, goes against its normal, and whether any goes along it.
+        Return two bools: whether any ray aimed from points (n, 3), mm, leaves against its normal, and any along it.
 
         For a cone about the specular beam both are True.
         """
@@ -267,7 +267,7 @@ AnyTarget = Target | Ellipsoid | TargetCone
 
 def _sides(d: np.ndarray, normals: np.ndarray, reverse: bool) -> tuple[bool, bool]:
     """
-    Return whether any direction d, (n, 3), goes against its normal, and whether any goes along it.
+    Return two bools: whether any direction d, (n, 3), goes against its normal, and whether any goes along it.
 
     With `reverse` rays go along -d.
     """

@@ -19,7 +19,7 @@ STEP_DEG = 1e-3  # step of the central differences of positions, which are smoot
 @dataclass(frozen=True, eq=False)
 class Body:
     """
-    Part whose surfaces can all be displaced and tilted.
+    Mechanical part of several surfaces that can be displaced and tilted as a whole.
 
     Displacements and tilts of the body are those of all its surfaces together. A tilt by a, b and c degrees rotates it
     about the pivot by Rx(a) Ry(b) Rz(c), from its present position.
@@ -74,7 +74,7 @@ class Body:
 
     def tilted(self, tilt_deg: Sequence[float] | np.ndarray) -> dict[str, float]:
         """
-        Return the changes of the surfaces' positions (mm) and tilts (degrees) when the body is tilted.
+        Return the changes of all surfaces' positions, mm, and tilts, degrees, when the body is tilted.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class Body:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Keys of the positions and tilts of all its surfaces."""
+        """Scene keys of the positions and tilts of all surfaces of the body."""
         return tuple(f"{surface}.{name}" for surface in self.frames for name in POSE)
 
     def slopes(self, name: str) -> dict[str, float]:
@@ -152,7 +152,7 @@ class Body:
 
 def bodies(known: Mapping[str, Parameter]) -> dict[str, Body]:
     """
-    Return the parts of a scene that have several surfaces and can be displaced and tilted as a whole.
+    Return the scene's parts of several surfaces that can be displaced and tilted as a whole, by name.
 
     Parameters
     ----------

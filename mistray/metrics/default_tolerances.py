@@ -55,7 +55,7 @@ About = tuple[str, str, float, float, float] | None  # kind, unit, tolerance, lo
 
 
 def about_scatter(owner: Any, name: str, value: np.ndarray) -> About:
-    """Return kind, unit, usual tolerance and range of a scatter model's parameter; None if it has no derivative."""
+    """Return kind, unit, usual tolerance and range of a scatter model's parameter; None if not differentiable."""
     if fixed(owner, name) is not None:
         return None
     param = owner.model.param(name)
@@ -139,7 +139,7 @@ def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
 
 
 def _conic_tolerance(curvature: float, conic: float, radius: float) -> float:
-    """Return the change of the conic constant that moves the rim by `FORM_MM`; 1 for a plane, which has no conic."""
+    """Return the change of the conic constant that moves the surface at its rim by `FORM_MM`; 1 for a plane."""
     lower = conic - 1e-4  # upwards a hemisphere would end
     slope = (sag(radius**2, curvature, conic) - sag(radius**2, curvature, lower)) / (conic - lower)
     return FORM_MM / abs(slope) if slope else 1.0

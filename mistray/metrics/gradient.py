@@ -1,4 +1,4 @@
-"""Implementation of `mistray.gradient`: a metric's value and its derivatives by parameters, with standard errors."""
+"""A metric's value and its derivatives by scene parameters, with standard errors (`mistray.gradient`)."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class Gradient(
     @property
     def edge_bias(self) -> dict[str, np.ndarray]:
         """
-        Bias of the derivatives by the width of the zones at rims, (entries,), by key.
+        Bias of the derivatives, (entries,), by key, from the finite width of the zones at rims; in their own units.
 
         It is never less than its own noise, `edge_check_se`; see `mistray.gradients.edge_widths.WidthErrors`.
         """
@@ -120,7 +120,7 @@ class Gradient(
 
     @property
     def edge_check(self) -> dict[str, np.ndarray]:
-        """Change of derivatives if zones at rims have half the width, (entries,), by key, in the derivative's unit."""
+        """Change of the derivatives, (entries,), by key, if zones at rims are half as wide; in their own units."""
         return {key: errors.check[self.edge_number] for key, errors in self._at_rims.items()}
 
     @property
@@ -143,7 +143,7 @@ class Gradient(
 
     @property
     def untouched(self) -> list[str]:
-        """Keys of parameters whose derivatives are 0 in every batch: no ray depends on them."""
+        """Keys of parameters whose derivatives are exactly 0, since no traced ray depends on them."""
         return [key for key, parts in self.batches.items() if not np.any(parts)]
 
     def covariance(self, keys: str | Iterable[str] | None = None) -> np.ndarray:
@@ -287,7 +287,7 @@ def gradient_seen(
     request: GradientRequest,
 ) -> Gradient:
     """
-    Return the `gradient` from observations already made, which several metrics of the same views can share.
+    Return the `gradient` of a metric from traces already made, which metrics of equal views can share.
 
     Parameters are those of `gradient_where_smooth`.
 
@@ -382,7 +382,7 @@ def gradient_where_smooth(
 
 
 def _tables(observations: Sequence[Any], request: GradientRequest) -> list[TableGradient]:
-    """Return the derivatives of a metric by source and wavelength, added up over fields that share surface tables."""
+    """Return the metric's derivatives by the tracer's tables, for each source and wavelength, summed over fields."""
     raws: dict[tuple[Any, ...], TableGradient] = {}
     for observation in observations:
         for raw in observation.table_gradients(request):
@@ -396,7 +396,7 @@ def _tables(observations: Sequence[Any], request: GradientRequest) -> list[Table
 
 
 def _jumps(raw: TableGradient) -> bool:
-    """True if R and T of a transparent surface come from a table, which leaves them undefined at grazing incidence."""
+    """True if a transparent surface takes R and T from a table, which leaves them undefined at grazing incidence."""
     optics = raw.table.optics
     clear = (optics.host_words & OPAQUE) == 0
     tabled = [

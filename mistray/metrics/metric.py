@@ -81,14 +81,14 @@ class Metric:
 
     @property
     def views(self) -> list[TraceView]:
-        """Traces that the metric needs, in the order of the observations."""
+        """Traces that the metric needs, one for each field angle, in the order of the observations."""
         light = {"wavelength_nm": self.wavelength_nm, "weights": self.weights}
         fields: Sequence[float | None] = (None,) if self.field_deg is None else self.field_deg
         return [TraceView({**(self.settings or {}), **light, "field_deg": angle}) for angle in fields]
 
     def observe(self, times: float = 1.0, **changes: Any) -> list[Any]:
         """
-        Trace all fields of the metric.
+        Return the traces of all fields of the metric as observations that Dr.Jit can differentiate.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class Metric:
 
     @property
     def independent_seed(self) -> int:
-        """Random seed for values that check a gradient, independent of the seeds of the gradient itself."""
+        """Random seed for traces that verify a gradient, independent of the gradient's own seeds."""
         return int((self.settings or {}).get("seed") or 0) + SEEDS_APART
 
     def with_rays_times(self, times: float) -> Metric:
@@ -178,7 +178,7 @@ class CombinedMetric(Metric):
 
     @property
     def views(self) -> list[TraceView]:
-        """Traces that the combined metrics need, without duplicates."""
+        """Traces that the combined metrics need, each once."""
         return list({view.key: view for part in (self.parts or {}).values() for view in part.views}.values())
 
     def values(self, observations: list[Any]) -> dict[str, Any]:
@@ -190,7 +190,7 @@ class CombinedMetric(Metric):
         }
 
     def part(self, name: str) -> Metric:
-        """Return one of the combined metrics, evaluated from the observations of all of them."""
+        """Return one of the combined metrics by name, evaluated from the observations of all of them."""
         return Metric(self.scene, lambda observations: self.values(observations)[name], name=name)
 
 
@@ -534,7 +534,7 @@ def require_known(given: Iterable[str], known: Iterable[str]) -> None:
 
 
 def _brightest(observation: Observation, selection: Selection, norm: float) -> Any:
-    """Return the smooth maximum, over the selected paths, of their RMS irradiance, W/mm²; 0 if they carry no light."""
+    """Return the smooth maximum of the RMS irradiance, W/mm², over the selected paths; 0 if they carry no light."""
     if not len(observation.chosen(selection)):
         return observation.power(selection)
     return smooth_maximum(observation.moments_of_each(selection).rms_irradiance, norm)
@@ -569,7 +569,7 @@ def _of_paths(
 
 
 def _mean(scene: Any, number: Callable[[Observation], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
-    """Return a metric: the mean over the fields of `number`, a function of each observation."""
+    """Return a metric: the mean over the field angles of `number`, a function of each field's observation."""
 
     def function(observations: list[Any]) -> Any:
         return sum(number(o) for o in observations) / len(observations)
@@ -591,5 +591,5 @@ def _angles(field_deg: float | Sequence[float] | None) -> tuple[float, ...] | No
 
 
 def _own(traced: dict[str, Any]) -> dict[str, Any]:
-    """Return the keywords among `traced` that are attributes of `Metric`: fields, wavelengths and weights."""
+    """Return the keywords in `traced` that are attributes of `Metric`: field angles, wavelengths and weights."""
     return {key: traced.get(key) for key in ("field_deg", "wavelength_nm", "weights")}

@@ -52,7 +52,7 @@ class NextOrder:
 
     @property
     def change(self) -> np.ndarray:
-        """Relative change of each number, (n,); infinite for a change from 0, and 0 if both values are 0."""
+        """Change of each number as a fraction of it, (n,); infinite for a change from 0, 0 if both are 0."""
         apart = self.after - self.before
         known = (self.before != 0) | (apart == 0)
         return np.where(known, apart / np.where(self.before == 0, 1.0, np.abs(self.before)), np.inf)
@@ -100,7 +100,7 @@ class NextOrder:
         return f"{text}; no number changes by more than {100 * MATTERS:g} % for certain."
 
     def record(self) -> dict[str, Any]:
-        """Return all fields as JSON-serialisable values."""
+        """Return the comparison's fields as JSON-serialisable values, one row per number."""
         numbers = ("before", "before_se", "after", "after_se", "difference_se")
         rows = [
             {"name": name, **{key: float(getattr(self, key)[k]) for key in numbers}}
@@ -110,7 +110,7 @@ class NextOrder:
 
 
 def decided(orders: Sequence[NextOrder]) -> tuple[NextOrder, ...]:
-    """Return the comparisons; the one with the largest change is marked as `taken`, if any change matters."""
+    """Return the comparisons, with the one of largest change marked as `taken` if any change is significant."""
     mattering = [order for order in orders if order.matters]
     most = max(mattering, key=lambda order: abs(float(order.change[order.worst])), default=None)
     return tuple(replace(order, taken=order is most) for order in orders)

@@ -121,7 +121,7 @@ class Observation:
         return self.trace.seconds
 
     def first_light(self) -> dict[str, FirstLight]:
-        """Return the light by the first surface that it meets, keyed by the field angle as text."""
+        """Return the detected light, W, sorted by the first surface it meets, keyed by the field angle as text."""
         return {f"field {self.field_deg:g} deg": FirstLight.of_trace(self.trace)}
 
     @property
@@ -189,7 +189,7 @@ class Observation:
 
     def map(self, selection: Selection) -> mi.Float64:
         """
-        Return the irradiance of some paths together, W/mm², (height · width,), by tracing the same rays again.
+        Return the irradiance of selected paths together, W/mm², (height · width,), by tracing their rays again.
 
         Parameters
         ----------
@@ -226,7 +226,7 @@ class Observation:
 
     @cached_property
     def _ways(self) -> np.ndarray:
-        """Event list of each path as text, (p,), with aimed scatter written as random scatter."""
+        """Event list of each path as text, (p,), in which aimed scatter is written as random scatter."""
         return np.array(way_text(row.events for row in self._rows), dtype=object)
 
     def _sums_of(self, groups: Sequence[Sequence[int] | np.ndarray]) -> tuple[mi.Float64, ...]:
@@ -285,7 +285,7 @@ class Observation:
         return self.trace.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
-        """Return the noise of the metric by batch, to first order in the detected light, in the metric's unit."""
+        """Return the metric with its noise by batch, to first order in the detected light, in the metric's unit."""
         by_sum = self._by_sum()
         by_batch = self.trace.paths.by_batch(by_sum) if np.any(by_sum) else np.zeros(BATCHES)
         total = Sampled.of(by_batch, np.ones(BATCHES))
@@ -297,7 +297,7 @@ class Observation:
         return total
 
     def clear(self) -> None:
-        """Reset the derivatives that earlier evaluations of a metric have stored."""
+        """Set to zero the derivatives that an earlier evaluation of a metric has left."""
         sums = (term for terms in self._sums.values() for term in terms)
         for array in (*sums, *(image for image, _ in self._maps.values())):
             dr.clear_grad(array)
@@ -319,7 +319,11 @@ class Observation:
 
 
 def texts_of(selection: Selection) -> list[str]:
-    """Return the texts of a selection, none for a function; raise `MistrayError` if it is empty or not a text."""
+    """
+    Return the names of path groups in a selection of paths as a list, empty for a function.
+
+    Raise `MistrayError` for an empty list or an entry that is not a text.
+    """
     if callable(selection):
         return []
     texts: list[Any] = [selection] if isinstance(selection, str) else list(selection)
@@ -329,13 +333,13 @@ def texts_of(selection: Selection) -> list[str]:
 
 
 def named(selection: Selection) -> str:
-    """Return the name of a selection of paths for a message: its text, or the name of its function."""
+    """Return the name of a selection of paths for messages: its text, or its function's name."""
     return repr(getattr(selection, "__name__", selection))
 
 
 def leaf(values: np.ndarray) -> mi.Float64:
     """
-    Return numbers as differentiable leaves in Dr.Jit.
+    Return numbers as a Dr.Jit array by which derivatives are computed.
 
     Each selection of a trace gets a leaf of its own. Dr.Jit 1.5 loses derivatives if a value gathered from several
     gathers of one leaf is gathered once more.

@@ -1,4 +1,4 @@
-"""Derivatives on either side of a value at which a beam just fills a rim: differences of traces with the same rays.
+"""One-sided derivatives where a beam exactly fills a rim, from differences of traces with equal random numbers.
 
 Let d(h) and d(h/2) be the difference quotients of the metric over a step and over half of it. 2 d(h/2) - d(h) is free
 of the error in proportion to h (L. F. Richardson, 1911), as is the boundary kernel of `mistray.gradients.edges`. Half
@@ -43,7 +43,7 @@ class FullKey:
 
 class OneSided(NamedTuple):
     """
-    Derivatives below and above the value of a parameter.
+    Derivatives of a metric on either side of a parameter's value, in its unit per unit of the parameter.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class OneSided(NamedTuple):
 
 
 def full_keys(chosen: Mapping[str, Parameter], full: Iterable[FullRims]) -> dict[str, FullKey]:
-    """Return, by key, the parameters that move a rim relative to a beam that just fills it."""
+    """Return, by key, the parameters that move a rim relative to a beam that exactly fills it."""
     alike = {(id(rims.source.emitter), tuple(rims.source.direction), *rims.names): rims for rims in full}
     found = {}
     for key, p in chosen.items():
@@ -116,7 +116,7 @@ def _slope(metric: Any, params: Any, p: Parameter, here: Sampled, step: float) -
 
 
 def _seen(metric: Any) -> tuple[Sampled, int]:
-    """Trace the metric; return its value with noise by batch, and the start rays of the smallest trace."""
+    """Return a metric's value with its noise by batch, and the number of start rays of its smallest trace."""
     observations = metric.observe()
     value, noise = metric.differentiate(observations)
     rays = min(one.trace.rays_planned for one in observations)

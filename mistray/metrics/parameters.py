@@ -246,7 +246,7 @@ def _values(owner: Any) -> Mapping[str, Any]:
 
 
 def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, np.ndarray], About] | None:
-    """Return the function that describes a parameter (kind, unit, tolerance, range); None if it has no derivative."""
+    """Return the function that describes a parameter by kind, unit, tolerance and range; None if not differentiable."""
     if name in getattr(owner, "differentiable", ()) and hasattr(owner, "sources"):
         return about_source
     if not shapes:
@@ -255,7 +255,7 @@ def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, 
 
 
 def _has(shape: Any, owner: Any, name: str) -> bool:
-    """True if a plugin's parameter belongs to a shape: its own, or that of its BSDF or coating."""
+    """True if a parameter belongs to a shape: to the shape itself, its BSDF or its coating."""
     if owner is shape:
         return name in shape_parameters(shape)
     bsdf = shape.bsdf()

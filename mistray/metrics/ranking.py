@@ -20,7 +20,7 @@ SURE = 2.0  # standard errors from a value to its bounds, by which paths are ran
 @dataclass(frozen=True)
 class DirectImage:
     """
-    Direct (unscattered, intended) image at one field angle, at one wavelength or all wavelengths together.
+    Direct image (unscattered, intended light) at one field angle: power, W, RMS radius, mm, and irradiance, W/mm².
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class DirectImage:
 
     def dividing(self, above: Sampled, what: Literal["light", "density"]) -> Sampled:
         """
-        Return power ("light") or RMS irradiance ("density") of paths divided by that of the image.
+        Return power ("light") or RMS irradiance ("density") of paths over that of the direct image.
 
         NaN without an image.
         """
@@ -60,7 +60,7 @@ class DirectImage:
 
 def direct_image(paths: PathTable, wavelength_nm: float | None = None) -> DirectImage:
     """
-    Return the direct image of a trace.
+    Return power, W, RMS radius, mm, and RMS irradiance, W/mm², of the direct image of a trace.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
 
 def bounds(table: pd.DataFrame) -> npt.NDArray[np.float64]:
     """
-    Return lower and upper bounds of the rows' RMS irradiance, (2, n), W/mm², `SURE` standard errors apart from it.
+    Return the lower and upper bounds, `SURE` standard errors apart, of RMS irradiances, (2, n), W/mm².
 
     NaN if unknown.
     """

@@ -38,7 +38,7 @@ def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
 
 @contextlib.contextmanager
 def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
-    """Set parameters to other values within a block; they are restored at its end, also after an error."""
+    """Set scene parameters to other values within a `with` block; they are restored at its end, also after an error."""
     before = {key: np.array(params[key], dtype=np.float64) for key in values}
     try:
         assign(params, values)
@@ -48,7 +48,7 @@ def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
 
 
 def accepts(params: Any, values: Mapping[str, np.ndarray], check: Callable[[], object]) -> bool:
-    """True if a scene accepts some values together, and `check` then raises no `MistrayError`."""
+    """True if a scene can take these parameter values together, and `check` then raises no `MistrayError`."""
     try:
         with changed(params, values):
             check()

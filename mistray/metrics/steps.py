@@ -1,4 +1,4 @@
-"""Counter of steps that reports progress and limits time."""
+"""Counter of the steps of a task that reports progress and tells the time left."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from mistray.trace.polarization_choice import unpolarized_notes
 @dataclass(frozen=True)
 class TraceView:
     """
-    Arguments of one trace that a metric needs.
+    Arguments of one trace that a metric needs, usually at one field angle.
 
     Attributes
     ----------
@@ -73,13 +73,13 @@ def seen_unpolarized(scene: Any, views: Sequence[TraceView]) -> list[Note]:
 
 
 def added_light(one: Mapping[str, FirstLight], other: Mapping[str, FirstLight]) -> dict[str, FirstLight]:
-    """Return the sum of two independent traces' light by first surface, see `Observation.first_light`."""
+    """Return the light of two independent traces added up, by place and first surface."""
     return {**one, **{place: one[place].plus(light) if place in one else light for place, light in other.items()}}
 
 
 def light_since(before: Mapping[str, FirstLight], after: Mapping[str, FirstLight]) -> dict[str, tuple[Entering, ...]]:
     """
-    Return light that enters by surfaces that were not first before, by field angle as text.
+    Return light whose first surface met no light before a change, keyed by the field angle as text.
 
     Angles without any are left out.
     """
@@ -93,7 +93,7 @@ def sorted_arguments(arguments: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def _plain(value: Any) -> Any:
-    """Convert a value to a comparable one: arrays, lists and ranges become tuples."""
+    """Return a value in a comparable form: arrays, lists and ranges as tuples."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list | tuple | range):

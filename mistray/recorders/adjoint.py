@@ -94,7 +94,7 @@ class Adjoint(Recorder):
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """
-        Set each lane's gain, its running sum of the metric, to 0.
+        Set each lane's gain to 0: its running sum of flux times the metric's derivative by flux.
 
         Allocate arrays by depth for cell, fraction, slope and gain.
         """
@@ -104,7 +104,7 @@ class Adjoint(Recorder):
             memory[EVENTS] = tuple(dr.alloc_local(dtype, max_events) for dtype in types)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add each detector hit's flux times the metric's derivative to the gain of its lane."""
+        """Add each detector hit's flux times the metric's derivative by that flux to the gain of its lane."""
         if self.light is not None and self.light.incident:
             memory[GAIN] = memory[GAIN] + self.light.gain(visit)
             return
@@ -123,7 +123,7 @@ class Adjoint(Recorder):
             self._detected(visit, mi.Float(derivative) * visit.weight)
 
     def branch(self, branch: Branch, memory: Memory) -> None:
-        """Store table cell, slope and current gain of an event before its child ray is followed."""
+        """Store table cell, slope and current gain of an R or T event before its child ray is followed."""
         if not self.rows:
             return
         it, depth, active = branch.interaction, branch.depth, branch.active
@@ -134,12 +134,12 @@ class Adjoint(Recorder):
         gains.write(memory[GAIN], depth, active)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Add each escaping ray's weight times the metric's derivative to the gain of its lane."""
+        """Add each escaping ray's throughput times the metric's derivative by it to the gain of its lane."""
         if self.light is not None and not self.light.incident:
             memory[GAIN] = memory[GAIN] + self.light.gain(departure)
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Add derivatives by R or T for events whose subtrees are complete: slope times the subtree's gain."""
+        """Add derivatives by R or T of events whose subtrees are complete: slope times the subtree's gain."""
         if not self.rows:
             return
         cells, fractions, slopes, gains = memory[EVENTS]
@@ -184,7 +184,7 @@ class Adjoint(Recorder):
 
     def _detected(self, visit: Visit, weighted: mi.Float) -> None:
         """
-        Add derivatives by R and T of the detector's own surface.
+        Add derivatives by the R and T of the detector's own surface to the sums of their table cells.
 
         `weighted` is the metric's derivative times the incident flux.
         """

@@ -37,7 +37,7 @@ class PathChoice:
     chosen: mi.UInt32
 
     def holds(self, key: mi.UInt64, active: mi.Bool) -> mi.Bool:
-        """True in lanes where the path with this key is among the chosen paths."""
+        """Return a mask of lanes whose path, identified by its 64-bit key, is among the chosen paths."""
         slot, known = self.ledger.known(key, active)
         return known & (dr.gather(mi.UInt32, self.chosen, slot, known) != 0)
 
@@ -122,7 +122,7 @@ class BranchRecorder(Recorder):
         dr.eval(self.path, self.peak)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record the rays that are absorbed at the detector, and the largest flux of a ray there."""
+        """Record rays that the detector absorbs, and update the largest flux of a ray there."""
         # The bits of positive floats are in the order of the floats
         bits = dr.reinterpret_array(mi.UInt32, visit.weight)
         dr.scatter_reduce(dr.ReduceOp.Max, self.peak, bits, mi.UInt32(0), visit.detected)
@@ -197,7 +197,7 @@ class BranchRecorder(Recorder):
         return slot, active
 
     def clear(self) -> None:
-        """Discard all recorded branches."""
+        """Discard all recorded branches, so that the buffer is empty."""
         self.count = dr.zeros(mi.UInt32, 1)
         dr.eval(self.count)
 
@@ -227,7 +227,7 @@ class BranchRecorder(Recorder):
         return np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0), lengths
 
     def node(self, slot: mi.UInt32, k: mi.UInt32, active: mi.Bool) -> Node:
-        """Return event number `k` of the recorded branches in the given slots."""
+        """Return event number `k` of recorded branches as a `Node`: point, mm, direction and event code."""
         row = (slot * self._stride + k) * VECTORS
         first, second = (dr.gather(mi.Vector4f, self.nodes, row + j, active) for j in range(VECTORS))
         code = dr.reinterpret_array(mi.UInt32, second.w)
@@ -245,7 +245,7 @@ class BranchRecorder(Recorder):
 
     def nodes_of(self, slots: np.ndarray, longest: int) -> np.ndarray:
         """
-        Return the first `longest` nodes of some branches, without codes, and 0 behind their ends.
+        Return the first `longest` nodes of some branches: points, mm, and unit directions; 0 beyond a branch's end.
 
         Returns
         -------
@@ -279,13 +279,13 @@ class ElsewhereRecorder(BranchRecorder):
         self._chosen = upload(mi.UInt32, self.surfaces.astype(np.uint32))
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record the branches up to hits of the chosen surfaces, whether absorbed or not."""
+        """Record the rays that meet the chosen surfaces, with all their events up to the hit."""
         if not self.departs:
             here = visit.active & (dr.gather(mi.UInt32, self._chosen, visit.surface, visit.active) != 0)
             self.write(visit, here, mi.Float64(visit.weight))
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Record the branches of rays that leave the scene after at least one event, if `departs`."""
+        """Record rays that leave the scene after at least one event, if `departs` is set."""
         if self.departs and departure.node is not None:
             self.write(departure, departure.active, mi.Float64(departure.weight), departure.heading)
 
@@ -318,7 +318,7 @@ class CellRecorder(ElsewhereRecorder):
         dr.eval(self.cell, self.batch, self.absorbed)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record the branches up to hits of mapped surfaces, with the cell, batch and absorbed flux of each."""
+        """Record rays that meet mapped surfaces, with map cell, batch and absorbed flux (of a start ray's flux)."""
         # The cell is that of the incident flux; what is absorbed has its own
         cell, here = self.maps.cell(visit)
         slot, kept = self.write(visit, here, mi.Float64(visit.weight))
@@ -329,7 +329,7 @@ class CellRecorder(ElsewhereRecorder):
 
 def as_many(capacity: int, max_events: int) -> int:
     """
-    Return how many branches of `max_events` events fit into the memory of `capacity` branches of 64 events.
+    Return how many branches of `max_events` events fit into the memory that `capacity` branches of 64 need.
 
     The number is at least 1 and at most `capacity`.
     """

@@ -75,13 +75,13 @@ class DesignSequences:
         return found
 
     def _by_detector(self, events: np.ndarray, lengths: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield each detector's number with the indices, (n,) int, of the paths that end there."""
+        """Yield each detector's surface number with the indices, (n,) int, of the paths that end there."""
         ends = self.ends(events, lengths)
         return ((detector, np.flatnonzero(ends == detector)) for detector in self.lists)
 
     @staticmethod
     def ends(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """Return the number of the surface of each path's last event, (p,)."""
+        """Return the surface number of each path's last event, (p,) int: the detector that absorbs the light."""
         return np.asarray(events[np.arange(len(events)), np.maximum(lengths - 1, 0)] >> EVENT_BITS)
 
 
@@ -113,7 +113,7 @@ class DesignKeys:
 
     def hold(self, key: mi.UInt64, backward: bool) -> mi.Bool:
         """
-        True in lanes where unscattered light with this path key follows a design sequence.
+        Return a mask of lanes whose unscattered light has the path key of a design sequence.
 
         `backward`: keys are of backward rays.
         """

@@ -1,5 +1,4 @@
-"""
-Sums of MIS-weighted light by class and by cell of directions.
+"""Recorders of MIS-weighted ray throughput by class of light (direct, stray, scattered) and cell of sky directions.
 
 Backward rays contribute where they leave the scene, forward rays where they meet the detector. Paths that both find are
 weighted by the balance heuristic (E. Veach, Robust Monte Carlo methods for light transport simulation, 1997, section
@@ -36,7 +35,7 @@ ROWS = 64  # fewest rows of the table of angles, in powers of two: the steps of 
 
 
 def class_of_light(end: Visit | Departure, design: DesignKeys) -> mi.UInt32:
-    """Return the class of light, an index into `CLASSES`, for rays that meet the detector or leave the scene."""
+    """Return the class of light, an index into `CLASSES`, of rays that meet the detector or leave the scene."""
     if isinstance(end, Departure):
         key, reflections, scatters = end.key, end.reflections, end.scatters
     else:
@@ -88,10 +87,10 @@ class MisWeighting(Protocol):
     """Interface to MIS weights of paths; see `mistray.sampling.sharing.balance.Balance`."""
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
+        """Return the MIS weights, 0 … 1, of paths of backward rays that leave the scene within a cell of directions."""
 
     def forward(self, visit: Visit) -> MisWeights:
-        """Return the MIS weights of the paths of forward rays that meet the detector; each starts from its cell."""
+        """Return the MIS weights, 0 … 1, of paths of forward rays that meet the detector; each starts from its cell."""
 
 
 class SkyContribution(NamedTuple):
@@ -158,7 +157,10 @@ class SkyRecorder(Recorder):
 
     def contribution(self, end: Any) -> SkyContribution:
         """
-        Return class of light, direction cell and MIS-weighted throughput of rays that end.
+        Return the class of light, direction cell and MIS-weighted throughput of each ray.
+
+        Forward rays count where they meet the detector, backward rays where they leave the scene. The throughput is
+        in units of a start ray's flux.
 
         Subclasses implement it.
         """
@@ -166,7 +168,10 @@ class SkyRecorder(Recorder):
 
     def gain(self, end: Visit | Departure) -> mi.Float64:
         """
-        Return each ending ray's contribution to a metric: its derivative times the MIS-weighted throughput.
+        Return each ray's contribution to a metric.
+
+        It is the MIS-weighted throughput times the metric's derivative by the throughput sum of the ray's class and
+        cell.
 
         The recorder's sums do not change.
         """
@@ -175,7 +180,7 @@ class SkyRecorder(Recorder):
         return dr.select(active, mi.Float64(weight) * derivative, 0)
 
     def add(self, end: Visit | Departure, light: SkyContribution, pixel: mi.UInt32 | None) -> None:
-        """Add contributions of rays that end to the sums by class and cell, the maps and the table of paths."""
+        """Add the rays' MIS-weighted throughput to the sums by class and cell, the detector maps and the path table."""
         kind, cell, weight, active = light
         w = mi.Float64(weight)
         place = (kind * self._cells + cell) * BATCHES + end.start.batch
@@ -193,7 +198,7 @@ class SkyRecorder(Recorder):
 
     def read(self) -> dict[str, Any]:
         """
-        Return the sums by class, cell, batch and pixel on the host, in units of a start ray's flux.
+        Return the throughput sums by class, cell, batch and pixel on the host, in units of a start ray's flux.
 
         Returns
         -------
@@ -239,7 +244,7 @@ class DirectionRecorder(SkyRecorder):
         dr.eval(self.elsewhere)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the cell of light along -d, which backward rays along d retrace, and a mask of rays in a cell."""
+        """Return the cell of each backward ray and a mask of rays in any; rays along d stand for light along -d."""
         # Field angle: light travels along -d. sin² orders the angles of the front half space
         x, y, z = (-dr.dot(d, axis) for axis in self._axes)
         sine2 = dr.fma(x, x, y * y)
@@ -267,7 +272,7 @@ class DirectionRecorder(SkyRecorder):
         return index * self._azimuths + best, inside & (least <= self._half)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Add rays that leave the scene to the sums of their class and direction cell, else to `elsewhere`."""
+        """Add the throughput of rays that leave the scene to their class and direction cell, else to `elsewhere`."""
         start, weight, active = departure.start, departure.weight, departure.active
         cell, inside = self.cell(departure.heading)
         # Connected rays stand for light that other rays carry as well
@@ -276,7 +281,7 @@ class DirectionRecorder(SkyRecorder):
         self.add(departure, self._within(departure, cell, inside), start.pixel)
 
     def contribution(self, end: Departure) -> SkyContribution:
-        """Return the class of light, cell and MIS-weighted throughput of rays that leave the scene."""
+        """Return the class of light, cell and MIS-weighted throughput of each backward ray that leaves the scene."""
         return self._within(end, *self.cell(end.heading))
 
     def _within(self, departure: Departure, cell: mi.UInt32, inside: mi.Bool) -> SkyContribution:
@@ -288,7 +293,7 @@ class DirectionRecorder(SkyRecorder):
         return SkyContribution(class_of_light(departure, self._design), cell, weight, active)
 
     def read(self) -> dict[str, Any]:
-        """Return sums by class and cell, in units of a start ray's flux; ``elsewhere``, (BATCHES,), is in no cell."""
+        """Return throughput sums in units of a start ray's flux; ``elsewhere``, (BATCHES,), is outside all cells."""
         return super().read() | {"elsewhere": np.array(self.elsewhere)}
 
 
@@ -326,12 +331,12 @@ class ArrivalRecorder(SkyRecorder):
         dr.eval(self._segments)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the contributions of rays that meet the detector to the sums of their classes and start cells."""
+        """Add the MIS-weighted throughput of rays that meet the detector to the sums of class and start cell."""
         pixel = None if self._film is None else self._film.places(*visit.position)[0][0]
         self.add(visit, self.contribution(visit), pixel)
 
     def contribution(self, end: Visit) -> SkyContribution:
-        """Return the class of light, start cell and MIS-weighted throughput of rays that meet the detector."""
+        """Return the class of light, start cell and MIS-weighted throughput of each ray that meets the detector."""
         cell, met, kind = end.start.cell, end.detected, class_of_light(end, self._design)
         assert cell is not None
         if self._scattered_only:
@@ -344,5 +349,5 @@ class ArrivalRecorder(SkyRecorder):
         dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), start.cell, active, REDUCE)
 
     def read(self) -> dict[str, Any]:
-        """Return sums by class and start cell, in units of a start ray's flux, and numbers of ``segments``, (n, m)."""
+        """Return throughput sums by class and start cell, in units of a start ray's flux, and ray segments, (n, m)."""
         return super().read() | {"segments": np.array(self._segments).reshape(self._shape)}

@@ -170,7 +170,7 @@ class DirectionGrid:
         return i, j
 
     def facts(self) -> dict[str, Any]:
-        """Return the angles, cell borders and axes of the grid as plain numbers, to be stored with a result."""
+        """Return field angles, azimuths and cell borders, degrees, and the axes of the grid, for a result file."""
         return {
             "angles_deg": self.field_deg.tolist(),
             "edges_deg": self.edges_deg.tolist(),
@@ -188,7 +188,7 @@ class DirectionGrid:
 
 
 def _least_gap(azimuths: np.ndarray) -> float:
-    """Return the smallest difference of two azimuths, degrees; 360 for a single one."""
+    """Return the smallest angle between two neighbouring azimuths, degrees; 360 for a single one."""
     # The first azimuth again, one turn on, closes the circle
     around = np.sort(azimuths % 360)
     return float(np.diff(np.append(around, around[0] + 360)).min())

@@ -56,7 +56,7 @@ class Film:
 
     @classmethod
     def of(cls, width: int, height: int, extent: Sequence[float], groups: int = 1, tent: bool = False) -> Film:
-        """Create the pixel grid of a rectangle x0, x1, y0, y1 of the detector, mm."""
+        """Create a grid of `width` × `height` pixels over the rectangle x0, x1, y0, y1 (mm) of the detector."""
         x0, x1, y0, y1 = extent
         numbers = x0, y0, width / (x1 - x0), height / (y1 - y0)
         left, low, per_mm_x, per_mm_y = (dr.opaque(mi.Float, float(number)) for number in numbers)
@@ -90,7 +90,7 @@ class Film:
         ]
 
     def _number(self, column: mi.Int32, row: mi.Int32) -> mi.UInt32:
-        """Return the index of the pixel in a column and row, both clipped to the film."""
+        """Return the row-major index of the pixel in a column and row, both clipped to the film."""
         column, row = dr.clip(column, 0, self.width - 1), dr.clip(row, 0, self.height - 1)
         return mi.UInt32(row * self.width + column)
 
@@ -121,7 +121,7 @@ class Images(Recorder):
         dr.eval(self.sums)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the absorbed flux of hits to their pixels, and sums of powers of ray weights if noise is estimated."""
+        """Add each hit's absorbed flux to its pixel; if noise is estimated, also the powers of its weight."""
         film = self._film
         # Image of the hit: of all light or of its path, and of its group of batches
         here = visit.counted if self._only is None else visit.counted & (visit.surface == self._only)
@@ -182,11 +182,11 @@ class Pixels(Sampled):
 
     @property
     def none(self) -> Pixels:
-        """Dark image of the same size, with zero noise."""
+        """Return an image of the same size with zero flux and zero noise."""
         return Pixels(*map(np.zeros_like, (self.value, self.apart, self.weights)))
 
     def __add__(self, other: Sampled) -> Pixels:
-        """Return the sum of two images of different light, with their noise combined."""
+        """Return the sum of two images of independent light, with their noise combined."""
         assert isinstance(other, Pixels)
         both = super().__add__(other)
         return Pixels(both.value, both.apart, self.weights + other.weights)
@@ -233,7 +233,7 @@ class Box(Recorder):
         self._corners = opaque(mi.Vector4f, corners)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Exclude hits outside the rectangle from the sums of later recorders."""
+        """Exclude hits outside the rectangle from the sums of the recorders that follow."""
         (x, y), box = visit.position, self._corners
         visit.counted &= (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
 
@@ -250,7 +250,11 @@ def groups_of(pixels: int) -> int:
 
 
 def group_of(batch: mi.UInt32, groups: int) -> mi.UInt32:
-    """Return the index of the group of each batch. All counts are powers of two, so that a shift divides."""
+    """
+    Return the index of the group of batches that each batch belongs to.
+
+    All counts are powers of two, so that a shift divides.
+    """
     return batch >> dr.opaque(mi.UInt32, (BATCHES // groups).bit_length() - 1)
 
 

@@ -55,7 +55,7 @@ class DecodedPaths:
     sums: np.ndarray
 
     def take(self, chosen: np.ndarray) -> DecodedPaths:
-        """Return some of the paths, selected by indices or by a boolean mask, with their sums."""
+        """Return the paths that indices or a boolean mask select, with their sums."""
         return DecodedPaths(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
     def __add__(self, other: DecodedPaths) -> DecodedPaths:
@@ -141,7 +141,11 @@ def write_list(
     read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
     active: mi.Bool,
 ) -> None:
-    """Write event lists to device memory, each from index `first` on. `read(k, mask)` returns event k of each list."""
+    """
+    Write each lane's event list to device memory from index `first` on.
+
+    `read(k, mask)` returns event k of each list.
+    """
 
     def step(k):  # type: ignore[no-untyped-def]
         going = active & (k < length)
@@ -179,7 +183,7 @@ def read_lists(
 
 def _zeros(dtype: Any, size: int) -> Any:
     """
-    Return a device array of `size` zeros.
+    Return a device array of `size` zeros, written in parts so that an interrupt can end it.
 
     A large array takes seconds, since the system clears the pages that it hands out. So it is written in parts: all
     threads share the work, and an interrupt ends it.
@@ -224,13 +228,13 @@ class Ledger(Recorder):
         dr.eval(self.keys, self.lengths, self.events, self.sums)
 
     def clear_sums(self) -> None:
-        """Reset the sums to zero and keep the paths, so that a second trace finds the same slots."""
+        """Reset the flux sums to zero but keep the paths, so that a second trace finds the same slots."""
         self.sums = _zeros(mi.Float64, self.capacity * BATCHES * self.row)
         dr.eval(self.sums)
 
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
         """
-        Return the slot of each path key, claiming one for a new key.
+        Return the table slot of each path key; a new key claims a free slot.
 
         A mask of keys that have a slot, and one of new keys, come with it.
         """
@@ -238,7 +242,7 @@ class Ledger(Recorder):
         return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add hits to the sums of their paths, in found or new slots; later recorders see only hits with a slot."""
+        """Add hits to the sums of their paths; later recorders see only hits whose path has a slot."""
         slot, found, new = self.find(visit.key, visit.counted)
         visit.slot, visit.counted = slot, found
         x, y = (mi.Float64(coordinate) for coordinate in visit.position)
@@ -255,7 +259,7 @@ class Ledger(Recorder):
         write_list(self.events, slot * self.max_events, visit.depth + 1, visit.event, new)
 
     def known(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the slot of each path key and a mask of the keys that the table holds; the table does not change."""
+        """Return the slot of each path key, and a mask of keys that the table holds; no key is added."""
 
         def probe(slot, going, found, tries):  # type: ignore[no-untyped-def]
             there = dr.gather(mi.UInt64, self.keys, slot, going)
@@ -279,7 +283,7 @@ class Ledger(Recorder):
 
     @property
     def _lost(self) -> bool:
-        """True if some path found no free slot, so that its flux is missing."""
+        """True if the table was full for some path, whose flux is then missing from the sums."""
         return int(self.keys[self.capacity]) != 0
 
     @property

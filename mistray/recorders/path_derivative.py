@@ -56,7 +56,7 @@ class PathDerivative:
     def of_paths(
         cls, keys: np.ndarray, slots: np.ndarray, coefficients: np.ndarray, maps: np.ndarray
     ) -> PathDerivative:
-        """Create the derivatives of a run from its paths in any order; they are sorted by key."""
+        """Create the metric's derivatives of one run from its paths in any order; they are sorted by key."""
         order = np.argsort(keys)
         return cls(keys[order], slots[order], coefficients[order], maps[order])
 

@@ -1,4 +1,4 @@
-"""Text, letters, names and classification of the event lists of paths."""
+"""Event lists of paths: their text and letters, the names of paths, and the kinds of stray light."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ STRAY_KINDS = (
 
 
 def way(events: np.ndarray) -> np.ndarray:
-    """Return event lists, (p, k), with aimed scatter replaced by random scatter, as both sample one physical path."""
+    """Return event lists, (p, k), with aimed scatter written as random scatter: both sample the same physical path."""
     events = events.copy()
     for aimed, random in _SAMPLED_ALIKE.items():
         events[kind_of(events) == aimed] -= np.uint32(aimed - random)
@@ -62,12 +62,12 @@ def way(events: np.ndarray) -> np.ndarray:
 
 
 def way_text(events: Iterable[str]) -> list[str]:
-    """Return event lists as text, with the letters of aimed scatter replaced by those of random scatter."""
+    """Return event lists as text, with aimed scatter written by the letter of random scatter."""
     return [_AIMED_LETTER.sub(lambda found: _WAY_LETTERS[found[0]], text) for text in events]
 
 
 def way_letters(paths: Iterable[str]) -> list[str]:
-    """Return strings of event letters, with those of aimed scatter replaced by those of random scatter."""
+    """Return strings of event letters, with aimed scatter written by the letter of random scatter."""
     table = str.maketrans(_WAY_LETTERS)
     return [path.translate(table) for path in paths]
 
@@ -158,11 +158,11 @@ class PathNames:
         return ""
 
     def _sequence(self, detector: int) -> Sequence[int]:
-        """Return the event codes of the first design sequence to a detector, without the absorption there."""
+        """Return the event codes of the first design sequence to a detector, without the final absorption."""
         return next(iter(self._design.lists.get(detector, ())), ())
 
     def _between(self, first: int, last: int, detector: int) -> list[int]:
-        """Return the design events between surfaces `first` and `last`, at their closest occurrences; cached."""
+        """Return the design sequence's event codes between surfaces `first` and `last`, where closest; cached."""
         key = first, last, detector
         if key not in self._expected:
             sequence = self._sequence(detector)
@@ -204,11 +204,11 @@ class Events:
 
     @classmethod
     def of(cls, table: SurfaceTable, design: DesignSequences, codes: np.ndarray, lengths: np.ndarray) -> Events:
-        """Create the events of paths from their codes, with the names and flags of the surfaces of a table."""
+        """Create the events of paths from their codes, taking names and flags of surfaces from a surface table."""
         return cls(codes, lengths, table.event_ids, table.event_words, design)
 
     def __getitem__(self, rows: np.ndarray) -> Events:
-        """Return the event lists of some paths; `rows` are their indices or a mask."""
+        """Return the event lists of the paths that indices or a mask select."""
         return replace(self, codes=self.codes[rows], lengths=self.lengths[rows])
 
     def __len__(self) -> int:
@@ -238,7 +238,7 @@ class Events:
         return [[INTERCEPTS[kind_of(code)] for code in row] for row in self.lists]
 
     def labels(self, kinds: Iterable[str]) -> list[str]:
-        """Return the name of each path, given its kind; see `PathNames`."""
+        """Return the name of each path for people to read, given its kind; see `PathNames`."""
         names = PathNames(self.ids, self.words, self.design)
         return [names.name(row, kind) for row, kind in zip(self.lists, kinds, strict=True)]
 
@@ -253,11 +253,11 @@ class Events:
         return np.asarray(np.arange(self.codes.shape[1]) < self.lengths[:, None])
 
     def happens(self, *what: int) -> np.ndarray:
-        """Return a mask of the events of one of these kinds, (p, k) bool; False for padding."""
+        """Return a mask of the events of any of the given kinds, (p, k) bool; False for padding."""
         return self.inside & np.isin(kind_of(self.codes), what)
 
     def at(self, bit: int) -> np.ndarray:
-        """Return a mask of the events at surfaces that have this flag, (p, k) bool; padding is not masked out."""
+        """Return a mask of events at surfaces that have the flag `bit`, (p, k) bool; padding is not masked out."""
         # Padding reads the flags of surface 0; callers mask it
         return (self.words[self.places] & np.uint32(bit)) != 0
 
@@ -268,7 +268,7 @@ class Events:
 
     @cached_property
     def as_designed(self) -> np.ndarray:
-        """Mask of the events at surfaces where a design sequence of the path's detector reflects, (p, k) bool."""
+        """Mask of events at surfaces where a design sequence of the path's detector reflects, (p, k) bool."""
         return self.inside & self.design.reflects(self.codes, self.lengths)
 
     @property
@@ -282,7 +282,7 @@ class Events:
 
     @property
     def on_structure(self) -> np.ndarray:
-        """Mask of stray reflections at opaque surfaces other than the detector, (p, k) bool."""
+        """Mask of stray specular reflections at opaque surfaces other than the detector, (p, k) bool."""
         return self.reflected & self.at(OPAQUE) & ~self.at(DETECTOR)
 
     @property
@@ -350,7 +350,7 @@ def describe_events(e: Events) -> dict[str, np.ndarray]:
     known = np.array([*e.ids, "-"], dtype=object)
 
     def surface(chosen: np.ndarray, n: int = 1, step: int = 1) -> np.ndarray:
-        """Return the surface name of each list's n-th chosen event, (p,), or "-"; step -1 counts from the end."""
+        """Return the surface id of each path's n-th event in `chosen`, (p,), or "-"; step -1 counts from the end."""
         here = chosen & (np.cumsum(chosen[:, ::step], axis=1)[:, ::step] == n)
         return known[np.where(here.any(axis=1), np.where(here, surfaces, 0).sum(axis=1), len(e.ids))]
 
@@ -379,7 +379,7 @@ def describe_events(e: Events) -> dict[str, np.ndarray]:
 
 
 def _names(chosen: np.ndarray, surfaces: np.ndarray, ids: Sequence[str]) -> np.ndarray:
-    """Return the names of the surfaces of each list's chosen events, (p,), separated by blanks, or "-"."""
+    """Return the surface ids of each path's chosen events, (p,) str, separated by blanks; "-" if there are none."""
     names = np.full(len(chosen), "-", dtype=object)
     for row in np.flatnonzero(chosen.any(axis=1)):
         names[row] = " ".join(ids[k] for k in surfaces[row][chosen[row]])

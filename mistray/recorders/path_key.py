@@ -28,13 +28,17 @@ EventReader = Callable[[mi.UInt32, mi.Bool], mi.UInt32]
 
 
 def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
-    """Return the key of a path after one more event; multiply-xorshift steps as in SplitMix64 and MurmurHash3."""
+    """
+    Return the 64-bit key of a path after one more event.
+
+    Its multiply-xorshift steps are those of SplitMix64 and MurmurHash3.
+    """
     key = (key ^ mi.UInt64(code + 1)) * mi.UInt64(MULTIPLIER)
     return key ^ (key >> 29)
 
 
 def mixed_word(word: mi.UInt32) -> mi.UInt32:
-    """Return a hash of a 32-bit word, each bit of which depends on all bits of the word; steps as in MurmurHash3."""
+    """Return a 32-bit hash of a word in which every bit depends on all bits of the word; steps as in MurmurHash3."""
     mixed = word * 0x85EBCA6B
     mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
     return mixed ^ (mixed >> 16)
@@ -42,7 +46,7 @@ def mixed_word(word: mi.UInt32) -> mi.UInt32:
 
 def mixed_events(event: EventReader, first: mi.UInt32, end: mi.UInt32, before: mi.UInt32, active: mi.Bool) -> mi.UInt32:
     """
-    Return `before` plus the hashes of the events `first` … `end` - 1.
+    Return `before` plus the hashes of events `first` … `end` - 1; the order of the events has no effect.
 
     The sum is hashed again to get the path class.
     """
@@ -79,12 +83,12 @@ def path_class_of(event: EventReader, length: mi.UInt32, start: StartRays, activ
 
 
 def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
-    """Return numbers of scatter events of paths from packed words: all, not aimed, and not at opaque surfaces."""
+    """Return a path's numbers of scatter events from its packed word: all, not aimed, and not at opaque surfaces."""
     return [(word >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
 
 
 def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
-    """Return packed scatter counts of paths after one more scatter event; see `COUNT_MASK` for the packing."""
+    """Return the packed scatter counts of paths after one more scatter event; `COUNT_MASK` tells the packing."""
     # One word holds all three counts, so that a node stores a single integer
     count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
     # `AT_WALL` is of the last event only; `NOT_DIFFRACTED` stays once it is set

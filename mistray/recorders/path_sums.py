@@ -1,4 +1,4 @@
-"""Sums of contributions by path and by cell of directions."""
+"""Table of MIS-weighted ray throughput by path and cell of directions, in units of a start ray's flux."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HIT_SUMS = 3  # sums of a path in a cell: hits, weight, squared weight
 
 class PathsByCell(dict[str, np.ndarray]):
     """
-    Paths with the sums of their contributions in each cell of directions; empty: there are none.
+    Paths with the sums of their ray throughput in each cell of directions; empty: there are none.
 
     ``events`` (p, k) uint32 and ``lengths`` (p,) of the paths, in the order of the rays; each of e entries has its
     ``path`` and ``cell``, int, the number of its ``hits``, and the sums of their ``weight`` and its ``squares``,

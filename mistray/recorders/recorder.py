@@ -124,7 +124,7 @@ class Visit:
         return dr.select(before, self.codes.read(k, mask & before), self.code)
 
     def before(self, mask: mi.Bool) -> mi.UInt32:
-        """Return the event before the hit; `NO_EVENT` straight after a start ray, which may be within a tree."""
+        """Return the code of the event before the hit, or `NO_EVENT` if the start ray itself hits."""
         # Rays that go on from within a tree have a start depth above 0; earlier events are not in local memory
         there = self.depth > self.start.given("depth", dr.zeros(mi.UInt32, dr.width(mask)))
         return dr.select(there, self.codes.read(dr.select(there, self.depth - 1, 0), mask & there), mi.UInt32(NO_EVENT))
@@ -398,7 +398,7 @@ class Recorder:
 
     @property
     def by_ray(self) -> bool:
-        """True if a lane's memory belongs to a single start ray, so that the lane may take no second one."""
+        """True if a lane may trace one start ray only, because its memory belongs to that ray."""
         return type(self).begin is not Recorder.begin
 
     @property
@@ -409,7 +409,7 @@ class Recorder:
     # ---- a trace of one source and wavelength, called on the host
 
     def attach(self, scene: KernelScene) -> None:
-        """Prepare for a trace of one source and wavelength. Results of an earlier trace are discarded."""
+        """Prepare for a trace of one source and wavelength, and discard the results of an earlier trace."""
 
     def collect(self, unit: float) -> None:
         """Collect the results of a trace that has ended; `unit` is the flux of a start ray in W."""
@@ -417,7 +417,7 @@ class Recorder:
     # ---- events of the rays, called while the kernel is traced: their arguments are symbolic
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Put the recorder's per-lane state into `memory`, before the first ray segments are traced."""
+        """Put the recorder's per-lane state into the dictionary `memory`, before the first ray segments are traced."""
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record rays that meet surfaces; called once per visit of a node, for all lanes."""
@@ -437,15 +437,19 @@ class Recorder:
         """
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Record finished branches with their subtrees, when lanes return to an earlier node."""
+        """Record complete subtrees of the ray tree, when lanes return to an earlier node."""
 
     # ---- flux that no surface absorbs
 
     def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
-        """Record lost flux (or a count) in one of the first `LANE_REASONS` channels of `mistray.recorders.tallies`."""
+        """
+        Record lost flux, in units of a start ray's, or a count, in a per-lane loss channel.
+
+        These are the first `LANE_REASONS` channels of `mistray.recorders.tallies`.
+        """
 
     def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        """Record cut flux, in units of a start ray's, in a loss channel from `LANE_REASONS` on; few traces need one."""
+        """Record cut flux, in units of a start ray's flux, in one of the loss channels from `LANE_REASONS` on."""
 
     def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
         """Record the flux absorbed in a medium, in units of a start ray's flux."""
@@ -454,7 +458,7 @@ class Recorder:
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
         """
-        Record finished ray trees and their numbers of segments.
+        Record finished ray trees with their numbers of segments, one tree for each start ray.
 
         Trees of lanes in `cut_off` exceeded the limit on segments.
         """
@@ -464,7 +468,11 @@ class Recorder:
 
 
 def _key_of(part: Any) -> Hashable:
-    """Return a hashable key: a number or tuple itself, a recorder's `code`, else whether the part is there."""
+    """
+    Return a hashable key of a recorder's part.
+
+    It is a number or tuple itself, the part's `code`, else whether the part is there.
+    """
     return part if isinstance(part, int | tuple) else getattr(part, "code", part is not None)
 
 

@@ -1,5 +1,4 @@
-"""
-Numbers of a trace with their errors, kept as the deviation of each batch of start rays.
+"""Monte Carlo estimates of a trace with their standard errors, from the deviation of each batch of start rays.
 
 Start rays are stratified within a batch, and batches are independent. So the error of a sum over the start rays follows
 from the spread of its batches, however often one start ray branches and however two sums are correlated. To first order
@@ -68,13 +67,13 @@ class Sampled:
 
     @property
     def by_batch(self) -> Numbers:
-        """Contribution of each batch to `value`, as if all batches had equally many start rays, (…, b)."""
+        """Estimates split by batch, (…, b), as if all batches had equally many start rays; they add up to `value`."""
         count = self.apart.shape[-1]
         return np.asarray(self.value[..., None] / count + np.sqrt((count - 1) / count) * self.apart)
 
     def grouped(self, count: int) -> Sampled:
         """
-        Return the estimates with their noise merged into `count` groups of batches.
+        Return the estimates with the deviations of their batches merged into `count` groups.
 
         `count` divides the number of batches.
         """
@@ -106,11 +105,11 @@ class Sampled:
             return Sampled(value, (a.apart - value[..., None] * b.apart) / below[..., None])
 
     def reshaped(self, *shape: int) -> Sampled:
-        """Return the numbers with their noise in another shape; one length may be -1."""
+        """Return the estimates with their noise in another array shape; one length may be -1."""
         return Sampled(self.value.reshape(shape), self.apart.reshape(*shape, self.apart.shape[-1]))
 
     def total(self, axis: int = 0) -> Sampled:
-        """Return the sum over an axis of the numbers, with its noise; the axis is counted from the first."""
+        """Return the sum over an axis of the estimates, with its noise; the axis may not be counted from the end."""
         return Sampled(self.value.sum(axis=axis), self.apart.sum(axis=axis))
 
     @property
@@ -120,13 +119,13 @@ class Sampled:
 
     @property
     def whole(self) -> tuple[float, float]:
-        """Sum of all estimates and its standard error, in the unit of `value`."""
+        """Sum of all estimates and its standard error, two floats in the unit of `value`."""
         total = self.reshaped(-1).total()
         return float(total.value), float(total.se)
 
 
 def _alike(*numbers: Sampled) -> list[Sampled]:
-    """Return estimates with their noise merged to the same number of groups of batches, so as to combine them."""
+    """Return estimates whose noise is merged to equally many groups of batches, so that they can be combined."""
     count = min(one.apart.shape[-1] for one in numbers)
     return [one if one.apart.shape[-1] == count else one.grouped(count) for one in numbers]
 
@@ -191,5 +190,5 @@ def error_rays(
 
 
 def few_rays(found: Numbers) -> npt.NDArray[np.bool_]:
-    """Return a mask of effective ray numbers, from `error_rays`, too small for a reliable standard error."""
+    """Return a mask of estimates whose effective ray number, from `error_rays`, is too small for a standard error."""
     return np.asarray(found < ERROR_RAYS * (1 - ROUNDING))

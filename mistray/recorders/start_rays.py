@@ -117,15 +117,19 @@ class StartRays:
         return otherwise if value is None else value
 
     def picked(self, index: mi.UInt32) -> StartRays:
-        """Return the rays at some indices. Literal constants stay literal, so that a compiled kernel can be reused."""
+        """
+        Return the start rays at some indices.
+
+        Literal constants stay literal, so that a compiled kernel can be reused.
+        """
         return StartRays(**{f.name: chosen(getattr(self, f.name), index) for f in fields(self)})
 
     def take(self, index: mi.UInt32) -> StartRays:
-        """Return the rays at some indices, evaluated in device memory."""
+        """Return the start rays at some indices, evaluated in device memory."""
         return self.picked(index).evaluated()
 
     def evaluated(self) -> StartRays:
-        """Evaluate the arrays of these rays in device memory, and return the rays."""
+        """Evaluate the arrays of these start rays in device memory, and return the rays."""
         dr.eval(*(getattr(self, f.name) for f in fields(self)))
         return self
 

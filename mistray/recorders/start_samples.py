@@ -30,7 +30,7 @@ WAYS = 256  # approaches to a surface that are told apart by hashing; more of th
 
 def window_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
     """
-    Return the row of a surface and approach in importance tables of (surfaces · `WAYS`,) numbers.
+    Return the row of a surface and approach in importance tables of (surfaces · `WAYS`,) entries.
 
     The approach is the event before, or `NO_EVENT`, and the number of scatter events. So the two faces of a stop are
     distinguished, and reflection from transmission.
@@ -120,7 +120,7 @@ class _StartSamples(Recorder):
             dr.scatter(array, value, place, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Add the numbers of ray segments of complete trees, to the start cells of their rays if there are any."""
+        """Add the number of ray segments of each complete tree to the start cell of its ray, or to one sum."""
         cell = mi.UInt32(0) if start.cell is None else start.cell
         dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), cell, active, REDUCE)
 
@@ -184,7 +184,7 @@ class DepartureSamples(_StartSamples):
         dr.eval(self._importance)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the throughput that reaches scattering surfaces, and its square, to sums by surface and approach."""
+        """Add each ray's throughput at a scattering surface, and its square, to sums by surface and approach."""
         if visit.shares is None:
             return
         active = visit.active & (visit.shares.scattered > 0)
@@ -194,7 +194,7 @@ class DepartureSamples(_StartSamples):
         dr.scatter_reduce(dr.ReduceOp.Add, self._importance[1], weight * weight, row, active)
 
     def _add_importance(self, departure: Departure, importance: mi.Float64, active: mi.Bool) -> None:
-        """Add the contribution of each path to the importance of its scatter events, except at light vertices."""
+        """Add each path's MIS-weighted throughput to the importance of its scatter events, except at light vertices."""
         # The last scatter event of a connected ray is at its light vertex
         last = dr.full(mi.UInt32, NO_SURFACE, dr.width(active))
         if departure.light_vertex is not None:
@@ -225,7 +225,7 @@ class DepartureSamples(_StartSamples):
         )
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Keep samples of rays that leave within a cell, and add their contributions to the importance of surfaces."""
+        """Keep samples of rays that leave within a cell, and add their throughput to the importance of surfaces."""
         cell, inside = self._cells.cell(departure.heading)
         inside &= departure.active
         path_class = path_class_of(departure.event, departure.length, departure.start, inside)
@@ -241,7 +241,7 @@ class DepartureSamples(_StartSamples):
         self._add_importance(departure, mi.Float64(weight * mis.backward) * value, inside)
 
     def read(self) -> Samples:
-        """Return the samples on the host, with the importance by surface and approach."""
+        """Return the samples on the host, with the sums of importance by surface and approach."""
         importance = np.array([np.array(one) for one in self._importance]).reshape(4, self._surfaces, WAYS)
         return replace(super().read(), importance=importance)
 
@@ -267,7 +267,7 @@ class ArrivalSamples(_StartSamples):
         self._scattered_only = scattered_only
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Keep samples of rays that meet the detector: start point, MIS-weighted throughput and density."""
+        """Keep samples of rays that meet the detector: start point, MIS-weighted throughput and start density."""
         start, met = visit.start, visit.detected
         assert start.cell is not None
         assert start.place is not None

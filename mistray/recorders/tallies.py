@@ -1,4 +1,4 @@
-"""Sums of flux for the energy ledger: by surface, by medium, and by loss channel."""
+"""Energy ledger: sums of flux by surface, by medium and by loss channel, in units of a start ray's flux."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Tallies(Recorder):
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """
-        Allocate the sums of each lane in local memory; sums shared by all lanes would cost a fifth of the run time.
+        Allocate the sums of each lane in local memory; sums shared by all lanes would make a trace a fifth longer.
 
         They are the first `HIT_SUMS` of the `SURFACE_SUMS` of each surface, unless there are too many surfaces, and
         last those of the first `LANE_REASONS` channels.
@@ -106,7 +106,7 @@ class Tallies(Recorder):
             self._add_surface(state["aimed_from"], LANDED, batch, 1.0, landed)
 
     def branch(self, branch: Branch, memory: Memory) -> None:
-        """Count the rays that each surface or medium scatters towards a target."""
+        """Count the rays that each surface or medium scatters towards its importance targets."""
         if branch.aimed is not None:
             self._add_surface(branch.place, AIMED, branch.start.batch, 1.0, branch.aimed)
 
@@ -120,12 +120,12 @@ class Tallies(Recorder):
         dr.scatter_reduce(dr.ReduceOp.Add, self.channels, mi.Float64(flux), channel * BATCHES + batch, active)
 
     def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
-        """Add the flux that a medium absorbs, in units of a start ray's flux."""
+        """Add the flux that a medium absorbs, in units of a start ray's flux, to its sum."""
         dr.scatter_reduce(dr.ReduceOp.Add, self.media, mi.Float64(flux), medium * BATCHES + batch, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
         """
-        Add the flux cut by `max_events` in finished trees to its channel, and count their ray segments.
+        Add flux cut by `max_events` in finished ray trees to its loss channel, and count the trees' segments.
 
         The flux of trees over `max_segments` goes to the channel TREE instead.
         """
@@ -138,7 +138,7 @@ class Tallies(Recorder):
         self.lose(SEGMENTS, segments, active, memory)
 
     def collect_lanes(self, start: StartRays, memory: Memory) -> None:
-        """Add the sums of each lane to the totals by batch."""
+        """Add the sums of each lane to the sums of its batch."""
         sums, batch = memory[SUMS], start.batch
         sums[-1].write(sums[-1].read(EVENTS_OF_LANE), EVENTS)
 

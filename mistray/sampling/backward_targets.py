@@ -98,7 +98,7 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
 
 @share(SEARCH_SHARE)
 def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
-    """Return the targets of backward rays, one aimed ray per set, and for surfaces the fraction of rays to the sky."""
+    """Return the targets of backward rays, one aimed ray per set, and each surface's fraction of rays to the sky."""
     # Opening of the system
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
@@ -133,7 +133,7 @@ def find_opening(
     table: SurfaceTable, scene: mi.Scene, path: DesignPath | None, axis: np.ndarray, rng: np.random.Generator
 ) -> Target | None:
     """
-    Return the disc through which light enters to the path's first surface, or to the detector, from outside.
+    Return the disc through which outside light reaches the path's first surface, or else the detector.
 
     None if there is none.
     """
@@ -165,7 +165,7 @@ def find_opening(
 
 
 def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
-    """Return flat discs far away that stand for the sky as targets, one for each angular radius in `SKY_DEG`."""
+    """Return flat target discs far away that stand for the sky, one for each angular radius in `SKY_DEG`, degrees."""
     corners = box_corners(shape.bbox() for shape in solid_shapes(scene))
     distance = FAR * float(np.linalg.norm(corners[-1] - corners[0]))
     frame = across(axis)
@@ -188,7 +188,7 @@ def _lambertian_rays(
 def _sky_shares(
     table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator
 ) -> dict[Side, float]:
-    """Return for each side of surfaces the fraction of Lambertian rays that leave the scene backward without a hit."""
+    """Return the fraction of Lambertian rays from each side of surfaces that leave the scene without a hit."""
     probes = fewer_rays(SKY_PROBES)
     o, d = _lambertian_rays(table, surfaces, probes, rng)
     last = np.repeat(surfaces, 2 * probes)
@@ -199,7 +199,11 @@ def _sky_shares(
 
 
 def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator) -> dict[int, float]:
-    """Return by surface the fraction of Lambertian rays of its better side that leave backward by specular events."""
+    """
+    Return, for each surface, the fraction of Lambertian rays that leave the scene backward by specular events.
+
+    It is that of its better side.
+    """
     probes = fewer_rays(VIEW_PROBES)
     start, along = _lambertian_rays(table, surfaces, probes, rng)
     o, d, last = start.reshape(-1, 3), along.reshape(-1, 3), np.repeat(surfaces, 2 * probes)

@@ -36,7 +36,7 @@ class Beam(SceneSource):
 
     @property
     def reach(self) -> float:  # type: ignore[override]  # read-only
-        """Radius of the largest circle about the middle ray that the beam fills at the pivot, mm."""
+        """Radius of the largest circle, about the middle ray, within the beam's outline at the pivot, mm."""
         # Of a rectangle the inscribed circle
         return float(min(self.emitter.size) if self.emitter.rectangular else self.emitter.size[0])
 
@@ -71,7 +71,7 @@ class Beam(SceneSource):
         return Emission(origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return rays along the outline of beam and dark centre: origins, mm, and directions, (count, 3) each."""
+        """Return rays on the outline of the beam and its dark centre: origins, mm, and directions, (count, 3) each."""
         sample = mi.Point2f(*(upload(mi.Float, v) for v in perimeter(count, within)))
         outer = np.array(self.emitter.positions(sample), dtype=np.float64)
         hole = 0.0 if self.emitter.rectangular else self.emitter.size[1] * (1 + within)
@@ -83,7 +83,7 @@ class Beam(SceneSource):
         return replace(self, aperture=aperture)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return probe rays of the beam, through its aperture if any: origins, mm, and unit directions, (n, 3) each."""
+        """Return probe rays of the beam, aimed at any aperture: origins, mm, and unit directions, (n, 3) each."""
         x, y = self.emitter.positions(sample)
         if self.aperture is not None:
             axes = np.stack([self.u, self.v, self.direction], axis=1)

@@ -60,7 +60,7 @@ class ScatteringBody:
 
     @property
     def sides(self) -> list[Inside]:
-        """Sides of surfaces at which a ray segment within the body may end, sorted."""
+        """Sorted sides of the surfaces at which a ray that travels within the body may end."""
         return sorted(self.faces | self.walls, key=lambda side: (side.surface, side.at_back))
 
 
@@ -134,7 +134,7 @@ def scattering_bodies(table: SurfaceTable) -> list[ScatteringBody]:
 
 class Sight(NamedTuple):
     """
-    Surface or opening at which scattered light is aimed from wherever it is visible.
+    Surface or opening at which scattered light is aimed from every place that can see it.
 
     Attributes
     ----------
@@ -287,7 +287,7 @@ def apparent(
     table: SurfaceTable, within: np.ndarray, faces: Set[Inside], sights: Sequence[Sight], rng: np.random.Generator
 ) -> list[Appearance]:
     """
-    Return targets that sights appear as from points within a body or on a surface; parameters as in `arrivals`.
+    Return targets that cover the sights as seen from points within a body or on a surface; see `arrivals`.
 
     Returns
     -------
@@ -305,13 +305,13 @@ def apparent(
 
 
 def _towards(o: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Return the unit directions from points to other points, (n, 3)."""
+    """Return the unit directions from points `o`, mm, to the points `ends`, mm, (n, 3)."""
     return np.asarray((ends - o) / np.linalg.norm(ends - o, axis=1, keepdims=True))
 
 
 def _holding(points: np.ndarray, directions: np.ndarray, within: np.ndarray) -> Target | None:
     """
-    Return the flat ellipse crossed by all given rays that has the least solid angle from the body.
+    Return the flat ellipse of least solid angle, seen from the body, that all given rays cross.
 
     None if there is none.
 

@@ -76,15 +76,15 @@ class DesignPath:
 
     @property
     def has_optics(self) -> bool:
-        """True if the path meets a surface, such as a lens or mirror, before its end."""
+        """True if the path meets at least one surface, such as a lens or mirror, before the detector."""
         return len(self.steps) > 1
 
     def at(self, wavelength_nm: float) -> DesignPath:
-        """Return the path over the same surfaces at another wavelength, nm; its base ray does not change."""
+        """Return the path over the same surfaces at another wavelength, nm; the base ray stays the same."""
         return DesignPath(self.table.at(wavelength_nm), self.steps, self.end)
 
     def reversed(self, opening: Target) -> DesignPath:
-        """Return the backward path, from the detector to an opening before its first surface."""
+        """Return the backward path, from the detector to the opening in front of the path's first surface."""
         # All steps but the detector, in reverse order
         steps = [
             DesignStep(step.surface, step.reflects, step.point, step.normal, -step.after, -step.before)
@@ -249,7 +249,11 @@ def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneS
 
 
 def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneSource, int]]:
-    """Yield a source with numbers of probe rays to try: first all its light, then that aimed at optical surfaces."""
+    """
+    Yield a source with the numbers of probe rays to try.
+
+    At first its light is unaimed, then aimed at optics and detectors.
+    """
     # All of it, with few probes and with many
     yield source, PROBES
     yield source, MANY_PROBES
@@ -299,7 +303,7 @@ def check_place(table: SurfaceTable, source: SceneSource) -> None:
 
 
 def sphere_of(target: Target) -> Sphere:
-    """Return the sphere about the centre of a flat target that encloses it."""
+    """Return the sphere that encloses a flat target, about the target's centre."""
     a, b = float(np.linalg.norm(target.u)), float(np.linalg.norm(target.v))
     return Sphere(target.centre, max(a, b) if target.shape == "ellipse" else float(np.hypot(a, b)))
 

@@ -81,11 +81,11 @@ class DetectorImages:
         self.paraxial = [self._paraxial(number) for number in range(len(path.steps))]
 
     def _base(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return a point, mm, and the unit direction of the base ray in the space before step `number`, (3,) each."""
+        """Return a point, mm, and the unit direction of the base ray before step `number`, (3,) each."""
         return self.path.steps[max(number - 1, 0)].point, self.path.steps[number].before
 
     def _paraxial(self, number: int) -> Target:
-        """Return the paraxial image of the detector in the space before a step."""
+        """Return the paraxial image of the detector, a flat target, in the space before a step."""
         start, axis = self._base(number)
         frame = across(axis)
         P, Q, hit = self._derivatives(number, frame)
@@ -101,7 +101,7 @@ class DetectorImages:
 
     def _derivatives(self, number: int, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
-        Return how the detector hit moves with the ray: by shift, per mm, and by slope, (2, 2) each, and the base hit.
+        Return the derivatives of the detector hit by a ray's shift, 1/mm, and slope, (2, 2) each, and the base hit.
 
         Hits are in units of the detector's half axes.
         """
@@ -162,7 +162,11 @@ class DetectorImages:
     def _landing_rays(
         self, number: int, wide: Target, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator
     ) -> _Rays:
-        """Return sampled rays that reach the detector; half aimed at `wide`, half left as from a Lambertian surface."""
+        """
+        Return sampled rays that reach the detector.
+
+        Half are aimed at `wide`, half leave as from a Lambertian surface.
+        """
         to_image = np.arange(len(points)) % 2 == 0
         aimed = (wide.points(rng.random((len(points), 2))) - points) * (-1 if wide.reverse else 1)
         d = np.where(to_image[:, None], aimed, normals + sphere_points(rng, len(points)))
@@ -182,7 +186,7 @@ class DetectorImages:
 @dataclass(frozen=True)
 class _Rays:
     """
-    Rays that reach the detector, out of a number of trials.
+    Rays that reached the detector, out of `tried` rays sent.
 
     They have origins (mm), directions, solid angles and projected solid angles (sr).
     """
@@ -203,7 +207,7 @@ def _held(
     image: Target, rays: _Rays, start: np.ndarray, axis: np.ndarray, distance: float, least: float = 0.0
 ) -> Fitted:
     """
-    Return an image moved to a distance, mm, along its line of sight and enlarged until it holds given rays.
+    Return a target moved to a distance, mm, along its line of sight and enlarged until it holds the given rays.
 
     Half axes are at least `least`.
     """
@@ -233,7 +237,7 @@ def _ratio(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Return the value below which lies a fraction `share` of the total weight."""
+    """Return the value below which the fraction `share` of the total weight lies."""
     order = np.argsort(values)
     summed = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(summed, share * summed[-1])])

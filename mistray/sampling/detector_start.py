@@ -106,7 +106,7 @@ class DetectorStart:
         self._guide_given: StartMap | None = None
 
     def guide(self, given: StartMap | None) -> None:
-        """Set a start map by which part of the rays on the lit side are drawn from now on; None for no such part."""
+        """Set the start map that draws part of the rays on the lit side; None: no rays are drawn from a map."""
         if given is not self._guide_given:
             self._guide_given, self._guide = given, None if given is None else DeviceMap(given)
 
@@ -164,7 +164,7 @@ class DetectorStart:
 
     def _first_to_declare(self, side: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the surfaces with a declared medium that detector rays meet first, and a mask of hits from the back.
+        Return the first surfaces with a declared medium on rays from the detector, and a mask of hits from the back.
 
         Surfaces that declare none reflect the rays.
         """
@@ -187,7 +187,7 @@ class DetectorStart:
 
     def _contradiction(self, first: tuple[int, str], second: tuple[int, str], side: float) -> str:
         """
-        Return the error message for two different media before the detector.
+        Return the error message for two different media declared in front of the detector.
 
         Each is given as its number and the surface that declares it, "" for the detector.
         """
@@ -358,7 +358,7 @@ class DetectorStart:
         self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, aim: mi.Bool, own: mi.UInt32, active: mi.Bool
     ) -> mi.Float:
         """
-        Return the Lambertian pdf divided by the pdf of all rays on the lit side.
+        Return the Lambertian pdf over the pdf of all sampling techniques together, for rays on the lit side.
 
         `aim`: the ray is aimed, at target `own`.
         """
@@ -393,7 +393,7 @@ class DetectorStart:
         return r * cosine, r * sine
 
     def _surface(self, x: mi.Float, y: mi.Float) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
-        """Return point, unit normal, and area element over its mean, at coordinates x, y of the detector, mm."""
+        """Return the point, unit normal, and local over mean area stretch of the detector at coordinates x, y, mm."""
         normal, stretch, z = mi.Vector3f(0, 0, 1), mi.Float(1), mi.Float(0)
         # Sag and normal there
         if self._curved:

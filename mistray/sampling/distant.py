@@ -50,7 +50,7 @@ class DistantRays(PluginRays):
 
     @property
     def middle(self) -> tuple[np.ndarray, np.ndarray]:
-        """Middle ray of the source, along its axis: origin, mm, and unit direction, (1, 3) float64 each."""
+        """Ray along the source's axis through its disc's middle: origin, mm, and direction, (1, 3) float64 each."""
         return self.through(np.zeros(1), np.zeros(1))
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
@@ -76,7 +76,7 @@ class DistantRays(PluginRays):
         self, sample: mi.Point2f, towards: mi.Point2f, rng: mi.PCG32, within: mi.Bool | None
     ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Float64]:
         """
-        Return ray origins, mm, and unit directions in the world, and the share of their stratum.
+        Return ray origins, mm, and unit directions in the world, and each stratum's share of the light.
 
         Rays `within` pass through the aperture, the others miss it; None: there is one stratum. The share is the part
         of the light of a ray's direction that its stratum has; it is 0 where a point lies outside the disc.
@@ -117,7 +117,7 @@ class DistantRays(PluginRays):
 
 
 def _common_area(apart: mi.Float64, small: mi.Float64, large: mi.Float64) -> mi.Float64:
-    """Return the area, mm², common to two discs of radii `small` and `large`, mm, with centres `apart`, mm."""
+    """Return the area, mm², that two discs share, of radii `small` and `large` and centres `apart`, all in mm."""
     d = dr.clip(apart, large - small, large + small)  # below it the small disc lies within the large one
     sides = [(d * d + a * a - b * b) / (2 * d) for a, b in ((small, large), (large, small))]
     segments = zip((small, large), sides, strict=True)

@@ -57,7 +57,7 @@ def perimeter(count: int, within: float = EDGE) -> np.ndarray:
 
 
 def direction(height: Any, cosine: Any, sine: Any) -> Any:
-    """Return the unit vector with 1 - cos θ = `height` from the z axis and an azimuth of the given cosine and sine."""
+    """Return the unit vector with 1 - cos θ = `height` from the z axis and an azimuth of this cosine and sine."""
     across = dr.safe_sqrt(height * (2 - height))
     vector = mi.Vector3d if dr.type_v(height) == dr.VarType.Float64 else mi.Vector3f
     return vector(across * cosine, across * sine, 1 - height)
@@ -128,7 +128,7 @@ def cosine_power_angle(exponent: float, half_angle: float) -> float:
 
 
 def gaussian(square: Any) -> Any:
-    """Return the radius within which a normal distribution in two dimensions, σ = 1, has the fraction `square`."""
+    """Return the radius that encloses the fraction `square` of a 2-D normal distribution, in units of its σ."""
     return dr.sqrt(-2 * dr.log(dr.maximum(1 - square, 1e-30)))
 
 
@@ -241,7 +241,7 @@ def step_of(nodes: mi.Float64, count: int, value: mi.Float64) -> tuple[mi.UInt32
 
 
 def _linear(first: mi.Float64, last: mi.Float64, share: mi.Float64) -> mi.Float64:
-    """Return the x in 0 … 1 up to which a density that is linear from `first` to `last` holds the fraction `share`."""
+    """Return the x, 0 … 1, below which the fraction `share` of a density linear from `first` to `last` lies."""
     # The form of the quadratic's root without cancellation
     root = dr.safe_sqrt(first * first + share * (last * last - first * first))
     return share * (first + last) / dr.maximum(first + root, 1e-300)

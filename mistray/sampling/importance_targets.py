@@ -126,7 +126,7 @@ def remembered(known: dict[str, Found], key: str, search: Callable[[], Found]) -
 
 @share(SEARCH_SHARE)
 def _of_detectors(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> dict[Place, list[Target]]:
-    """Return importance targets towards every detector, by the surface side or medium that scatters."""
+    """Return the automatic importance targets towards every detector, by the surface side or medium that scatters."""
     found: dict[Place, list[Target]] = {}
     for detector in table.detectors:
         view = table.on(detector)
@@ -167,7 +167,7 @@ def automatic_bulk_targets(
 
 
 def _sights(table: SurfaceTable, path: DesignPath | None) -> list[Sight]:
-    """Return the surfaces of the design path and its end as targets to look for; without a path, the detector."""
+    """Return the surfaces of the design path and its end as sights to aim at; without a path, the detector alone."""
     if path is None:
         return [Sight(outline(table.shapes[table.detector]), table.detector)]
     *steps, end = path.steps
@@ -337,7 +337,7 @@ def _seen(
     sampled: dict[int, tuple[np.ndarray, np.ndarray]],
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return the fraction of each view's rays, (views,), that reach its sight on the side where the design light is."""
+    """Return the fraction of each view's rays, (views,), that reach its sight on the side with the design's light."""
     # Rays of all views in one array
     sides, numbers = zip(*views, strict=True)
     rays = [DETECTOR_PROBES if number == len(sights) - 1 else PROBES for number in numbers]

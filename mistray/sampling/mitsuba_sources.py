@@ -87,7 +87,7 @@ class AreaLight:
 
 
 def _value(params: Any, key: str, owner: str) -> float:
-    """Return a parameter of one of Mitsuba's own emitters as a number; of a colour, the luminance."""
+    """Return a numeric parameter of one of Mitsuba's own emitters; a colour is reduced to its luminance."""
     found = np.array(params.get(f"{key}.value", np.nan), dtype=np.float64).ravel()
     value = float(LUMINANCE @ found) if len(found) == len(LUMINANCE) else float(found[0])
     if len(found) not in (1, len(LUMINANCE)) or not np.isfinite(value):
@@ -116,12 +116,12 @@ def _spot(params: Any, owner: str) -> dict[str, Any]:
 
 
 def _constant(params: Any, owner: str) -> dict[str, Any]:
-    """Return the parameters of a ``sky`` that replaces Mitsuba's ``constant`` emitter; radiance in W/mm²/sr."""
+    """Return the parameters of a ``sky`` that replaces Mitsuba's ``constant`` emitter; its radiance is in W/mm²/sr."""
     return {"type": "sky", "radiance": _value(params, "radiance", owner)}
 
 
 def _directional(params: Any, owner: str) -> dict[str, Any]:
-    """Return the parameters of a ``distant_disc`` that replaces ``directional``, so small that it has one direction."""
+    """Return parameters of a ``distant_disc`` that replaces ``directional``; its disc is practically a point."""
     irradiance = _value(params, "irradiance", owner)
     return {
         "type": "distant_disc",

@@ -29,7 +29,7 @@ CLEARANCE = 1e-3  # of the start plane from the scene, in units of the scene's s
 @dataclass(frozen=True)
 class Entrance:
     """
-    Disc across the beam that plane waves cover instead of the whole scene, where all relevant light passes it.
+    Disc across the beam that plane waves fill instead of the whole scene, where all relevant light passes it.
 
     Light that misses the disc is not traced: what would reach the detector from there is missing in the result.
 
@@ -159,7 +159,7 @@ class PlaneWaves:
         self._centre = 0.5 * (self._points.min(axis=0) + self._points.max(axis=0))
 
     def at(self, i: int, j: int) -> PlaneWave:
-        """Return the plane wave of the grid's cell (i, j)."""
+        """Return the plane wave of the direction cell in row i (field angle) and column j (azimuth)."""
         grid = self.grid
         theta = np.radians(grid.edges_deg[i])
         azimuth = np.radians([grid.azimuths_deg[j], grid.azimuth_cell_deg / 2])

@@ -80,7 +80,7 @@ def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool 
 
 def _aim_set(surface: str, entries: list[tuple[int, AnyTarget]]) -> AimSet:
     """
-    Return the set of targets of one side, with shares in proportion to their rays.
+    Return the set of targets of one surface side; each has a share in proportion to its aimed rays.
 
     Parts of a mesh share its rays.
     """
@@ -172,7 +172,9 @@ def _sphere(shape: Any, scale: float, half_axes: tuple[float, ...]) -> Ellipsoid
 
 def _around(shape: Any, scale: float) -> AnyTarget:
     """
-    Return the target that covers a surface: its outline if flat, else an ellipsoid about its bounding box.
+    Return the target that covers a surface.
+
+    It is the outline of a flat surface, else an ellipsoid about the bounding box.
 
     Enlarged by `scale`.
     """

@@ -66,7 +66,7 @@ class SkyMap:
 
 
 def environment(emitter: mi.Emitter) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that maps directions, (n, 3), to the radiance, (n,), of Mitsuba's ``envmap``, its luminance."""
+    """Return a function that gives the luminance of Mitsuba's ``envmap``, (n,), along directions, (n, 3)."""
 
     def radiance(d: np.ndarray) -> np.ndarray:
         si = dr.zeros(mi.SurfaceInteraction3f, len(d))

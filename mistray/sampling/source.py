@@ -194,7 +194,11 @@ class SceneSource(ABC):
 
     @property
     def pupil_power(self) -> float:
-        """Flux of the source, W, that counts as launched in relative results: the share that its plugin states."""
+        """
+        Flux of the source through the pupil that its plugin defines, W; all its flux if it defines none.
+
+        Results relative to the launched light are divided by this flux.
+        """
         return self.power * float(getattr(self.emitter, "pupil_share", 1.0))
 
     @property
@@ -213,7 +217,7 @@ class SceneSource(ABC):
 
     @property
     def towards(self) -> str:
-        """Direction of the middle ray as text, for messages."""
+        """Direction of the middle ray as text "along (x, y, z)", for messages."""
         return f"along ({', '.join(f'{c:.4g}' for c in self.direction)})"
 
     @property
@@ -235,7 +239,7 @@ class SceneSource(ABC):
         return o, np.tile(self.direction, (len(o), 1))
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
-        """Return a copy that sends more rays to an aperture, or to its part `lit`; by default the source itself."""
+        """Return a copy that aims more rays at an aperture, or its part `lit`; by default the source itself."""
         return self
 
     def unaimed(self) -> SceneSource:
@@ -324,7 +328,7 @@ class EmittedRays(PluginRays):
         return hasattr(self.emitter, "density")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> EmittedRays:
-        """Return this source with more of its rays aimed at an aperture, and at its lit part if that is given."""
+        """Return a copy that aims more of its rays at an aperture, and at its lit part if that is given."""
         return replace(self, aperture=aperture, lit=lit)
 
     def unaimed(self) -> EmittedRays:
@@ -352,7 +356,7 @@ class EmittedRays(PluginRays):
         return np.tile(o, (len(d), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass, by the law of the source and towards its targets, with MIS weights."""
+        """Return the start rays of one pass, drawn from the emission law and towards targets, with MIS weights."""
         # Points and directions by the law of the source
         targets, w, strata = self._targets, None, Strata(batch, self._shares)
         sample = stratified_points(strata.group, rng)
@@ -427,7 +431,7 @@ class EmittedRays(PluginRays):
         return [*to_optics, elsewhere * (1 - BY_LAW), elsewhere * BY_LAW]
 
     def _pays(self, target: Sphere) -> bool:
-        """True if aiming at a target reduces noise: enough of it is lit, or most light would miss the scene."""
+        """True if aiming at a target reduces noise: much of the target is lit, or most light would miss the scene."""
         # At the middle of the source, which is enough to decide by
         sample = mi.Point2d(*(upload(mi.Float64, v) for v in np.random.default_rng(0).random((2, LOOKS))))
         place = mi.Point2d(0.5)
@@ -447,7 +451,7 @@ class EmittedRays(PluginRays):
         return zero + pivot + turned(mi.Vector3d(o), axes), zero + dr.normalize(turned(mi.Vector3d(d), axes))
 
     def _density(self, place: mi.Point2d, d: mi.Vector3d) -> mi.Float64:
-        """Return the pdf, 1/sr, with which the plugin samples world directions d."""
+        """Return the pdf, 1/sr, with which the plugin samples world directions d from points `place`."""
         one, point = (mi.Float64, mi.Point2d) if self.emitter.precise else (mi.Float, mi.Point2f)
         local = mi.Vector3d(*(dr.dot(d, axis) for axis in self._device_axes))
         return mi.Float64(self.emitter.density(point(place), local, self._numbers(one)))
@@ -467,7 +471,7 @@ def on_host(o: mi.Vector3d, d: mi.Vector3d) -> tuple[np.ndarray, np.ndarray]:
 
 
 def turned(vector: Any, axes: list[Any]) -> Any:
-    """Return in the world frame a vector whose components are given along the axes of a source."""
+    """Return a vector in the world frame from its components along the axes of a source."""
     return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z
 
 

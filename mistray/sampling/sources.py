@@ -87,7 +87,7 @@ def scene_sources(
 
 def field_of(scene: mi.Scene, height_mm: float) -> float:
     """
-    Return the field angle, degrees, of a near source at an object height, mm, along y of its object plane.
+    Return the field angle, degrees, of an object point at `height_mm` along y of a near source's object plane.
 
     Raises
     ------

@@ -69,7 +69,7 @@ class AsphereSearch:
 
         def choose(best: mi.Float, searched: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
             """
-            Return the index and bit of the next asphere to search, and a mask of rays that have one.
+            Return the index and mask bit of the next asphere to search, and a mask of rays that have one left.
 
             It is the nearest not yet searched that a ray enters before its best hit, mm.
             """
@@ -102,7 +102,8 @@ class AsphereSearch:
     def first(
         self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
     ) -> mi.Float:
-        """Return the distance, mm, to the first crossing in the aperture and nearer than `best`; infinite for none.
+        """
+        Return the distance, mm, to the first crossing within the aperture that is nearer than `best`; else infinity.
 
         A ray may cross the full surface outside a rectangular aperture, or in a central hole, before it crosses the
         aperture.

@@ -32,7 +32,7 @@ class Bodies:
 
     @cached_property
     def size(self) -> float:
-        """Diagonal of the scene's bounding box, mm, an upper limit of any body's thickness."""
+        """Diagonal of the scene's bounding box, mm, which no body is thicker than."""
         boxes = [shape.bbox() for shape in self._table.shapes]
         low = np.min([np.array(box.min, dtype=np.float64).ravel() for box in boxes], axis=0)
         high = np.max([np.array(box.max, dtype=np.float64).ravel() for box in boxes], axis=0)
@@ -40,7 +40,7 @@ class Bodies:
 
     def thickness(self, surface: int) -> np.ndarray:
         """
-        Return the least distances along the normals to the next surface in front and behind, (2,), mm.
+        Return the thickness in front of and behind a surface, (2,), mm: the least distance along its normals.
 
         They are infinite if there is none.
         """

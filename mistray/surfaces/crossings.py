@@ -88,7 +88,7 @@ class Numbers:
 
     @staticmethod
     def row(surface: TracedSurface) -> list[float]:
-        """Return the numbers of a surface as a row of the table that `read` reads, in the order of `ROW`."""
+        """Return the numbers of a surface as one row of the device table that `read` reads, in the order of `ROW`."""
         values = _values(surface)
         return [values[name] for name in ROW]
 
@@ -108,7 +108,11 @@ class Numbers:
 
 
 def _values(surface: TracedSurface) -> dict[str, Any]:
-    """Return all numbers of a surface, 0 where its family has none; bounds include the surface's overlap, mm."""
+    """
+    Return the numbers of a surface by name: 0, or 1 for `one_plus_conic`, where its family has none.
+
+    Bounds include the surface's overlap, mm.
+    """
     values: dict[str, Any] = dict.fromkeys((field.name for field in fields(Numbers)), 0.0)
     del values["shape"]
     return {
@@ -127,7 +131,7 @@ def _values(surface: TracedSurface) -> dict[str, Any]:
 
 def turned(turn: Sequence[mi.Float], v: mi.Vector3f) -> mi.Vector3f:
     """
-    Rotate a vector of the scene into a local frame.
+    Return a vector of the scene in a local frame.
 
     `turn` has the nine elements of a matrix whose columns are the frame's axes.
     """
@@ -151,7 +155,7 @@ class AxisRay:
 
     @classmethod
     def of(cls, ox: mi.Float, oy: mi.Float, oz: mi.Float, d: mi.Vector3f) -> AxisRay:
-        """Return the ray with a given origin, mm, and direction, both in the frame of an axis."""
+        """Return the ray with origin ox, oy, oz, mm, and unit direction d, both in the frame of an axis."""
         return cls(
             ox,
             oy,
@@ -166,7 +170,7 @@ class AxisRay:
         )
 
     def widest2(self, t: mi.Float) -> mi.Float:
-        """Return the square of the ray's greatest distance from the axis, mm², on its way up to the distance t, mm."""
+        """Return the squared largest distance from the axis, mm², between the ray's origin and its point at t, mm."""
         t = smaller(t, FAR)
         return larger(self.oo, dr.fma(t, dr.fma(t, self.dd, 2 * self.od), self.oo))
 
@@ -202,11 +206,11 @@ def _roots(
     """
     Return the two distances, mm, at which a ray crosses a quadric, the discriminant, and whether it crosses at all.
 
-    `a`, `b` and `g` are the coefficients of a u² + 2 b u + g = 0 for the distance u from the point of the ray at `t0`,
-    which lies close to the surface. From a distant origin, the difference of two squares would round away what is
-    small: a ray from 1 m away met a wall of 26 mm radius 1.5 µm behind it, and the end of a vane inside instead. See
-    E. Haines et al., Precision improvements for ray/sphere intersection, Ray Tracing Gems (2019), chapter 7. A ray
-    that leaves the surface, `own`, starts at one root.
+    The distances are from the ray's origin. `a`, `b` and `g` are the coefficients of a u² + 2 b u + g = 0 for the
+    distance u from the ray's point at `t0`, the one closest to the vertex or the axis. From a distant origin, the
+    difference of two squares would round away what is small: a ray from 1 m away met a wall of 26 mm radius 1.5 µm
+    behind it, and the end of a vane inside instead. See E. Haines et al., Precision improvements for ray/sphere
+    intersection, Ray Tracing Gems (2019), chapter 7. A ray that leaves the surface, `own`, starts at one root.
     """
     discriminant = dr.fma(b, b, -a * g)
     q = -(b + dr.mulsign(dr.sqrt(larger(discriminant, 0)), b))
@@ -319,7 +323,7 @@ def stretch(
 
 
 def asphere_entry(ray: AxisRay, n: Numbers, own: mi.Bool) -> mi.Float:
-    """Return the distance at which a ray enters the bounds of an asphere, mm; infinite if it misses them."""
+    """Return the distance, mm, at which a ray enters the cylinder that bounds an asphere; infinity if it misses."""
     oz = ray.oz - n.z
     start, end = stretch(ray, oz, n.outer2, n.z_low, n.z_high)
     # A ray steeper than the surface is anywhere cannot come back to it

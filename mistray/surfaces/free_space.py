@@ -140,7 +140,7 @@ def _triangles(shape: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _distance(corners: np.ndarray) -> np.ndarray:
-    """Return the distance of each plane triangle, (n, 3, 2), from the origin, (n,), mm; 0 if the origin is inside."""
+    """Return the distances of plane triangles, (n, 3, 2), mm, from the origin, (n,), mm; 0 if they hold it."""
     sides = np.roll(corners, -1, axis=1) - corners
     turn = corners[..., 0] * sides[..., 1] - corners[..., 1] * sides[..., 0]
     inside = (np.all(turn >= 0, axis=1) | np.all(turn <= 0, axis=1)) & np.any(turn != 0, axis=1)

@@ -29,7 +29,7 @@ PARAMETER_COLUMNS: dict[str, frozenset[str]] = {
 
 def declare_columns(columns: Mapping[str, tuple[str, ...]]) -> None:
     """
-    Register the `GEOMETRY` columns that the parameters of a family of shapes change, by parameter name.
+    Register, for each parameter name of a shape family, the `GEOMETRY` columns that the parameter changes.
 
     A name that several families share has the columns of all of them.
     """

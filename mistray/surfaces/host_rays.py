@@ -133,7 +133,7 @@ def _nearest_first(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, best: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """
-    Yield ray indices and the surfaces that they may meet, (n,) int each.
+    Yield pairs of arrays, (n,) int each: ray indices, and a surface that each of these rays may meet.
 
     Surfaces of the tree come first, then those whose boxes a ray enters, the nearest first, up to `best`, mm, the
     nearest hit of each ray so far.
@@ -247,7 +247,7 @@ class HostSurfaces:
 
     def _inward(self, v: np.ndarray, members: np.ndarray) -> np.ndarray:
         """
-        Rotate world vectors, (n, 3), into the frame of one surface each.
+        Return world vectors, (n, 3), each in the frame of the surface that `members` gives for it.
 
         `members` are the numbers of the surfaces.
         """
@@ -320,7 +320,7 @@ class HostSurfaces:
 def _stock_hit(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, before: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return distances, (n,), mm, surface numbers and normals of the nearest hits with Mitsuba shapes; inf for none."""
+    """Return distances, (n,), mm, surface numbers and normals of hits with Mitsuba shapes; infinity for none."""
     start = o + table.mitsuba_epsilon * d
     assert table.mitsuba_scene is not None
     origin, direction = ([upload(mi.Float, column) for column in v.T] for v in (start, d))

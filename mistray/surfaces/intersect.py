@@ -103,7 +103,7 @@ class Intersector:
         def follow(
             stack: _Stack, backward: bool, here: mi.Bool, best: mi.Float, surface: mi.UInt32
         ) -> tuple[mi.Float, mi.UInt32]:
-            """Return the nearest hit, mm, and its surface, after tests of groups that may be nearer than `best`."""
+            """Return the nearest hit, mm, and its surface, after a stack's groups that may lie nearer than `best`."""
             o, d = frames[stack.frame]
             far = _z_at(o, d, best)
             for group in reversed(stack.groups) if backward else stack.groups:
@@ -199,7 +199,7 @@ class Intersector:
 
 @dataclass
 class _Group:
-    """Surfaces tested together, their range along the axis, mm, and the square of their least radius, mm²."""
+    """Surfaces that the kernel tests together, with their range along the axis, mm, and least squared radius, mm²."""
 
     axis: int
     members: list[int]
@@ -209,7 +209,7 @@ class _Group:
 
     @classmethod
     def of(cls, pieces: list[TracedSurface], members: list[int]) -> _Group:
-        """Return the group of the surfaces with the numbers `members`."""
+        """Return the group of the surfaces with the numbers `members`, which share one axis."""
         low, high = min(pieces[k].extent[0] for k in members), max(pieces[k].extent[1] for k in members)
         slack = SLACK * (1 + abs(low) + abs(high))
         inner = max(min(pieces[k].least_radius for k in members) - slack, 0.0)
@@ -219,7 +219,7 @@ class _Group:
 
 @dataclass
 class _Stack:
-    """Groups of surfaces with one orientation, ordered from front to back; walls are left out."""
+    """Groups of surfaces of one orientation, except walls, ordered along z from front to back."""
 
     frame: int
     groups: list[_Group]
@@ -227,7 +227,7 @@ class _Stack:
 
 def _stacks(pieces: list[TracedSurface], singles: list[int]) -> list[_Stack]:
     """
-    Return a stack for each orientation, of surfaces that are not walls.
+    Return one stack of groups of surfaces for each orientation; walls are left out.
 
     Each surface is a group of its own, except rectangles that share no axis with another surface. These mostly form the
     board around the detector and are tested together.
@@ -260,7 +260,7 @@ def _z_at(o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Float:
 
 
 def _reaches(ray: AxisRay, best: mi.Float, z_low: mi.Float, z_high: mi.Float) -> mi.Bool:
-    """Return a mask of rays that, up to the distance `best`, pass between planes at `z_low` and `z_high`; in mm."""
+    """Return a mask of rays that cross the slab between `z_low` and `z_high`, mm, before the distance `best`, mm."""
     far = dr.fma(smaller(best, FAR), ray.dz, ray.oz)
     forward = ray.dz >= 0
     return (dr.select(forward, far, ray.oz) >= z_low) & (dr.select(forward, ray.oz, far) <= z_high)

@@ -29,7 +29,7 @@ SLACK = 1e-5  # margin for rounding, in units of a sphere's size and of its dist
 
 
 def mosaics(pieces: Sequence[object], members: Sequence[int]) -> list[list[int]]:
-    """Group freeforms of one sort for `MosaicSearch`; return lists of `FEWEST` to `BITS` surface numbers each."""
+    """Return lists of `FEWEST` to `BITS` freeforms, by number, that share kernel code, for `MosaicSearch`."""
     sorts: dict[tuple[object, ...], list[int]] = {}
     for k in members:
         piece = pieces[k]
@@ -141,7 +141,7 @@ class MosaicSearch:
 
 
 def _about_middle(piece: Freeform) -> dict[str, float]:
-    """Return the kernel numbers of a freeform by name, with its polygon's position added to the corners, mm."""
+    """Return the kernel numbers of a freeform by name, with its polygon's corners about the freeform's middle, mm."""
     found = {name: float(value) for name, value in piece.kernel_values().items()}
     for k, figure in enumerate(piece.outline.figures, start=1):
         if figure.kind == "polygon" and not figure.angle_deg:
@@ -154,7 +154,7 @@ def _about_middle(piece: Freeform) -> dict[str, float]:
 
 
 def _common(name: str, values: np.ndarray) -> float | None:
-    """Return the value of a kernel number shared by all members, within rounding; None if the values differ."""
+    """Return the value of a kernel number that all members share within rounding; None if they differ."""
     most, least = float(values.max()), float(values.min())
     if name in BOUNDS and most <= ALIKE * least:
         return most

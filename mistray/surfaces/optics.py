@@ -130,7 +130,7 @@ def _channels(response: Response, reflection: bool, stokes: bool) -> np.ndarray:
 
 def total_variable(sin2_t: Any, eta: Any, cos_i: Any) -> Any:
     """
-    Return the variable w of a table's total-reflection part, 0 … 1; 0 where light is refracted.
+    Return the variable w, 0 … 1, by which R in total reflection is tabulated; 0 where light is refracted.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def _known_table(
     stokes: bool,
 ) -> AngleTable:
     """
-    Return the cached table of `angle_table`.
+    Return the table that `angle_table` describes, from a cache by coating, layer indices and media.
 
     The layers' indices are part of the key, as a file's contents may change.
     """
@@ -260,7 +260,7 @@ def unpolarized_shares(
 
 
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """Sample a function at uniform nodes of 0 … 1, enough to interpolate linearly; return values and error bound."""
+    """Sample a function at uniform nodes of 0 … 1, enough for linear interpolation; return values and its error."""
     intervals = FIRST_INTERVALS
     # All of the first levels in one call, which costs as much as a thousand values
     known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))
@@ -467,7 +467,7 @@ class Optics:
         dr.eval(self.extinction, self.albedo, self.asymmetry, self.media_n)
 
     def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
-        """Return complex refractive indices before and behind a surface; 1 for opaque ones, except multilayers."""
+        """Return the complex indices in front of and behind a surface; 1 for opaque ones, except multilayers."""
         if bsdf.opaque and not isinstance(bsdf.coating, Stack):
             return 1 + 0j, 1 + 0j
         with errors_of(f"surface '{name}'"):
@@ -475,7 +475,7 @@ class Optics:
         return complex(front), complex(back)
 
     def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[Note]]:
-        """Return a mask of the sides of surfaces where no light travels, (s, 2), and notes about them for the user."""
+        """Return a mask of surface sides, (s, 2), on which no light travels, and notes about them for the user."""
         n = np.array(self.complex_indices)
         if not n.imag.any():
             return np.zeros(n.shape, dtype=bool), []
@@ -512,7 +512,7 @@ class Optics:
         return dark, list(notes.values())
 
     def _unfitted(self) -> list[Note]:
-        """Return notes on coating presets that were made for another body than the one they are on."""
+        """Return notes on coating presets that lie on a substrate other than the one they were designed for."""
         found: dict[Note, None] = {}
         for bsdf, sides in zip(self.bsdfs, self.complex_indices, strict=True):
             outside, inside = sorted((0, 1), key=lambda side: sides[side].real)
@@ -570,7 +570,7 @@ class Optics:
         return unpolarized_shares(coating, self.wavelength_nm, sides, opaque, from_front, cosines)
 
     def _rows(self, part: np.ndarray) -> np.ndarray:
-        """Return a table of R and T in the kernel's layout, (nodes, row_floats)."""
+        """Return a table of R and T as rows in the kernel's column order, (nodes, row_floats)."""
         if self.stokes:
             return part.reshape(len(part), 12)
         return np.concatenate([part[:, :, 0], np.zeros((len(part), 1))], axis=1)

@@ -1,4 +1,4 @@
-"""Seams between surfaces that meet: no light leaks through them.
+"""Overlaps and absorbing rims of walls, so that rounding lets no light through the seams between surfaces.
 
 Positions on the device are rounded. At a seam a ray may miss both surfaces by a rounding, meet the farther one first,
 or start from a point on the wrong side of the other. This happens to one ray in ten million. Behind a deep baffle that
@@ -62,7 +62,7 @@ def let_overlap(
 
 class WallRims:
     """
-    Rims of the walls of a scene, near which walls absorb light so that none leaks through seams.
+    Rims of the walls of a scene; walls absorb light near them so that none leaks through seams.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ Axis = tuple[int, float, float]
 
 @dataclass(frozen=True)
 class _Body:
-    """Surfaces on one axis: their indices among the tree's members, and the bounding box around them, mm."""
+    """Surfaces on one axis, by their indices in the tree, and the bounding box around them, mm."""
 
     axis: Axis
     members: np.ndarray
@@ -132,7 +132,7 @@ class ShellTree:
         return _Body(axis, group, np.array([ends.min(axis=0) - beside, ends.max(axis=0) + beside]))
 
     def _gather(self, nodes: _Nodes, bodies: Sequence[_Body], backwards: bool) -> None:
-        """Add the nodes of several bodies to a tree."""
+        """Add to `nodes` a subtree that holds the surfaces of several bodies."""
         if len(bodies) == 1:
             self._divide(nodes, bodies[0].axis, bodies[0].members, backwards)
             return
@@ -146,7 +146,7 @@ class ShellTree:
             self._gather(nodes, [bodies[k] for k in half], backwards)
 
     def _divide(self, nodes: _Nodes, axis: Axis, members: np.ndarray, backwards: bool) -> None:
-        """Add the nodes of surfaces on one axis to a tree."""
+        """Add to `nodes` a subtree of surfaces on one axis, halved until each leaf has one surface."""
         shells, single = self._shells[members], len(members) == 1
         nodes.add(axis, _around(shells), members[0] if single else len(self.members), 2 * len(members) - 2)
         if single:
@@ -187,7 +187,7 @@ class ShellTree:
 
 def many(pieces: Sequence[TracedSurface]) -> list[int]:
     """
-    Return the numbers of the surfaces that belong in a tree: all of a kind with too many members to unroll.
+    Return the numbers of surfaces to put into a tree: all of each kind that is too numerous to unroll.
 
     The kinds are walls, lens surfaces and aspheres.
     """
@@ -211,7 +211,7 @@ def _halves(middles: np.ndarray) -> list[np.ndarray]:
 
 
 def _meets(rays: np.ndarray, shell: np.ndarray) -> np.ndarray:
-    """Return a mask of rays (6, n) that meet a shell about the z axis: pass neither beside it nor through its hole."""
+    """Return a mask of rays (6, n) that enter a shell about the z axis, neither missing it nor passing its hole."""
     x, y, z, dx, dy, dz = rays
     low, high, inner2, outer2 = shell
     with np.errstate(all="ignore"):

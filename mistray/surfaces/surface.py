@@ -136,7 +136,7 @@ class TracedSurface(ABC):
 
     @property
     def self_hit(self) -> float:
-        """Least distance, mm, from a point on the surface to a second hit of it; nearer hits are rounding errors."""
+        """Least distance, mm, at which a ray may hit the surface it starts from; nearer hits are rounding."""
         return SELF_HIT * self.size
 
     @property
@@ -148,14 +148,14 @@ class TracedSurface(ABC):
     @abstractmethod
     def columns(self) -> dict[str, float]:
         """
-        Numbers of the surface in the `GEOMETRY` columns, by name; columns left out are 0.
+        Numbers of the surface in the `GEOMETRY` columns of derivatives, by name; others are 0.
 
         See `mistray.surfaces.gradient_columns`.
         """
 
     @property
     def sort(self) -> tuple[object, ...]:
-        """Hashable properties that determine the kernel's code; surfaces of equal sort share it."""
+        """Hashable properties on which the kernel's code depends; surfaces of equal sort share that code."""
         return (type(self),)
 
     @property
@@ -180,11 +180,11 @@ class TracedSurface(ABC):
     @property
     @abstractmethod
     def opening(self) -> Opening:
-        """Clear aperture of the surface as a flat figure."""
+        """Clear aperture of the surface as a flat ellipse or rectangle across its axis."""
 
     @property
     def detector_half(self) -> tuple[float, float] | None:
-        """Half width and half height, mm, of the map if the surface is a detector; None if it cannot be one."""
+        """Half width and half height, mm, of the image if this is a detector; None if it cannot be one."""
         return None
 
     # ---- rays on the host
@@ -205,7 +205,7 @@ class TracedSurface(ABC):
 
     def inside(self, q: np.ndarray) -> np.ndarray:
         """
-        Return a mask of points (n, 3) of the surface's sheet that lie within its bounds, (n,) bool.
+        Return a mask of points (n, 3), mm, of the unbounded sheet that lie within the surface's bounds, (n,) bool.
 
         The result is False for NaN.
         """
@@ -213,12 +213,12 @@ class TracedSurface(ABC):
         return within_bounds(self.bounds, q)
 
     def residual(self, q: np.ndarray) -> np.ndarray:
-        """Return the implicit function F, (n,), at points (n, 3); F = 0 on the surface."""
+        """Return the implicit function F, (n,), at points (n, 3), mm; F = 0 on the surface."""
         a, b, e, g = self.quadric
         return np.asarray(a * (q[:, 0] ** 2 + q[:, 1] ** 2) + (b * q[:, 2] + e) * q[:, 2] + g)
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        """Return half the gradient of F, (n, 3), at points (n, 3)."""
+        """Return half the gradient of the implicit function F, (n, 3), at points (n, 3), mm."""
         a, b, e, _ = self.quadric
         return quadric_gradient(a, b, e, q)
 
@@ -318,7 +318,7 @@ class TracedSurface(ABC):
 
     @abstractmethod
     def kernel_values(self) -> Mapping[str, Any]:
-        """Return parameters that only this family's `crossing` needs, by name."""
+        """Return the parameters, by name, that `crossing` needs for this family alone."""
 
     @abstractmethod
     def crossing(self, ray: AxisRay, numbers: Any, own: mi.Bool) -> mi.Float:

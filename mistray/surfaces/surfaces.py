@@ -61,14 +61,14 @@ class LocalFrame:
         self._rows = rows
 
     def inward(self, v: mi.Vector3f) -> mi.Vector3f:
-        """Rotate a vector from the scene's frame into the surface's frame."""
+        """Return a vector of the scene's frame in the frame of each lane's surface."""
         if self._rows is None:
             return v
         rows = self._rows
         return mi.Vector3f(*(rows[0][k] * v.x + rows[1][k] * v.y + rows[2][k] * v.z for k in range(3)))
 
     def outward(self, v: mi.Vector3f) -> mi.Vector3f:
-        """Rotate a vector from the surface's frame into the scene's frame."""
+        """Return a vector of each lane's surface frame in the scene's frame."""
         if self._rows is None:
             return v
         return mi.Vector3f(*(row.x * v.x + row.y * v.y + row.z * v.z for row in self._rows))
@@ -147,7 +147,7 @@ class SurfaceTable:
 
     @cached_property
     def host(self) -> HostSurfaces:
-        """Analytic surfaces as float64 arrays, to intersect rays on the host; built on first use."""
+        """Analytic surfaces as float64 arrays for ray intersection on the host; built on first use."""
         return HostSurfaces(self)
 
     def at(self, wavelength_nm: float) -> SurfaceTable:
@@ -155,13 +155,13 @@ class SurfaceTable:
         return self._changed(wavelength_nm, self.detectors, self.design_mirrors)
 
     def on(self, detector: int) -> SurfaceTable:
-        """Return the table with one detector only; other detectors become ordinary surfaces."""
+        """Return a copy of the table with this detector only; other detectors become ordinary surfaces."""
         if self.detectors == [detector]:
             return self
         return self._changed(self.wavelength_nm, [detector], self.design_mirrors)
 
     def with_mirrors(self, surfaces: frozenset[int]) -> SurfaceTable:
-        """Return the table with the given opaque surfaces marked as mirrors of the design."""
+        """Return a copy of the table in which these opaque surfaces count as mirrors of the design."""
         return self._changed(self.wavelength_nm, self.detectors, surfaces) if surfaces else self
 
     def __copy__(self) -> SurfaceTable:
@@ -208,7 +208,7 @@ class SurfaceTable:
     @property
     def event_words(self) -> np.ndarray:
         """
-        Bit words of the places where events occur, (places,) uint32, see `mistray.surfaces.optics`; 0 for media.
+        Flag words of all surfaces and media, (places,) uint32, see `mistray.surfaces.optics`; 0 for media.
 
         Sensors that are not traced as detectors count as detectors here, too.
         """
@@ -235,7 +235,7 @@ class SurfaceTable:
 
     def asphere_row(self, s: mi.UInt32, active: mi.Bool | bool = True) -> list[mi.Float]:
         """
-        Return the numbers of the aspheres s: curvature, 1/mm, conic constant, coefficients and bounds.
+        Return the parameters of the aspheres s: curvature, 1/mm, conic constant, coefficients and bounds, mm.
 
         Their order is given at `POLYNOMIAL_VECTORS`.
         """
@@ -350,7 +350,7 @@ class SurfaceTable:
         return download(found.n)
 
     def _flags(self) -> np.ndarray:
-        """Return the flag bits of all surfaces that follow from geometry, (s,) uint32."""
+        """Return flag bits of surfaces, (s,) uint32: detector, Mitsuba shape, design mirror, wall, asphere."""
         flags = np.zeros(self.count, dtype=np.uint32)
         for i in range(self.count):
             piece = self.pieces[i] if i < len(self.pieces) else None
@@ -437,7 +437,7 @@ def medium_id(medium: str) -> str:
 
 
 def require_one(detectors: Sequence[str]) -> None:
-    """Raise `MistrayError` if there are several detectors and one is needed."""
+    """Raise `MistrayError` if a list of detector ids has more than one entry."""
     if len(detectors) > 1:
         raise MistrayError(
             f"the scene has {len(detectors)} detectors ({', '.join(detectors)}); name one: detector=, --detector, or "

@@ -108,7 +108,7 @@ class TreeSearch:
         return best, surface
 
     def _axis_ray(self, o: mi.Vector3f, d: mi.Vector3f, axis: mi.UInt32, active: mi.Bool) -> AxisRay:
-        """Return rays in the frames of the tree's axes, one axis number per lane; lengths in mm."""
+        """Return the rays, lengths in mm, each in the frame of the tree axis given by number for its lane."""
         if self._turned:
             frame = dr.gather(mi.UInt32, self._frames, axis, active)
             rows = [dr.gather(mi.Vector4f, self._turns, 3 * frame + k, active) for k in range(3)]
@@ -119,7 +119,7 @@ class TreeSearch:
 
 
 def _meets(ray: AxisRay, bounds: mi.Vector4f, best: mi.Float) -> mi.Bool:
-    """Return a mask of rays that meet a shell within the distance `best`, mm: not beside it, nor through its hole."""
+    """Return a mask of rays that enter a shell nearer than `best`, mm, neither missing it nor passing its hole."""
     low, high, inner2, outer2 = bounds
     first, second = (low - ray.oz) * ray.inv_dz, (high - ray.oz) * ray.inv_dz
     start = larger(smaller(first, second) * (1 - ROUNDING), 0)

@@ -18,7 +18,7 @@ DTYPES = {
 
 
 def opaque(kind: Any, values: Any) -> Any:
-    """Return numbers as a vector of opaque Dr.Jit variables, such as ``mi.Vector3f``, so that kernels omit them."""
+    """Return numbers as a vector of opaque Dr.Jit variables, such as ``mi.Vector3f``: kernels do not depend on them."""
     return kind(*(dr.opaque(dr.value_t(kind), float(value)) for value in values))
 
 

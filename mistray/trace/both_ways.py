@@ -1,5 +1,4 @@
-"""
-Short trace on the host, in float64, whose branches carry their flux in both modes: means of s and p, and Stokes.
+"""Short host trace in float64 that carries flux both as the mean of s and p and as Stokes vectors, for comparison.
 
 Both modes share the rays, so that their ratio has next to no noise, and no kernel is compiled. The equations are those
 of `mistray.kernel.polarization`; the axis of a Stokes vector is carried along with it. Light that a surface scatters,
@@ -104,7 +103,7 @@ class Branches:
         return Branches(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Branches)))
 
     def after(self, code: Whole, d: Floats, axis: Floats, mean: Floats, light: Floats) -> Branches:
-        """Return the branches after one more event of given `code`. Flux by both modes is in units of a start ray."""
+        """Return the branches after one more event `code`, with flux `mean` and `light` in units of a start ray's."""
         codes = np.concatenate([self.codes, code[:, None]], axis=1)
         return replace(self, d=d, axis=axis, mean=mean, light=light, last=code >> EVENT_BITS, codes=codes)
 
@@ -145,7 +144,7 @@ class Arrivals:
     name: str = ""
 
     def plus(self, other: Arrivals) -> Arrivals:
-        """Return the sum of two paths' flux at the detector; its spread is the larger of the two, an approximation."""
+        """Return the flux of two paths at the detector, W, added up; the spread is the larger of the two."""
         sums = {name: getattr(self, name) + getattr(other, name) for name in ("mean", "stokes", "residual", "hits")}
         return replace(self, **sums, spread=max(self.spread, other.spread))
 
@@ -156,7 +155,7 @@ class Arrivals:
 
     @property
     def change(self) -> float:
-        """Relative change of the absorbed flux if Stokes vectors replace the means of s and p."""
+        """Change of the absorbed flux, as a fraction, if Stokes vectors replace the mean of s and p."""
         return self.stokes / self.mean - 1 if self.mean > 0 else 0.0
 
     @property
@@ -166,13 +165,13 @@ class Arrivals:
 
     @property
     def words(self) -> str:
-        """Path name and relative change of its flux in percent, formatted as text, with the error where it matters."""
+        """Text for messages: path name and change of its flux in percent, with the error where it matters."""
         shown = self.error > ROUNDED * abs(self.change)
         return f"{self.name} by {100 * self.change:+.3g}{f' ± {100 * self.error:.1g}' if shown else ''} %"
 
 
 def started(run: Run, rays: int) -> tuple[Branches, float]:
-    """Return start rays of a run as branches, and the flux of one, W."""
+    """Return start rays of a run as `Branches`, and the flux of each, W."""
     pilot = replace(run, rays=run.source.count(rays), seed=SEED, parts=None)
     start = pilot.start_pass(0)
     if (given := dr.width(start.lane)) > 2 * rays:  # a source may have rays of its own
@@ -219,7 +218,7 @@ def follow(run: Run, rays: int) -> tuple[list[Arrivals], int]:
 @dataclass(frozen=True)
 class _Lit:
     """
-    Branches that meet a surface that scatters, in both polarisation modes.
+    Branches that meet a scattering surface, with their flux in both polarisation modes.
 
     Attributes
     ----------
@@ -258,7 +257,7 @@ class _Lit:
 
 class _Tree:
     """
-    Ray tree that is traced one generation of branches after the other.
+    Host trace of a ray tree, one generation of branches after the other, in both polarisation modes.
 
     Attributes
     ----------
@@ -299,7 +298,7 @@ class _Tree:
                 break
 
     def scatter(self) -> Branches:
-        """Return scattered rays from hits sampled in proportion to scattered flux, and empty the list of hits."""
+        """Return scattered rays from recorded hits, drawn in proportion to scattered flux; empty the list of hits."""
         flux = np.concatenate([lit.flux for lit in self.dim])
         lit, self.dim = self.dim, []
         edges = np.cumsum(np.maximum(flux, 0))
@@ -383,7 +382,7 @@ class _Tree:
         return Branches.together(children)
 
     def _kept(self, surface: Whole, from_front: np.ndarray, event: str, cosine: Floats) -> Floats:
-        """Return the share of the coating's R or T that scatter leaves in the specular beam, (n,)."""
+        """Return the fraction, (n,), of the coating's R or T that stays in the specular beam after scatter."""
         kept = np.ones(len(surface))
         for (number, side, name), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side))
@@ -413,7 +412,7 @@ class _Tree:
             self.dim.append(_Lit(case, b.take(here), outward, X[here].mean(axis=1), own))
 
     def _rays(self, lit: _Lit, chosen: Whole, weight: Floats) -> Branches:
-        """Return one scattered ray per chosen hit, with the factor `weight`, to a target if any, else Lambertian."""
+        """Return one scattered ray for each chosen hit, aimed at a target if there is one, else Lambertian."""
         case, b, outward = lit.case, lit.branches.take(chosen), lit.outward[chosen]
         to_back = case.from_front == (case.event == "transmission")
         d, per_sr = self._directions(b.o, outward, self._aims.get((case.surface, to_back)))
@@ -506,7 +505,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _turned(b: Branches, normal: Floats) -> Branches:
-    """Return branches with Stokes vectors rotated so that their axes are perpendicular to planes of incidence."""
+    """Return branches whose Stokes vectors refer to axes normal to the plane of incidence."""
     s = _cross(b.d, normal)
     size = np.sqrt(np.einsum("ij,ij->i", s, s))[:, None]
     s = np.where(size**2 > NORMAL_INCIDENCE, s / np.maximum(size, 1e-30), b.axis)
@@ -518,7 +517,7 @@ def _turned(b: Branches, normal: Floats) -> Branches:
 
 def _child(light: Floats, X: Floats) -> Floats:
     """
-    Return Stokes vectors after a reflection or transmission, (n, 4).
+    Return Stokes vectors (flux, q, u, v), (n, 4), after reflection or transmission at a surface.
 
     `X` holds R or T of s and p, and Re and Im of the amplitude product.
     """
@@ -529,7 +528,7 @@ def _child(light: Floats, X: Floats) -> Floats:
 
 
 class _Coatings:
-    """R and T of every surface for s and p, from Fresnel's equations or coating tables over angle of incidence."""
+    """R and T for s and p light of every surface, by Fresnel's equations or tables over the angle of incidence."""
 
     def __init__(self, optics: Optics) -> None:
         self._indices = optics.host_indices

@@ -64,7 +64,7 @@ def rays_elsewhere(
 
 
 def _ends(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the last node of each ray in a table of nodes, with the unit direction in which the ray arrives there."""
+    """Return the last node of each ray of a node table, with the unit direction in which the ray arrives there."""
     last = table.groupby("ray").tail(1).reset_index(drop=True)
     before = table[table.node == table.groupby("ray").node.transform("max") - 1].reset_index(drop=True)
     # A ray that ends on a surface has no direction after its last node
@@ -93,7 +93,7 @@ def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) 
 
 
 def check_where(words: Sequence[str]) -> list[str]:
-    """Return the names of surfaces among `words`; raise `MistrayError` if leaving light is combined with others."""
+    """Return the surface names among `words`; raise `MistrayError` if leaving light is combined with other places."""
     if len(words) > 1 and any(word in (ESCAPED, RETURNED) for word in words):
         raise MistrayError(f"where is {', '.join(words)}; give {ESCAPED} or {RETURNED} alone, or names of surfaces")
     return [word for word in words if word not in ELSEWHERE]
@@ -114,7 +114,7 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
 
 
 def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilter) -> list[Ray]:
-    """Return the rays that pass the filter, among the first `count` branches of a recorder."""
+    """Return the rays among the first `count` recorded branches that pass the filter."""
     slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
     slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
     rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
@@ -208,7 +208,7 @@ def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, c
 
 
 def kinds_and_keys(run: Run, events: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the class of path and the key of each event list, columns ``kind`` and ``key`` of `PathRow`, (n,) each."""
+    """Return the kind of path and the path key of each event list, (n,) each, as in `PathRow`."""
     codes, lengths = padded(events)
     # Rays of one path are described once
     _, first, path = np.unique(np.column_stack([codes, lengths]), axis=0, return_index=True, return_inverse=True)

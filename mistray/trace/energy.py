@@ -147,7 +147,7 @@ class SurfaceFlux:
 
     def __add__(self, other: SurfaceFlux) -> SurfaceFlux:
         """
-        Return the flux of two traces at the same surface, W, added up.
+        Return hits and fluxes, W, of two traces at the same surface added up.
 
         The errors are added, too: an upper bound, since the traces may share start rays.
         """
@@ -182,7 +182,7 @@ class FluxReport(
         return len(self._rows)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of surfaces, the total number of hits, and the flux absorbed at surfaces, W, by label."""
+        """Return, by label, the number of surfaces, the number of hits, and the flux absorbed at surfaces, W."""
         absorbed = sum(row.absorbed_W for row in self)
         return {"surfaces": len(self), "hits": sum(row.hits for row in self), "absorbed [W]": float(absorbed)}
 

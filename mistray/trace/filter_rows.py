@@ -1,4 +1,4 @@
-"""Rows of a path or ray table on which filters are evaluated, and checks that the names in a filter exist."""
+"""Rows of a path or ray table to which filters apply, and checks that the names in a filter exist."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Bounds(NamedTuple):
 
 
 def exactly(held: np.ndarray) -> Bounds:
-    """Return `held`, a mask of rows, (n,), as both bounds, for a filter that treats all rays of a path alike."""
+    """Return a mask of rows, (n,), as both bounds of a filter that treats all rays of a path alike."""
     return Bounds(held, held)
 
 
@@ -56,7 +56,7 @@ class Rows:
     sources: Sequence[str] = ()
 
     def texts_of(self, column: str) -> Sequence[str]:
-        """Return the texts that may occur in a column; an empty sequence if any text may."""
+        """Return the texts that can occur in a column; empty if any text can."""
         if column in SURFACE_COLUMNS:
             return [*self.events.ids, "-"]
         return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.events.ids}.get(column, ())

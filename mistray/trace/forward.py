@@ -200,7 +200,7 @@ def _traced(
     result: Callable[..., Trace],
 ) -> Trace:
     """
-    Trace planned runs in this process or on workers.
+    Return the runs traced in this process or on workers.
 
     If interrupted, keep the finished part as a partial `result`.
     """
@@ -223,7 +223,7 @@ def _traced(
 
 
 def _preparing(scene: mi.Scene) -> Callable[[Settings, Light], list[Run]]:
-    """Return a function that prepares the runs for given settings and light, and caches them for repeated calls."""
+    """Return a function that prepares runs for settings and light, and remembers them for repeated calls."""
     known: dict[str, list[Run]] = {}
 
     def runs_of(settings: Settings, light: Light) -> list[Run]:
@@ -244,7 +244,7 @@ def _spectral_choices(
     runs_of: Callable[[Settings, Light], list[Run]],
 ) -> tuple[Light, WavelengthChoice | None, PolarizationChoice]:
     """
-    Resolve "auto" choices.
+    Resolve "auto" for wavelengths and polarisation.
 
     Return the light to trace, the choice of its wavelengths (None if all are traced), and the polarisation.
     """
@@ -342,7 +342,7 @@ def _check_budget(runs: Sequence[Run]) -> None:
 
 
 def _emitter(run: Run) -> Any:
-    """Return the scene object that emits the light of a run; thermally emitting surfaces share one."""
+    """Return the emitter of a run, or its source where it has none, to group runs by; warm surfaces share one."""
     return getattr(run.source, "emitter", run.source)
 
 
@@ -372,7 +372,7 @@ def _keep(planned_runs: Sequence[Run], runs: list[Run], result: Callable[[list[R
 
 
 def _explain(error: UnfinishedError, result: Callable[[list[Run]], Trace]) -> None:
-    """Replace the finished runs in `error.partial` by a `Trace` made of them, if these rays sample all of the light."""
+    """Replace the runs in `error.partial` by a `Trace` of them if their rays are a fair sample of all light."""
     runs, error.partial = error.partial, None
     planned = sum(run.rays for run in runs)
     if not all(run.is_sample for run in runs):

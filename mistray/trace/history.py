@@ -78,7 +78,7 @@ class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..t
         return len(self._rays)
 
     def __getitem__(self, numbers: Sequence[int]) -> RayHistory:
-        """Return a history of the rays with these indices only."""
+        """Return a ray history of only those rays that the indices `numbers` select."""
         return RayHistory(self._run, [self._rays[number] for number in numbers])
 
     def key_numbers(self) -> dict[str, KeyNumber]:
@@ -92,7 +92,7 @@ class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..t
         return [ray.points for ray in self._rays]
 
     def with_facts(self, facts: Mapping[str, np.ndarray]) -> pd.DataFrame:
-        """Return the ray history table with more columns after ``node``; `facts` have one value for each ray."""
+        """Return the ray history table with further columns after ``node``; `facts` has one value per ray."""
         table = self.to_pandas()
         for place, (name, values) in enumerate(facts.items(), start=2):
             table.insert(place, name, values[table.ray.to_numpy(np.int64)].tolist())
@@ -161,7 +161,7 @@ def rays_in_slots(
     run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> list[Ray]:
     """
-    Return the rays stored in given slots of a recorder, with hit points recomputed in float64, mm.
+    Return the rays in given slots of a recorder as `Ray`, with hit points recomputed in float64, mm.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def rays_in_slots(
 
 class Bundle(NamedTuple):
     """
-    Rays with the same events: start ray numbers, (n,), and the attributes of `Ray`.
+    Recorded rays with equal events: start ray numbers, (n,), and the attributes of `Ray` for each.
 
     All but `codes` have a row per ray.
     """
@@ -229,7 +229,7 @@ def sample_rays(table: PathTable, path_ids: Sequence[int], most: int) -> dict[in
 
 
 def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
-    """Return rays of the paths of one run by `path_id`, at most `most` of each, from a sample of its start rays."""
+    """Return at most `most` rays of each path of a run, by `path_id`, from a sample of its start rays."""
     run = own.run
     found: dict[int, list[Ray]] = {path_id: [] for path_id in own.ids.tolist()}
     # Start rays are numbered along a curve through the beam, once for each batch: equal steps would meet the same place
@@ -262,7 +262,7 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
 
 
 def _requested(recorder: BranchRecorder, keys: np.ndarray, most: int) -> np.ndarray:
-    """Return recorder slots of up to `most` branches of each path whose key is in `keys`, (n,) int."""
+    """Return the recorder slots, (n,) int, of at most `most` branches of each path whose key is in `keys`."""
     paths = np.array(recorder.path)[: recorder.kept]
     order = np.argsort(paths, kind="stable")
     ends = [np.searchsorted(paths[order], keys, side) for side in ("left", "right")]

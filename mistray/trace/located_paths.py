@@ -1,4 +1,4 @@
-"""Paths of one run by their places in its ledger."""
+"""Paths of one run with their places in its path ledger, where keys, events and flux sums are stored."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class LocatedPaths(NamedTuple):
 
     @property
     def events(self) -> Events:
-        """Event lists of the paths, in the order of `ids`."""
+        """Event lists of the paths, with names of their surfaces, in the order of `ids`."""
         paths = self.run.paths
         return Events.of(self.run.table, self.run.design, paths.events[self.places], paths.lengths[self.places])
 

@@ -46,7 +46,7 @@ class Kind:
     columns: ClassVar = frozenset({"kind"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return masks of the rows whose path is of this kind."""
+        """Return masks of the table rows whose path is of this kind."""
         kinds = np.asarray(rows.columns["kind"])
         if self.kind == ALL:
             return exactly(np.full(len(kinds), True))
@@ -61,7 +61,7 @@ class Whole:
     columns: ClassVar = frozenset({"events"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return masks of the rows that have exactly these events."""
+        """Return masks of the table rows whose path has exactly these events."""
         _check_events(event_words(self.text), rows)
         requested = way_text([" ".join(event_words(self.text))])[0]
         return exactly(np.array([one == requested for one in way_text(rows.columns["events"])], dtype=bool))
@@ -75,7 +75,7 @@ class Named:
     columns: ClassVar = frozenset({"label", "detector", "kind"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return masks of the rows whose path has this name."""
+        """Return masks of the table rows whose path has this name."""
         self.check(rows)
         fits = like_pattern(_typed_alike(self.text))
         labels = _way_labels(rows)
@@ -162,12 +162,12 @@ def warn_unless_one(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray])
 
 
 def _typed_alike(text: str) -> str:
-    """Return a path name with ``->`` replaced by the arrow that reports print, and single blanks."""
+    """Return a path name with ``->`` replaced by the printed arrow and with single blanks."""
     return _ARROW.sub(ARROW, " ".join(text.split()))
 
 
 def _name_words(text: str) -> list[str]:
-    """Split a path name into its events; the word `PAST` before an event becomes an item of its own."""
+    """Return a path name split into events; the word `PAST` before an event is an item of its own."""
     found: list[str] = []
     for word in event_words(text):
         before, blank, event = word.partition(" ")
@@ -176,7 +176,7 @@ def _name_words(text: str) -> list[str]:
 
 
 def _forms(label: str, detector: str) -> set[str]:
-    """Return all accepted forms of a path name: full, and without ``, on detector`` or ``(structure)``."""
+    """Return all forms in which a path name is accepted, with and without ``, on detector`` and ``(structure)``."""
     label = _typed_alike(label)
     short = label.removesuffix(f", on {detector}")
     return {label, short, _STRUCTURE.sub("", short), label.replace(short, _STRUCTURE.sub("", short), 1)}

@@ -103,7 +103,7 @@ def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.
 
 
 def _short(events: Sequence[int]) -> list[int]:
-    """Drop transmissions next to another event at the same place; of transmissions alone keep the first."""
+    """Return event codes without transmissions beside another event at the same place; of several, the first stays."""
     kept: list[int] = []
     for _, same in groupby(events, place_of):
         run = list(same)

@@ -112,7 +112,7 @@ class PathFilter:
 
     def bounds(self, rows: Rows) -> Bounds:
         """
-        Return masks of the rows where the filter certainly holds and may hold.
+        Return masks of the table rows where the filter holds for all rays, and where it may hold for some.
 
         Raise `MistrayError` for unknown names and columns.
         """
@@ -166,7 +166,7 @@ def _either(a: Bounds, b: Bounds) -> Bounds:
 @dataclass(frozen=True)
 class _Flag:
     """
-    Flag of a filter, such as ``S(barrel)``.
+    Flag of a filter, such as ``S(barrel)``, for scatter at a surface.
 
     It compares a path's count of such events with a number; by default at least 1.
     """
@@ -236,7 +236,7 @@ class _Compare:
 
 @dataclass(frozen=True)
 class _Sequence:
-    """Filter for light that meets given surfaces in order; each may have the letter of its event there."""
+    """Filter for light that meets given surfaces in order, each optionally with the letter of its event."""
 
     words: tuple[str, ...]
 
@@ -264,7 +264,7 @@ _Term = _Not | _Join | _Flag | _Compare | _Sequence | Kind | Whole | Named
 
 
 class _Parser:
-    """Recursive-descent parser of the tokens of a filter."""
+    """Recursive-descent parser that turns the text of a path filter into its terms."""
 
     def __init__(self, text: str) -> None:
         self._text, self._at, self._depth = text, 0, 0
@@ -382,7 +382,7 @@ class _Parser:
         return found["compare"], value["word"] or value["text"][1:-1]
 
     def _look(self) -> re.Match[str] | None:
-        """Return the next token without consuming it; None at the end of the text."""
+        """Return the next token of the filter text without consuming it; None at the end."""
         if not self._text[self._at :].strip():
             return None
         found = _TOKEN.match(self._text, self._at)

@@ -124,7 +124,7 @@ class PathNumbers:
 
     @classmethod
     def joined(cls, parts: Sequence[PathNumbers]) -> PathNumbers:
-        """Return the numbers of the paths of all parts, concatenated."""
+        """Return one object with the numbers of the paths of all parts, concatenated."""
         light, density = (
             Sampled(np.concatenate([one.value for one in each]), np.concatenate([one.apart for one in each]))
             for each in ([part.light for part in parts], [part.density for part in parts])
@@ -188,7 +188,7 @@ def _chunk(runs: Sequence[HitSums]) -> PathNumbers:
 
 def _shape(sums: np.ndarray) -> np.ndarray:
     """
-    Return figures of `sums` (…, 9), as an array (8, …).
+    Return eight numbers derived from `sums` (…, 9), as an array (8, …).
 
     They are centroid x and y, mm, RMS radius, mm, RMS irradiance, W/mm², degree of polarisation, s1, s2 and s3.
     """
@@ -203,7 +203,7 @@ def _shape(sums: np.ndarray) -> np.ndarray:
 
 def percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndarray]:
     """
-    Return columns ``percent`` and ``percent_se``: powers relative to `of`, %.
+    Return the columns ``percent`` and ``percent_se``: powers as percentages of `of`.
 
     The error is NaN where `few` is True.
     """
@@ -212,6 +212,6 @@ def percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndarr
 
 
 def alike(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Return a group number for each path, (p,) int; paths that agree in all given columns share a number."""
+    """Return a group number for each path, (p,) int; paths equal in all given columns have the same number."""
     keys = [np.unique(column, return_inverse=True)[1] for column in columns]
     return np.asarray(np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)[1]).ravel()

@@ -313,7 +313,7 @@ class PathTable(
 
     def chosen(self, requested: PathFilter, by_ray: frozenset[str] = frozenset()) -> list[LocatedPaths]:
         """
-        Return, for each run, the paths that a filter may select.
+        Return, for each run, the paths that a filter may select, as `LocatedPaths`.
 
         Parameters
         ----------
@@ -366,7 +366,7 @@ class PathTable(
 
     def numbers(self, groups: Sequence[Sequence[int]]) -> PathNumbers:
         """
-        Return power, centroid, radius and polarisation of groups of paths, each group as if it were one path.
+        Return power, centroid, radius and polarisation, with each group of paths treated as one path.
 
         Parameters
         ----------
@@ -392,7 +392,7 @@ class PathTable(
 
     def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> HitSums:
         """
-        Return the flux sums of one run added up by group of paths.
+        Return the flux sums of one run's paths, added up by group of paths.
 
         `group` is ascending, the group number of each of `ids`.
         """
@@ -403,7 +403,7 @@ class PathTable(
 
     def columns_of(self, groups: Sequence[Sequence[int]]) -> dict[str, np.ndarray]:
         """
-        Return the columns of `PathRow` from ``rays`` on for groups of paths, each group as if it were one path.
+        Return the columns of `PathRow` from ``rays`` on, with each group of paths treated as one path.
 
         Together the groups must be all paths of some sources and kinds.
         """
@@ -414,7 +414,7 @@ class PathTable(
 
     def moments(self) -> np.ndarray:
         """
-        Return the absorbed flux of each path and the moments of its distribution over the detector.
+        Return the absorbed flux of each path and its first and second moments over the detector.
 
         Returns
         -------
@@ -540,7 +540,7 @@ class PathTable(
 
 
 def _frame(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
-    """Return columns of a path table as a DataFrame; text columns get the string type of pandas."""
+    """Return the columns of a path table as a DataFrame; text columns get the pandas string type."""
     import pandas as pd
 
     text = {name: column.tolist() for name, column in columns.items() if column.dtype == object}

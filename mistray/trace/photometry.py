@@ -23,7 +23,7 @@ from mistray.spectra.cie import VISIBLE_NM, luminous_efficacy
 
 def check_light(scene: mi.Scene, wavelength_nm: Sequence[float] | None) -> None:
     """
-    Raise `MistrayError` if photometric units make no sense: a source states no wavelength, or none is visible.
+    Raise `MistrayError` if lumen and lux make no sense: a source states no wavelength, or none is visible.
 
     Parameters
     ----------

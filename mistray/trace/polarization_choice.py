@@ -88,7 +88,7 @@ class PolarizationChoice:
 
 
 def words_of(settings: Mapping[str, Any]) -> str:
-    """Return a line of text that states the polarisation mode of a trace and the reason for it, from its settings."""
+    """Return a line of text with the polarisation mode of a trace and the reason for it, from its settings."""
     return f"polarization: {settings['polarization']} ({settings['polarization_reason']})"
 
 
@@ -177,7 +177,7 @@ def unpolarized_notes(
 
 
 def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
-    """Trace a few rays; return the flux (W) of the main paths, averaged over s and p and by Stokes vectors."""
+    """Return the flux, W, of the main paths from a few rays, both with the mean of s and p and with Stokes vectors."""
     found: dict[tuple[Any, ...], Arrivals] = {}
     listed: list[Arrivals] = []
     own = [sum(1 for where, _ in runs if where == field) for field, _ in runs]
@@ -223,7 +223,7 @@ def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
 
 
 def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:
-    """Return the light that decides the choice: direct, the stray paths that a table lists, and the stray total."""
+    """Return the paths that decide the choice: direct light, stray paths that a table lists, and all stray light."""
     direct = [row for row in rows if not row.stray]
     whole = sum(row.mean for row in direct)
     ghosts = [row for row in rows if row.stray and not row.scattered and row.hits >= LEAST_HITS]
@@ -255,7 +255,7 @@ def _polarizes(table: SurfaceTable) -> bool:
 
 
 def _with_few_wavelengths(beam: Light) -> Light:
-    """Return the light with at most `MOST_RUNS` of its wavelengths, spread over its spectrum."""
+    """Return the light reduced to at most `MOST_RUNS` wavelengths spread over its spectrum."""
     if beam.wavelength_nm is None:
         return beam
     nm, shares = spectrum(beam.wavelength_nm, beam.weights)
@@ -266,5 +266,5 @@ def _with_few_wavelengths(beam: Light) -> Light:
 
 
 def _spread(given: Sequence[Any], most: int) -> list[Any]:
-    """Return at most `most` evenly spaced items of a list, including the first and the last."""
+    """Return at most `most` evenly spaced items of a list, its first and last included."""
     return [given[k] for k in spread(len(given), most)]

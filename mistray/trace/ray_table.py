@@ -109,7 +109,7 @@ def _check_pixels(pixels: Sequence[int], run: Run) -> None:
 
 
 class _Search:
-    """Search for the rays of some paths of one run that pass a filter and hit a box or a pixel range."""
+    """Search of one run for rays of given paths that pass a filter and hit a box (mm) or a range of pixels."""
 
     def __init__(
         self,
@@ -175,7 +175,7 @@ class _Search:
         return {name: values[kept] for name, values in columns.items()}, [rays[int(k)] for k in kept] if rays else []
 
     def _facts(self, events: Events, given: Columns) -> Columns:
-        """Return the columns of the ray table for rays with these events; without `given`, empty columns."""
+        """Return the ray table's columns for rays with these events; without `given`, columns of no rows."""
         whole = ("path_id", "start_ray", "node")
         given = {name: np.zeros(0, dtype=np.int64 if name in whole else float) for name in COLUMNS} | given
         source, count, words = self._run.source, len(events), events.intercepts
@@ -218,7 +218,7 @@ class _Search:
 
 def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None) -> tuple[float, ...] | None:
     """
-    Return the rectangle to record, x0, x1, y0, y1 in mm: the box, cut to the surroundings of the pixels.
+    Return the rectangle of the detector to record, x0, x1, y0, y1, mm: the box, or what surrounds the pixels.
 
     None for the whole detector.
     """
@@ -239,7 +239,7 @@ def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None
 
 def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Recorder | None) -> Iterator[int]:
     """
-    Trace start rays into a recorder, in halves where it would overflow; yield the number of branches each time.
+    Trace start rays into a recorder, in halves if they overflow it; yield after each the number of branches held.
 
     Yields
     ------
@@ -263,7 +263,7 @@ def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Reco
 
 def portions(run: Run, grow: Callable[[int], int] = lambda size: 2 * size) -> Iterator[StartRays]:
     """
-    Yield the start rays of a run in growing portions, each spread over the beam.
+    Yield the start rays of a run in portions of growing size, each spread over the whole beam.
 
     `grow` maps a portion's size to the next.
     """

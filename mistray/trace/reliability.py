@@ -110,7 +110,7 @@ def _own(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 @dataclass(frozen=True)
 class AimedRow:
     """
-    Judgement of the aimed rays of one surface or medium, by the fraction that reached the detector.
+    Fraction of the rays aimed by one surface or medium that reached the detector, and whether it is too low.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class AimedRow:
 @dataclass(frozen=True)
 class SamplingCheck:
     """
-    Quality of the sampling of the scattered light of a trace.
+    Measures of how well a trace samples scattered light, with advice on settings.
 
     Attributes
     ----------
@@ -161,14 +161,14 @@ class SamplingCheck:
 
 
 def _names(found: Sequence[str]) -> str:
-    """Return the first few names as text, and how many more there are."""
+    """Return the first `NAMES_SHOWN` names as text, and the number of further ones."""
     more = f" and {len(found) - NAMES_SHOWN} more" if len(found) > NAMES_SHOWN else ""
     return ", ".join(found[:NAMES_SHOWN]) + more
 
 
 def sampling_check(trace: Trace) -> SamplingCheck:
     """
-    Return figures of the quality of the sampling of scattered light in a trace, with advice on settings.
+    Return how well a trace samples scattered light, with advice on settings.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
 
 
 def _covers(target: Target, detector: Target) -> bool:
-    """True if a target contains the centre of a detector and is at least as large."""
+    """True if a target holds the centre of a detector, within a tolerance, and is at least as large."""
     size = max(detector.size)
     return (
         float(np.linalg.norm(target.centre - detector.centre)) < SAME_SIZE * size
@@ -378,7 +378,7 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
 
 def _lit_places(table: SurfaceTable, sums: np.ndarray) -> dict[int, np.ndarray]:
     """
-    Return hits and flux (W) by number of each surface or medium that scatters.
+    Return hits and incident flux, W, of each scattering surface or medium, by its number.
 
     A medium has those of its brightest surface.
     """

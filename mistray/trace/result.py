@@ -474,7 +474,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     @property
     def tables(self) -> list[SurfaceTable]:
-        """Surface tables that the kernel reads, one for each wavelength, in ascending order."""
+        """Surface tables of the trace as the kernel reads them, one per wavelength, in ascending order."""
         tables = {run.source.wavelength_nm: run.table for run in self.runs}
         return [tables[wavelength] for wavelength in sorted(tables)]
 

@@ -75,7 +75,7 @@ class SampledHits:
     normal: Floats
 
     def polyline(self, ray: int) -> Floats:
-        """Return the points of one ray from its start to the detector, (hits + 1, 3), mm."""
+        """Return the points of one ray, start and hits, (hits + 1, 3), mm."""
         return np.concatenate([self.start[ray][None], self.points[ray, : self.length[ray]]])
 
 
@@ -159,7 +159,7 @@ def _normals(run: Run, surface: Whole, points: Floats, arrival: Floats) -> Float
 
 class LightCone(NamedTuple):
     """
-    Cone of directions of the light of a path at the detector.
+    Cone in which the light of a path arrives at the detector: numerical aperture with standard error, and rays.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ class LightCone(NamedTuple):
 
 def light_cones(paths: PathTable, path_ids: Sequence[int]) -> dict[int, LightCone]:
     """
-    Return the cone of directions of each path at the detector, by path id.
+    Return the cone in which each path's light arrives at the detector, by path id.
 
     Paths of fewer than two rays are left out.
     """
@@ -204,7 +204,7 @@ def light_cones(paths: PathTable, path_ids: Sequence[int]) -> dict[int, LightCon
 
 def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
     """
-    Return the cone of directions of the rays of one path.
+    Return the numerical aperture and standard error of the light of one path at the detector, as a `LightCone`.
 
     A spot in the detector plane is the Fourier transform of the pupil over the direction cosines along that plane,
     times n/λ. The direction cosines of a round, evenly filled cone lie evenly in a disc of radius sin u. Their mean

@@ -101,7 +101,7 @@ class BackwardRun:
 
     @property
     def _open_ended(self) -> bool:
-        """True if only the time budget limits the run, not a number of rays."""
+        """True if only the time budget, not a number of rays, ends the run."""
         return self._trace.settings.rays >= MOST_RAYS and is_limited()
 
     def _take(self, plan: Plan) -> AllCells:
@@ -219,14 +219,14 @@ class BackwardRun:
                 raise KeyboardInterrupt
 
     def _longer(self, rays: int, over: float) -> int:
-        """Return the backward rays needed for the requested error. After `rays` the error is `over` times too large."""
+        """Return how many backward rays the requested error needs, if after `rays` it is `over` times too large."""
         if not 1 < over < math.inf:
             return rays
         return min(math.ceil(rays * min(over**2, MOST_LONGER)), self._trace.settings.rays)
 
     def _own_size(self, most: int) -> int | None:
         """
-        Return the number of rays of the next pass in a run of `most` rays if it is special, else None.
+        Return the rays of the next pass if they differ from the usual size, in a run of `most` rays; else None.
 
         Only a first pass has a special size, and the passes of a run shorter than that, so that a run may be continued
         at any time.
@@ -238,7 +238,7 @@ class BackwardRun:
 
     def _budget(self, plan: Plan, needed: float | None) -> int:
         """
-        Return the number of backward rays of the run.
+        Return the number of backward rays of the run, from those that the plan found necessary.
 
         They are at least as many as those of the pilot, since fewer might miss the paths that made its variance. If it
         finds no light in a cell, they are at least `DARK_AFTER`, after which the cell counts as dark.
@@ -267,7 +267,7 @@ class BackwardRun:
 
     def _worst(self, up_to_deg: float | None) -> float:
         """
-        Return the largest relative standard error of lit cells up to a field angle, degrees.
+        Return the largest relative standard error of the PST over lit cells up to a field angle, degrees.
 
         The result is infinite if none is lit.
         """

@@ -52,7 +52,7 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
 
 
 def _summed(rows: pd.DataFrame, by: str, columns: Iterable[str] = ("pst", "pst_se")) -> pd.DataFrame:
-    """Return rows merged by column `by`, strongest first: columns in `SUMS` are added, others from the first row."""
+    """Return path rows merged by column `by`, strongest first; columns in `SUMS` add up, others come from the first."""
     how = {name: "sum" if name in SUMS else "first" for name in columns}
     rows = rows.assign(pst_se=rows.pst_se**2).groupby(by, sort=False, as_index=False).agg(how)
     rows["pst_se"] = np.sqrt(rows.pst_se)
@@ -60,7 +60,7 @@ def _summed(rows: pd.DataFrame, by: str, columns: Iterable[str] = ("pst", "pst_s
 
 
 def _total(rows: pd.DataFrame) -> Estimate:
-    """Return the sum of the PST of path rows, with its error as if their rays were independent."""
+    """Return the PST that path rows add up to, with its standard error as if their rays were independent."""
     return Estimate(float(rows.pst.sum()), math.sqrt((rows.pst_se**2).sum()))
 
 
@@ -288,7 +288,7 @@ def main_cause(pst: Pst) -> MainCause | None:
 
 def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]:
     """
-    Return the ranges of field angle in which one cause contributes most of the stray light.
+    Return the ranges of field angle over which one and the same cause brings most of the stray light.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Cells of directions of a point source transmittance."""
+"""Cells of field angle and azimuth over which a PST request averages, and those whose error counts."""
 
 from __future__ import annotations
 

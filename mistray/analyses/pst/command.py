@@ -106,7 +106,7 @@ def run(options: Options) -> int:
 
 
 def _check(options: Options, request: PstRequest) -> None:
-    """Raise `MistrayError` for options that contradict each other or lack another one."""
+    """Raise `MistrayError` for options of `mistray pst` that exclude each other or lack another one."""
     if request.method == "forward":
         options.refuse(["resume", "state"], ONE_WAY)
     options.check()
@@ -130,7 +130,7 @@ def _so_far(passes: list[PstProgress]) -> str:
 
 @contextlib.contextmanager
 def _progress(options: Options, passes: list[PstProgress]) -> Iterator[Callable[[PstProgress], None]]:
-    """Show a progress bar on a terminal; yield the callback that moves it and appends each state to `passes`."""
+    """Show a progress bar on a terminal; yield the callback that updates it and appends each state to `passes`."""
     with options.bar("{desc}: {percentage:3.0f}% |{bar}| {elapsed}{postfix}", "tracing") as bar:
 
         def draw(now: PstProgress) -> None:

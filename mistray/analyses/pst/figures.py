@@ -204,7 +204,7 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
 
 
 def _pst_range(pst: Pst) -> Range | None:
-    """Return lower and upper limit of the PST axis; None if there is no light."""
+    """Return the lower and upper limit of the PST axis of the curve; None if no light was seen."""
     lowest = {group: np.min(value[value > 0], initial=np.inf) for group in CURVES for value in (pst.curve(group)[0],)}
     if pst.is_dark:
         return None
@@ -235,7 +235,7 @@ def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
 
 
 def _errors(axes: Axes, pst: Pst) -> None:
-    """Draw, in percent, the relative standard errors, the requested one, and the share of the strongest ray."""
+    """Draw, in percent, the relative standard errors of the PST, the requested one, and the strongest ray's share."""
     for group, style in (("total", "-"), ("stray", ":")):
         value, se = pst.curve(group)
         lit = value > 0
@@ -259,7 +259,7 @@ def _errors(axes: Axes, pst: Pst) -> None:
 
 
 def _decades(axes: Axes) -> None:
-    """Put a tick at every decade of a log axis, or at every second decade if there are many."""
+    """Put a tick at each decade of a logarithmic y axis, or at each second one if there are many."""
     low, high = np.log10(axes.get_ylim())
     axes.yaxis.set_major_locator(LogLocator(base=10.0, numticks=int(high - low) + 3))
     axes.yaxis.set_minor_formatter(NullFormatter())

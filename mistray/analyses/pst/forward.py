@@ -186,7 +186,7 @@ class CellRounds:
             goal = np.where(going & (light.rays >= goal), np.minimum(2 * goal, self._most), goal)
 
     def do(self, part: int) -> WaveSums:
-        """Trace one cell of directions on a worker process; return its sums of flux and its table of paths."""
+        """Trace one cell of directions on a worker process; return its sums of ray throughput and its path table."""
         self.light.begin()
         self.trace_cells([part])
         return replace(self.light.total, paths=self.light.paths)
@@ -200,7 +200,7 @@ class CellRounds:
 
     def _judge(self) -> None:
         """
-        Mark cells as finished that have the requested error or all of their rays.
+        Mark cells of directions as finished once they have the requested error or all of their rays.
 
         Cells without light so far end earlier.
         """
@@ -217,7 +217,7 @@ class CellRounds:
             self._report()
 
     def _report(self) -> None:
-        """Call `progress` with the rays traced, the largest relative error and the time left, s."""
+        """Call `progress` with the rays traced, the largest relative error of a cell and the time left, s."""
         if self.progress is None:
             return
         rays = self.light.rays
@@ -234,7 +234,7 @@ class CellRounds:
         self.progress(PstProgress(round(done), int(self._most.sum()), worst, self._requested, seconds, left))
 
     def _pst(self) -> Pst:
-        """Return the PST of the rays so far, without paths and other details."""
+        """Return the PST from the rays traced so far, without paths, maps and notes."""
         weight = np.full((*self.trace.grid.shape, BATCHES), 1 / BATCHES)
         return Pst(self.trace.grid, self.light.total.by_batch(self.light.unit), weight, method="forward")
 

@@ -68,7 +68,7 @@ class FoundPaths:
     @classmethod
     def of(cls, trace: GridTrace, along: FoundByCell | None, against: FoundByCell | None = None) -> FoundPaths:
         """
-        Merge the tables of the paths that forward and backward rays have found.
+        Return one table of the paths that forward and backward rays have found, merged by path and cell.
 
         Parameters
         ----------
@@ -105,12 +105,12 @@ class FoundPaths:
         return cls(trace, events, lengths, known // cells, known % cells, hits, value, variance)
 
     def _describe(self, paths: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the columns of `describe_events` for some paths, given by index."""
+        """Return the name, text and kind of some paths, given by index, as the columns of `describe_events`."""
         trace = self.trace
         return describe_events(Events.of(trace.table, trace.design, self.events[paths], self.lengths[paths]))
 
     def one_sided(self) -> list[dict[str, Any]]:
-        """Return the strongest paths that only forward or only backward rays have found, one dict each."""
+        """Return the strongest paths found by rays of one direction only, forward or backward, one dict each."""
         grid = self.trace.grid
         light = np.bincount(self.cell, self.value, int(np.prod(grid.shape)))
         alone = (self.hits.min(axis=0) == 0) & (self.hits.max(axis=0) >= FEWEST_HITS)

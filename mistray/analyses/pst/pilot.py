@@ -131,11 +131,11 @@ class Pilot:
 
     @property
     def lit(self) -> bool:
-        """True if the last round found light in all cells whose error counts."""
+        """True if the last pilot round found light in every cell whose error is requested."""
         return bool(np.all(self._light[self._counts] > 0))
 
     def seconds_for(self, plan: Plan, rays: float) -> float:
-        """Return the estimated time, s, for `rays` backward rays and the forward rays that belong to them."""
+        """Return the estimated time, s, for `rays` backward rays and the forward rays that the plan pairs with them."""
         return float(self._pace @ (plan.forward_rays(rays).sum(), rays))
 
     def search(self, rays: float) -> Plan:
@@ -293,7 +293,7 @@ class Pilot:
         return _rounded(np.stack([inverse_upper, np.where(squares > 0, np.maximum(most, inverse_upper), 0)]))
 
     def _note_path_classes(self, samples: Samples) -> None:
-        """Store this round's samples for the MIS weights of path classes; the last `REMEMBERED` rounds are kept."""
+        """Store this round's samples to derive MIS weights of path classes; the last `REMEMBERED` rounds are kept."""
         cell, kind, mis = samples.cell, samples.kind, np.clip(samples.forward, SMALLEST_MIS, 1 - SMALLEST_MIS)
         # Density ratio of forward to backward rays, if each cell had as many forward as there are backward rays
         forward = self._sharing.rays[cell]
@@ -303,7 +303,7 @@ class Pilot:
         self._seen = [*self._seen, (cell, kind, samples.path_class, samples.weight, odds)][-REMEMBERED:]
 
     def _starts_per_connection(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
-        """Return the forward starts per connected path, by cell, or 0 if connections cost more than they gain."""
+        """Return the forward starts per connected path, by cell; 0 if connections cost more time than they save."""
         starts_per_connection, counts = self._sharing.starts_per_connection, self._counts & (light > 0)
         if self._rounds == 1:  # one light vertex for each connection
             return starts_per_connection / max(self._trace.vertices_per_ray, 1e-3)
@@ -343,13 +343,13 @@ class Pilot:
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
-    """Round values to 8 significant bits, so that the summation order of parallel threads does not change them."""
+    """Round values to 8 significant bits, so that the order of sums in parallel threads does not change them."""
     mantissa, exponent = np.frexp(values)
     return np.asarray(np.ldexp(np.round(256 * mantissa) / 256, exponent))
 
 
 def _together(parts: Sequence[Samples]) -> Samples:
-    """Concatenate samples of several traces, with start rays renumbered; importance values are left out."""
+    """Return the samples of several traces as one set, start rays numbered through; importance is left out."""
     lanes = 1 + max(int(one.lane.max(initial=0)) for one in parts)
     return Samples.together([replace(one, segments=np.zeros(1), importance=np.zeros(1)) for one in parts], lanes)
 
@@ -408,7 +408,7 @@ def _relative_variances(
 
 
 def _squares_of_rays(samples: Samples, cells: int) -> np.ndarray:
-    """Return sums over rays of the squared contribution of each ray to a cell, (c,)."""
+    """Return, for each direction cell, the sum over start rays of the squared PST_normal that each brings, (c,)."""
     if not len(samples.weight):
         return np.zeros(cells)
     pair = samples.lane * cells + samples.cell

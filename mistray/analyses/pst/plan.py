@@ -61,7 +61,7 @@ class Plan:
         return int(np.ceil(np.max(self.variance[counts] / requested)))
 
     def beside(self, needed: int, rays: int) -> Plan:
-        """Return a plan for `rays` backward rays whose forward rays are no more than `needed` backward rays need."""
+        """Return a plan for `rays` backward rays whose forward rays do not exceed those for `needed` backward rays."""
         sharing = self.sharing
         return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
 
@@ -70,12 +70,12 @@ class Plan:
         return whole_batches(self.sharing.rays * rays)
 
     def fits(self, cells: int, surfaces: int) -> bool:
-        """True if the plan is for this number of cells and, where it has weight windows, of surfaces."""
+        """True if the plan was made for this number of direction cells and, with weight windows, of surfaces."""
         windows = self.sharing.windows
         return len(self.sharing.rays) == cells and (windows is None or windows.shape[1] == surfaces)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the contents of the plan as arrays by name, to be saved."""
+        """Return the plan as named arrays, from which `of_arrays` restores it."""
         own = {name: np.asarray(getattr(self, name)) for name in ARRAYS}
         found = {f"samples_{name}": values for name, values in self.samples._asdict().items()}
         starts = {f"starts_{f.name}": getattr(self.sharing.starts, f.name) for f in fields(StartMap)}
@@ -88,7 +88,7 @@ class Plan:
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, np.ndarray]) -> Plan:
-        """Restore a plan from the arrays that `arrays` returned."""
+        """Return the plan restored from the named arrays of `arrays`."""
         starts = StartMap(**{f.name: arrays[f"starts_{f.name}"] for f in fields(StartMap)})
         own: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
         samples = MapSamples(*(arrays[f"samples_{name}"] for name in MapSamples._fields))
@@ -101,7 +101,7 @@ class Plan:
 
 
 def shared(plans: Sequence[Plan]) -> list[Plan]:
-    """Return plans with equal forward rays for scenes to be compared: in each cell the largest number of any plan."""
+    """Return plans with equal forward rays for scenes to be compared: per cell, the largest number of any plan."""
     if len(plans) == 1:
         return list(plans)
     rays = np.max([plan.sharing.rays for plan in plans], axis=0)

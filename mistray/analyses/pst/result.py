@@ -211,13 +211,13 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         return [Estimate(float(value), float(se)) for value, se in zip(*self.curve(classes), strict=True)]
 
     def columns(self, found: Callable[[str], tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Return table columns by name: values and errors from `found` for total, stray and each class of light."""
+        """Return columns by name, PST and standard error from `found`, for total, stray and each class of light."""
         parts = ((name, end, part) for name in LIGHT for end, part in zip(("", "_se"), found(name), strict=True))
         return {f"pst_{name}{end}": part.ravel() for name, end, part in parts}
 
     @staticmethod
     def estimate(samples: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the weighted mean over the batches (last axis) and its standard error from their spread."""
+        """Return the weighted mean over batches (last axis), and its standard error from the spread of batches."""
         value = np.sum(weight * samples, axis=-1)
         # Empty batches have no weight
         used = np.maximum(np.count_nonzero(weight, axis=-1), 2)
@@ -245,7 +245,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         return self.curve("stray")[1]
 
     def share_of_scattered(self, part: np.ndarray) -> np.ndarray:
-        """Return a part of PST_normal as a fraction of the PST_normal of all scattered light, (n, m); 0 without any."""
+        """Return `part` of the PST_normal over that of all scattered light, (n, m); 0 where none is scattered."""
         scattered = self.estimate(self.by_batch[SCATTERED].sum(axis=0), self.weight)[0]
         return np.divide(part, scattered, out=np.zeros_like(scattered), where=scattered > 0)
 
@@ -291,7 +291,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
     @cached_property
     def _path_tables(self) -> dict[tuple[int, int], pd.DataFrame]:
-        """Cache of the tables of `paths` by cell; a report uses each of them ten times."""
+        """Cache of the path tables of `paths` by cell, since a report reads each of them about ten times."""
         return {}
 
     @cached_property

@@ -60,7 +60,7 @@ def quotient(
 
 
 def _summed(parts: np.ndarray, weight: np.ndarray) -> Estimate:
-    """Return the sum of weighted samples, (n, m, b), over cells, averaged over batches, with its standard error."""
+    """Return the sum over cells of weighted samples, (n, m, b), averaged over batches, with its standard error."""
     # Cells that share their start rays are correlated: they are summed before the spread is computed
     if weight.ndim == 1:
         parts = parts.sum(axis=(0, 1))

@@ -34,7 +34,7 @@ DENOMINATOR = "%: share of the stray light at that angle, which is all light but
 
 
 def shown_classes(pst: Pst) -> tuple[str, ...]:
-    """Return the classes of light in a printed table: all, but rare ones only if they have light."""
+    """Return the classes of light that a printed table shows; rare ones only if they have light."""
     return tuple(group for group in CLASSES if group not in RARE or np.any(pst.curve(group)[0]))
 
 
@@ -218,7 +218,7 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
 
 
 def heading(pst: Pst) -> str:
-    """Return two lines of text on a PST: its convention; then method, rays, wavelengths and cells."""
+    """Return two lines of text about a PST: its convention; then method, number of rays, wavelengths and cells."""
     facts = pst.facts
     lines = facts.get("wavelength_nm")
     parts = [METHODS[pst.method]]

@@ -1,4 +1,4 @@
-"""Figures of one trace that make up a row of a sweep."""
+"""Numbers of one trace that make up a row of a sweep: flux, W, spot sizes, mm, and the strongest stray path."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Rims that a beam just fills, at which a metric has no derivative; rays along the beam's edge find them."""
+"""Rims that a beam exactly fills, where a metric has only one-sided derivatives; rays on the beam's edge find them."""

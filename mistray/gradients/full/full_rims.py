@@ -1,5 +1,4 @@
-"""
-Rims along which the edge of a beam runs, so that the flux density jumps where a derivative needs it.
+"""Search for rims that the edge of a beam runs along, where a metric has only one-sided derivatives.
 
 Where a beam just fills a rim, a move of the rim into the beam removes light, and a move out of it has no effect: there
 is no derivative, but one on either side. The estimator of `mistray.gradients.edges` would find no hit, and return 0.
@@ -75,7 +74,7 @@ class FullRims:
 
     @cached_property
     def full(self) -> list[tuple[int, Key, np.ndarray]]:
-        """Rims that the beam just fills: line of its edge, key of the passage, mask of the rays there, (n,)."""
+        """Rims that the beam exactly fills: number of the edge line, key of the rim, mask of rays there, (n,)."""
         found = []
         for line, key, passage in self._along():
             here = passage.counts & (passage.slope < ALONG)
@@ -104,7 +103,7 @@ class FullRims:
         return list(dict.fromkeys(self.name(key) for _, key, _ in self.full))
 
     def name(self, key: Key) -> str:
-        """Return the rim of a passage in words, with the id of its surface."""
+        """Return the description of a rim for messages, such as "the outer rim of 'stop'"."""
         return f"the {WORDS[key[3]]} of '{self.table.ids[key[2]]}'"
 
     @cached_property
@@ -176,7 +175,7 @@ class FullRims:
 
     @cached_property
     def _passages(self) -> list[MarginalRays]:
-        """Marginal rays traced along each closed line of the beam's edge."""
+        """Marginal rays, traced along each closed line of the beam's edge, with the rims that they pass."""
         found = []
         last = self.table.ids.index(self.source.shape) if self.source.shape else -1
         for edge, within in zip(self._edges, self.source.edges(RAYS, INSIDE * CLOSE * self.width), strict=True):
@@ -197,7 +196,7 @@ class FullRims:
         return rays._replace(o=o, d=d / np.linalg.norm(d, axis=1, keepdims=True))
 
     def _with(self, owner: Any, name: str, step: float) -> SurfaceTable:
-        """Return the surfaces as they are with a parameter changed by `step`, in the numbers that host rays use."""
+        """Return the surface table on the host after parameter `name` of plugin `owner` changes by `step`."""
         table = copy(self.table)
         table.pieces, table.vertices, table.rotations = (
             list(table.pieces),

@@ -27,7 +27,7 @@ Key = tuple[tuple[int, ...], int, int, int, int]
 
 class Meeting(NamedTuple):
     """
-    Hits of the marginal rays of one closed line at one step of their path.
+    Hits of the marginal rays along one closed line of a beam's edge, at one step of their path.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Meeting(NamedTuple):
     @classmethod
     def of(cls, count: int, place: np.ndarray, surface: np.ndarray, point: np.ndarray) -> Meeting:
         """
-        Return the hits of those rays, of `count` on a line, that `place` gives.
+        Return hits for all `count` rays of a line; only those in `place` have a surface and a point.
 
         The others have surface -1 and a NaN point.
         """
@@ -113,7 +113,7 @@ class MarginalBundle(NamedTuple):
     way: tuple[Meeting, ...] = ()
 
     def take(self, some: np.ndarray) -> MarginalBundle:
-        """Return the bundle with those of its rays that a mask or indices select."""
+        """Return the rays of the bundle that a mask or indices select."""
         return self._replace(o=self.o[some], d=self.d[some], last=self.last[some], place=self.place[some])
 
 
@@ -193,13 +193,13 @@ class MarginalRays:
         return lit
 
     def _after(self, rays: MarginalBundle, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return unit directions of rays behind the surface where they are, (n, 3), and a mask of rays that end."""
+        """Return the directions of rays beyond their surface, (n, 3), and a mask of rays that end there."""
         after, _ = onward(self.table, rays.last, rays.d, normal)
         detects = (self.table.optics.host_words[rays.last] & DETECTOR) != 0
         return after, detects | ~np.isfinite(after[:, 0])
 
     def _black(self, surface: np.ndarray) -> np.ndarray:
-        """Return a mask of surfaces, (n,), at which rays end and that neither scatter, reflect nor record light."""
+        """Return a mask of surfaces, (n,), that absorb all light without recording it."""
         optics = self.table.optics
         words, bsdfs = optics.host_words[surface], optics.bsdfs
         scatters = np.array([bool(bsdfs[k].scatter) for k in surface], dtype=bool)
@@ -237,7 +237,7 @@ class MarginalRays:
         depth: np.ndarray,
         point: np.ndarray,
     ) -> None:
-        """Record depths and points, mm, at which ray segments pass a rim; trace the other branch of very close ones."""
+        """Record where ray segments pass a rim, depths and points, mm; trace the other branch of very close ones."""
         very = np.abs(depth) < self.close * self.zones[key[2:4]]
         place = legs.place[near]
         counts = very & (lit[near] | self.inside[place])
@@ -253,7 +253,7 @@ class MarginalRays:
 
     def _otherwise(self, rays: MarginalBundle, hits: np.ndarray) -> np.ndarray:
         """
-        Return a mask of rays whose light continues on the other branch.
+        Return a mask of rays whose light goes on when they take the other branch at a rim.
 
         Rays hit a rim's surface where `hits`, else they pass it.
         """

@@ -113,7 +113,7 @@ class FirstLight:
         )
 
     def plus(self, other: FirstLight) -> FirstLight:
-        """Return the sum with the light of another, independent trace."""
+        """Return the sum of this light and that of another, independent trace, by first surface."""
         strongest = {
             name: max(one.strongest.get(name, 0.0) for one in (self, other)) for name in (*self.power, *other.power)
         }
@@ -165,7 +165,7 @@ class FirstLight:
 
 def together(entering: Iterable[Entering]) -> Estimate:
     """
-    Return the total fraction of the light that enters by new first surfaces, with its standard error.
+    Return the fraction of the light after a change that enters by new first surfaces, with its standard error.
 
     Errors are added in quadrature.
     """
@@ -175,7 +175,7 @@ def together(entering: Iterable[Entering]) -> Estimate:
 
 def spoils(entering: Iterable[Entering]) -> bool:
     """
-    True if light by new first surfaces exceeds 1 % of the light before and after.
+    True if light by new first surfaces exceeds 1 % of the light, both before and after the change.
 
     A decrease is then no improvement.
     """
@@ -195,7 +195,7 @@ def entering_text(entering: Sequence[Entering]) -> str:
 
 
 def entering_lines(entering: Mapping[str, Sequence[Entering]]) -> list[str]:
-    """Return a line for each of the places with most light by new first surfaces, and one on further places."""
+    """Return lines of text on light by new first surfaces: one for each of the worst places, one for the rest."""
     ranked = sorted(entering.items(), key=lambda item: -sum(one.of_before for one in item[1]))
     lines = [
         f"{place}: {entering_text(here)}{'; less stray light is no gain here' if spoils(here) else ''}"

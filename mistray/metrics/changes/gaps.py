@@ -91,13 +91,13 @@ class Contacts:
 
 
 def gaps_text(gaps: Sequence[Gap]) -> str:
-    """Return gaps in words for a message, at most `TOLD` of them with the number of the others; "" without any."""
+    """Return gaps as text for a message, at most `TOLD` of them and the number of the others; "" if there are none."""
     told = "; ".join(map(str, gaps[:TOLD]))
     return told + (f"; and {len(gaps) - TOLD} more" if len(gaps) > TOLD else "")
 
 
 def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
-    """Return the contacts of rims that lie on another surface with all of their points."""
+    """Return the rims that lie on another surface with all of their points, each with that surface."""
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
     contacts = []
     for i, one in enumerate(found):
@@ -114,7 +114,7 @@ def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
 
 
 def _place(rim: Rim) -> np.ndarray:
-    """Return the middle of a rim and its greatest radius, (4,), mm, which coincide for rims that coincide."""
+    """Return the middle of a rim and its largest radius, (4,), mm, by which coinciding rims are recognised."""
     middle = rim.points.mean(axis=0)
     return np.append(middle, np.linalg.norm(rim.points - middle, axis=1).max())
 
@@ -148,7 +148,7 @@ def _opened(
 
 
 def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Contact) -> bool:
-    """True if two gaps are at one place, and each surface of one still touches a surface of the other."""
+    """True if two gaps lie at one place, and each surface of one touched a surface of the other."""
     if np.abs(one.place - other.place).max() > 2 * TOUCH:
         return False
     a, b = (here[k] for k in one.pair)
@@ -161,7 +161,7 @@ def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Con
 
 
 class _Touching:
-    """Contacts between the surfaces of a scene, each computed when first asked for."""
+    """Contacts between the surfaces of a scene, each computed when first needed and then kept."""
 
     def __init__(self, found: Sequence[SpaceOutline]) -> None:
         self._found = found
@@ -179,7 +179,7 @@ class _Touching:
         return self._known[key]
 
     def led(self, owner: int, rim: Rim, target: int) -> bool:
-        """True if a chain of touching opaque surfaces, without `owner`, leads from a rim to the surface `target`."""
+        """True if touching opaque surfaces, apart from `owner`, form a chain from a rim to the surface `target`."""
         near = self._near(owner)
         opaque = {k for k, one in enumerate(self._found) if one.opaque and k != owner}
         reached = {k for k in opaque if near[k] and self._found[k].away(rim) <= TOUCH}

@@ -79,7 +79,7 @@ class SpaceOutline(ABC):
 
 
 class Turned(SpaceOutline):
-    """Surface of revolution in space, given by its generatrix: distance from the axis and position along it."""
+    """Surface of revolution in space, given by its profile: points at a distance from the axis and along it, mm."""
 
     def __init__(self, shape: Any) -> None:
         straight = len(shape.profile(3)) == 3 and _straight(shape.profile(9))
@@ -201,7 +201,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Return a number that is positive if c, in the plane, lies to the left of the line from a to b."""
+    """Return the cross product of b - a and c - a in the plane: positive if c lies left of the line from a to b."""
     return _cross(b - a, c - a)
 
 
@@ -228,7 +228,7 @@ def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np
 
 
 def _joined(sides: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return sides as pairs of end points, mm, with those joined that continue each other in one line."""
+    """Return sides as pairs of end points, mm, after joining sides that continue each other in one line."""
     at: dict[bytes, list[int]] = {}
     for number, side in enumerate(sides):
         for end in side:

@@ -67,11 +67,11 @@ class PassingLight(Recorder):
         self._of_nm = math.nan
 
     def resize(self, cells: int) -> None:
-        """Set the number of cells, and the number of groups of batches that their memory allows."""
+        """Set the number of cells, and choose as many groups of batches as the memory allows."""
         self.cells, self.groups = cells, groups_of(cells)
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Set the number of cells for the surfaces in `table`, and upload the data that give the cell of a hit."""
+        """Set the number of cells for the surfaces in `table`, and upload the data by which hits find their cells."""
 
     def attach(self, scene: KernelScene) -> None:
         """Begin a trace of one source and wavelength with sums at zero."""
@@ -82,16 +82,16 @@ class PassingLight(Recorder):
         dr.eval(self._sums, self._started)
 
     def add(self, start: StartRays, cell: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        """Add the flux of rays, in units of a start ray's flux, to the sums of their cells."""
+        """Add the flux of rays, in units of a start ray's flux, to the sums of the given cells."""
         group = group_of(start.batch, self.groups)
         dr.scatter_reduce(dr.ReduceOp.Add, self._sums, mi.Float64(flux), group * self.cells + cell, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Count the start rays whose ray trees are complete, by batch."""
+        """Count, by batch, the start rays whose ray trees are complete."""
         dr.scatter_reduce(dr.ReduceOp.Add, self._started, mi.Float64(1), start.batch, active)
 
     def collect(self, unit: float) -> None:
-        """Add the traced flux of one source at one wavelength to the totals; `unit` is the flux of a start ray, W."""
+        """Add the flux of one source and wavelength to the totals, W; `unit` is the flux of a start ray, W."""
         sums = np.array(self._sums).reshape(self.groups, self.cells).T
         started = np.array(self._started).reshape(self.groups, -1).sum(axis=1)
         found = Sampled.of(sums, started).scaled(unit)
@@ -156,7 +156,7 @@ class SurfaceLight(PassingLight):
         self._names: list[tuple[str, str]] = []  # id and part of each
 
     def surfaces_by_default(self, table: SurfaceTable) -> list[int]:
-        """Return the numbers of the surfaces that are recorded where no patterns are given: all of them."""
+        """Return the surface numbers to be recorded where no patterns are given: those of all surfaces."""
         return list(table.listed)
 
     def chosen(self, table: SurfaceTable) -> list[int]:

@@ -74,7 +74,7 @@ class FarField(PassingLight):
         super().__init__(name, (len(edges) - 1) * self.azimuths)
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Upload the borders of the cells and the axes of their frame to the device."""
+        """Upload the borders of the direction cells and the axes of the far-field frame to the device."""
         # Borders in the sine of half the angle, which float32 resolves at 0° and, nearly as well, at 180°
         self._borders = mi.Float(np.sin(np.radians(self.edges_deg) / 2).astype(np.float32))
         self._on_device = [opaque(mi.Vector3f, axis) for axis in self._axes]

@@ -100,7 +100,7 @@ class FluxSplit(SurfaceLight):
         super().__init__(name, surfaces, len(SHARES))
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Allocate a cell for each share of flux of each surface that matches the patterns."""
+        """Allocate one sum of flux for each share and surface that matches the patterns."""
         numbers = self.chosen(table)
         self.resize(len(SHARES) * len(numbers))
         # Number of each chosen surface plus one; 0 for the others
@@ -109,7 +109,7 @@ class FluxSplit(SurfaceLight):
         self._place, self._rims = upload(mi.UInt32, place), table.wall_rims
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the incident flux of hits, and the absorbed, specular and scattered parts of it."""
+        """Add the incident flux of hits, and its absorbed, specular and scattered parts, to the sums by surface."""
         it, budget = visit.interaction, visit.shares
         place = dr.gather(mi.UInt32, self._place, visit.surface, visit.active)
         active = visit.active & (place > 0)
@@ -147,7 +147,7 @@ class FluxSplit(SurfaceLight):
         ]
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the split by surface as a table: surface, part, and each share's flux ``_W`` and error ``_se_W``."""
+        """Return a table with one row per surface: surface, part, and for each share flux and standard error, W."""
         import pandas as pd
 
         value, se = self.image

@@ -99,7 +99,7 @@ class Probe(PassingLight):
         self._halves = [dr.opaque(mi.Float, half) for half in self._half]
 
     def travel(self, segment: Segment, memory: Memory) -> None:
-        """Add the flux of ray segments that cross the rectangle towards its normal to pixels and cells of direction."""
+        """Add the flux of rays that cross the rectangle towards its normal to cells of position and direction."""
         # Intersect with the plane, and test the rectangle
         right, up, normal = self._on_device
         away = self._origin - segment.origin

@@ -197,7 +197,7 @@ class SurfaceMaps(SurfaceLight):
         super().__init__(name, surfaces, KINDS * azimuths * lengths)
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Unroll the chosen surfaces into cells, and upload the coefficients that give the cell of a hit."""
+        """Unroll the chosen surfaces into cells, and upload the coefficients by which a hit finds its cell."""
         numbers = self.chosen(table)
         # Cells and borders are those of the first trace: later ones add to them
         if not self._unrolled:
@@ -218,13 +218,13 @@ class SurfaceMaps(SurfaceLight):
         self._across = upload(mi.Float, across)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the incident and absorbed flux of hits to the cells of their surfaces."""
+        """Add each hit's incident and absorbed flux to the cell of its surface."""
         cell, active = self.cell(visit)
         self.add(visit.start, cell, visit.weight, active)
         self.add(visit.start, cell + self.shape[0] * self.shape[1], dr.maximum(visit.absorbed, 0), active)
 
     def cell(self, visit: Visit) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the cell to which each hit adds its incident flux, and a mask of hits that contribute."""
+        """Return the index of the cell that each hit falls into, and a mask of hits on mapped surfaces."""
         rows, columns = self.shape
         s, q = visit.surface, visit.interaction.local
         place = dr.gather(mi.UInt32, self._place, s, visit.active)
@@ -246,7 +246,7 @@ class SurfaceMaps(SurfaceLight):
         return [k for k in table.listed if (words[k] & (OPAQUE | MIRROR | DETECTOR)) == OPAQUE]
 
     def _find(self, table: SurfaceTable, numbers: list[int]) -> None:
-        """Unroll the surfaces with these numbers; where this is impossible, note the reason in `left_out`."""
+        """Unroll the surfaces with these numbers; record the reason in `left_out` for those that cannot be unrolled."""
         for k in numbers:
             one = _unroll(table, k, *self.shape)
             if isinstance(one, str):
@@ -264,7 +264,7 @@ class SurfaceMaps(SurfaceLight):
         self._dark = [self._dark_map(table, one) for one in self._unrolled]
 
     def _dark_map(self, table: SurfaceTable, one: Unrolled) -> SurfaceMap:
-        """Return a map without light: the borders of its rows and columns, and the places of its cells in the world."""
+        """Return a map of zero flux: borders of its rows and columns, and its cells' points in the world, mm."""
         rows, columns = self.shape
         shape = table.shapes[one.number]
         along = np.linspace(one.low, one.high, rows + 1)
@@ -300,7 +300,7 @@ class SurfaceMaps(SurfaceLight):
         return {name: one.irradiance for name, one in found.items()}
 
     def maps_of(self, flux: Sampled) -> dict[str, SurfaceMap]:
-        """Return maps by the ids of surfaces from flux by cell, (cells,), W, such as that of a part of the light."""
+        """Return maps by surface id from given fluxes of all cells, (cells,), W, for example of selected paths."""
         cells = flux.reshaped(-1, KINDS, *self.shape)
         # One map a surface: incident and absorbed flux lie one after the other
         return {
@@ -335,7 +335,7 @@ def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> 
 
 
 def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unrolled | str:
-    """Return the surface with a number, unrolled to rows × columns of cells, or why it cannot be unrolled."""
+    """Return a surface unrolled to rows × columns of cells, or a text that says why it cannot be unrolled."""
     if number >= len(table.pieces):
         return "it is a mesh or a shape of Mitsuba's own; give it as frustum or asphere"
     piece = table.pieces[number]

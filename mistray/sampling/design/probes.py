@@ -137,18 +137,18 @@ class Probes:
                 break
 
     def orders(self, detector: int) -> Counter[Order]:
-        """Return the sequences of events by which probe rays reach a detector, with the number of rays of each."""
+        """Return the event sequences by which probe rays reach a detector, each with its number of rays."""
         arrived = np.flatnonzero(self.end == detector)
         return Counter(tuple(self._codes[k, : self._lengths[k]].tolist()) for k in arrived)
 
     def taking(self, order: Order, detector: int) -> np.ndarray:
-        """Return the indices of probe rays that reach a detector by the event sequence `order`, (n,) int."""
+        """Return the indices of the probe rays that reach a detector by the event sequence `order`, (n,) int."""
         codes = np.array(order, dtype=np.uint32)
         same = (self.end == detector) & (self._lengths == len(codes))
         return np.flatnonzero(same & np.all(self._codes[:, : len(codes)] == codes, axis=1))
 
     def steps(self, lane: int) -> list[DesignStep]:
-        """Return the surfaces that a probe ray meets on its way, from the first to the last."""
+        """Return the steps at surfaces, `DesignStep`, of one probe ray from its first surface to its last."""
         # From the end back to the start: before the split a lane has the hits of its parent
         found = []
         for hits in self._steps[int(self._lengths[lane]) :: -1]:
@@ -189,7 +189,7 @@ def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.
 def _with_others(
     table: SurfaceTable, hits: _Hits, what: np.ndarray, split: np.ndarray, new: np.ndarray
 ) -> tuple[_Hits, np.ndarray]:
-    """Return the hits and events of a step, with probes added that go the other way at beam splitters."""
+    """Return the hits and events of a step, with added probes that take the other way at beam splitters."""
     n = table.optics.host_indices[hits.surface[split], :2]
     before, normal = hits.before[split], hits.normal[split]
     from_front = np.einsum("ij,ij->i", before, normal) > 0

@@ -1,4 +1,4 @@
-"""Design sequences of a scene as a trace uses them, and its surfaces with the mirrors that they reveal."""
+"""Search for a scene's design sequences, and for opaque surfaces that act as mirrors in them."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def traced_table(
 
 def _found(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
     """
-    Return the sequences by detector, from the cache if they were found before.
+    Return the design sequences by detector, from the cache if they were found before.
 
     Detectors without any are left out.
     """
@@ -87,7 +87,7 @@ def _found(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
 
 def _search(scene: mi.Scene, table: SurfaceTable) -> dict[int, Sequences]:
     """
-    Return the sequences by detector: declared ones, else those that probes find.
+    Return the design sequences by detector: those that it declares, else those that probe rays find.
 
     Detectors without any are left out.
     """

@@ -42,7 +42,7 @@ FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides
 
 
 def is_plane(table: SurfaceTable, surface: int) -> bool:
-    """True if a surface is a plane; False for Mitsuba's own shapes, whose sag is not known."""
+    """True if the sag of a surface is within rounding of a plane; False for Mitsuba's own shapes, of unknown sag."""
     if surface >= len(table.pieces):
         return False
     piece = table.pieces[surface]
@@ -86,7 +86,7 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
 
 
 def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> Sequences:
-    """Return all design sequences of the arms: at each step any of the alternative surfaces may be taken."""
+    """Return all design sequences of the arms, with every combination of alternative surfaces at each step."""
     rules, lists = _Rules(table), set()
     for _, orders in arms:
         shapes: dict[Hashable, list[Order]] = {}
@@ -145,7 +145,7 @@ def has_optics(table: SurfaceTable) -> bool:
 
 
 def _alternatives(rules: _Rules, orders: Counter[Order]) -> tuple[Order, list[Order]]:
-    """Return the main order of an arm, and all orders of the same kind of events as alternatives of it."""
+    """Return the main order of an arm, and all orders of the same pattern of events as its alternatives."""
     # Orders with the same powered surfaces; of the frequent ones those over most optics
     kinds: dict[tuple[Hashable, ...], Counter[Order]] = {}
     for order, count in orders.items():
@@ -179,7 +179,7 @@ class _Rules:
         )
 
     def images(self, order: Order) -> bool:
-        """True if light of an event sequence may form an image: over optics, at no wall, and not as a ghost."""
+        """True if light of an event sequence may form an image: it passes optics, meets no wall and is no ghost."""
         places = [place_of(code) for code in order]
         if not any(self.optical[k] for k in places) or any(self._wall[k] for k in places):
             return False
@@ -197,26 +197,26 @@ class _Rules:
         return True
 
     def _turns(self, code: int) -> bool:
-        """True if an event reflects all light, rather than a part of it at a beam splitter."""
+        """True if an event is a total reflection, or a reflection at a mirror or an opaque surface."""
         what, place = kind_of(code), place_of(code)
         return what == TOTAL or (what == REFLECTED and bool(self._opaque[place] or self._mirror[place]))
 
     def splits(self, code: int) -> bool:
-        """True if an event is a reflection at a beam splitter, or the transmission of one that is declared a mirror."""
+        """True if an event is a reflection at a transparent surface, or the transmission of a partial mirror."""
         what, place = kind_of(code), place_of(code)
         return not self._opaque[place] and what == (TRANSMITTED if self._mirror[place] else REFLECTED)
 
     def optics_of(self, order: Order) -> int:
-        """Return the number of powered faces and declared mirrors in an event sequence."""
+        """Return the number of refracting faces with power and of declared mirrors in an event sequence."""
         steps = self.powered(order)
         return sum(kind_of(code) == TRANSMITTED or bool(self._mirror[place_of(code)]) for code in steps)
 
     def without_rings(self, order: Order) -> Order:
-        """Return an event sequence without the events at ring-shaped edges of lenses."""
+        """Return an event sequence without the events at ring-shaped edge faces of lenses."""
         return tuple(code for code in order if not self._ring[place_of(code)])
 
     def powered(self, order: Order) -> Order:
-        """Return an event sequence without the events at ring-shaped edges and at plane-parallel plates."""
+        """Return an event sequence without the events at ring-shaped edge faces and plane-parallel plates."""
         kept: list[int] = []
         for code in self.without_rings(order):
             if kept and self._plate(kept[-1], code):
@@ -226,7 +226,7 @@ class _Rules:
         return tuple(kept)
 
     def _plate(self, first: int, second: int) -> bool:
-        """True if two consecutive events are the passage through a plane-parallel plate."""
+        """True if two consecutive events are the passage of light through a plane-parallel plate."""
         a, b = place_of(first), place_of(second)
         passes = kind_of(first) == kind_of(second) == TRANSMITTED
         if not passes or a == b or not is_plane(self._table, a) or not is_plane(self._table, b):
@@ -234,11 +234,11 @@ class _Rules:
         return bool(np.linalg.norm(np.cross(*self._table.rotations[[a, b], :, 2])) < PARALLEL)
 
     def pattern(self, order: Order) -> tuple[Hashable, ...]:
-        """Return a key for each step of an event sequence; sequences with the same keys are alternatives."""
+        """Return a hashable key for each step of an event sequence; sequences of equal keys are alternatives."""
         return tuple(self._step(code) for code in order)
 
     def _step(self, code: int) -> Hashable:
-        """Return the event of a step and the materials, or the coating, by which alternatives are recognised."""
+        """Return the kind of event at a step, with the two media or the coating that alternatives must share."""
         what, place = kind_of(code), place_of(code)
         if what == REFLECTED and self._opaque[place]:
             # Undeclared mirrors are alternatives only where they have the same coating
@@ -246,7 +246,7 @@ class _Rules:
         return what, *self._media[:, place].tolist()
 
     def without_some_rings(self, order: Order) -> Iterator[Order]:
-        """Yield an event sequence without each subset of the edge rings that it passes, the empty subset included."""
+        """Yield an event sequence with every subset of its ring-shaped edge faces left out, the empty one included."""
         rings = [k for k, code in enumerate(order) if self._ring[place_of(code)]]
         if len(rings) > MOST_RINGS:
             yield order

@@ -97,7 +97,7 @@ class Balance:
         self._take(sharing)
 
     def at(self, sharing: Sharing) -> Balance:
-        """Return the MIS weights for other numbers of rays and start densities, of the same light."""
+        """Return a copy with MIS weights for other numbers of rays and other start densities."""
         found = copy(self)
         found._take(sharing)
         if sharing.starts is not self.sharing.starts:
@@ -105,7 +105,7 @@ class Balance:
         return found
 
     def beside(self, vertices: LightVertices) -> Balance:
-        """Return the MIS weights for backward rays that are connected to these light vertices."""
+        """Return a copy with MIS weights for backward rays that are connected to these light vertices."""
         found = copy(self)
         found._vertices = vertices
         return found
@@ -123,7 +123,7 @@ class Balance:
         self._cells = dr.opaque(mi.UInt32, len(self.waves.areas))  # opaque, so that it makes no new kernel
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
+        """Return the MIS weights, 0 … 1, of paths of backward rays that leave the scene within a cell of directions."""
         # Density with which forward rays would have started on the path
         p = departure.start.o if departure.node is None else mi.Vector3f(*departure.node[:3])
         place = self.waves.place(cell, p, -departure.heading, active)
@@ -150,7 +150,7 @@ class Balance:
         return weights
 
     def forward(self, visit: Visit) -> MisWeights:
-        """Return the MIS weights of the paths of forward rays that meet the detector."""
+        """Return the MIS weights, 0 … 1, of paths of forward rays that meet the detector."""
         start, active, it = visit.start, visit.detected, visit.interaction
         assert start.cell is not None
         assert start.scale is not None
@@ -173,7 +173,7 @@ class Balance:
     def _forward_ratio(
         self, cell: mi.UInt32, scatters: mi.UInt32, density: mi.Float, start_weight: mi.Float, active: mi.Bool
     ) -> mi.Float:
-        """Return the start density (rays per étendue) of forward rays over that of backward rays."""
+        """Return the start density of forward rays over that of backward rays, both in rays per étendue."""
         # Unscattered light has forward rays of its own, in the second half of the table
         row = cell + dr.select((scatters & COUNT_MASK) == 0, self._cells, 0)
         return dr.gather(mi.Float, self._per_etendue, row, active) * density * start_weight
@@ -181,7 +181,7 @@ class Balance:
     def _connections(
         self, cell: mi.UInt32, density: mi.Float, connection_ratio: mi.Float | None, active: mi.Bool
     ) -> mi.Float:
-        """Return the number of connections that find a path per backward ray, see `PdfRatios.connection_ratios`."""
+        """Return the expected connections that find a path per backward ray, see `PdfRatios.connection_ratios`."""
         if connection_ratio is None:
             return mi.Float(0)
         return dr.gather(mi.Float, self._starts_per_connection, cell, active) * density * connection_ratio

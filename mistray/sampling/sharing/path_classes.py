@@ -33,6 +33,8 @@ class PathClassVariances:
     """
     Variances of the light of each path class and cell, from forward rays alone and from backward rays alone.
 
+    They are sums of squared contributions to PST_normal, dimensionless.
+
     Attributes
     ----------
     cells : int
@@ -118,12 +120,12 @@ class PathClassWeights:
         self._design = design
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
+        """Return the MIS weights, 0 … 1, of paths of backward rays that leave within a cell of directions."""
         path_class = path_class_of(departure.event, departure.length, departure.start, active)
         return self._of(class_of_light(departure, self._design), path_class, cell, active)
 
     def forward(self, visit: Visit) -> MisWeights:
-        """Return the MIS weights of the paths of forward rays that meet the detector."""
+        """Return the MIS weights, 0 … 1, of paths of forward rays that meet the detector."""
         assert visit.start.cell is not None
         path_class = path_class_of(visit.event, visit.depth, visit.start, visit.detected)
         return self._of(class_of_light(visit, self._design), path_class, visit.start.cell, visit.detected)

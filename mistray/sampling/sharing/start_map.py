@@ -72,15 +72,15 @@ class MapSamples(NamedTuple):
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def times(self, factor: np.ndarray | float) -> MapSamples:
-        """Return the samples with their light multiplied by `factor`."""
+        """Return the samples with the light that each carries multiplied by `factor`."""
         return self._replace(weights=self.weights * factor, squares=self.squares * np.square(factor))
 
     def of_rays(self, rays: np.ndarray | float) -> MapSamples:
-        """Return the samples as if each stood for `rays` times as many rays of the same light."""
+        """Return the samples with weights and squares multiplied by `rays`, as if that many rays had brought each."""
         return self._replace(weights=self.weights * rays, squares=self.squares * rays)
 
     def some(self, chosen: np.ndarray) -> MapSamples:
-        """Return the samples that a boolean mask selects."""
+        """Return the samples that the boolean mask `chosen` selects."""
         return MapSamples(*(values[chosen] for values in self))
 
     def after_roulette(self, count: int, rng: np.random.Generator) -> MapSamples:
@@ -124,7 +124,7 @@ class MapSamples(NamedTuple):
 
 
 def _of_each(cell: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the cells that occur, with the indices of their samples, (n,) int, in order."""
+    """Yield each direction cell that occurs, in ascending order, with the indices of its samples, (n,) int."""
     order = np.argsort(cell, kind="stable")
     numbers, first = np.unique(cell[order], return_index=True)
     yield from zip(numbers.tolist(), np.split(order, first)[1:], strict=True)
@@ -171,7 +171,7 @@ class StartMap:
 
     @classmethod
     def of(cls, cells: int, samples: MapSamples) -> StartMap:
-        """Return the start map learned from samples of light that has reached the detector."""
+        """Return the start map learned from samples of light that has reached the detector, dense where they are."""
         numbers, at = np.unique(samples.cell, return_inverse=True)
         root = np.zeros(cells, np.int32)
         root[numbers] = 1 + np.arange(len(numbers))

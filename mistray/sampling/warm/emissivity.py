@@ -70,7 +70,7 @@ def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
 
 
 def medium_of(table: SurfaceTable, surface: int, side: int) -> int:
-    """Return the number of the material on a side (0 front, 1 back) of a surface; 0 if no surface transmits into it."""
+    """Return the medium number on a side (0 front, 1 back) of a surface; 0 if no surface transmits light into it."""
     optics = table.optics
     if number := int(optics.declared[surface, side]):
         return number
@@ -79,6 +79,6 @@ def medium_of(table: SurfaceTable, surface: int, side: int) -> int:
 
 
 def material_of(table: SurfaceTable, surface: int, side: int) -> str:
-    """Return the name of the material on a side of a surface."""
+    """Return the name of the material on a side (0 front, 1 back) of a surface."""
     interface = table.interfaces[surface]
     return str(interface.front if side == FRONT else interface.back).strip()

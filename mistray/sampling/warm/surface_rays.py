@@ -44,7 +44,7 @@ class WarmRays(SceneSource):
 
     @property
     def middle(self) -> None:
-        """Return None, as the source has no single direction."""
+        """Middle ray of the source: None, since thermal emission has no single direction."""
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Return the start rays of one pass, from the surface: origins, mm, and unit directions; see `SceneSource`."""

@@ -49,7 +49,7 @@ class Cone(TracedSurface):
 
     @property
     def _rims(self) -> tuple[float, float]:
-        """Radii at the lower and the upper end of the cone, mm."""
+        """Radii, mm, of the cone's rims at its lower and its upper end."""
         return self.radius(self.z_range[0]), self.radius(self.z_range[1])
 
     @property

@@ -1,4 +1,4 @@
-"""First zero of a function along a ray, by bracketing and safeguarded Newton steps, in the kernel."""
+"""Distance along a ray, mm, at which it first crosses a surface z = sag(x, y), by bracketing and Newton steps."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ class Freeform(TracedSurface):
     def of(
         cls, local: LocalSag, outline: Outline, half: tuple[float, float], wall: bool = False, way: int = 0
     ) -> Freeform:
-        """Create the surface from a sag and an outline, both in a frame about the outline's middle."""
+        """Create the freeform from a sag and an outline, both in a frame about the middle of the outline."""
         x, y = outline.sample(GRID)
         z, across, along = local.sag.evaluate(x, y, local.numbers)
         steepest = float(np.max(np.hypot(across, along)))
@@ -155,7 +155,7 @@ class Freeform(TracedSurface):
 
     @cached_property
     def _cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Grid points (n, 2) of the outline, mm, and the area of the surface up to each as a fraction of the whole."""
+        """Points (n, 2) of a grid over the outline, mm, and cumulative fractions of the surface's area at them."""
         x, y = self.outline.sample(2 * GRID)
         weight = np.cumsum(self._stretch(x, y))
         return np.stack([x, y], axis=1), weight / weight[-1]
@@ -251,14 +251,14 @@ class Freeform(TracedSurface):
 
 
 def _least_half(figure: OutlineFigure) -> float:
-    """Return half the smallest width of a figure, mm; of a polygon, a quarter of the shorter side of its box."""
+    """Return half the smallest width of an outline figure, mm; for a polygon, a quarter of its box's shorter side."""
     if figure.kind == "polygon":
         return 0.25 * float(np.ptp(figure.corners, axis=0).min())
     return min(figure.sizes)
 
 
 def _reach(outline: Outline, half: tuple[float, float]) -> float:
-    """Return an upper bound of the distance of an outline's points from the middle of its box, mm."""
+    """Return an upper bound, mm, of the distance of an outline's points from the middle of its bounding box."""
     box = float(np.hypot(*half))
     if outline.figures[0].sign == "-":
         return box
@@ -266,7 +266,7 @@ def _reach(outline: Outline, half: tuple[float, float]) -> float:
 
 
 def _farthest(figure: OutlineFigure) -> float:
-    """Return an upper bound of the distance of a figure's points from the origin, mm."""
+    """Return an upper bound, mm, of the distance of an outline figure's points from the origin."""
     away = float(np.hypot(figure.x, figure.y))
     if figure.kind in ("circle", "ellipse"):
         return away + max(figure.sizes)

@@ -120,7 +120,7 @@ def _of_quadric(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own: m
         return (s > least - slack) & (z > n["z_low"] - slack) & (z < n["z_high"] + slack)
 
     def crossing(s: mi.Float) -> mi.Float:
-        """Return the distance, mm, of a root on the sheet of the vertex and within the outline; else infinity."""
+        """Return the distance, mm, of a root if it lies on the vertex's sheet and within the outline; else infinity."""
         x, y, z = dr.fma(s, ray.dx, x0), dr.fma(s, ray.dy, y0), dr.fma(s, ray.dz, z0)
         here = some & (s > least) & (n["a"] * z < n["b"]) & outline.contains(x, y, n)
         return dr.select(here, start + s, dr.inf)

@@ -39,7 +39,7 @@ TOO_MUCH = 1e-6  # error of a departure that is reported, in units of the size
 @dataclass(frozen=True)
 class FreeformSag:
     """
-    Properties of a freeform's sag that its code depends on; its implicit function is F = z - sag(x, y).
+    Form of a freeform's sag, on which its kernel code depends; its implicit function is F = z - sag(x, y).
 
     Attributes
     ----------
@@ -193,7 +193,7 @@ class LocalSag:
     def moved(
         self, n: Mapping[str, Any], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
     ) -> LocalSag:
-        """Return the sag for changed parameters in the form of this one, so that both use the same kernel code."""
+        """Return the sag for changed parameters, in the form of this one so that the kernel code stays the same."""
         return self._at(n, middle, half, x, y, self.sag)
 
     @classmethod
@@ -246,7 +246,7 @@ class LocalSag:
 
 
 def _probe(n: Mapping[str, Any], size: float) -> dict[str, Any]:
-    """Return a sag's parameters, changed slightly so that none is 0 and curvatures differ, to find its general form."""
+    """Return a sag's parameters slightly changed, none 0 and curvatures unequal, to show its general form."""
     twofold = "curvature_x" in n or "toroid_curvature" in n
     found: dict[str, Any] = {}
     for k, (name, value) in enumerate(n.items()):

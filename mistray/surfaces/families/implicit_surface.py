@@ -112,7 +112,7 @@ class ImplicitSurface(TracedSurface):
         return np.array(self.family.generatrix(u, self.values), dtype=np.float64)
 
     def _speed(self, u: Any) -> np.ndarray:
-        """Return the derivatives of radius and axial position, (2, …), mm/mm, by the coordinate along the profile."""
+        """Return the derivatives of radius and axial position by the profile coordinate, (2, …), dimensionless."""
         step = 1e-4 * (self.ends[1] - self.ends[0])
         return np.asarray((self._profile(u + step) - self._profile(u - step)) / (2 * step))
 
@@ -152,7 +152,7 @@ class ImplicitSurface(TracedSurface):
         return self._profile(self.ends[0 if rim == LOW else 1])
 
     def _place(self, point: np.ndarray) -> float:
-        """Return the coordinate along the profile, mm, of a point (radius, z), mm."""
+        """Return the profile coordinate, mm, of a point given as (radius, z), mm."""
         return float(self.coordinate(np.array([[point[0], 0.0, point[1]]]))[0])
 
     def tangent(self, point: np.ndarray) -> np.ndarray:

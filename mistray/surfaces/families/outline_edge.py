@@ -1,4 +1,4 @@
-"""Depth of points within an outline, for derivatives of a metric by the numbers of the outline.
+"""Distance of points from the edge of a freeform's outline, mm, for derivatives of a metric by the outline's numbers.
 
 Added figures combine by the greater of two depths; cuts and intersections by the lesser. Close to the edge the depth is
 the distance from it, except at corners; for an ellipse it is so to first order.
@@ -25,7 +25,7 @@ DIFFERENCE = 0.01  # spacing of finite differences for the outward direction, in
 @dataclass(frozen=True)
 class FreeformFamily:
     """
-    Properties that the kernel code of a freeform depends on: the forms of its sag and of its outline.
+    Form of a freeform's sag and outline, on which its kernel code depends.
 
     Attributes
     ----------
@@ -60,12 +60,12 @@ class FreeformFamily:
         return self.sag.gradient(x, y, z, n)
 
     def coordinate(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Return the distance of points outside the outline, mm; negative inside. It is exact near the edge."""
+        """Return the distance of points beyond the outline's edge, mm; negative inside. It is exact near the edge."""
         return -self.depth(x, y, n)
 
     def depth(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
         """
-        Return the depth of points within the outline, mm; negative outside.
+        Return the depth of points within the outline, mm: distance to its edge, negative outside.
 
         Near the edge the depth is the distance from it. Farther away only its sign is exact.
         """

@@ -157,7 +157,7 @@ class SagSurface(TracedSurface):
 
     @property
     def _end(self) -> float:
-        """Radius at which the surface's conic becomes vertical, mm, minus a rounding error."""
+        """Radius, mm, at which the surface's conic becomes parallel to the axis, less a rounding error."""
         return (1 - 1e-15) * conic_end(self.curvature, self.conic)
 
     @property
@@ -297,13 +297,13 @@ def azimuth(q: np.ndarray) -> np.ndarray:
 
 
 def _nodes(parts: int) -> np.ndarray:
-    """Return quadrature nodes within each of `parts` equal parts of 0 … 1, (parts, nodes)."""
+    """Return quadrature nodes within each of `parts` equal intervals of 0 … 1, (parts, nodes)."""
     return (np.arange(parts)[:, None] + NODES) / parts
 
 
 @lru_cache(maxsize=1024)
 def _mild_departure(c: float, k: float, coefficients: tuple[float, ...], outer: float) -> float:
-    """Return the largest axial distance of an asphere from its conic, mm; 0 if it or its slope is not small."""
+    """Return an asphere's largest axial distance from its conic, mm; 0 if it is too steep for `mild_asphere`."""
     r = np.linspace(0.0, MILD_MARGIN * outer, 513)
     if c == 0 or (1 + k) * (c * r[-1]) ** 2 >= 1:
         return 0.0
@@ -317,7 +317,9 @@ def _reach(
     curvature: float, conic: float, coefficients: tuple[float, ...], size: float
 ) -> tuple[tuple[float, float], float, float]:
     """
-    Return the range of the sag up to the radius `size`, mm, and its largest derivatives, from 2001 points.
+    Return the range of the sag up to radius `size`, mm, its largest slope, and its largest second derivative, 1/mm.
+
+    They are taken from 2001 points.
 
     The first derivative is the slope |dz/dr|. The second one along any direction, 1/mm, is between d²z/dr² and dz/dr/r.
     """

@@ -14,7 +14,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 class BackwardStep(NamedTuple):
     """
-    Segments of backward rays from one surface to the next.
+    Ray segments from one surface to the next, followed backward from a detector.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Rays of one object point, at infinity or near, addressed by two coordinates."""
+"""Rays of one object point, at infinity or near, addressed by two coordinates across the beam: mm, or slopes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WIDEST = 20.0  # tangent of the angle to the middle of the aperture at which lig
 @dataclass(frozen=True)
 class PointBundle:
     """
-    Rays of an object point, addressed by two coordinates (x, y).
+    Rays of one object point, addressed by coordinates (x, y): mm for a distant point, slopes for a near one.
 
     For a point at infinity they are the position in a plane across the light, mm. For a near point they are
     the slopes dx/dz, dy/dz against the line to the middle of the first aperture.
@@ -45,7 +45,7 @@ class PointBundle:
     along: Array
 
     def rays(self, x: Array) -> tuple[Array, Array]:
-        """Return origins (mm) and unit directions, (n, 3) each, of rays at coordinates (n, 2)."""
+        """Return origins, mm, and unit directions, (n, 3) each, of the rays at coordinates x, (n, 2)."""
         if self.near:
             d = self.axis + x[:, :1] * self.u + x[:, 1:] * self.v
             return np.tile(self.origin, (len(x), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
@@ -68,7 +68,7 @@ class PointBundle:
         return replace(self, axis=axis, u=u, v=np.cross(axis, u))
 
     def coordinates(self, sphere: Sphere) -> tuple[Array, float]:
-        """Return a sphere's centre, (2,), and radius in the bundle's coordinates: mm, or slopes for a near point."""
+        """Return centre, (2,), and radius of a sphere in the bundle's coordinates: mm, or slopes if near."""
         away = sphere.centre - self.origin
         across = np.array([away @ self.u, away @ self.v])
         if not self.near:

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 @dataclass(frozen=True)
 class DesignLight:
     """
-    Rays at the end of a design path; NaN for lost rays. Apertures of surfaces are ignored.
+    Rays at the end of a design path; NaN for rays that fail. Clear apertures of surfaces are ignored.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ def check_sheets(path: DesignPath) -> None:
 
 
 def media(path: DesignPath) -> list[complex]:
-    """Return the complex refractive index n + ik in front of each step of the path; 1 if all surfaces are mirrors."""
+    """Return the complex index n + ik of the medium before each step of a design path; 1 if all are mirrors."""
     optics = path.table.optics
     before, behind = (np.full(len(path.steps), np.nan, dtype=complex) for _ in range(2))
     for k, step in enumerate(path.steps):
@@ -70,7 +70,7 @@ def media(path: DesignPath) -> list[complex]:
 
 def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False) -> DesignLight:
     """
-    Trace rays along a design path, and return the light at its end.
+    Return the light at the end of a design path: points, directions, optical path lengths, throughput.
 
     Parameters
     ----------

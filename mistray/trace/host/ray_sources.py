@@ -27,7 +27,7 @@ class RaySource(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the source, for tables."""
+        """Name of the ray source in tables."""
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
         """Return the start points of n rays, mm, with unit directions and weights."""
@@ -69,7 +69,7 @@ class DetectorView:
         return StartPoints(p, d, weight, number, normal, self._medium(bool(normal[0] @ self.light > 0)))
 
     def _medium(self, from_front: bool) -> int:
-        """Return the number of the material on the front or the back of the detector; 0 if it is not known."""
+        """Return the number of the material in front of or behind the detector; 0 if it is unknown."""
         interface, media = self.table.interfaces[self.table.detector], self.table.optics.media
         material = (interface.front if from_front else interface.back).strip()
         return media.index(material) if material in media else 0
@@ -173,7 +173,7 @@ class Surroundings:
 
     @classmethod
     def cone(cls, table: SurfaceTable, axes: np.ndarray, half_angle_deg: float) -> Surroundings:
-        """Return a source in a cone of `half_angle_deg` about the axis of field angles; `axes` as from `field_axes`."""
+        """Return a distant source within `half_angle_deg` of the axis of field angles; `axes` are from `field_axes`."""
         CONE_DEG.check("half_angle_deg", half_angle_deg)
         grid = _one_cell(0.0, half_angle_deg, 0.0, 360.0, axes)
         return cls(
@@ -183,7 +183,7 @@ class Surroundings:
 
     @classmethod
     def direction(cls, table: SurfaceTable, axes: np.ndarray, field_deg: float, azimuth_deg: float) -> Surroundings:
-        """Return a source at one field angle; angles in degrees, azimuths from +y to -x, as for `collimated`."""
+        """Return a distant source at one field angle and azimuth, degrees; azimuth runs from +y to -x."""
         FIELD_DEG.check("field_deg", field_deg)
         AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
         turned = azimuth_deg + 180 if field_deg < 0 else azimuth_deg
@@ -223,7 +223,7 @@ def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: fl
 def lambertian(
     normal: np.ndarray, half_angle_deg: float, inner_half_angle_deg: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Return unit directions (n, 3) about unit vectors (n, 3), of density cos θ between two angles, degrees."""
+    """Return unit directions, (n, 3), of density ∝ cos θ about unit vectors, between two polar angles, degrees."""
     low, high = np.sin(np.radians([inner_half_angle_deg, half_angle_deg])) ** 2
     sine2 = low + (high - low) * even(len(normal), rng)
     return _around(normal, np.sqrt(1 - sine2), 2 * np.pi * even(len(normal), rng))

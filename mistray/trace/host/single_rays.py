@@ -28,7 +28,7 @@ FAINTEST = 1e-12  # weight below which a ray ends
 @dataclass(frozen=True, eq=False)
 class StartPoints:
     """
-    Start points, directions and weights of rays.
+    Start points, mm, unit directions and weights of rays that do not split.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class StartPoints:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Hits:
     """
-    Hits of rays at one step of their paths.
+    Hits of rays at one step of their paths: points, directions, weights and sides of surfaces.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Hits:
 
 @dataclass(frozen=True, eq=False)
 class Escape:
-    """Rays that leave the scene: numbers, (m,), unit directions, (m, 3), and weights, (m,)."""
+    """Rays that leave the scene: ray numbers, (m,), unit directions, (m, 3), and weights, (m,)."""
 
     lane: np.ndarray
     direction: np.ndarray
@@ -237,7 +237,7 @@ class ChainTracer:
     def _child(
         self, it: Interaction, s: mi.UInt32, R: mi.Float, T: mi.Float, rng: np.random.Generator, n: int, active: mi.Bool
     ) -> tuple[mi.Bool, mi.Bool, mi.Float]:
-        """Return masks of transmitted rays and of reflected ones, and the fraction of the flux that each keeps."""
+        """Return masks of rays that go on transmitted and reflected, and the fraction of flux that each keeps."""
         opaque = (it.word & OPAQUE) != 0
         mirror = ((it.word & MIRROR) != 0) | dr.gather(mi.Bool, self.mirrors, s, active)
         total, by_mirror, other, onwards = (mi.Bool(letter in self.allowed) for letter in "IMRT")

@@ -29,7 +29,7 @@ MET = 1e-10  # of the stop's radius, by which a chief ray may miss its middle
 @dataclass(frozen=True)
 class Region:
     """
-    Part of the entrance through which the light of a field reaches the detector.
+    Part of the entrance beam of a field point whose light reaches the detector.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Region:
 
 
 def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Region | None:
-    """Return the region of the entrance through which light reaches the detector, or None without any."""
+    """Return the part of the entrance beam whose light reaches the detector; None if no light does."""
     middle, radius = bundle.coordinates(aperture)
     for count in LOOKS:
         points, cell = _cells(middle, radius, count)
@@ -79,7 +79,7 @@ def _cells(middle: Array, half: float, count: int) -> tuple[Array, float]:
 @dataclass(frozen=True)
 class PupilStop:
     """
-    Aperture stop of a design path.
+    Aperture stop of a design path: surface, centre, axes and radius, mm.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str |
 
 
 def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
-    """Return surface and step number of the stop; if the stop is a mount, those of the optical surface in it."""
+    """Return surface and step number of the stop; for a mount, those of the lens or mirror in it."""
     ring = outline(path.table.shapes[surface])
     for other in (place, place - 1):
         if not 0 <= other < len(path.steps) - 1:
@@ -214,7 +214,7 @@ def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
 
 
 def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """Return the stop with its axes turned to the images of x and y of the incoming light, as nearly as possible."""
+    """Return the stop with its axes along the images of the incoming light's x and y, as nearly as possible."""
     h = 1e-3 * region.size
     x = region.points[np.argmin(np.linalg.norm(region.points - region.middle, axis=1))]
     shifts = h * np.concatenate([np.eye(2), -np.eye(2)])
@@ -228,7 +228,7 @@ def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Regi
 
 
 def _sized(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """Return the stop with the radius, mm, that on-axis light fills, from its rim in 24 directions."""
+    """Return the stop with the radius, mm, that the on-axis light fills, measured in 24 sectors."""
     at = stop.coordinates(path, bundle, region.points)
     sector = np.floor((np.arctan2(at[:, 1], at[:, 0]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     reach = np.linalg.norm(at, axis=1)

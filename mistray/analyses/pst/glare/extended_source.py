@@ -78,7 +78,8 @@ class SkyRadiance:
         return np.radians(self.from_deg), np.radians(self.to_deg)
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr), see `ExtendedSource.around`.
+        """
+        Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr), see `ExtendedSource.around`.
 
         A radiance given as a function is integrated by the midpoint rule.
         """
@@ -282,7 +283,7 @@ def cover(
 
 def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return derivatives by a and b of the logarithmic interpolation a^(1-t) b^t, t being `share`.
+    Return the derivatives of the interpolation a^(1-t) b^t by a and by b, with t = `share`.
 
     Unless both are positive, it is linear.
     """
@@ -296,7 +297,7 @@ def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndar
 
 def _quadrature(breaks: tuple[float, ...], more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return nodes in field angle, rad, and quadrature weights that include sin θ.
+    Return field angles, rad, and weights for integrals over solid angle about the axis; weights include sin θ.
 
     Panels end at the breaks of the source and at `more`. Gauss-Legendre in t, θ = a + (b - a)(1 - cos t)/2, which
     removes the square roots at the limb of a disc.

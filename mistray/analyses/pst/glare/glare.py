@@ -162,7 +162,7 @@ def _at_pixel(
     at_mm: tuple[float, float] | None,
 ) -> tuple[Estimate, dict[str, Any]]:
     """
-    Return E_black / E_white at one detector pixel, and the position of the pixel, mm, by name.
+    Return E_black / E_white at one detector pixel, and by name the position of that pixel, mm.
 
     `black` and `white` are factors of the PST's cells.
     """
@@ -316,5 +316,5 @@ def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[StrayMetric
 
 
 def _direct_and_stray(t: Trace) -> tuple[list[int], list[int]]:
-    """Return the path ids of the direct image and those of all other light."""
+    """Return two lists of path ids of a trace: those of the direct image, and all others."""
     return t.paths.ids(True).tolist(), t.paths.ids(False).tolist()

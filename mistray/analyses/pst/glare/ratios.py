@@ -272,7 +272,7 @@ def _of_source(
     words: dict[str, str],
     facts: Mapping[str, float],
 ) -> StrayMetric:
-    """Return a stray-light metric for an extended source; `over` computes it from PST and factors of its cells."""
+    """Return a stray-light metric of an extended source; `over` computes it from PST and radiance per cell."""
     normal = pst.to("normal")
     curve = normal.map("stray")[0] if interpolation == "log" else None
     seen = cover(pst.grid, source, interpolation, curve)
@@ -294,7 +294,7 @@ def _of_source(
 
 
 def _by_image(pst: Pst, diameter_deg: float) -> tuple[list[Estimate], dict[str, float]]:
-    """Return stray light over direct image for a disc-shaped source, by field angle, and the facts of the result."""
+    """Return stray over direct irradiance of a disc-shaped source, by field angle, and the facts of the result."""
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
     normal = pst.to("normal")

@@ -1,4 +1,4 @@
-"""Metrics by name, for studies and commands, with their arguments."""
+"""Metrics of scenes by name, for studies and commands, with the arguments that each takes."""
 
 from __future__ import annotations
 
@@ -52,6 +52,6 @@ SETTINGS[PST_FIELD] = SETTINGS.pop("field_deg")
 
 
 def own_arguments(factory: Callable[..., Metric]) -> dict[str, bool]:
-    """Return the arguments of a metric apart from settings of its traces, by name; True if required."""
+    """Return, by name, which arguments of a metric are required (True), apart from settings of its traces."""
     named = inspect.signature(factory).parameters.values()
     return {p.name: p.default is p.empty for p in list(named)[1:] if p.kind != p.VAR_KEYWORD}

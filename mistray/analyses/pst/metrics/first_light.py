@@ -1,4 +1,4 @@
-"""Light in a point source transmittance, sorted by the first surface that it meets."""
+"""Light of a PST at one field angle, sorted by the first surface that it meets on its way to the detector."""
 
 from __future__ import annotations
 

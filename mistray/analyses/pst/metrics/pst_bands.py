@@ -51,7 +51,8 @@ class Modelled:
 
 
 def _ends(scene: Any, chosen: Sequence[Parameter], value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return lower and upper bounds of parameters, (k,) each.
+    """
+    Return lower and upper bounds of scene parameters, (k,) each, in their own units; all are finite.
 
     Parameters of either sign get finite ones, see `PstBands`.
     """
@@ -161,7 +162,7 @@ class PstBands:
 
     def observe(self, values: Sequence[float] | np.ndarray, **changes: Any) -> PstObservation:
         """
-        Compute the PST of all cells with the parameters set to `values`, (k,); these stay set in the scene.
+        Return the PST of the scene with its parameters set to `values`, (k,), which stay set.
 
         `changes` replace arguments of the PST.
         """

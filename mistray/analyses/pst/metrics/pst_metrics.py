@@ -46,12 +46,12 @@ class PstMetric(Metric):
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def with_rays_times(self, times: float) -> PstMetric:
-        """Return the metric with the number of its rays multiplied by `times`."""
+        """Return a copy of the metric that is computed with `times` as many rays."""
         return replace(self, times=times, plans={})
 
     @property
     def views(self) -> list[TraceView]:
-        """Return a list with the PST, the only thing to be traced for this metric."""
+        """Return the computations that the metric needs: a list with one PST."""
         return [PstView(self.settings or {}, self.plans)]
 
 
@@ -253,7 +253,7 @@ def veiling_glare(
 
 
 def _filled(low_deg: float, high_deg: float, traced: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings with cells of at most 2° that fill a band in degrees, unless they name angles."""
+    """Return PST settings whose cells, at most 2° wide, fill a band of field angles, unless angles are given."""
     if PST_FIELD in traced:
         return traced
     if "cell_deg" in traced:

@@ -251,12 +251,12 @@ class PstObservation:
         return self.pst.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
-        """Return the metric, linearised in the PST, with its noise from the batches of start rays."""
+        """Return the metric, linearised in the PST, with its noise from the spread of the batches of start rays."""
         parts = np.tensordot(self.derivative, self.pst.by_batch, axes=3) * self.pst.weight
         return Sampled.of(parts, self.pst.weight)
 
     def clear(self) -> None:
-        """Remove the derivatives that metrics computed earlier have left in the cells."""
+        """Set to zero the derivatives by PST cells that an earlier metric has left."""
         for cells in self._cells.values():
             dr.clear_grad(cells)
 
