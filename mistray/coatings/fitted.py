@@ -65,7 +65,7 @@ class FittedPreset:
     bare: float
 
     def __str__(self) -> str:
-        """Describe the mean reflectance that the fitted stack reaches, in words."""
+        """Return the mean reflectance of the fitted stack in words, with that of the design and of the bare body."""
         band = f"mean R = {100 * self.reached:.3g} % from {self.low_nm:g} to {self.high_nm:g} nm"
         return f"{band} (as designed {100 * self.designed:.3g} %, bare {100 * self.bare:.3g} %)"
 
@@ -172,7 +172,7 @@ def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: n
     steps = STEP * np.concatenate([np.zeros((1, len(designed))), np.eye(len(designed)), -np.eye(len(designed))])
 
     def value(waves: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the mean R in per mille, and its derivatives by the thicknesses in quarter waves."""
+        """Return the mean reflectance in per mille, and its derivatives by layer thicknesses in quarter waves."""
         r = 1e3 * _mean_r((waves + steps) * quarter, index, substrate, lam)
         ahead, back = np.split(r[1:], 2)
         return float(r[0]), (ahead - back) / (2 * STEP)

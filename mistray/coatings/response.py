@@ -1,4 +1,4 @@
-"""Response of a coating: fractions of the flux and phases, for s and p."""
+"""Response of a coating to light: reflected and transmitted fractions of the flux, and phases, for s and p."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class CoatingModel(Protocol):
 
     @property
     def name(self) -> str:
-        """Name for messages and titles."""
+        """Name of the coating for messages and titles."""
         ...
 
     @property
@@ -116,8 +116,8 @@ def layered_response(
         Indices n + ik and thicknesses, nm, of the layers from the front to the back.
     wavelength_nm, n_front, n_back, cos_incident, from_front
         Parameters of `CoatingModel.response`. Only the real index of the medium that the light comes from is used: its
-        absorption is counted along the ray. In an absorbing medium incident and reflected waves interfere, so that R and
-        T alone would not balance the energy.
+        absorption is counted along the ray. In an absorbing medium incident and reflected waves interfere, so that R
+        and T alone would not balance the energy.
     """
     if not from_front:
         n_layers, d_nm, n_front, n_back = n_layers[::-1], d_nm[::-1], n_back, n_front
@@ -132,6 +132,6 @@ def layered_response(
 
 
 def total_reflection(n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool) -> np.ndarray:
-    """Return a mask of light beyond the critical angle of the two media, (m,)."""
+    """Return a mask of cosines of incidence, (m,), beyond the critical angle of the two media."""
     n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
     return np.asarray((n_1 / n_2) ** 2 * (1 - np.square(cos_incident)) >= 1)

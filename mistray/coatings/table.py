@@ -198,7 +198,7 @@ class CoatingTable:
 
 
 def _header(names: Sequence[str], what: str) -> list[str]:
-    """Return the column names of a coating table's CSV file; raise `MistrayError` if they are not valid."""
+    """Return the column names of a coating table's CSV file, after a check that they are known and complete."""
     given = list(names)
     unknown = [name for name in given if name not in COLUMNS]
     doubled = sorted({name for name in given if given.count(name) > 1})

@@ -45,7 +45,7 @@ BUILT_IN = ("AIR", "VACUUM")
 
 @dataclass
 class _Section:
-    """Section of a coating file: its first line and the lines below, as words with line numbers."""
+    """One coating of a Zemax coating file: its first line and the lines below, as words with line numbers."""
 
     kind: str
     name: str
@@ -223,7 +223,7 @@ class CoatingFile(Mapping[str, CoatingModel]):
         return Stack(tuple(layers), name=section.name, opaque=mirror)
 
     def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:
-        """Return the layer that the words of a line describe, and the index of its loop, 0 for none."""
+        """Return the layer that the words of a COAT line describe, and the number of its loop; 0: none."""
         if len(words) > 5 or len(words) < 2:
             raise MistrayError(f"{where}: '{shown(words)}'; expected material thickness is_absolute loop taper")
         if len(words) == 5:

@@ -196,7 +196,7 @@ class RimRecorder(Recorder):
         before.write(memory[GAIN], depth, near)
 
     def _nearest(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Float, mi.Bool, mi.Bool]:
-        """Return the nearest rim, the distance from it (mm), and masks: hit within its zone, hit within two zones."""
+        """Return the nearest rim, the distance to it, mm, and masks: hits in its zone, hits in twice that zone."""
         bounds = dr.gather(mi.Vector4f, self._bounds, s, active)
         kind = dr.gather(mi.UInt32, self._kinds, s, active)
         rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))

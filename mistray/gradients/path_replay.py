@@ -38,7 +38,7 @@ TOO_MANY = (
 
 
 class Ends:
-    """Base class for how the ends of recorded rays contribute to a metric."""
+    """Base class of what recorded rays contribute to a metric at their ends, on the detector or out of the scene."""
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
         """Return a mask of the paths that contribute to the metric, (n,) bool, by path keys, (n,) uint64 ascending."""
@@ -54,7 +54,7 @@ class Ends:
 
     def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End | Exit:
         """
-        Return the contribution of each ray to the metric: a function of its last hit, or a value at its exit.
+        Return the contribution of each ray to the metric: a function of its last hit, or a number at its exit.
 
         `keys`, (n,) uint64, are those of the paths, and `path` is the place of each ray's path among them.
         """

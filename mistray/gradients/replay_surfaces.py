@@ -373,7 +373,7 @@ class ReplaySurfaces:
         return self.to_world(by_o, s, active), self.to_world(by_d + length * by_o, s, active), dr.detach(gained)
 
     def media(self, p: mi.Vector3d, d: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.UInt32]:
-        """Return the media beside the surfaces s that rays along d meet at p: on the side of incidence, and beyond."""
+        """Return the media numbers beside the surfaces s that rays along d meet at p: side of incidence first."""
         numbers = self.numbers(s, mi.UInt32(0), active, still=True)
         _, gradient = self.implicit(self.local_point(self.vector(p), s, active), numbers)
         cosine = dr.dot(self.to_local(self.vector(d), s, active), gradient) * self._place(s, active).w

@@ -197,6 +197,6 @@ def _sum(terms: Iterable[tuple[float, np.ndarray]]) -> np.ndarray:
 
 
 def _kind(lobe: Lobe) -> tuple[Any, ...]:
-    """Return discrete properties of a lobe (event, measure, centre and shape of its tables), which must stay fixed."""
+    """Return properties of a scatter lobe that a parameter must not change: event, measure, centre, table shape."""
     shape = None if lobe.ratio is None else (lobe.ratio.axes, lobe.ratio.r_min, lobe.ratio.values.shape)
     return lobe.event, lobe.measure, lobe.centre, lobe.factor, shape

@@ -148,7 +148,7 @@ def dust_index(wavelength_um: float) -> complex:
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """
-    Light scattered by all particles on a surface when it passes them once, at normal incidence.
+    Light that all particles on a surface scatter when it passes them once, at normal incidence: a phase function.
 
     Attributes
     ----------
@@ -259,7 +259,7 @@ def _cross_sections(
     min_um: float, max_um: float, wavelength_um: float, index: complex, immersion: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return cross-sections of spheres with the diameters of `_sizes`.
+    Return the Mie cross-sections, µm², of spheres with the diameters of `_sizes`.
 
     They are the scattering per solid angle at the nodes, (m, a), µm²/sr, the extinction, (m,), µm², and the scattering,
     (m,), µm².
@@ -272,7 +272,7 @@ def _cross_sections(
 
 
 def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return diameters, (m,), and weights, (m,), of a quadrature over the diameter, both in µm."""
+    """Return particle diameters, (m,), µm, and quadrature weights, (m,), µm, between two diameters."""
     nodes, weights = np.polynomial.legendre.leggauss(_PANEL)
     edges = np.linspace(min_um**_POWER, max_um**_POWER, _PANELS + 1)
     half = np.diff(edges)[:, None] / 2

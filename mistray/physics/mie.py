@@ -150,13 +150,13 @@ def _riccati_bessel(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _orders(x: ArrayLike) -> np.ndarray:
-    """Return the number of orders that a sphere of size parameter x = πD n_medium/λ needs."""
+    """Return the number of Mie series terms that a sphere of size parameter x = πD n_medium/λ needs."""
     size = np.asarray(x, dtype=np.float64)
     return np.asarray(np.floor(size + 4 * np.cbrt(size) + 4), dtype=np.int64)
 
 
 def _log_derivative(count: int, z: np.ndarray) -> np.ndarray:
-    """Return the logarithmic derivative ψ'_n(z)/ψ_n(z), n = 0 … count, (count + 1, m), by downward recurrence."""
+    """Return the logarithmic derivative ψ'_n/ψ_n of the Riccati-Bessel function at z, n = 0 … count, (count + 1, m)."""
     start = int(max(count, 1.02 * np.abs(z).max()) + 80)
     result = np.empty((count + 1, len(z)), dtype=np.complex128)
     over, value = 1 / z, np.zeros(len(z), dtype=np.complex128)

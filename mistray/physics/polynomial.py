@@ -65,7 +65,7 @@ def bsdf(
 
 
 def _power(x: Any, n: int) -> Any:
-    """Return the power x^n as a product, so that 0^0 is 1 and the derivative at 0 is finite."""
+    """Return x^n for integers n ≥ 0 as a product, so that 0^0 is 1 and the derivative at 0 is finite."""
     found: Any = 1.0
     for _ in range(n):
         found = found * x

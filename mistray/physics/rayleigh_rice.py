@@ -135,7 +135,7 @@ _TINY = 1e-30
 
 
 def _float64(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the three cosines and the complex relative permittivity, `index` squared, in float64."""
+    """Return the three cosines in float64, and the complex relative permittivity, which is `index` squared."""
     xp = arithmetic(cos_i, cos_s, cos_phi, index)
     n, k = xp.real(xp.re(index)), xp.real(xp.im(index))
     return xp.real(cos_i), xp.real(cos_s), xp.real(cos_phi), xp.complex(n * n - k * k, 2 * n * k)

@@ -48,7 +48,7 @@ _SCALE_EVERY = 8
 
 
 class _Fields(NamedTuple):
-    """Amplitudes of the waves at the front of a stack and of the field behind it, for one polarisation."""
+    """Wave amplitudes in front of a thin-film stack and the field behind it, for one polarisation."""
 
     forward: Any  # Y₀E + H: 2 Y₀ times the incident wave
     backward: Any  # Y₀E - H: 2 Y₀ times the reflected wave
@@ -58,7 +58,7 @@ class _Fields(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """Characteristic matrix of a layer as f cos δ, f sin δ / q, f q sin δ and a real scale factor f; see the module."""
+    """Characteristic matrix of a layer: f cos δ, f sin δ / q, f q sin δ, and a scale factor f against overflow."""
 
     cos: Any
     over: Any
@@ -182,7 +182,7 @@ def _solve(
     wavelength_nm: Any,
     cos_incident: Any,
 ) -> tuple[Arithmetic, tuple[_Fields, _Fields]]:
-    """Return the array functions, and for s and p the front fields of a stack that sends a unit wave out behind."""
+    """Return array functions, and for s and p the fields in front of a stack whose transmitted wave has amplitude 1."""
     if len(n_layers) != len(d_nm):
         raise MistrayError(f"stack: {len(n_layers)} indices and {len(d_nm)} thicknesses; give one of each per layer")
     ops = arithmetic(n_incident, *n_layers, *d_nm, n_substrate, wavelength_nm, cos_incident)
@@ -229,7 +229,7 @@ def _solve(
 
 
 def _lossless(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
-    """Return the matrix of a layer of real index; the wave in it is evanescent if q² < 0."""
+    """Return the characteristic matrix of a layer of real index; its wave is evanescent if q² < 0."""
     propagates = q2 >= 0
     q = ops.sqrt(ops.select(propagates, q2, -q2) + _FLOOR)
     phase = q * phase_per_q
@@ -243,7 +243,7 @@ def _lossless(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
 
 
 def _absorbing(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
-    """Return the matrix of a layer of complex index, from q² and the phase per q, rad."""
+    """Return the characteristic matrix of a layer of complex index, from q² and the phase per q, rad."""
     q, modulus = _root(ops, q2)
     sin, cos = ops.sincos(ops.re(q) * phase_per_q)
     decay = ops.exp(-ops.im(q) * phase_per_q)
@@ -255,7 +255,7 @@ def _absorbing(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
 
 
 def _joined(ops: Arithmetic, small: Any, q2: Any, phase_per_q: Any, general: _Layer) -> _Layer:
-    """Return a layer's matrix by a power series in its phase δ where `small` is True, and `general` elsewhere."""
+    """Return a layer's matrix: a power series in its phase δ where `small`, and `general` elsewhere."""
     x = ops.select(small, phase_per_q, 0 * phase_per_q)
     w = q2 * (x * x)
     cos = 1 - w * (1 / 2 - w * (1 / 24))
@@ -285,5 +285,5 @@ def _norm2(ops: Arithmetic, z: Any) -> Any:
 
 
 def _number(ops: Arithmetic, index: Any) -> Any:
-    """Return the refractive index n + ik as a complex array."""
+    """Return a refractive index n + ik as a complex array of the formula's array library."""
     return ops.complex(ops.real(ops.re(index)), ops.real(ops.im(index)))

@@ -32,12 +32,12 @@ class Chance:
 
     @property
     def total(self) -> float:
-        """Probability that a ray from the source is scattered into the small solid angle (without aiming)."""
+        """Probability that a ray from the source is scattered into the small solid angle without aiming."""
         return self.before * self.of_scatter
 
     @property
     def rays_for_one_hit(self) -> float:
-        """Number of rays for one hit on average; a run of so many rays has at least one hit with 63 % probability."""
+        """Number of start rays that give one hit on average; so many give at least one with 63 % probability."""
         return 1 / self.total if self.total > 0 else math.inf
 
     def rays_for(self, confidence: float) -> float:

@@ -13,7 +13,7 @@ from mistray.scatter.numbers import FALLING, KNEE, PEAK, REFERENCE, ROUGHNESS, u
 
 def index_step(event: str, n_in: Any, n_out: Any) -> Any:
     """
-    Return the path difference per height of a rough surface at normal incidence, Δn ≥ 0, for numbers or arrays.
+    Return the optical path difference per surface height at normal incidence, Δn ≥ 0: 2 n_in or |n_in - n_out|.
 
     Δn is 2 n_in in reflection and |n_in - n_out| in transmission; n_in is the index on the side of incidence.
     """
@@ -22,7 +22,7 @@ def index_step(event: str, n_in: Any, n_out: Any) -> Any:
 
 def need_smooth(title: str, event: str, rms_um: float, wavelength_um: float, step: float, remedy: str) -> None:
     """
-    Raise `MistrayError` if a surface is too rough for first-order theory, which needs 2π Δn σ ≪ λ.
+    Raise `MistrayError` if a surface is too rough for first-order scatter theory, 2π Δn σ ≪ λ.
 
     Raises
     ------

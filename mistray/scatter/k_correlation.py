@@ -111,13 +111,13 @@ class KCorrelation(RoughSurface):
         return f"{self.title}: slope {self.slope:g} is outside of what is usual, 1.5 … 3.5"
 
     def _theories(self) -> Mapping[str, Callable[[str, float, float, float], Lobe]]:
-        """Return functions that make a lobe, by the name of the scatter theory; see `RoughSurface._theories`."""
+        """Return, by the name of each scatter theory, the function that makes a lobe; see `RoughSurface._theories`."""
         theories = super()._theories()
         return {"ghs": theories["ghs"], "ghs_full": self._full, **theories}
 
     def _full(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
         """
-        Return the lobe of the full (not first-order) Harvey-Shack theory.
+        Return the scatter lobe by the full Harvey-Shack theory, without the first-order approximation.
 
         Its `ratio` is relative to normal incidence.
         """

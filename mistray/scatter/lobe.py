@@ -269,7 +269,7 @@ class LobeModel(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the model for error messages."""
+        """Name of the scatter model for error messages."""
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """
@@ -375,7 +375,7 @@ class Placement:
         raise NotImplementedError
 
     def changed(self, **values: float) -> Self:
-        """Return a copy of the model in which some of its numbers, named as in `values`, are replaced."""
+        """Return a copy of the scatter model with other numbers, given by their names in `values`."""
         return replace(self, **values)  # type: ignore[arg-type]  # all of its fields are parameters
 
     @property
@@ -386,11 +386,11 @@ class Placement:
 
     @property
     def shares(self) -> tuple[float, float, float]:
-        """Coefficients c0, c1 and c2 of this model's lobes, see `Lobe`; they follow from `relative_to`."""
+        """Coefficients c0, c1 and c2 of R or T in the flux of this model's lobes, see `Lobe`."""
         return (0.0, 1.0, 0.0) if self.relative_to == "specular" else (1.0, 0.0, 0.0)
 
     def events(self, from_front: bool) -> tuple[str, ...]:
-        """Return the events in which light from one side scatters: "reflection", "transmission", both or none."""
+        """Return the events in which light from one side scatters: a tuple of "reflection" and "transmission"."""
         if self.side not in ("both", "front" if from_front else "back"):
             return ()
         return EVENTS if self.event == "both" else (self.event,)

@@ -157,7 +157,7 @@ class Paint(Placement):
         )
 
     def _factor(self, wavelength_nm: float) -> float:
-        """Return the factor of the reflectance at a wavelength, nm."""
+        """Return the factor by which the paint's spectrum multiplies its reflectance at a wavelength, nm."""
         at, values = _points(self.spectrum)
         if at and not at[0] <= wavelength_nm <= at[-1]:
             raise MistrayError(
@@ -168,7 +168,7 @@ class Paint(Placement):
 
 @lru_cache(maxsize=256)
 def _points(spectrum: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the ascending wavelengths, nm, and the factors of a text such as "400:0.02, 700:0.05"; empty for none."""
+    """Return wavelengths, nm, and reflectance factors from a text such as "400:0.02, 700:0.05"; empty for no text."""
     found: list[tuple[float, float]] = []
     for word in spectrum.replace(",", " ").split():
         nm, factor = (finite_of(part) for part in word.partition(":")[::2])

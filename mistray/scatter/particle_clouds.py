@@ -67,5 +67,5 @@ def _read(content: bytes) -> Cloud:
 
 @lru_cache(maxsize=8)
 def _cache(folder: Path, limit_bytes: int) -> Cache:
-    """Return the cache in a folder; one object per process, so that each problem is reported once."""
+    """Return the disk cache in a folder, one object per process so that a problem is reported once."""
     return Cache(folder, limit_bytes)

@@ -119,7 +119,7 @@ class Particulate(Placement):
         return contamination.level_of_coverage(self.coverage_percent, self.slope, self.min_um, self.max_um)
 
     def index(self, wavelength_nm: float) -> complex:
-        """Return the index n + ik of the particles at a vacuum wavelength, nm."""
+        """Return the complex index n + ik of the particle material at a vacuum wavelength, nm."""
         if self.particle == DUST:
             return contamination.dust_index(wavelength_nm * 1e-3)
         return complex_index(self.particle, wavelength_nm)
@@ -216,7 +216,7 @@ def _backward(cloud: Cloud, deflection: np.ndarray) -> np.ndarray:
 
 
 def _angle(r: np.ndarray) -> np.ndarray:
-    """Return the angle, rad, between unit vectors whose tips are the distance r apart."""
+    """Return the angle, rad, between two unit vectors whose difference has the length r."""
     return np.asarray(2 * np.arcsin(np.minimum(r / 2, 1)))
 
 

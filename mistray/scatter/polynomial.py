@@ -32,7 +32,7 @@ def is_coefficient(name: str) -> bool:
 
 
 def sums_of(coefficients: Mapping[str, Any]) -> tuple[dict[tuple[int, int, int], Any], dict[tuple[int, int], Any]]:
-    """Return the coefficients of the diffuse and of the Lorentzian sum, each by its exponents."""
+    """Return two dicts of coefficients by their exponents: those of the diffuse sum and of the Lorentzian sum."""
     diffuse, lorentzian = {}, {}
     for name, value in coefficients.items():
         if match := DIFFUSE.fullmatch(name):
@@ -46,7 +46,7 @@ def sums_of(coefficients: Mapping[str, Any]) -> tuple[dict[tuple[int, int, int],
 
 def carrier(r: Any, coefficients: Mapping[str, Any], d: Any) -> Any:
     """
-    Return the BSDF, 1/sr, for two directions symmetric about the normal, at the distance r of their cosines.
+    Return the BSDF, 1/sr, of two directions symmetric about the normal, whose cosines are the distance r apart.
 
     All other pairs with this distance have a smooth ratio to it.
     """

@@ -50,7 +50,7 @@ class RadialTable:
     @classmethod
     def of(cls, profile: Callable[[np.ndarray], np.ndarray], r_max: float = R_MAX) -> RadialTable:
         """
-        Return the table of a profile that ends at `r_max`.
+        Return the table of a lobe's radial profile, 1/sr, that ends at the radius `r_max`.
 
         Raises
         ------
@@ -75,11 +75,11 @@ class RadialTable:
         return np.asarray(2.0 ** np.interp(place, np.arange(RINGS + 1), self.log2_values))
 
     def times_r2(self) -> RadialTable:
-        """Return the table of r² f(r), for integrals; its `total` and alias table are still those of f."""
+        """Return the table of r² f(r), for moments of the lobe; its `total` and alias table are still those of f."""
         return replace(self, log2_values=self.log2_values + 2 * np.log2(node_radii()))
 
     def within(self, r: np.ndarray) -> np.ndarray:
-        """Return the integral of 2π r f, the flux, over the disc of each radius r, (m,)."""
+        """Return the integral of 2π r f, the flux, within each radius r, (m,)."""
         nodes = node_radii()
         before = np.concatenate([[0.0], np.cumsum(ring_flux(nodes[:-1], self.log2_values))])
         before += np.pi * nodes[0] ** 2 * 2.0 ** self.log2_values[0]
@@ -112,7 +112,7 @@ def _power_law(r: np.ndarray, log2_f: np.ndarray, slope: np.ndarray, octaves: np
 
 @lru_cache(maxsize=256)
 def _table(log2_values: bytes) -> RadialTable:
-    """Return the table for log2 f at the nodes, bytes of float64; cached, since many surfaces share a model."""
+    """Return the radial table for log2 f at the nodes (bytes of float64), cached since many surfaces share a model."""
     logs, nodes = np.frombuffer(log2_values), node_radii()
     flux = np.concatenate([[np.pi * nodes[0] ** 2 * 2.0 ** logs[0]], ring_flux(nodes[:-1], logs)])
     return RadialTable(logs, float(flux.sum()), *_alias_table(flux / flux.sum()))

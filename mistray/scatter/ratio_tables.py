@@ -16,7 +16,7 @@ RADIAL, R_MIN = (49, 121, 49), 1e-3  # nodes of the cosine of the specular direc
 @dataclass(frozen=True, eq=False)
 class Directions:
     """
-    Cosines of incident, specular and scattered directions, as arrays that broadcast together.
+    Cosines of the incident, specular and scattered directions with the normal, and of the azimuth between them.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) ->
 
 
 def _incidence(cosine: np.ndarray, sine_ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cosines of incidence and of the specular direction at nodes of the latter, both above `GRAZING`."""
+    """Return the cosine of incidence for each specular cosine, and the specular cosine; neither below `GRAZING`."""
     cosine = np.maximum(cosine, GRAZING)
     cos_i = np.sqrt(np.maximum(GRAZING**2, 1 - sine_ratio**2 * (1 - cosine * cosine)))
     return cos_i, np.sqrt(np.maximum(GRAZING**2, 1 - (1 - cos_i * cos_i) / sine_ratio**2))

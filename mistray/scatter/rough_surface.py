@@ -30,7 +30,7 @@ THEORIES = ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")
 
 
 class Substrate(Demand):
-    """Condition that a value is a refractive index n + ik, given as a number or as text."""
+    """Parameter check for a refractive index n + ik of a substrate, given as a number or as text."""
 
     demand = "must be n+ik with n > 0 and k ≥ 0, as 0.96+6.69i"
 
@@ -121,7 +121,7 @@ class RoughSurface(Placement):
     """Advice in the error message for a surface that is too rough."""
 
     def _theories(self) -> Mapping[str, Callable[[str, float, float, float], Lobe]]:
-        """Return functions that make a lobe from event, wavelength (nm), n_in and n_out, keyed by theory."""
+        """Return, by the name of each theory, a function of event, wavelength, nm, n_in and n_out that makes a lobe."""
         return {"ghs": self._smooth, "rayleigh_rice": self._scalar, "rayleigh_rice_vector": self._vector}
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
@@ -132,7 +132,7 @@ class RoughSurface(Placement):
 
     def _spectrum(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Callable:
         """
-        Return the roughness spectrum, µm⁴, as a function of r = |β - β0|.
+        Return the roughness spectrum, µm⁴, as a function of r = |β - β0| in direction cosines.
 
         Raise `MistrayError` if the surface is too rough.
         """
@@ -194,7 +194,7 @@ class RoughSurface(Placement):
 
 @lru_cache(maxsize=32)
 def _path_growth(n_in: float, n_out: float) -> RatioTable:
-    """Return a table of the squared path difference in transmission, relative to that at normal incidence."""
+    """Return a table of the squared optical path difference in transmission over that at normal incidence."""
     step = index_step("transmission", n_in, n_out)
 
     def ratio(at: Directions) -> np.ndarray:
@@ -206,7 +206,7 @@ def _path_growth(n_in: float, n_out: float) -> RatioTable:
 @lru_cache(maxsize=32)
 def _reflected_polarization(index: complex, absolute: bool) -> RatioTable:
     """
-    Return a table of the Rayleigh-Rice factor Q in reflection, over its specular value R unless `absolute`.
+    Return a table of the Rayleigh-Rice factor Q in reflection, divided by R at the specular angle unless `absolute`.
 
     `index` is relative to the medium of the light.
     """

@@ -51,11 +51,11 @@ class IncidentLight:
 
     @property
     def rotation(self) -> float:
-        """Rotation of the sample about its normal, rad; see `rotation_deg`."""
+        """Azimuth of the sample about its normal, rad; see `rotation_deg`."""
         return float(np.radians(self.rotation_deg))
 
     def share(self, event: str) -> float:
-        """Return the coating's R for event "reflection" or T for "transmission" (fractions)."""
+        """Return the coating's R for the event "reflection" or T for "transmission", 0 … 1."""
         return self.R if event == "reflection" else self.T
 
     def is_totally_reflected(self, angle_deg: float) -> bool:
@@ -235,7 +235,7 @@ def table(
 
 def _in_plane(sine: float) -> np.ndarray:
     """
-    Return ascending sines, (k,), of scattered directions for a scan in the plane of incidence.
+    Return ascending sines of scattering angles, (k,), for a scan in the plane of incidence.
 
     They are densest about the specular direction, whose sine is given.
     """

@@ -81,7 +81,7 @@ def _smooth_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return radii and weights, (m, CUT_NODES), for integrals over dr from low to high, (m,), smooth in log r."""
+    """Return radii and weights, (m, CUT_NODES), of integrals over the radius from low to high, (m,), even in log r."""
     t, w = _smooth_nodes(CUT_NODES)
     span = np.log(high / low)[:, None]
     r = low[:, None] * np.exp(span * t)
@@ -89,7 +89,7 @@ def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
-    """Return the integral over the unit disc, (m,), of a profile about points at a distance sin θ from its centre."""
+    """Return the integral, (m,), of a radial profile over the unit disc of direction cosines, centred at sin θ."""
     b = np.sqrt(np.maximum(0.0, 1 - cosine * cosine))
     # 1 - b without cancellation at grazing incidence
     low = np.maximum(cosine * cosine / (1 + b), 1e-12)
@@ -227,7 +227,7 @@ def totals(
     rotation: float = 0.0,
 ) -> Totals:
     """
-    Return the sum of the totals of several lobes.
+    Return the total scatter and specular loss of several lobes together, at each angle of incidence.
 
     Parameters
     ----------

@@ -219,7 +219,7 @@ def _roots(
 
 
 def _conic_roots(ray: AxisRay, n: Numbers, own: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float, mi.Bool]:
-    """Return `_roots` of the crossings of a ray with a conic, counted from the ray's point closest to the vertex."""
+    """Return `_roots` of a ray and a conic: distances from the ray's origin, mm, with `t0` nearest to the vertex."""
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
     t0 = -dr.fma(oz, ray.dz, ray.od)
     (x, y), z = ray.lateral(t0), dr.fma(t0, ray.dz, oz)

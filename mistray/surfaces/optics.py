@@ -120,7 +120,7 @@ def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarr
 
 
 def _channels(response: Response, reflection: bool, stokes: bool) -> np.ndarray:
-    """Return R or T of a coating's response as columns of a table, (m, c), for s and p or their mean."""
+    """Return R or T of a coating as table columns, (m, c): s, p and products for Stokes vectors, else their mean."""
     values, phase = (response.R, response.phase_r) if reflection else (response.T, response.phase_t)
     if not stokes:
         return values.mean(axis=1, keepdims=True)

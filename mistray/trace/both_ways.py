@@ -94,7 +94,7 @@ class Branches:
 
     @property
     def bright(self) -> npt.NDArray[np.bool_]:
-        """Return a mask of the branches bright enough to follow, (n,): either mode's flux exceeds the floor."""
+        """Return a mask of branches, (n,), whose flux in either mode is above the floor for being followed."""
         return np.asarray(np.maximum(self.mean, self.light[:, 0]) > self.floor)
 
     @staticmethod

@@ -16,7 +16,7 @@ SURFACE_COLUMNS = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")
 
 
 class Bounds(NamedTuple):
-    """Bounds of a filter as masks of rows, (n,): rows that pass for certain, and rows of which rays may pass."""
+    """Result of a filter as two masks of rows, (n,): those that pass for certain, and those that may pass in part."""
 
     certain: np.ndarray
     possible: np.ndarray

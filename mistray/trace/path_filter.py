@@ -166,7 +166,7 @@ def _either(a: Bounds, b: Bounds) -> Bounds:
 @dataclass(frozen=True)
 class _Flag:
     """
-    Flag of a filter, such as ``S(barrel)``, for scatter at a surface.
+    Flag of a filter, such as ``S(barrel)``: a kind of event, at any surface or at a named one.
 
     It compares a path's count of such events with a number; by default at least 1.
     """

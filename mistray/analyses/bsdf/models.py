@@ -72,7 +72,7 @@ def parameter_options() -> Group:
 
 
 def _default(kind: str, key: str) -> str:
-    """Return the default of a model's parameter as text in parentheses; "" if it has none."""
+    """Return the default of a scatter model's parameter as text in parentheses; "" if it has none."""
     default = {field.name: field.default for field in fields(KINDS[kind])}.get(key)
     if not default or default is MISSING:
         return ""
@@ -80,7 +80,7 @@ def _default(kind: str, key: str) -> str:
 
 
 def _form(params: list[Param]) -> tuple[Any, str | None]:
-    """Return the type and placeholder of the command-line option for a parameter, given as declared by its models."""
+    """Return the option type and placeholder for a scatter parameter on the command line."""
     values = params[0].values
     if values is FLAG:
         return bool, None
@@ -92,7 +92,7 @@ def _form(params: list[Param]) -> tuple[Any, str | None]:
 
 def kind_of(name: str) -> str:
     """
-    Return the kind of scatter model that a name, a table file or ABG_DATA.DAT:NAME stands for.
+    Return the kind of scatter model that a model name, a table file or ABG_DATA.DAT:NAME stands for.
 
     Raises
     ------

@@ -103,7 +103,7 @@ def write_table(found: BsdfResult, path: Path, command: str) -> None:
 
 
 def notes(found: BsdfResult) -> list[str]:
-    """Return the advice that the model gives on unusual parameters, as notes; empty if there is none."""
+    """Return the model's advice on unusual parameters as lines of text; empty if there is none."""
     advice = getattr(found.model, "advice", lambda: None)()
     return [f"note: {advice}"] if advice else []
 

@@ -24,7 +24,7 @@ EVENTS = ("reflection", "transmission")
 
 @dataclass(frozen=True)
 class SmallDetector(Request):
-    """Small detector whose chance to be hit by scattered rays that are not aimed at it is computed."""
+    """Small detector, for the probability that rays scattered without aiming hit it."""
 
     hit_deg: float = field(
         FIELD_DEG, MISSING, "angle of the detector with the normal, at the first angle of incidence", metavar="DEG"

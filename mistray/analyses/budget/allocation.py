@@ -191,7 +191,7 @@ class Model:
 
 def allocate(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> np.ndarray:
     """
-    Return the values that meet all limits at the least total cost.
+    Return the parameter values that meet all limits on the metrics at the least total cost.
 
     Over ln(p) costs and metrics are convex, so that the minimum that SLSQP finds is the only one. With grades, one
     grade of each list is chosen exactly (mixed-integer program, HiGHS). Continuous variables beside grades first take
@@ -229,7 +229,7 @@ def allocate(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndar
 
 def excess(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> float:
     """
-    Return the largest ratio of a metric to its limit with all variables at their best.
+    Return the largest ratio of a metric to its limit, with all parameters at their best (least scatter).
 
     Above 1 no choice meets the limits.
     """
@@ -266,7 +266,7 @@ def _descend(
     variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray, start: np.ndarray, free: Sequence[int]
 ) -> np.ndarray:
     """
-    Return values of all variables, (variables,).
+    Return values of all parameters, (variables,), of least cost within the limits.
 
     Those of the indices `free` minimise the cost, the others stay at `start`.
     """

@@ -46,7 +46,7 @@ def text(result: Budget) -> str:
 
 
 def verdict(item: Met) -> str:
-    """Return one sentence: whether a requirement is met, and by how many standard errors."""
+    """Return one sentence that says if a requirement is met, and its distance from the limit in standard errors."""
     far = min(abs(item.distance), MOST_DISTANCE)
     if item.met:
         return f"met by {number(far, 2)} standard errors"
@@ -80,7 +80,7 @@ def numbers_table(result: Budget) -> Table:
 
 
 def _shares(chosen: Chosen) -> Iterable[tuple[float, float]]:
-    """Return the share, 0 … 1, of each metric that comes from a chosen value, as pairs before and after."""
+    """Return pairs, before and after, of the fraction of each metric that comes from the surface of a chosen value."""
     return zip(chosen.shares_before, chosen.shares_after, strict=True)
 
 

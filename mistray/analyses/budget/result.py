@@ -120,11 +120,11 @@ class Budget(Result, table=".page:numbers_table", figure=".figures:budget_figure
 
     @property
     def cost(self) -> tuple[float, float]:
-        """Return the total cost before and after, in the unit of the weights."""
+        """Total cost of all chosen values before and after, in the unit of the cost weights."""
         return sum(c.cost_before for c in self.chosen), sum(c.cost_after for c in self.chosen)
 
     def scene_text(self, folder: str | Path) -> str:
-        """Return the text of a scene file, to be placed in `folder`, with the chosen values."""
+        """Return the text of a scene file for `folder` in which the chosen scatter values are set."""
         file = SceneText(self.source, own=not self.study.shared)
         for item in self.chosen:
             file.set(item.key, item.after)

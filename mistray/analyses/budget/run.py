@@ -103,7 +103,7 @@ class _Search:
         self.numbers = self.start
 
     def choices(self, numbers: np.ndarray) -> list[ToleranceChoice]:
-        """Return the parameters to choose, with ranges and costs, set to `numbers`: one value each, in its unit."""
+        """Return the parameters to choose, with their ranges and costs, at present values `numbers` in their units."""
         result = []
         for parameter, grades, number in zip(self.known, self.grades, numbers, strict=True):
             slope_key = f"{parameter.key.rpartition('.')[0]}.slope"
@@ -212,7 +212,7 @@ def _require_light(metrics: Sequence[Metric], values: np.ndarray) -> None:
 
 
 def _pairs(study: BudgetStudy, known: Mapping[str, Parameter]) -> list[tuple[Parameter, Grades]]:
-    """Return the parameters to choose with their section ``[[choose]]``, in the order of the scene."""
+    """Return the scatter parameters to choose, each with its section ``[[choose]]``, in the order of the scene."""
     found: dict[str, Grades] = {}
     for number, grades in enumerate(study.choices, start=1):
         where = f"budget '{study.name}': choose[{number}]"

@@ -40,7 +40,7 @@ def text(found: Mapping[str, Any], output: Path) -> str:
 
 
 def _grouped(rows: Iterable[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """Return a line for each distinct text, with the names of the surfaces that share it."""
+    """Return one line for each distinct treatment, with the names of the surfaces that have it."""
     groups: dict[str, dict[str, None]] = {}
     for what, row in rows:
         groups.setdefault(what, {})[row["surface"]] = None

@@ -67,7 +67,7 @@ def figure(found: CoatingResult | SurfacesResult) -> Figure:
 
 def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
     """
-    Return a row per layer of a stack: thickness, nm, n, k, and waves at the design wavelength.
+    Return a row for each layer of a stack: thickness, nm, n, k, and optical thickness in design wavelengths.
 
     The list is empty for other coatings.
     """
@@ -135,7 +135,7 @@ def _over_band(values: CoatingSpectrum) -> Table:
 
 
 def _sample(values: CoatingSpectrum) -> Table:
-    """Return a table of R, percent, at up to 7 wavelengths: unpolarised, and also s and p off normal incidence."""
+    """Return a table of reflectance R, percent, at up to 7 wavelengths: unpolarised, and s and p off the normal."""
     lam = values.wavelength_nm
     shown = np.unique(np.linspace(0, len(lam) - 1, min(ROWS_SHOWN, len(lam))).round().astype(int))
     heads, curves = ["wavelength [nm]"], list[np.ndarray]()

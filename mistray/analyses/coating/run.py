@@ -84,7 +84,7 @@ def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
 
 
 def _lit(request: CoatingRequest, band: tuple[float, float]) -> CoatingRequest:
-    """Return the request with its own wavelengths, else with 61 wavelengths over `band`, nm."""
+    """Return the coating request with its own wavelengths, or with 61 of them spread over `band`, nm."""
     return replace(request, wavelength_nm=request.wavelength_nm or np.linspace(*band, POINTS).tolist())
 
 

@@ -22,7 +22,7 @@ CALLS: dict[str, Callable[[Explorer, dict[str, Any]], Any]] = {
 
 def answer(explorer: Explorer, call: Any, given: Any) -> Any:
     """
-    Carry out a call from the page and return its answer as JSON-serialisable values.
+    Carry out a call of the explorer's page by its name, and return its answer as JSON-serialisable values.
 
     Parameters
     ----------

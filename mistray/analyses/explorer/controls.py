@@ -168,7 +168,7 @@ def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[
 
 
 def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> dict[str, str]:
-    """Return the coatings chosen by the controls, by shape id, without surfaces left as in the scene."""
+    """Return the coatings that a state of the controls puts on surfaces, by shape id; unchanged ones are left out."""
     return {
         surface: str(state[name])
         for name, one in controls.items()
@@ -236,7 +236,7 @@ def _numbers(scene: Any, patterns: Iterable[str] | None) -> list[Control]:
 
 
 def _apertures(known: Iterable[Parameter]) -> list[Control]:
-    """Return a slider for the clear radius of each vane, stop or baffle; rims that meet there move together."""
+    """Return a slider for the clear radius, mm, of each vane, stop or baffle; rims that meet there move together."""
     parts: dict[str, list[Parameter]] = {}
     for one in known:
         if one.kind == "rim" and one.name in ("r0", "r1") and any(RIMS.search(name) for name in one.shapes):
@@ -251,7 +251,7 @@ def _apertures(known: Iterable[Parameter]) -> list[Control]:
 
 
 def _is_offered(one: Parameter) -> bool:
-    """True if a parameter gets a control by default: R of a detector or an amount of scatter, unless it is 0."""
+    """True if a parameter gets a slider by default: R of a detector or a nonzero amount of scatter."""
     if one.value.size > 1 or not one.value[0]:
         return False
     if one.kind == "share":

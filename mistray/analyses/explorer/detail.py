@@ -100,7 +100,7 @@ def _remedies(
     row: int,
 ) -> list[dict[str, Any]]:
     """
-    Return, for each part where the path turns, the coating that leaves the least stray light.
+    Return, for each part at which a path turns, the coating that leaves the least stray light, best part first.
 
     The best part is first.
     """

@@ -164,7 +164,7 @@ def at_field(
 
 
 def _beyond(near: Guess, note: str) -> Guess:
-    """Return an estimate beyond all traced fields: that at the nearest field, with errors as large as its values."""
+    """Return the estimate beyond the traced fields: that of the nearest field, with errors as large as its values."""
     whole: dict[str, Any] = {
         name: Estimate(*[getattr(near, name).value] * 2) for name in ("stray_W", "direct_W", "ratio")
     }
@@ -173,7 +173,7 @@ def _beyond(near: Guess, note: str) -> Guess:
 
 
 def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: list[Control]) -> Floats:
-    """Return the factor by which changed surfaces scale the flux of each sampled ray, (rays,)."""
+    """Return the factor, (rays,), by which changed coatings and scatter scale the flux of each sampled ray."""
     found = np.ones(len(of.sample.way))
     before, now = looks.of(of.state), looks.of(state)
     nm = next((float(state[c.name]) for c in moved if c.kind == WAVELENGTH), None)
@@ -214,7 +214,7 @@ def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
 
 
 def _map(of: Traced, factor: Floats) -> Floats:
-    """Return the stray power on the detector's cells, (h, w), W, once the power of each path changes by `factor`."""
+    """Return the stray power, W, in the detector's cells, (h, w), when the power of each path changes by `factor`."""
     others = np.setdiff1d(np.flatnonzero(of.stray), of.maps.ways)
     power = np.asarray(of.ways.power_W)[others]
     rest = float((power * factor[others]).sum() / power.sum()) if power.sum() > 0 else 1.0

@@ -395,7 +395,7 @@ class Explorer:
 
     @contextlib.contextmanager
     def _ahead(self, what: Any) -> Iterator[None]:
-        """Run a background job within a block; if it fails, report the error and never retry it."""
+        """Run a background job in a `with` block; an error is reported, and the job is not tried again."""
         try:
             yield
         except (MistrayError, RuntimeError) as error:
@@ -428,7 +428,7 @@ class Explorer:
             return trace(scene, rays=rays, field_deg=field, **light)
 
     def _chosen_rays(self) -> int:
-        """Return the number of start rays that a trace finishes in about 0.8 s, from 1000 to 20 000."""
+        """Return the number of start rays, 1000 to 20 000, that a trace finishes in about 0.8 s."""
         for _ in range(2):  # the first one waits for the compiler
             began = time.monotonic()
             self._traced_rays(self._loaded(self.state), self.state, PILOT_RAYS)
@@ -501,7 +501,7 @@ class Explorer:
         return self._traced is not None and not self._traced.slopes and "derivatives" not in self._impossible
 
     def _fields_missing(self) -> list[float]:
-        """Return the field angles of the grid that are not traced yet, degrees."""
+        """Return the field angles, degrees, of the estimate's grid that have not been traced yet."""
         if "field" not in self.controls:
             return []
         return [field for field in self.fields if field not in self._grid and field not in self._impossible]
@@ -515,7 +515,7 @@ class Explorer:
         return at_field({**self._grid, float(of.state["field"]): of}, self._looks, self.controls, state)
 
     def _note(self) -> None:
-        """Wake all threads that wait for a new view; the caller holds the lock."""
+        """Wake the threads that wait for a new view; the caller must hold the lock."""
         self.version += 1
         self._changed.notify_all()
 
@@ -548,7 +548,7 @@ def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:
 
 
 def _shapes(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
-    """Return the control values that change the rays of a trace: field, wavelength, shapes that estimates follow."""
+    """Return the control values that a new trace is needed for: field, wavelength, and shapes that move rays."""
     return {
         name: value
         for name, value in of.state.items()

@@ -39,7 +39,7 @@ THROUGH = (RANDOM_TRANSMITTED, AIMED_TRANSMITTED)  # scattered to the other side
 @dataclass(frozen=True)
 class SurfaceLook:
     """
-    Coating and scatter models of one surface for one state of the controls.
+    Coating and scatter models of one surface, as a state of the explorer's controls sets them.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class SurfaceLook:
 
 class Looks:
     """
-    Coatings and scatter models of a scene's surfaces in any state of its controls.
+    Coating and scatter models of all surfaces of a scene, for any state of the explorer's controls.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Looks:
 
     def _changed(self, look: SurfaceLook, surface: str, control: Control, value: float) -> SurfaceLook:
         """
-        Return a surface's coating and scatter with a new parameter value.
+        Return a surface's coating and scatter models after its control takes a new value.
 
         Only R or T of ideal coatings and scatter amounts change.
         """
@@ -171,7 +171,7 @@ class SurfaceHits:
 
 
 def scaled(stack: Stack, factor: float) -> Stack:
-    """Return a copy of a stack with all layer thicknesses multiplied by a factor."""
+    """Return a copy of a coating with all its layer thicknesses multiplied by `factor`."""
     layers = tuple(dataclasses.replace(layer, thickness_nm=factor * layer.thickness_nm) for layer in stack.layers)
     return dataclasses.replace(stack, layers=layers)
 

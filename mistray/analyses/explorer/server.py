@@ -82,7 +82,7 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def hosts(self) -> tuple[str, ...]:
-        """Host names, with port, that a request may be addressed to."""
+        """Host names, with port, by which a browser may address the server; others are refused."""
         return (f"{LOOPBACK}:{self.port}", f"localhost:{self.port}")
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -182,7 +182,7 @@ class _Handler(BaseHTTPRequestHandler):
         return name
 
     def _say(self, status: HTTPStatus, what: str) -> None:
-        """Refuse a request with a status and a one-line reason, and close the connection without reading the rest."""
+        """Refuse a request with an HTTP status and a one-line reason, and close the connection unread."""
         self.close_connection = True
         self._send(status, json.dumps({"error": " ".join(what.split())}).encode(), "application/json")
 

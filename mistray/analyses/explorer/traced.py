@@ -31,7 +31,7 @@ Whole = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class HitGroup:
     """
-    Hits of the sample at one surface with one event.
+    Hits of the sampled rays at one surface that have the same event.
 
     Attributes
     ----------
@@ -165,7 +165,7 @@ def _ids(ways: pd.DataFrame, chosen: npt.NDArray[np.bool_]) -> list[int]:
 
 
 def _ratio(t: Trace, groups: Sequence[Sequence[int]]) -> Estimate:
-    """Return the ratio of the powers of two groups of paths, with a standard error that allows for common rays."""
+    """Return the ratio of the powers of two groups of paths, with a standard error that allows for shared rays."""
     if not all(groups):
         return Estimate(0.0, 0.0) if groups[1] else Estimate(float("nan"), float("nan"))
     light = t.paths.numbers(groups).light

@@ -61,7 +61,7 @@ class ExplorerWidget(anywidget.AnyWidget):
             self.explorer.work(PAUSE_S)
 
     def _follow(self) -> None:
-        """Send each new view to the page, until `close`."""
+        """Send each new state of the explorer to the page until the widget is closed."""
         version = -1
         while not self._ended.is_set():
             view = self.explorer.wait(version, PAUSE_S)

@@ -74,7 +74,8 @@ class FieldBeam:
         return f"beam {self.field_deg:g} deg"
 
     def write(self, file: StepFile) -> tuple[list[int], list[int]]:
-        """Write a solid between each two places, or a side face if rays cross there.
+        """
+        Write a solid between each two places, or a side face if rays cross there.
 
         Return the entity numbers of the solids and of the side faces.
         """
@@ -124,7 +125,7 @@ class FieldBeam:
 
 class _Stretch:
     """
-    Section of a beam between two rims, (n, 3), mm, each, one of which may be a point.
+    Section of a clear beam between two rims, (n, 3), mm, each; one of them may be a point.
 
     Its side is a ruled surface.
     """
@@ -140,7 +141,7 @@ class _Stretch:
 
     def side(self, name: str, outwards: bool) -> int:
         """
-        Add the side face to the file and return its entity number.
+        Add the ruled side face of the beam section to the file, and return its entity number.
 
         `outwards`: its rims run counter-clockwise about the light.
         """
@@ -167,7 +168,7 @@ def _face(file: StepFile, name: str, surface: int, loop: list[tuple[int, bool]],
 
 
 def _sense(rim: Array, along: Array) -> int:
-    """Return 1 if rim points (n, 3) run counter-clockwise about direction `along`, -1 if clockwise, 0 if it varies."""
+    """Return the sense in which rim points (n, 3) turn about `along`: 1 counter-clockwise, -1 clockwise, 0 if mixed."""
     middle = rim.mean(axis=0)
     turns = np.cross(rim - middle, np.roll(rim, -1, axis=0) - middle) @ along
     return int(np.sign(turns[0])) if np.all(turns * turns[0] > 0) else 0
@@ -284,7 +285,7 @@ class BeamFinder:
 
 
 def _off(rim: Array, between: Array) -> float:
-    """Return the largest distance, mm, between the rim curve through (n, 3) points and the rays half-way between."""
+    """Return the largest distance, mm, of the rays half-way between rim points from the curve through the points."""
     poles, knots = _round(rim, True)
     half = (np.arange(len(rim)) + 0.5) / len(rim)
     return float(np.linalg.norm(BSpline(knots, poles, 3)(half) - between, axis=1).max())

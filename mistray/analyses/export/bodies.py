@@ -318,7 +318,7 @@ def _mirror(axis: Axis, ring: Ring, thickness: float, found: Found) -> StepBody 
 
 
 def _closed(rings: Sequence[Ring]) -> tuple[list[list[Profile]], list[Ring]]:
-    """Return closed chains of profiles, one per body, and the surfaces that belong to none."""
+    """Return closed chains of surface profiles, one for each body, and the surfaces that no chain closes."""
     profiles = [ring.profile for ring in rings]
     ends = np.array([[profile.start, profile.end] for profile in profiles])
     near = _near(profiles)
@@ -360,7 +360,7 @@ def _components(numbers: npt.NDArray[np.int_]) -> Iterator[list[int]]:
 def _in_turn(
     chain: list[int], numbers: npt.NDArray[np.int_], profiles: list[Profile], free: list[int]
 ) -> list[Profile]:
-    """Return connected profiles in sequence, reversed where necessary, from a free end if there is one."""
+    """Return connected profiles in sequence, reversed where needed, beginning at a free end if there is one."""
     left = list(chain)
     here = free[0] if free else int(numbers[chain[0], 0])
     ordered = []
@@ -381,7 +381,7 @@ def _near(profiles: Sequence[Profile]) -> float:
 
 def _tidy(loop: Sequence[Profile]) -> list[Profile] | None:
     """
-    Return a chain of profiles as the border of a body to its left, or None if it encloses none.
+    Return a chain of profiles as the closed border of a body to its left; None if it encloses no volume.
 
     Ends that nearly coincide are joined by the lines between them, and lines of no length are left out.
     """

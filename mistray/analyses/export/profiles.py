@@ -31,7 +31,7 @@ BETWEEN = 4  # points between two of these at which it is compared
 @dataclass(frozen=True, eq=False)
 class Profile:
     """
-    One side of the cross-section (r, z) of a body of revolution.
+    Half of the cross-section of a surface of revolution, as a curve (r, z), mm.
 
     Attributes
     ----------
@@ -155,7 +155,7 @@ def _even(shape: Any, piece: SagSurface, count: int) -> Array:
 
 def _fitted(name: str, points: Any, even: bool) -> Profile:
     """
-    Fit a B-spline through points of a profile, as many as its tolerance requires.
+    Return a B-spline through points of a profile, with as many of them as its tolerance requires.
 
     Parameters
     ----------

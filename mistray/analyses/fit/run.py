@@ -191,7 +191,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def untold(self) -> dict[str, tuple[str, ...]]:
-        """Parameters that the data do not determine, each with others that have a similar effect on them."""
+        """Parameters that the data do not determine, each with the parameters whose effect on the data is similar."""
         blind = np.abs(self._blind())
         return {
             name: tuple(other for other, part in zip(self.names, row, strict=True) if part > PART**2 and other != name)
@@ -206,7 +206,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def told(self) -> int:
-        """Number of parameters, or combinations of them, that the data determine."""
+        """Number of parameters, or independent combinations of them, that the data determine."""
         return int(np.sum(self._directions()[1] > ALIKE))
 
     @property
@@ -336,7 +336,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
         return size, *np.linalg.eigh((rows / size).T @ (rows / size))
 
     def _blind(self) -> np.ndarray:
-        """Return the projection, (k, k), of scaled parameters onto directions that the data do not determine."""
+        """Return the projection, (k, k), onto combinations of scaled parameters that the data do not determine."""
         _, weights, directions = self._directions()
         return np.asarray(directions[:, weights <= ALIKE] @ directions[:, weights <= ALIKE].T)
 

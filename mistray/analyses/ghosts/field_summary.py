@@ -1,4 +1,4 @@
-"""Summary of one field of a ghost analysis."""
+"""Summary of one field angle of a ghost analysis: power, W, of direct and stray light, and the worst path."""
 
 from __future__ import annotations
 

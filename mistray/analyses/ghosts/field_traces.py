@@ -108,7 +108,7 @@ class FieldTraces:
 
     def trace_again(self, rays: Mapping[float, int]) -> None:
         """
-        Trace some fields again with other numbers of rays, in place of their first traces.
+        Replace the traces of some fields by new ones with other numbers of start rays.
 
         Parameters
         ----------
@@ -128,7 +128,7 @@ class FieldTraces:
         self.at_extra = False
 
     def _trace_yardstick(self) -> None:
-        """Trace the direct image on axis, the reference for all fields, if that field was not requested."""
+        """Trace the direct image on axis, to which all fields are compared, if that field was not requested."""
         bare = {**self._arguments, "max_reflections": 0, "max_scatters": 0}
         self.at_extra = True
         self.nominal = trace(self._scene, field_deg=NOMINAL_FIELD_DEG, **bare)
@@ -147,7 +147,7 @@ def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: M
 
 
 def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arguments of a trace with fewer wavelengths if the time is too short for all; otherwise an empty dict."""
+    """Return trace arguments with fewer wavelengths if the time is too short for all; else an empty dict."""
 
     def timed(**few: Any) -> None:
         _ = trace(scene, field_deg=wanted[0], **{**arguments, **few}).irradiance  # the sum of an image of each

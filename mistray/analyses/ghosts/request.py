@@ -115,7 +115,7 @@ class Look:
 
 
 class Alias(Demand):
-    """Condition that a value is an alias of surfaces: "part", "space", or a pair of a pattern and a name."""
+    """Parameter check for an alias of surfaces in path tables: "part", "space", or a pair of pattern and name."""
 
     metavar = "PATTERN=NAME"
     demand = f"must be {', '.join(ALL_SURFACES)}, or a pattern and a name"
@@ -130,7 +130,7 @@ class Alias(Demand):
         return text if text in ALL_SURFACES else self._pair(text)
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return an alias, a pair as a tuple; raise `MistrayError` if it is not one."""
+        """Return an alias of surfaces, a pair as a tuple, after a check."""
         if isinstance(value, str) and value in ALL_SURFACES:
             return value
         if isinstance(value, tuple | list) and len(value) == 2 and all(isinstance(one, str) and one for one in value):

@@ -173,7 +173,7 @@ class GhostReport(
             yield from ((field, one) for one in t.recorders.values() if isinstance(one, kind))
 
     def rivals(self, field_deg: float) -> pd.DataFrame:
-        """Return the rows of `table` that may be the brightest path within errors, by upper bound of irradiance."""
+        """Return the rows of `table` that may be the brightest path within two errors, by upper bound of irradiance."""
         table = self.table(field_deg)
         table = table[table.contested]
         return table.iloc[np.argsort(-bounds(table)[1], kind="stable")]
@@ -221,7 +221,7 @@ class GhostReport(
         return self._tables[key]
 
     def _once(self, key: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """Return the result of `make` stored under a key, calling `make` only the first time."""
+        """Return the result of `make`, which is called only the first time and then kept under a key."""
         if key not in self._made:
             self._made[key] = make()
         found: T = self._made[key]
@@ -292,7 +292,7 @@ class GhostReport(
 
     @property
     def scatters(self) -> bool:
-        """True if scattered light reaches the detector at any field."""
+        """True if any scattered light reaches the detector, at any field angle."""
         return any(bool((self._rows(t).scatters > 0).any()) for t in self._traces.values())
 
     def scatter_surfaces(self, field_deg: float, wavelength_nm: float | None = None) -> pd.DataFrame:

@@ -191,13 +191,13 @@ def _stray(report: GhostReport, field_deg: float) -> pd.DataFrame:
 
 
 def _design_events(report: GhostReport) -> set[str]:
-    """Return the events on the direct images of all fields, such as ``L1_front:T``."""
+    """Return the events, such as ``L1_front:T``, that occur on the direct images of any field."""
     tables = [report[field].paths.by_way() for field in report] + [report.nominal_trace.paths.by_way()]
     return {word for table in tables for text in table.events[table.kind == DIRECT] for word in event_words(text)}
 
 
 def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.DataFrame:
-    """Return a row per event of a stray path at a surface: surface, deed (reflects, …), row of its path, power_W."""
+    """Return one row for each event of a stray path at a surface: surface, event in words, path row, and power, W."""
     found = []
     for number, (text, power) in enumerate(zip(way_text(rows.events), rows.power_W, strict=True)):
         for word in event_words(text):

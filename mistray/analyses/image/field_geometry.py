@@ -24,7 +24,7 @@ PARALLEL = 1e-9  # turn of a chief ray for a turn of the light, below which the 
 @dataclass(frozen=True)
 class ChiefRay:
     """
-    Chief ray of a field at the detector.
+    Chief ray of a field point at the detector: image point, direction, and exit pupil.
 
     Attributes
     ----------

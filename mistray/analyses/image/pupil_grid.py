@@ -175,7 +175,7 @@ def sample_pupil(
 
 
 def _near(wanted: Array, known: Array, margin: float) -> npt.NDArray[np.bool_]:
-    """Return a mask of points (n, 2) within the convex hull of known points or at most `margin` outside, (n,) bool."""
+    """Return a mask of points (n, 2) inside the convex hull of known points or within `margin` of it, (n,) bool."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -231,7 +231,7 @@ def _rays_to(
 
 
 def _guess(wanted: Array, points: Array, known: Array) -> Array:
-    """Return first guesses of ray coordinates, (n, 2), for `wanted` direction cosines, by a fit to known rays."""
+    """Return first guesses of entrance coordinates, (n, 2), of rays with the `wanted` direction cosines."""
     middle = 0.5 * (known.min(axis=0) + known.max(axis=0))
     scale = max(0.5 * float(np.ptp(known, axis=0).max()), 1e-300)
     order = next(n for n in ORDERS if n == ORDERS[-1] or len(points) >= RAYS_PER_TERM * (n + 1) * (n + 2) // 2)
@@ -247,7 +247,7 @@ def _shares(
     path: DesignPath, bundle: PointBundle, x: Array, slopes: Array, lit: npt.NDArray[np.bool_], step: float
 ) -> tuple[Array, Array]:
     """
-    Return the lit share of each cell, (n,), and the offset of the lit part from its middle, (n, 2) in coordinates.
+    Return the lit fraction of each pupil cell, (n,), and the offset of its lit part from the centre, (n, 2).
 
     A few rays test every cell, because a vane narrower than a cell may lie between the middles. Cells that are cut, and
     their neighbours, are divided further, so that a vane found in one cell is followed to its end.
@@ -258,7 +258,7 @@ def _shares(
     moved = np.random.default_rng(0).random((len(x), 2))
 
     def look(cells: npt.NDArray[np.intp], count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Return offsets of test rays from cell centres, (m, count, 2), and a mask of rays that pass, (m, count)."""
+        """Return offsets of test rays from cell centres, (m, count, 2), and which of the rays pass, (m, count) bool."""
         at = step * ((_net(count) + moved[cells, None]) % 1 - 0.5)
         moves = np.swapaxes(np.linalg.solve(slopes[cells], np.swapaxes(at, 1, 2)), 1, 2)
         rays = bundle.rays((x[cells, None] + moves).reshape(-1, 2))

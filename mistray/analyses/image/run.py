@@ -256,7 +256,7 @@ def _sampled(
 
 
 def _pupil_is_far(sampled: PupilSamples, curvature: float) -> bool:
-    """True if a reference sphere centred at the image point can pass through the exit pupil."""
+    """True if a reference sphere about the image point can pass through the exit pupil."""
     pupil = sampled.pupil
     half = 0.5 * float(np.hypot(np.ptp(pupil.alpha), np.ptp(pupil.beta)))
     blur = float(np.nanmax(np.abs(sampled.spot)))
@@ -293,7 +293,7 @@ def _image(
 
 
 def _height(f: _Field, axis: PointBundle, bundle: PointBundle) -> float:
-    """Return tan θ of a field at infinity, or the object height, mm, of a near object point."""
+    """Return tan θ of a field point at infinity, or the height, mm, of a near object point."""
     if bundle.near:
         return float((bundle.origin - axis.origin) @ axis.along)
     return float(np.tan(np.radians(f.angle)))

@@ -111,7 +111,7 @@ def _lens(options: Options, lens: Path) -> Found:
 
 def _mechanics(options: Options, source: Path) -> Found:
     """
-    Import the parts of a mechanics file as a scene.
+    Import the parts of a mechanics file as a scene; return scene file, record, text lines and meshes.
 
     Return scene file, record for JSON, lines of text, and meshes.
     """

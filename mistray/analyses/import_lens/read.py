@@ -68,7 +68,7 @@ class Imported:
 
     def coated(self, rules: Rules) -> Imported:
         """
-        Return the lens with coatings, paint and scatter put on.
+        Return the imported lens with coatings, paint and scatter put on its surfaces by rules.
 
         Notes on the detector that these settle are dropped, and notes on the limits of presets added.
         """
@@ -107,7 +107,7 @@ class Imported:
 
 
 def _told(unread: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return lines on file entries that had no effect: one each, or one for many with a common keyword."""
+    """Return lines of text on entries of a lens file that had no effect; many of one keyword share a line."""
     from mistray.materials.mate import shown
 
     alike: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
@@ -193,14 +193,14 @@ def _number(configuration: str | None) -> int:
 
 
 def _lit(prescription: Prescription, request: LensRequest) -> Prescription:
-    """Return the lens with the wavelength of the request at its source; unchanged if the request has none."""
+    """Return the lens with its source at the requested wavelength, nm, if the request has one."""
     wavelength = request.wavelength_nm
     return prescription if wavelength is None else prescription.with_source(wavelength_nm=(wavelength,), weights=None)
 
 
 def _record(built: Built) -> dict[str, Any]:
     """
-    Return first-order data and notes of a sequential lens as values for JSON, lengths in mm.
+    Return first-order data, lengths in mm, and notes of a sequential lens as JSON-serialisable values.
 
     Infinite ones are null.
     """

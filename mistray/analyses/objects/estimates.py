@@ -110,7 +110,7 @@ def product_estimates(
 
 def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
     """
-    Split the rays that see an object by its side; return pairs (side, hits).
+    Return the rays that see an object, split by its side, as pairs (side, hits).
 
     The projected solid angle of one side is at most π sr.
 
@@ -169,7 +169,7 @@ def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, c
 @dataclass(frozen=True, eq=False)
 class _Pairs:
     """
-    BSDF for pairs of a ray that lights a surface and nearby backward rays that see it, k for each.
+    BSDF for pairs of rays on one surface: one ray lights it, and nearby backward rays see it, k for each.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ class _Pairs:
 
     def means(self, chance: np.ndarray) -> np.ndarray:
         """
-        Return the mean BSDF, 1/sr, of all pairs, and without the rays of each batch, (1 + BATCHES,).
+        Return the mean BSDF over all pairs, 1/sr, then that without each batch of rays, (1 + BATCHES,).
 
         Parameters
         ----------

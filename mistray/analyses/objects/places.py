@@ -46,7 +46,7 @@ class ApertureStop:
 @dataclass(frozen=True, eq=False)
 class _FanEnds:
     """
-    Hits at which rays of a fan leave the design path.
+    Hits at which rays of a fan, parallel to the base ray, leave the design path.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class Places:
 
     def advance(self, hits: Hits, gap: np.ndarray, backward: bool) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the gaps of rays at a hit and after it.
+        Return the gaps between design surfaces in which rays are at a hit and after it.
 
         Parameters
         ----------
@@ -226,7 +226,7 @@ class Places:
 
     def _find_stop(self, tracer: ChainTracer) -> ApertureStop | None:
         """
-        Find the stop by marginal rays: the outermost ray that arrives, of fans of rays parallel to the base ray.
+        Find the aperture stop by fans of rays parallel to the base ray, of which the outermost just arrives.
 
         The stop is whatever ends the next ray outside it: a surface in the way, or the rim of a design surface
         that the ray misses. The fan whose beam is narrowest decides.
@@ -251,7 +251,7 @@ class Places:
 
     def _limit(self, ends: _FanEnds, ray: int) -> ApertureStop | None:
         """
-        Return the stop that blocks ray number `ray`, the first outside the beam.
+        Return the aperture stop as the part that blocks ray number `ray`, the first one outside the beam.
 
         The result is None if it just misses the detector.
         """

@@ -12,7 +12,7 @@ POWER_UNIT = "W per W started"
 
 @dataclass(frozen=True, kw_only=True)
 class _Placed:
-    """Identity of an object and its place along the design path."""
+    """Surface or side with its place along the design path: gap between design surfaces, and side of the stop."""
 
     id: str = column("Shape", head="object")
     part: str = column("Part that the shape belongs to")

@@ -66,7 +66,7 @@ class HitSamples:
 
 @dataclass
 class _Kept:
-    """Hits of one object stored so far, by pass of the trace; `rays` counts the start rays behind them."""
+    """Hits of one object kept so far, by pass of the trace, and the number of start rays behind them."""
 
     parts: list[dict[str, np.ndarray]] = field(default_factory=list)
     count: int = 0
@@ -244,7 +244,7 @@ class RayView:
             kept.rays += n
 
     def objects(self, hits: Hits) -> np.ndarray:
-        """Return the object number (surface and side) of each hit, (m,) int."""
+        """Return the number of the object, a surface and side, that each ray hits, (m,) int."""
         back = self._opaque[hits.surface] & ~hits.from_front
         return SIDES * hits.surface + back
 
@@ -298,7 +298,7 @@ class RayView:
         return self._share(self.flux[number])
 
     def area(self, number: int) -> tuple[float, float]:
-        """Return the flux on an object and its standard error, W, for a source of 1 W/mm² across the beam."""
+        """Return the flux on an object and its standard error, W, for 1 W/mm² across the beam."""
         value, se = self.power(number)
         scale = self.started / float(self.rays.sum())
         return value * scale, se * scale

@@ -135,7 +135,7 @@ def reflectance_figure(result: Optimization) -> Figure:
 
 
 def _best_search(result: Optimization) -> list[Step]:
-    """Return the steps of the search that found the result."""
+    """Return the steps of the search that found the best design."""
     return [step for step in result.steps if step.start == result.best.start]
 
 
@@ -155,7 +155,7 @@ def _frame(axes: Axes, below: str, **said: Any) -> None:
 
 def _glasses(item: PlacedDesign) -> list[tuple[str, str]]:
     """
-    Return the pairs of materials on both sides of a coating to draw.
+    Return the pairs of materials in front of and behind a coating for which its reflectance is drawn.
 
     A pair and its reverse count once if the design's first layer lies outside.
     """

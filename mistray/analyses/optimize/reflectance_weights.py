@@ -133,7 +133,7 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
 
 
 def _spread(by_node: np.ndarray) -> np.ndarray:
-    """Return derivatives, given at uniform cosines from 0 to 1, shared linearly among the cosines `COSINES`."""
+    """Return derivatives by R at even cosines, 0 … 1, shared linearly among the fewer cosines `COSINES`."""
     place = np.linspace(0.0, 1.0, len(by_node)) * (len(COSINES) - 1)
     low = np.minimum(place.astype(int), len(COSINES) - 2)
     share = place - low
@@ -144,7 +144,7 @@ def best_thicknesses(
     cost: Cost, low: Sequence[float], high: Sequence[float], given: Sequence[np.ndarray]
 ) -> np.ndarray:
     """
-    Return the thicknesses of least cost within bounds: the deepest minimum found from points of a Latin hypercube.
+    Return the layer thicknesses, nm, of least cost within bounds, from minima found on a Latin hypercube.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ class Ranges:
 
     def after(self, number: int, gain: float) -> float:
         """
-        Return the value that parameter `number` must take to lower ln(metric) by `gain`, or its better bound.
+        Return the value of parameter `number`, in its unit, that lowers ln(metric) by `gain`, or its better bound.
 
         The value is in the parameter's unit.
         """
@@ -142,7 +142,7 @@ def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Parame
 
 def least_effort(weight: np.ndarray, most: np.ndarray, goal: float) -> np.ndarray:
     """
-    Return parts x with Σ x = goal and 0 ≤ x ≤ most that minimise Σ (x/weight)², (n,).
+    Return reductions x of ln(metric), (n,), with Σ x = goal and 0 ≤ x ≤ most, that minimise Σ (x/weight)².
 
     Without bounds x is proportional to weight² (Lagrange). A part at its bound stays there and the others share the
     rest. If the bounds do not allow the goal, they are the result.

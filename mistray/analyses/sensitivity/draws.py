@@ -200,7 +200,7 @@ def draw_systems(
 
 
 def _timed(trace: Callable[[], float]) -> tuple[float, float]:
-    """Call `trace` and measure its duration; return the duration, s, and the result."""
+    """Return the duration of a call of `trace`, s, and its result."""
     began = time.perf_counter()
     result = trace()
     return time.perf_counter() - began, result
@@ -217,7 +217,7 @@ def _checked(number: int, trace: Callable[[], float]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _SystemsTask:
-    """Tracing of perturbed systems by worker processes; `given` has the nominal parameter values by key."""
+    """Task in which workers trace perturbed systems; `given` has the nominal parameter values by key."""
 
     metric: Metric
     given: Mapping[str, np.ndarray]
@@ -250,7 +250,7 @@ def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
 
 
 def _possible(rows: Sequence[SensitivityRow], drawn: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:
-    """Return drawn values in which R and T of ideal coatings are scaled down so that R + T ≤ 1."""
+    """Return drawn parameter values in which R and T of ideal coatings are reduced so that R + T ≤ 1."""
     found = drawn.copy()
     numbers = {row.line.keys[0]: k for k, row in enumerate(rows) if row.kind == "share"}
     for owner in {key.rsplit(".", 1)[0] for key in numbers}:

@@ -58,7 +58,7 @@ class Finished:
         self.systems: list[float] = []
 
     def take(self, taken: Taken) -> None:
-        """Store a gradient. A check and systems stored for another gradient are dropped."""
+        """Keep a gradient; the check and the perturbed systems of another gradient are dropped."""
         if taken is not self.taken:
             self.taken, self.check, self.systems = taken, None, []
             self.save()
@@ -147,7 +147,7 @@ def signature_of(metric: Metric, params: Mapping[str, Any], facts: Mapping[str, 
 
 
 def _check(saved: Mapping[str, Any]) -> TracedChange:
-    """Restore a `TracedChange` from its saved JSON values."""
+    """Return a `TracedChange` restored from its saved JSON values."""
     entering = {place: tuple(Entering(**one) for one in some) for place, some in saved["entering"].items()}
     gaps = tuple(Gap((str(a), str(b)), float(gap["gap_mm"])) for gap in saved["gaps"] for a, b in [gap["surfaces"]])
     image = None if saved["image"] is None else Estimate(*saved["image"])

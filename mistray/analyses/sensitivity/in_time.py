@@ -101,7 +101,7 @@ def gradient_in_time(
 
 def _next(tried: tuple[float, float] | None, first: float, left: float) -> float | None:
     """
-    Return the next factor on the number of rays, or None if there is no time for more.
+    Return the next factor on the number of rays for a gradient; None if there is no time for more.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def _next(tried: tuple[float, float] | None, first: float, left: float) -> float
 
 
 def _taken(metric: Metric, chosen: Mapping[str, Parameter], request: GradientRequest, times: float) -> Taken:
-    """Compute the gradient of a metric with `times` its number of rays, and time it."""
+    """Return the gradient of a metric with `times` its number of rays, and the time that it took, s."""
     began = time.perf_counter()
     metric = metric if times == metric.times else metric.with_rays_times(times)
     seen = metric.observe()

@@ -15,7 +15,7 @@ from mistray.toolkit.rows import column
 
 @dataclass(frozen=True)
 class Contribution:
-    """Share of one parameter, or of several that vary together, in the variance of ln(metric)."""
+    """Fraction of the variance of ln(metric) due to one parameter, or to several that vary together."""
 
     name: str = column("label of the parameter, or the pattern that the group was asked for by")
     members: tuple[str, ...] = column("labels of the parameters")

@@ -30,7 +30,7 @@ SHARES = (1.0, 0.999, 0.9, 0.5, 0.1)  # of the way to a bound that its model may
 @dataclass(frozen=True)
 class Line:
     """
-    Line of a sensitivity table: a parameter, or a group of parameters that change together.
+    Row of a sensitivity table before evaluation: a parameter, or several that change together.
 
     Attributes
     ----------
@@ -278,7 +278,8 @@ class LineNumbers:
         return cls(lines, ranges, derivative, total, check * per, check_se * per, changes)
 
     def reachable(self, free: set[str], reach: float) -> Ranges:
-        """Return ranges of at most `reach` tolerances, R and T unlimited.
+        """
+        Return the parameters' ranges limited to `reach` tolerances about their values; R and T are not limited.
 
         Parameters not in `free` stay at their value.
         """

@@ -194,7 +194,7 @@ def _working_f_number(scene: Any, path: DesignPath, radius: float) -> float:
 
 
 def _off_axis(centre: np.ndarray, source: SceneSource) -> float:
-    """Return the distance of a point (3,), mm, from the axis of a source, mm."""
+    """Return the distance, mm, of a point (3,), mm, from the axis of a source."""
     away = centre - source.pivot
     return float(np.linalg.norm(away - (away @ source.direction) * source.direction))
 
@@ -232,7 +232,7 @@ def _field(scene: Any, path: DesignPath) -> dict[str, float]:
 
 
 def _angle(shift: Any, wanted: float) -> float:
-    """Return the field angle, degrees, at which `shift`, a function of the angle, is `wanted` mm; NaN if nowhere."""
+    """Return the field angle, degrees, at which the function `shift`, mm, reaches `wanted`, mm; NaN if nowhere."""
     low, high = 0.0, math.nan
     for angle in (1.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, LARGEST_FIELD_DEG):
         away = float(np.linalg.norm(shift(angle)))

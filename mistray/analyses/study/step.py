@@ -31,7 +31,7 @@ def count_of(number: int, what: str) -> str:
 
 def gathered(column: str, tables: Iterable[tuple[float, pd.DataFrame]]) -> pd.DataFrame:
     """
-    Return tables by angle, degrees, joined into one with the angle as first column `column`.
+    Return one table from tables at several angles, degrees, with the angle in the first column `column`.
 
     Empty ones are left out.
     """

@@ -25,7 +25,7 @@ OWN = ("mistray", "mitsuba", "drjit")
 @dataclass(frozen=True, eq=False)
 class Cell:
     """
-    Key of a sweep's row: configuration, wavelength and field angle.
+    Key of a row of a sweep: configuration, wavelength, nm, and field angle, degrees.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Cell:
 
 class KeptRows:
     """
-    Access to the rows of a sweep in the cache, for reading and storing.
+    Rows of a sweep in the disk cache, for reading and storing.
 
     Parameters
     ----------

@@ -276,7 +276,7 @@ rank_edits = analysis("rank_edits", RankingRequest, run)
 
 
 def _certain(change: Estimate) -> float:
-    """Return the part of a change that exceeds `CERTAIN` standard errors, in the unit of the change; at least 0."""
+    """Return how far the size of a change exceeds `CERTAIN` standard errors, in the unit of the change; at least 0."""
     return max(abs(change.value) - CERTAIN * change.se, 0.0)
 
 

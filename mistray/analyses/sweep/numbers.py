@@ -39,7 +39,7 @@ Numbers = dict[str, Any]
 
 def numbers_of(t: Trace) -> Numbers:
     """
-    Return the results of a trace as a row of a sweep, by column.
+    Return the results of a trace, such as powers in W and spot radii in mm, as a row of a sweep by column.
 
     Parameters
     ----------
@@ -114,5 +114,5 @@ def entering_columns(found: Sequence[Entering]) -> dict[str, Any]:
 
 
 def widest(gaps: Iterable[Gap]) -> float:
-    """Return the largest width of the gaps that a change opens, mm; NaN if there are none."""
+    """Return the width of the widest gap that a change opens between surfaces, mm; NaN if there are none."""
     return max((gap.gap_mm for gap in gaps), default=math.nan)

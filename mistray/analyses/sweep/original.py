@@ -57,7 +57,7 @@ class Original:
 
 
 def move(scene: mi.Scene, one: Configuration) -> Resolved:
-    """Set the values of a configuration in a loaded scene, check for overlaps, return it resolved to parameter keys."""
+    """Set the values of a configuration in a loaded scene; return it with names resolved to parameter keys."""
     params = mi.traverse(scene)
     (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
     assign(params, resolved.values)
@@ -94,7 +94,8 @@ class _Loaded:
         return self._stored.load()
 
     def file(self, folder: Path) -> Path:
-        """Return the scene's file, unpacked in a folder.
+        """
+        Return the scene's file, unpacked in a folder.
 
         Raise `MistrayError` if there is none or the scene differs from it.
         """

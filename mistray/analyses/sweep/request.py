@@ -27,7 +27,7 @@ from mistray.toolkit.fields import FieldSubset, Request, Several, field
 
 
 class Step(Demand):
-    """Condition that a value is a step of a parameter: a number in its unit, or per cent as text."""
+    """Parameter check for a step of an edit: a number in the parameter's unit, or a percentage as text."""
 
     demand = "must be a number, or per cent as text, '2 %'"
     also = ({"type": "number"}, {"type": "string", "minLength": 1})

@@ -187,7 +187,7 @@ class FullRims:
         return found
 
     def _moved(self, rays: MarginalBundle, owner: Any, name: str, step: float) -> MarginalBundle:
-        """Return rays as they start with a parameter changed by `step`; unchanged if it is not one of the source."""
+        """Return start rays after parameter `name` of `owner` changes by `step`; only the source's have an effect."""
         if owner is not self.source.emitter:
             return rays
         by_o, by_d = self.source.motion(name, mi.Vector3d(*rays.o.T), mi.Vector3d(*rays.d.T))

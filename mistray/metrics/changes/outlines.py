@@ -70,7 +70,7 @@ class SpaceOutline(ABC):
         """Return a mask of polylines of k points, (n, k, 3), mm, that the surface crosses, (n,)."""
 
     def away(self, rim: Rim) -> float:
-        """Return the greatest distance of another surface's rim from this surface, mm; 0 where both cross."""
+        """Return the largest distance of another surface's rim from this surface, mm; 0 where they cross."""
         far = self.distance(rim.points)
         apart = np.flatnonzero(far > TOUCH)
         if len(apart):

@@ -16,7 +16,7 @@ Profile = Callable[[np.ndarray], np.ndarray]
 @dataclass(frozen=True)
 class SurfaceCrossing:
     """
-    Unwanted crossing or coincidence of two surfaces.
+    Unwanted crossing or coincidence of two surfaces of revolution on one axis.
 
     Attributes
     ----------

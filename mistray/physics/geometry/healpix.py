@@ -13,7 +13,7 @@ BELT = 2 / 3  # |cos θ| up to which pixels lie in the belt around the equator
 
 
 def sides(pixels: int) -> int:
-    """Return N of a HEALPix map with 12 N² pixels; 0 if the number of pixels is not of that form."""
+    """Return N, the divisions of a base pixel's side, of a HEALPix map with 12 N² pixels; 0 for other numbers."""
     side = round((pixels / FACES) ** 0.5)
     return side if side > 0 and FACES * side * side == pixels else 0
 
@@ -64,7 +64,7 @@ def _nested(
     lines: tuple[np.ndarray, np.ndarray],
     cap: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Return pixel numbers in the nested scheme, in the shape of `z`, from rows of pixels in both diagonals."""
+    """Return HEALPix pixel numbers in the nested scheme, in the shape of `z`, from each pixel's two diagonal rows."""
     (rising, falling), (quarter, up, down) = lines, cap
     first, second = rising // side, falling // side
     face = np.where(first == second, first % 4 + 4, np.where(first < second, first % 4, second % 4 + 8))

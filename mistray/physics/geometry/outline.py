@@ -133,7 +133,7 @@ class OutlineFigure:
 
     def contains(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
         """
-        Return a mask of points x, y, mm, in the figure.
+        Return a mask of points x, y, mm, that lie in the figure.
 
         `n` holds its numbers by name, with "cos" and "sin" of its angle.
         """
@@ -263,7 +263,7 @@ class Outline:
         return Outline(tuple(map(grown, self.figures)))
 
     def half_turned(self) -> Outline:
-        """Return the outline after half a turn of its frame about y, which reverses x."""
+        """Return the outline after half a turn of its frame about the y axis, which reverses x."""
 
         def turned(f: OutlineFigure) -> OutlineFigure:
             sizes = f.sizes if f.kind != "polygon" else tuple(v * (-1) ** (k + 1) for k, v in enumerate(f.sizes))
@@ -311,7 +311,7 @@ class Outline:
         }
 
     def turns(self) -> dict[str, float]:
-        """Return cosines and sines of the figures' angles, by the names that `contains` uses."""
+        """Return the cosine and sine of each rotated figure's angle, by the names that `contains` uses."""
         found: dict[str, float] = {}
         for k, figure in enumerate(self.figures, start=1):
             if figure.angle_deg:
@@ -409,7 +409,7 @@ def signed_area(corners: np.ndarray) -> float:
 
 
 def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
-    """True if the segments from a to b and from c to d, points (2,), cross at an inner point of both."""
+    """True if the segments a-b and c-d, of points (2,), cross at an inner point of both."""
 
     def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
         return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))

@@ -56,7 +56,7 @@ def rigid_motion(to_world: npt.ArrayLike, owner: str, remedy: str = "set the siz
 
 
 def pointing_error(to_world: npt.ArrayLike) -> float:
-    """Return the error of the directions of a matrix's axes, rad: 1e-7 if it is in single precision, else 0."""
+    """Return the rounding error of the axes of a frame, rad: 1e-7 if the matrix is in single precision, else 0."""
     rotation = np.array(to_world, dtype=np.float64).reshape(4, 4)[:3, :3]
     single = np.array_equal(rotation, rotation.astype(np.float32)) and not np.isin(rotation, (-1.0, 0.0, 1.0)).all()
     return SINGLE_RAD if single else 0.0

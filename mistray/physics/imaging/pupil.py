@@ -74,7 +74,7 @@ class Pupil:
 
     @property
     def lit(self) -> npt.NDArray[np.bool_]:
-        """Mask of the cells through which light gets, (n, n)."""
+        """Mask of the pupil cells through which light passes, (n, n) bool."""
         return self.share > 0
 
     @cached_property
@@ -100,7 +100,7 @@ class Pupil:
 
     @cached_property
     def amplitude(self) -> Complex:
-        """Integral of the complex amplitude A exp(-2πi W), A² = `flux`, over α and β in each cell, (n, n)."""
+        """Integral of the complex amplitude √flux · exp(-2πi W) over α and β in each cell, (n, n)."""
         return np.asarray(np.sqrt(self.flux) * self.share * np.exp(-2j * np.pi * self.opd_waves) * self.step**2)
 
     @cached_property
@@ -153,7 +153,7 @@ class Pupil:
         return float(np.ptp(self.residual(terms)[self.lit]))
 
     def best_focus_mm(self) -> float:
-        """Return the shift of the image point along the light, mm, that minimises the rms wavefront."""
+        """Return the shift of the image point along the light, mm, at which the rms wavefront is least."""
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
@@ -276,7 +276,8 @@ class Pupil:
         return np.asarray(real + 1j * imaginary)
 
     def cut_off(self, direction: tuple[float, float]) -> float:
-        """Return the frequency along a direction (x, y) beyond which there is no contrast, 1/mm.
+        """
+        Return the frequency along a direction (x, y) beyond which there is no contrast, 1/mm.
 
         It is n/λ times the pupil's width.
         """

@@ -93,7 +93,7 @@ def q2d_values(x: np.ndarray, m: int, last: int) -> np.ndarray:
 @cache
 def _orthonormal(m: int, last: int) -> np.ndarray:
     """
-    Return the coefficients of Q_m0 … Q_m,last in Jacobi polynomials, one row for each n, from their definition.
+    Return the coefficients of Forbes's Q_m0 … Q_m,last in Jacobi polynomials, one row for each n.
 
     Gauss-Chebyshev nodes in u integrate the products of gradients exactly. The gradients of the Jacobi polynomials are
     the columns of A = QR. Then the columns of A R⁻¹ are orthonormal, and each has its own degree.
@@ -115,7 +115,7 @@ def _orthonormal(m: int, last: int) -> np.ndarray:
 
 def _jacobi(x: np.ndarray, m: int, last: int, slope: bool = False) -> np.ndarray:
     """
-    Return the Jacobi polynomials in 2x - 1 of degrees 0 … last, (last + 1, …), or their derivatives in x.
+    Return the Jacobi polynomials in 2x - 1 of degree 0 … last, (last + 1, …), or with `slope` their x derivatives.
 
     They are orthogonal on 0 … 1 with the weight x^(m-3/2) (1-x)^(-1/2).
     """

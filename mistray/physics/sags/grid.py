@@ -119,7 +119,7 @@ class Grid:
 
     @property
     def gone(self) -> np.ndarray:
-        """Mask of points without a measured height, (ny, nx)."""
+        """Mask of the grid points without a measured height, (ny, nx) bool."""
         return np.zeros(self.corners.shape[:2], dtype=bool) if self.missing is None else self.missing
 
     @property
@@ -215,7 +215,7 @@ def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any,
 
 
 def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Return Hermite weights at s in 0 … 1, of the values at 0 and 1 and slopes at 0 and 1, and their derivatives."""
+    """Return Hermite's weights at s, 0 … 1, of values and slopes at both ends, and the derivatives of these weights."""
     s2 = s * s
     s3 = s2 * s
     high = 3 * s2 - 2 * s3
@@ -224,7 +224,7 @@ def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
 
 
 def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> None:
-    """Raise `MistrayError` if heights, mm, or values as of `Grid.corners` do not make a valid grid."""
+    """Raise `MistrayError` if heights, mm, steps, mm, or the mask of missing points do not make a valid grid."""
     if z.ndim < 2 or min(z.shape[:2]) < LEAST or max(z.shape[:2]) > MOST:
         shape = " by ".join(map(str, z.shape[1::-1]))
         raise MistrayError(f"{shape} points; it needs {LEAST} to {MOST} each way")

@@ -73,7 +73,7 @@ def length_power(name: str) -> int | None:
 
 def _numbered(name: str) -> tuple[str, int, int | None] | None:
     """
-    Return the family and the one or two orders in a coefficient's name, such as ("xy", 2, 1).
+    Return the polynomial family and orders in a coefficient's name, such as ("xy", 2, 1) for "xy_2_1".
 
     The result is None for other names.
     """
@@ -160,7 +160,7 @@ def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
 
 
 def _gridded(x: np.ndarray, y: np.ndarray, n: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the height of the grid, mm, and its slopes in x and y at points of the surface's frame, mm."""
+    """Return the height of a sag grid, mm, and its slopes in x and y, at points of the surface's frame, mm."""
     grid: Grid = n[GRID]
     found = grid.evaluate(x - n.get("grid_x", 0.0), y - n.get("grid_y", 0.0))
     z, across, along = (n.get("grid_scale", 1.0) * value for value in found)

@@ -81,7 +81,7 @@ class RotatedSamples:
 
     @property
     def event(self) -> str | None:
-        """Measured event, "reflection" or "transmission", or None if the file does not declare it."""
+        """Measured event, "reflection" or "transmission"; None if the file does not state it."""
         return self.tables[0].event
 
 
@@ -187,7 +187,7 @@ def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple
 
 
 def _check_round(title: str, angles: np.ndarray) -> None:
-    """Raise `MistrayError` if rotations do not ascend within a full turn, or leave a part of it uncovered."""
+    """Raise `MistrayError` if sample rotations, degrees, do not ascend within a turn, or leave a part of it open."""
     check_rotations(title, angles, 360 - ANGLE_ROUNDING_DEG)
     left = 360 - (angles[-1] - angles[0])
     if len(angles) > 1 and left > LARGEST_GAP * float(np.max(np.diff(angles))) + ANGLE_ROUNDING_DEG:

@@ -136,7 +136,7 @@ class BsdfSamples:
 
     def check_cover(self) -> None:
         """
-        Raise `MistrayError` if directions of the hemisphere lie beyond the last polar angle.
+        Raise `MistrayError` if the polar angles of the table end before the hemisphere does.
 
         Raises
         ------
@@ -210,7 +210,7 @@ class BsdfSamples:
         return np.asarray(self.values / np.maximum(self.directions()[..., 2], HORIZON))
 
     def held(self, grid: np.ndarray, above: np.ndarray) -> np.ndarray:
-        """Return values on the grid, (a, b, c), in which nodes below the horizon take the last value above it."""
+        """Return values on the grid, (a, b, c), with nodes below the horizon set to the last value above it."""
         last = np.maximum.accumulate(np.where(above, np.arange(len(self.polar_deg)), 0), axis=-1)
         return np.take_along_axis(grid, last, axis=-1)
 
@@ -257,7 +257,7 @@ class BsdfSamples:
 
 
 def uncovered(title: str, azimuth_deg: np.ndarray) -> MistrayError:
-    """Return the error for azimuths, degrees, that leave a part of the hemisphere open."""
+    """Return the error for azimuths, degrees, that cover neither a half nor a full circle."""
     return MistrayError(
         f"{title}: azimuths from {azimuth_deg[0]:g} to {azimuth_deg[-1]:g}° do not cover the hemisphere; give "
         "0 … 180°, or 0 … 360°"

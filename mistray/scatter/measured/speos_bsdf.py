@@ -34,7 +34,7 @@ _SAME_TOTAL = 1e-6  # relative difference of totals that count as equal at all w
 
 
 class _Lines:
-    """Reader that returns the lines of a Speos file one after the other."""
+    """Reader of the text lines of a Speos BSDF file, one after the other, with their numbers for messages."""
 
     def __init__(self, path: str | Path) -> None:
         self.title = f"BSDF file '{path}'"
@@ -43,7 +43,7 @@ class _Lines:
 
     @property
     def where(self) -> str:
-        """File and number of the line read last, for error messages."""
+        """File name and number of the line read last, for error messages."""
         return f"{self.title}, line {self._next}"
 
     def text(self) -> str:

@@ -163,7 +163,7 @@ class Tabulated(Placement):
 
     @property
     def _first(self) -> BsdfSamples:
-        """Table of the first rotation; the tables of all rotations have its grid."""
+        """Measured table at the first sample rotation; those of all rotations have the same grid."""
         return self.samples.tables[0]
 
     @cached_property
@@ -222,7 +222,7 @@ class Tabulated(Placement):
 
     def _still(self, relative: list[np.ndarray], axes: str) -> RatioTable:
         """
-        Return the ratio of an isotropic table to the radial profile, resampled at nodes of `axes`, see `RatioTable`.
+        Return the ratio of an isotropic table to the radial profile, at nodes of `axes`, see `RatioTable`.
 
         `relative` holds the ratio at the nodes of the table.
         """
@@ -298,7 +298,7 @@ class Tabulated(Placement):
         return np.array(planes)
 
     def _over_incidence(self, planes: np.ndarray, nodes: int) -> np.ndarray:
-        """Return ratios of `_planes`, (nodes, m, k), interpolated at uniform nodes of the specular angle's cosine."""
+        """Return the ratios of `_planes`, (nodes, m, k), at even steps of the cosine of the specular angle."""
         angle = np.degrees(np.arccos(np.linspace(0, 1, nodes if len(planes) > 1 else 2)))
         place = np.interp(angle, self._first.specular_deg, np.arange(len(planes)))
         low = np.minimum(place.astype(int), max(len(planes) - 2, 0))
@@ -308,7 +308,7 @@ class Tabulated(Placement):
 
     def _misfit(self, ratio: RatioTable) -> float:
         """
-        Return the mean relative error of the model at nodes above the horizon.
+        Return the mean relative error of the interpolating model at the table's nodes above the horizon.
 
         For anisotropic samples the pole is left out.
         """

@@ -30,7 +30,7 @@ NORMAL_OF_INCIDENCE_DEG = 90.0  # azimuth of the axis from which SampleRotation 
 
 @dataclass
 class _Lines:
-    """Reader that returns the lines of a Zemax file one after the other, without empty lines and comments."""
+    """Reader of the lines of a Zemax BSDF file, one after the other, without empty lines and comments."""
 
     path: str | Path
     lines: Iterator[tuple[int, list[str]]]
@@ -119,7 +119,7 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
 
 
 def _block(lines: _Lines, azimuths: int, radials: int, angle: float) -> np.ndarray:
-    """Return the BSDF, 1/sr, (azimuths, radials), read from the lines of one angle of incidence, degrees."""
+    """Return the BSDF, 1/sr, (azimuths, radials), at one angle of incidence, degrees, read from the next lines."""
     found: list[float] = []
     while len(found) < azimuths * radials:
         words = lines.next(f"the data at {angle:g}°")

@@ -97,7 +97,7 @@ def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
 
 def _apart(groups: Sequence[np.ndarray]) -> list[list[int]]:
     """
-    Return, for each further trace, the indices of path groups to map in it.
+    Return groups of path groups, by index, to be mapped together: no trace has a path twice, and traces are few.
 
     No trace has a path twice, and there are few traces.
     """

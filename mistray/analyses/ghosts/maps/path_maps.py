@@ -27,7 +27,7 @@ CELLS, CELLS_OF_ALL, CELLS_OF_OTHERS = 84, 256, 8
 @dataclass(frozen=True)
 class PathMap:
     """
-    Map of a path's power on the detector in square cells of whole pixels.
+    Map of one path's power, W, on the detector, in square cells of whole pixels.
 
     It is cropped to the smallest rectangle that holds all power.
 
@@ -75,7 +75,7 @@ class PathMap:
 
     def within(self, columns: tuple[int, int], rows: tuple[int, int]) -> float:
         """
-        Return the power in a rectangle of pixels, W.
+        Return the power, W, of the path in a rectangle of detector pixels.
 
         Parameters
         ----------
@@ -218,7 +218,7 @@ def images_of_field(trace: Trace, table: pd.DataFrame, worst: Sequence[int]) -> 
 
 def without(light: Pixels, direct: Pixels, value: Map) -> Pixels:
     """
-    Return the map of stray light with the values `value`, W/mm².
+    Return the irradiance map of stray light, W/mm², with its noise.
 
     Its noise is that of all light less that of the direct image.
     """
@@ -227,5 +227,5 @@ def without(light: Pixels, direct: Pixels, value: Map) -> Pixels:
 
 
 def _cells(lit: npt.NDArray[np.int64], pixels: int) -> int:
-    """Return how many cells, each `pixels` wide, reach from the first to the last lit pixel index."""
+    """Return the number of cells of `pixels` width from the first to the last lit pixel."""
     return int(lit[-1] // pixels - lit[0] // pixels + 1)

@@ -89,7 +89,7 @@ def draw(report: GhostReport, look: Look | None = None) -> tuple[dict[str, bytes
 
 
 def _in_order(report: GhostReport) -> list[float]:
-    """Return field angles, degrees, in the order of drawing; within a time budget the worst come first."""
+    """Return the field angles, degrees, in the order in which pictures are drawn; short of time, the worst first."""
     if not is_limited():
         return list(report)
     worst = [field for field in (most_stray(report), brightest_field(report)) if field is not None]

@@ -52,7 +52,7 @@ NUMBERS = tuple(field.name for field in fields(PathColumns))[6:]
 
 
 def number_cells(rows: pd.DataFrame, numbers: Sequence[str]) -> list[list[Value]]:
-    """Return cells with the chosen numbers of path-table rows; empty where a path has none."""
+    """Return table cells with the chosen numbers of path rows; a cell is empty where a path lacks the number."""
     rows = rows.reindex(columns=list(dict.fromkeys([*rows.columns, *numbers])))
     absent = [[name in OF_SOME and math.isnan(getattr(row, name)) for name in numbers] for row in rows.itertuples()]
     found = table(PathColumns, rows, only=numbers).rows

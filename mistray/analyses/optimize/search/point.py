@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Pieces:
     """
-    Merit split into a smooth part and penalties, which are weighted squares of residuals.
+    Merit split into a smooth part and penalties, which are weighted squares of residuals of the limits.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Pieces:
 
     @property
     def multipliers(self) -> np.ndarray:
-        """Return the derivatives of the penalties with respect to their residuals, (m,)."""
+        """Return the derivatives of the penalties by the residuals of the limits, (m,), dimensionless."""
         counted = np.where(self.one_sided, np.maximum(self.residuals, 0.0), self.residuals)
         return np.asarray(2 * self.weights * counted)
 
@@ -74,7 +74,7 @@ AfterStep = Callable[[np.ndarray], None]  # called with the point after each ste
 
 
 class Search(Protocol):
-    """Interface of a method that minimises a merit within bounds by its gradient."""
+    """Interface of a search method, which minimises a merit within bounds along its gradient."""
 
     def __call__(self, function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep, /) -> str:
         """

@@ -70,13 +70,13 @@ def _pieces(point: Point) -> Pieces:
 
 
 def _change(pieces: Pieces, curvature: np.ndarray, step: np.ndarray) -> float:
-    """Return the change of the merit that its quadratic model predicts for a step, (n,), of the variables."""
+    """Return the change of the merit, dimensionless, that the quadratic model predicts for a step, (n,)."""
     smooth = pieces.slope @ step + 0.5 * step @ curvature @ step
     return float(smooth + pieces.penalty(pieces.residuals + pieces.rows @ step) - pieces.penalty(pieces.residuals))
 
 
 def _lowest(pieces: Pieces, curvature: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the step, (n,), within a box that minimises the model of the merit with its active penalties."""
+    """Return the step, (n,), within a box that minimises the quadratic model with its active penalties."""
     free = high > low
     values, axes = np.linalg.eigh(curvature)
     roots = np.sqrt(np.maximum(values, FAINT * values[-1]))
@@ -105,7 +105,7 @@ def _lowest(pieces: Pieces, curvature: np.ndarray, low: np.ndarray, high: np.nda
 
 def _learnt(curvature: np.ndarray, step: np.ndarray, before: Pieces, behind: Pieces) -> np.ndarray:
     """
-    Return the curvature of the Lagrangian after a step, (n, n), kept positive definite by a damped BFGS update.
+    Return the updated curvature of the Lagrangian, (n, n), after a step, by a damped BFGS update.
 
     Its multipliers are those that best balance the gradient of the smooth part with those of the residuals. The
     multipliers of the squares, 2 w r, would be too large where a single trial lies off the walls.

@@ -59,7 +59,7 @@ class ComparisonCell:
 @dataclass(frozen=True, repr=False)
 class Levels(Result, table="..tables:levels_table", figure="..figures:levels_figure"):
     """
-    Values of the terms of a study in one scene, by seed.
+    Values of a study's terms in one scene, each in its unit, for every seed.
 
     Attributes
     ----------
@@ -324,7 +324,7 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
 
 def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
     """
-    True if a term has become worse in a row, by more than `far` standard errors.
+    True if a term has become worse in a row by more than `far` standard errors.
 
     It has grown, left its tolerance, or broken a limit that held before.
     """

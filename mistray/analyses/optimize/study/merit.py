@@ -213,13 +213,13 @@ class Merit:
         return pieces(self.study.terms, at.terms, at.slopes, self.start or at.terms)
 
     def broken(self, values: Mapping[str, float]) -> tuple[str, ...]:
-        """Return the names of the terms whose values break their limits."""
+        """Return the names of the terms whose values violate their limits."""
         start = self.start or values
         return tuple(t.name for t in self.study.terms if not holds(t, values[t.name], start[t.name]))
 
     def _checked(self, every: Mapping[str, Any], x: np.ndarray) -> dict[str, float]:
         """
-        Return the values of the terms, in their units, at variables `x`.
+        Return the values of a study's terms, each in its unit, at variables `x`, after a check.
 
         Raise `MistrayError` if they give no merit.
         """

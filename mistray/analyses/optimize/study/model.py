@@ -88,7 +88,7 @@ class Term(Request):
 @dataclass(frozen=True)
 class Moved(Request):
     """
-    Scene parameters that a variable of a study moves, with their factor and pivot.
+    Scene parameter that a variable of a study moves, with the factor from variable to parameter, and a pivot.
 
     Examples
     --------
@@ -323,5 +323,5 @@ Study = DesignStudy  # its name before version 0.3
 
 
 def _named(kind: Any) -> str:
-    """Return the qualified name of a function, by which the fingerprint of a study identifies it."""
+    """Return the module and name of a function, by which a study's fingerprint identifies it."""
     return f"{getattr(kind, '__module__', '')}.{getattr(kind, '__qualname__', kind)}"

@@ -65,7 +65,7 @@ def with_next_orders(
 
 def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
     """
-    Return, for each term, the named limit (such as max_scatters) raised by one.
+    Return, for each term that has the limit `limit` on events, that limit raised by one.
 
     Terms without such a limit are left out.
     """
@@ -91,7 +91,7 @@ def _takes(term: Term, limit: str) -> bool:
 
 
 def _compared(first: Levels, more: Levels, limit: str, of_term: dict[str, int]) -> NextOrder:
-    """Return the change of the terms between two measurements, over their common seeds, for which rays are equal."""
+    """Return the change of the terms from one measurement to another, over common seeds with equal rays."""
     count = len(more.seeds)
     before = np.stack([first.of(name) for name in of_term])
     after = np.stack([more.of(name) for name in of_term])

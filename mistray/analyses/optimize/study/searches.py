@@ -43,7 +43,7 @@ class Problem(Protocol):
 
     def pieces(self, at: Evaluation) -> Pieces | None:
         """
-        Return the smooth part and the penalties of the merit at an evaluation.
+        Return the smooth part and the penalties of an evaluated merit; None if the search needs only the merit.
 
         The result is None if the method needs only the merit.
         """
@@ -53,7 +53,7 @@ class Problem(Protocol):
 
 
 class Ended(Exception):
-    """Raised to end a search; the text gives the reason."""
+    """Exception that ends a search; its text gives the reason."""
 
 
 class Searches:
@@ -144,7 +144,7 @@ class Searches:
         return [step for step in self.steps if step.start == winner][-1]
 
     def _at(self, start: int, number: int, y: np.ndarray) -> Evaluation:
-        """Return evaluation `number` of a search: the saved one if it exists, else a new one, which is then saved."""
+        """Return evaluation `number` of the search from a start: a saved one if it exists, else a new one."""
         kept = self.state.evaluations[start]
         if number < len(kept):
             if not np.array_equal(kept[number].y, y):

@@ -28,7 +28,7 @@ SAME_NM = 1.0  # minima nearer than this in every layer are one
 @dataclass(frozen=True)
 class Proxy:
     """
-    Mean square reflectance of a coating over wavelengths, angles and adjacent glasses, as a stand-in for ghosts.
+    Mean square reflectance of a coating over wavelengths, angles and adjacent glasses, a cheap measure of ghosts.
 
     Attributes
     ----------

@@ -33,7 +33,7 @@ class Start:
 @dataclass(frozen=True)
 class Evaluation:
     """
-    Merit and gradient at one point.
+    Merit of a study and its gradient at one point of the variables.
 
     Attributes
     ----------

@@ -150,7 +150,7 @@ def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
 
 
 def _joined(numbers: Collection[Any]) -> mi.Float64:
-    """Return several values as one differentiable Dr.Jit array, (numbers,)."""
+    """Return several numbers as one differentiable Dr.Jit array, (numbers,)."""
     places = dr.arange(mi.UInt32, len(numbers))
     return sum((dr.select(places == k, value, 0.0) for k, value in enumerate(numbers)), start=mi.Float64(0.0))
 
@@ -192,7 +192,7 @@ def layer_value(
 
 
 def check_worst(term: Term) -> None:
-    """Raise `MistrayError` if a term's `worst` does not suit its kind, or if there is only one value to choose from."""
+    """Raise `MistrayError` if `worst` of a term suits neither its kind nor its numbers of fields and wavelengths."""
     for over, key in (("field", "field_deg"), ("wavelength", "wavelength_nm")):
         if term.worst not in (over, "both"):
             continue

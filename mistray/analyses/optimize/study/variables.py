@@ -23,7 +23,7 @@ ROUNDING = 1e-6  # of the range, by which a start may lie outside of the bounds:
 @dataclass(frozen=True)
 class VariablePlace:
     """
-    Entry of a scene parameter that a variable changes, with its factor and start value.
+    Entry of a scene parameter that a variable of a study changes, with its factor and start value.
 
     Attributes
     ----------
@@ -204,7 +204,7 @@ class Variables:
 
     def _of_bodies(self, x: np.ndarray) -> dict[str, float]:
         """
-        Return changes of surface positions (mm) and tilts (degrees) by key, as bodies move.
+        Return the changes of surface positions, mm, and tilts, degrees, by key, from the motion of bodies.
 
         `x`, (n,), are the variables.
         """
