@@ -78,7 +78,7 @@ def named_places(options: argparse.Namespace) -> list[str]:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Yield all texts and paths in nested dicts, lists and tuples, as text."""
+    """Yield all texts and paths in nested dicts, lists and tuples of option values, as text."""
     if isinstance(value, str | Path):
         yield str(value)
     elif isinstance(value, dict):

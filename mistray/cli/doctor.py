@@ -219,13 +219,13 @@ def _llvm() -> Check:
 
 
 def _libatomic() -> Iterator[Check]:
-    """Yield a check that tells that libatomic is missing, if the package brings a substitute for it."""
+    """Yield a check that libatomic is missing but replaced, if mistray provides a substitute on this machine."""
     if provide_libatomic():
         yield Check("libatomic", "ok", f"no {LIBATOMIC}; mistray brings the one function of it that Dr.Jit calls")
 
 
 def _cuda() -> Check:
-    """Return the check of the GPU: whether the NVIDIA driver itself offers the CUDA and OptiX that Dr.Jit needs."""
+    """Return the check of the GPU: whether its NVIDIA driver offers the CUDA and OptiX versions that Dr.Jit needs."""
     try:
         driver = _library("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1", "DRJIT_LIBCUDA_PATH")
     except OSError:

@@ -46,7 +46,7 @@ class Options(argparse.Namespace):
     """Options of a command as read by argparse, with the steps that all commands share."""
 
     def given(self, *names: str) -> dict[str, Any]:
-        """Return the values of those of the named options that the user has given, by name."""
+        """Return the values of the named options that the user has set, by name."""
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def settings(self) -> dict[str, Any]:
@@ -61,12 +61,13 @@ class Options(argparse.Namespace):
                 raise MistrayError(f"{flag(name)}{why}")
 
     def has(self, name: str) -> Any:
-        """Return the value of an option; None if it is not given, or the command has no such option."""
+        """Return the value of an option; None if it is not set or the command does not have it."""
         return vars(self).get(name)
 
     @property
     def title(self) -> str:
-        """Name of the scene for titles: that of its file, or of its folder if the file is called scene.xml.
+        """
+        Name of the scene for titles: that of its file, or of its folder if the file is called scene.xml.
 
         It is empty for a command without a scene.
         """

@@ -114,7 +114,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _command(arguments: list[str]) -> int:
-    """Parse the arguments, run the command and return its exit code, also for --help and --version."""
+    """Parse the arguments, run the command and return its exit code; --help and --version included."""
     try:
         from mistray.toolkit.command_request import asked, take_request
 
@@ -170,7 +170,7 @@ def _check_working_folder() -> None:
 
 
 def _stopped(error: BaseException | None) -> bool:
-    """True if Ctrl-C caused an error; Mitsuba, while it starts, and Dr.Jit, in a loop, raise other errors."""
+    """True if Ctrl-C caused the error; Mitsuba at its start and Dr.Jit in a loop raise errors of their own."""
     if requested():
         return True
     while error is not None:

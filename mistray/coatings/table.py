@@ -182,7 +182,7 @@ class CoatingTable:
         return Response(np.where(beyond, r + t, r), np.where(beyond, 0.0, t), phase_r, phase_t)
 
     def _slab(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return R and T, (a, 3, 2), and phase factors, (a, 3), interpolated at a wavelength, nm."""
+        """Return R and T, (a, 3, 2), and phase factors, (a, 3), at the table's angles, for a wavelength, nm."""
         lam = self.wavelength_nm
         if len(lam) == 1:
             return self.shares[0], self.phasors[0]

@@ -309,5 +309,5 @@ def _is_transmission(name: str) -> bool:
 
 
 def _phases(r_s: float, r_p: float, t_s: float, t_p: float) -> dict[str, float]:
-    """Return phases of s minus p, degrees, by column of `CoatingTable`, from OpticStudio's of s and p, degrees."""
+    """Return phase differences s minus p, degrees, by `CoatingTable` column, from those of OpticStudio, degrees."""
     return {"phase_r_deg": 180.0 - (r_s - r_p), "phase_t_deg": -(t_s - t_p), "phase_r_back_deg": 180.0 - (r_s - r_p)}

@@ -46,7 +46,8 @@ _PIXELS = (512, 512)
 
 
 def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pupil") -> Prescription:
-    """Read a camera lens from a JSON file.
+    """
+    Read a camera lens from a JSON file.
 
     Parameters
     ----------
@@ -143,7 +144,7 @@ class _Reader:
 
     def _surfaces(self) -> tuple[Surface, ...]:
         """
-        Return every surface at which the medium changes.
+        Return the optical surfaces of the camera, one wherever the medium changes.
 
         Store in `moves` pairs of rims (r, z), as printed and exact, mm.
         """
@@ -229,7 +230,7 @@ class _Reader:
 
     def _bodies(self, pieces: dict[str, Structure]) -> list[Structure]:
         """
-        Return edges, flanges and bevels of the lens bodies.
+        Return the edges, flanges and bevels of the lens bodies as structures.
 
         Barrel pieces in contact with a lens get glass on one side.
         """
@@ -278,7 +279,7 @@ class _Reader:
 
 
 def _whole(digits: str, path: Path) -> int:
-    """Parse a whole number of the file; one with more than `_MOST_DIGITS` digits raises `MistrayError`."""
+    """Return a whole number of the JSON file; more than `_MOST_DIGITS` digits raise `MistrayError`."""
     if len(digits) > _MOST_DIGITS:
         raise MistrayError(
             f"prescription '{path}': number {digits[:12]}… has {len(digits)} digits; give one of {_MOST_DIGITS} at most"

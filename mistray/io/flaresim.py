@@ -66,7 +66,7 @@ class _Line:
 
 @dataclass
 class _File:
-    """Content of a FlareSim file; the format has no aspheres, though name and remarks may mention them."""
+    """Content of a FlareSim lens file: name, remarks and surfaces."""
 
     what: str
     name: str
@@ -212,7 +212,7 @@ def _cemented(file: _File, notes: list[str]) -> list[_Line]:
 
 
 def _table(file: _File, notes: list[str]) -> Sequential:
-    """Return the lens with the aperture column taken as semi-diameters, mm, which is checked later."""
+    """Return the lens table with the file's aperture column read as semi-diameters, mm; a later step verifies that."""
     rows: list[Row] = []
     before, bare, coated = "air", 0, 0
     lines = _cemented(file, notes)
@@ -345,7 +345,7 @@ def _narrowed(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _opened(lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with clear apertures enlarged so that axial light that passes the stop also passes them."""
+    """Return the lens with clear apertures widened so that all axial light through the stop passes them."""
     data = first_order(lens)
     start = np.zeros((_AXIS_RAYS, 3))
     start[:, 1], start[:, 2] = np.linspace(0.0, 0.5 * (1 + _LARGER) * data.epd, _AXIS_RAYS), data.entrance_pupil_z

@@ -65,7 +65,7 @@ def to_sequential(prescription: Prescription) -> Sequential:
 
 @dataclass
 class _Walk:
-    """Builder of a table that follows light through a prescription, with present frame, direction and material."""
+    """Builder of the sequential table along the light, with the present frame, direction and material."""
 
     prescription: Prescription
 
@@ -183,7 +183,8 @@ class _Walk:
         self.last, self.vertex = surface.name, pose[:3, 3]
 
     def _place(self, pose: Array, row: Row) -> None:
-        """Append a row with the 4 × 4 frame `pose`, mm.
+        """
+        Append a row at the frame `pose`, (4, 4), mm, to the table.
 
         Set the thickness before it, and tilt or shift the axis if needed.
         """
@@ -230,7 +231,7 @@ class _Walk:
         return float(pose[:3, 2] @ self.light) * self.sense < 0
 
     def _sides(self, surface: Surface, reversed_: bool) -> tuple[str, str]:
-        """Return the materials in front of and behind a surface, in the order of light."""
+        """Return the materials before and behind a surface in the order in which light meets them."""
         return (surface.back, surface.front) if reversed_ else (surface.front, surface.back)
 
     def _stop_place(self) -> int | None:

@@ -78,7 +78,7 @@ _NAMES = {
 
 
 def plain(name: str) -> str:
-    """Return a name in capitals and digits alone, so that ``ZNS_IR`` and ``ZnS-IR`` are equal."""
+    """Return a material name reduced to capitals and digits, so that ``ZNS_IR`` and ``ZnS-IR`` are equal."""
     return re.sub(r"[^A-Z0-9]", "", name.upper())
 
 

@@ -85,7 +85,7 @@ class MaterialSource:
 @dataclass(frozen=True, eq=False)
 class _Material:
     """
-    Curves of n and k of a material over wavelength, with their sources.
+    Curves of n and k of one page or file over wavelength, with their sources.
 
     Attributes
     ----------
@@ -324,7 +324,7 @@ def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
 
 def _known(spec: Spec) -> str:
     """
-    Return the wavelength ranges in which n is known, as text such as "400 … 700 nm".
+    Return the wavelength ranges in which the index n of a material is known, as text such as "400 … 700 nm".
 
     Overlapping ranges are joined.
     """

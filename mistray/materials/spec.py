@@ -55,14 +55,14 @@ class UserFile:
 
 @dataclass(frozen=True)
 class MitsubaData:
-    """Material of which Mitsuba has tables of n and k."""
+    """Material string that names a material of Mitsuba's own tables of n and k."""
 
     name: str
 
 
 @dataclass(frozen=True)
 class Name:
-    """Material given by its name in the catalogues."""
+    """Material string that is a name in the catalogues of glasses and other materials."""
 
     name: str
 

@@ -281,7 +281,7 @@ def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _place(angle: ArrayLike) -> np.ndarray:
-    """Return ln tan(θ/2), the coordinate of the angular table, for θ in rad, limited to the table's range."""
+    """Return ln tan(θ/2), the coordinate of the scatter table, for the scattering angle θ, rad, kept in range."""
     theta = np.asarray(angle, dtype=np.float64)
     with np.errstate(divide="ignore"):
         return np.clip(np.log(np.tan(theta / 2)), _U[0], _U[-1])

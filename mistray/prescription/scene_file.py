@@ -81,7 +81,7 @@ def _scatter(model: Scatter) -> _Node:
 
 
 def _stated(part: Any, *names: str) -> dict[str, Value]:
-    """Return those of a part's named attributes that differ from their defaults, by name, in the order of `names`."""
+    """Return those attributes of a part, by name, whose values differ from the defaults."""
     defaults = {known.name: known.default for known in fields(part)}
     found = {name: getattr(part, name) for name in names if name in defaults}
     return {
@@ -170,7 +170,8 @@ def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
 
 
 def scene_dict(prescription: Prescription) -> dict[str, Any]:
-    """Return a scene dictionary for `mi.load_dict` with the objects of the file from `write_xml`, in its order.
+    """
+    Return a scene dictionary for `mi.load_dict` with the objects of the file from `write_xml`, in its order.
 
     Raises
     ------
@@ -200,7 +201,8 @@ def _node_dict(node: _Node) -> dict[str, Any]:
 
 
 def write_xml(prescription: Prescription, path: str | Path) -> None:
-    """Write the scene as Mitsuba 3 XML, atomically: on an error an old file stays.
+    """
+    Write the scene as Mitsuba 3 XML, atomically: on an error an old file stays.
 
     Raises
     ------

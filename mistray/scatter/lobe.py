@@ -137,7 +137,7 @@ class RatioTable:
 
 
 def _cell(place: float, nodes: int) -> tuple[int, float]:
-    """Return the node below a position in 0 … 1 on an axis of `nodes` evenly spaced nodes, and the part beyond it."""
+    """Return the node below a place, 0 … 1, on an axis of `nodes` even nodes, and the fraction of a step past it."""
     place = place * (nodes - 1)
     low = min(int(place), nodes - 2)
     return low, place - low

@@ -57,7 +57,7 @@ def kept_cloud(
 
 
 def _read(content: bytes) -> Cloud:
-    """Return the `Cloud` stored in the content of a cache file; raise ValueError or TypeError if it holds none."""
+    """Return the `Cloud` of particles in the content of a cache file; raise ValueError or TypeError if it has none."""
     extinction, scattering, log_f = json.loads(content)
     numbers = np.array([extinction, scattering, *log_f], dtype=np.float64)
     if not (np.isfinite(numbers).all() and 0 <= scattering <= extinction * (1 + 1e-3)):

@@ -213,7 +213,7 @@ class Totals:
     terms: dict[str, np.ndarray]
 
     def scattered(self, event: str, x: np.ndarray) -> np.ndarray:
-        """Return the scattered fraction of the incident flux, (m,), for a coating with R or T = x, (m,)."""
+        """Return the scattered fraction of the incident flux at each angle, (m,), for R or T = x, (m,)."""
         c0, c1, c2 = self.terms[event]
         return np.asarray(c0 + c1 * x + c2 * x * x)
 

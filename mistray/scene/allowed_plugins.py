@@ -115,7 +115,7 @@ def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
 
 
 def _crashes(key: str, value: Any) -> str:
-    """Return the reason why a dict entry would crash Mitsuba's reader or hide its name in errors; "" if it is fine."""
+    """Return why a dict entry would crash Mitsuba's reader, or hide its name in errors; "" if it is harmless."""
     if value is None:
         return f"{key} is None; give a value, or leave it out"
     for text in (key, value):
@@ -139,7 +139,7 @@ def _special(name: Any) -> str:
 
 
 def _refusal(name: str) -> str:
-    """Return the reason why an unlisted plugin type is refused; "" if it is registered, or unknown to Mitsuba too."""
+    """Return why a plugin type that is not listed is refused; "" if it is registered or unknown to Mitsuba as well."""
     remedy = "use a plugin of Mitsuba or of mistray, or one that you registered in Python"
     for kind, names in STOCK.items():
         if name in names:

@@ -47,7 +47,7 @@ def check_values(state: Any) -> None:
 
 def property_of(node: Any, key: str) -> Any:
     """
-    Return a property of a parsed node without marking it as read.
+    Return a property of a parsed scene node without marking it as read.
 
     Mitsuba reports properties that nobody has read as unknown; reading one here would hide that.
     """
@@ -110,7 +110,7 @@ class _Placed:
 
     def material(self, ahead: bool) -> tuple[float, str]:
         """
-        Return index and name of the material on the +axis side of the surface if `ahead`, else on the -axis side.
+        Return index and name of the material on the +axis side of the surface if `ahead`, else on the other side.
 
         The index is that at or near the wavelength of the light.
         """
@@ -126,7 +126,7 @@ class _Placed:
 
 @dataclass
 class _Axis:
-    """Straight line in space, given by a point (mm) and a unit vector, with the aspheres centred on it."""
+    """Common axis of aspheres: a point, mm, a unit vector, and the aspheres centred on it."""
 
     foot: np.ndarray
     along: np.ndarray
@@ -212,7 +212,7 @@ def _check_crossings(axis: _Axis) -> None:
 
 
 def _crosses(shape: Any, axis: _Axis) -> bool:
-    """True if a shape may change the material along an axis; rings and tubes around the axis do not."""
+    """True if light along an axis may change material at a shape; rings and tubes around the axis do not count."""
     if shape.bsdf().opaque or any(item.shape.id() == shape.id() for item in axis.placed):
         return False
     around = hasattr(shape, "profile") and shape.profile()[:, 0].min() > 0

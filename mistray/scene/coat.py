@@ -304,7 +304,7 @@ def light_nm(file: SceneFile) -> tuple[float, ...]:
 
 
 def _is_opaque(coating: Mapping[str, str]) -> bool:
-    """True if a coating's values say that it transmits no light."""
+    """True if the properties of a coating in a scene file say that it transmits no light."""
     if coating.get("opaque") == "true" or getattr(PRESETS.get(coating.get("preset", "")), "metal", None) is not None:
         return True
     return "R" in coating and number_of(coating.get("T", "0")) == 0

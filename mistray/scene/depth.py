@@ -141,7 +141,7 @@ class _Look:
 
     def _filled(self, text: str, where: str) -> str:
         """
-        Return a value with its parameters substituted.
+        Return a property value with its ``$name`` parameters substituted.
 
         Raise `MistrayError`, naming the place `where`, if it grows too long.
         """
@@ -175,7 +175,7 @@ def _where(element: SceneElement) -> str:
 
 
 def _twice(element: SceneElement) -> str:
-    """Record the name of a value in its object; return a message if it was given before, else ""."""
+    """Return a message if an object's value is given for the second time, else "" after the name is noted."""
     if element.tag not in VALUE_TAGS or element.parent is None or not element.name:
         return ""
     if element.name in element.parent.values:
@@ -185,7 +185,7 @@ def _twice(element: SceneElement) -> str:
 
 
 def _mistake(element: SceneElement, values: Mapping[str, str]) -> str:
-    """Return a message about the first invalid number of an element; empty if all are valid."""
+    """Return a message on the first invalid number of a scene element; "" if all are valid."""
     tag = element.tag
     for key in NUMBERS.get(tag, ()):
         name = printable(element.name) if tag == "float" else f"{key} of {_named(element)}"

@@ -71,7 +71,7 @@ def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
 
 
 def _names(text: str) -> Iterator[str]:
-    """Yield possible file names within a text: all of it, and runs of its words with or without a suffix ``:entry``."""
+    """Yield possible file names in a text: the whole text, and runs of its words with or without ``:entry``."""
     found = {text}
     for part in re.split(r"[,;\n]", text):
         words = part.split()

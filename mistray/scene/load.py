@@ -138,7 +138,7 @@ def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], mor
 
 
 def _light_interfaces(scene: mi.Scene) -> None:
-    """Tell each interface its reference wavelength: the first wavelength of the scene's first source, nm."""
+    """Set the reference wavelength of every interface: the first wavelength, nm, of the scene's first source."""
     lines = [getattr(emitter, "wavelengths_nm", (DEFAULT_NM,)) for emitter in scene.emitters()]
     for shape in scene.shapes():
         if lines and hasattr(shape.bsdf(), "lit_by"):
@@ -186,7 +186,7 @@ def _from_dict(given: dict[str, Any]) -> Any:
 
 def _config() -> Any:
     """
-    Return settings for Mitsuba's scene parser.
+    Return the settings for Mitsuba's scene parser, without merging and without parallel loading.
 
     Merging is off, because merged shapes lose their names. Parallel loading is off: a thread that waits for Dr.Jit
     while it builds one of our shapes would begin the next one inside that wait. This has crashed the process.
@@ -198,7 +198,7 @@ def _config() -> Any:
 
 @contextmanager
 def _search(*folders: str) -> Iterator[None]:
-    """Search further folders for files within a block; the last folder is searched first, after Mitsuba's own."""
+    """Search further folders for files in a `with` block, the last one first after Mitsuba's own."""
     usual = mi.file_resolver()
     mi.set_file_resolver(resolver := mi.FileResolver(usual))
     for folder in folders:
@@ -211,7 +211,7 @@ def _search(*folders: str) -> Iterator[None]:
 
 
 def _built(state: Any) -> Any:
-    """Check a parsed scene, take Mitsuba's own BSDFs for interfaces, build its objects, and return the scene."""
+    """Return the scene built from a parsed description, after checks and the translation of Mitsuba's BSDFs."""
     check_values(state)
     config = _config()
     mi.parser.transform_all(config, state)

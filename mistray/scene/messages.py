@@ -156,7 +156,7 @@ def _reason(text: str, element: SceneElement, source: Path | dict[str, Any]) -> 
 
 
 def _is_model(name: str, plugin: str) -> bool:
-    """True if the class name of a scatter model matches a plugin name, as HarveyShack matches harvey_shack."""
+    """True if a class name of a scatter model belongs to a plugin name, as HarveyShack to harvey_shack."""
     return plugin.replace("_", "").startswith(name.lower().replace("_", ""))
 
 
@@ -237,7 +237,7 @@ def parameters(plugin: str) -> list[str]:
 
 
 def _numbered(name: str) -> str:
-    """Return a parameter name with each number, or the letter that stands for one, replaced by #: ``xy_#_#``."""
+    """Return a parameter name with # for each number or index letter, such as ``xy_#_#``, to compare names."""
     return re.sub(r"\d+", "#", re.sub(r"_[ijkmn](?=_|$)", "_#", name))
 
 

@@ -96,7 +96,7 @@ def _of_surfaces(text: str) -> dict[str, Any]:
 
 
 def _numbers(text: str, what: str, owner: str) -> np.ndarray:
-    """Parse a vector of three numbers, not all 0; return it, (3,), scaled so that the largest magnitude is 1."""
+    """Return the vector, (3,), of three numbers in a text, scaled so that the largest magnitude is 1."""
     try:
         numbers = np.array([float(part) for part in text.split(",") if part])
     except ValueError:

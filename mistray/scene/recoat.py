@@ -198,7 +198,7 @@ def _interface(file: SceneFile, surface: str) -> tuple[Element, Element]:
 
 def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
     """
-    Yield edits that remove shared coatings from the text.
+    Yield the edits that remove shared coatings, which nothing uses any more, from the scene text.
 
     For ones that `recoated` wrote, their note and empty line too.
     """
@@ -217,7 +217,7 @@ def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
 
 
 def _refit(file: SceneFile, interface: Element, refit: Refit) -> Edit:
-    """Return the edit that replaces a shape's interface by one with the changes of `refit`."""
+    """Return the text edit that changes the interface of one shape as `refit` says."""
     text = file.text(interface)
     tag = re.sub(
         rb"(\stype\s*=\s*[\"'])thinfilm([\"'])", rb"\1interface\2", text[: interface.inside - interface.start], count=1

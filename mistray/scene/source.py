@@ -115,7 +115,7 @@ class _Folder:
 @dataclass(frozen=True)
 class _Origin:
     """
-    Arguments with which a scene was loaded: absolute path and text of the file, or a dict.
+    Arguments with which a scene was loaded: absolute path and text of its file, or a dict.
 
     Replaced sources, added sensors.
     """
@@ -187,7 +187,7 @@ def _owners(scene: mi.Scene) -> Iterator[Any]:
 
 
 def _packed(path: Path, text: bytes) -> PackedScene:
-    """Pack a scene file together with all files that it names."""
+    """Return a scene file packed together with the contents of all files that it names."""
     require_file(path, "scene")
     first, *others = scene_files(path, text)
     contents = {file: read_file(file) for file in others}

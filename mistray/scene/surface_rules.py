@@ -119,7 +119,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Left:
-    """Surface that matches a pattern but stays as it is, with the reason."""
+    """Surface that matches a pattern of a rule but keeps its coating and scatter, with the reason."""
 
     surface: str
     pattern: str
@@ -215,7 +215,7 @@ class Painter:
 
     def _able(self, pattern: str, rule: str, transmits: bool = False, coats: bool = False) -> list[Face]:
         """
-        Return surfaces that a pattern matches and that can take the coating, paint or model of a rule.
+        Return the surfaces that a pattern matches and that can take the coating, paint or scatter model of a rule.
 
         A surface given by its exact name must be able to take it, else this raises. Other surfaces that cannot are left
         as they are.
@@ -267,7 +267,7 @@ class Painter:
         return Coating(layers=layer_text(fitted.stack.layers), first=coating.first, name=name)
 
     def _closed(self, coating: Coating | None) -> bool:
-        """True if a coating transmits no light."""
+        """True if a coating is known to transmit no light."""
         if coating is None or coating.table is None:
             return coating is not None and coating.opaque
         home = f"{self._home}/" if self._home and self._coatings.get(coating.name or "") == coating else ""
@@ -298,7 +298,7 @@ class Painter:
 
     def _named(self, item: Any) -> Any:
         """
-        Return a coating or model under a name not yet in use.
+        Return a coating or scatter model under a name that the system does not use yet.
 
         One without a name is not shared and stays as it is.
         """

@@ -97,7 +97,7 @@ def _references(file: SceneFile, within: str) -> Iterator[Element]:
 
 
 def _unused(file: SceneFile) -> list[Element]:
-    """Return shared scatter models and interfaces (see `_shared`) that nothing in use refers to."""
+    """Return shared scatter models and interfaces of a scene file to which nothing refers any more."""
     gone: list[Element] = []
     shared = _shared(file)
     for name, element in sorted(shared.items(), key=lambda item: item[1].values.get("type") in KINDS):

@@ -170,7 +170,7 @@ class SceneFile:
         }
 
     def meant(self, element: Element) -> Element | None:
-        """Return the element itself, or for a reference the object with that id; None if it is not in the file."""
+        """Return the element itself, or the object that a reference points to; None if that is not in the file."""
         return self.ids.get(element.values.get("id", "")) if element.tag == "ref" else element
 
     def surface(self, shape: Element) -> tuple[Element, Element] | None:

@@ -85,7 +85,8 @@ def analysis(
 
 
 def _check_type(parameter: inspect.Parameter, value: Any, names: Mapping[str, Any]) -> None:
-    """Raise `MistrayError` if an argument other than a field has the wrong type.
+    """
+    Raise `MistrayError` if an argument of an analysis that is no request field has the wrong type.
 
     `names` maps annotations to classes.
     """

@@ -51,7 +51,8 @@ class Parser(argparse.ArgumentParser):
         return super()._get_values(action, arg_strings)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Return the namespace of parsed arguments and an empty list.
+        """
+        Return the namespace of parsed arguments and an empty list.
 
         Raise `MistrayError` for unrecognised arguments.
         """
@@ -113,7 +114,7 @@ class Angles:
 
 
 class Joined(argparse.Action):
-    """Action that joins the lists parsed from the values of an argument into one list."""
+    """Argument action of a parser that joins the lists parsed from an option's values into one list."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
         """Store the joined list as the value of the argument."""
@@ -121,7 +122,7 @@ class Joined(argparse.Action):
 
 
 class OrAlone(argparse.Action):
-    """Action of an option that may have no value; it is then set to a list of one empty string."""
+    """Argument action for an option that may stand without a value; it is then a list of one empty string."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
         """Store the values of the option, or [""] if it was given without any."""
@@ -129,7 +130,7 @@ class OrAlone(argparse.Action):
 
 
 def place(text: str) -> Path:
-    """Return a text as the path of a file or folder; refuse an empty text, which would mean the current folder."""
+    """Return a text as the path of a file or folder; an empty text, which would mean the current folder, is refused."""
     if not text.strip():
         raise argparse.ArgumentTypeError(f"'{text}' names nothing; give a file or folder, . for the current folder")
     return Path(text)

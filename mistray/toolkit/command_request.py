@@ -47,12 +47,12 @@ class Keyword:
 
     @property
     def whole(self) -> bool:
-        """Whether the value is an object whose fields are options."""
+        """True if the value is an object whose fields are options of their own."""
         return self.options[0].within is not None
 
     @property
     def field(self) -> dataclasses.Field[Any]:
-        """Field of a request that declares the key; for another option one that says the same."""
+        """Request field that declares the key; for an option that no field declares, an equivalent one."""
         first = self.options[0]
         declared = first.within or first.of
         if declared is not None:
@@ -66,20 +66,20 @@ class Keyword:
 
     @cached_property
     def demand(self) -> Demand:
-        """Condition on the value."""
+        """Condition that the value of the key must meet."""
         first = self.options[0]
         declared = first.within or first.of
         return (demand_of(declared) if declared else None) or _demand(first)
 
     @property
     def usual(self) -> bool:
-        """Value of a flag whose option is not given."""
+        """Value of a flag key, True or False, if its option is not given."""
         first = self.options[0]
         return first.name.startswith("--no-") if first.of is None else first.of.default is True
 
     @property
     def required(self) -> bool:
-        """Whether the command cannot do without it."""
+        """True if the command cannot run without the key."""
         first = self.options[0]
         return not first.name.startswith("-") and first.nargs not in ("?", "*")
 
@@ -101,7 +101,7 @@ class Keyword:
         return {first.dest: _as_parsed(first, value if isinstance(value, str) and first.nargs is None else found)}
 
     def told(self, values: Mapping[str, Any]) -> Any:
-        """Return the value for JSON from the parsed options; None if they were not given."""
+        """Return the value of the key as parsed from the options, for JSON; None if they were not given."""
         given = [option for option in self.options if _is_given(values.get(option.dest))]
         if not given:
             return None
@@ -119,7 +119,7 @@ class Keyword:
 
 
 def _demand(option: Option) -> Demand:
-    """Return the condition on the value of an option that no field declares."""
+    """Return the condition on the value of a command-line option that no request field declares."""
     one: Demand
     match option.type:
         case Pairs(repeats=several):
@@ -140,7 +140,7 @@ def _demand(option: Option) -> Demand:
 
 
 def _as_parsed(option: Option, value: Any) -> Any:
-    """Return a checked value as argparse gives that of the option."""
+    """Return a checked value from a request file in the form in which argparse gives the option's value."""
     if isinstance(value, Mapping):
         return [(name, one) for name, ones in value.items() for one in (ones if isinstance(ones, tuple) else (ones,))]
     if option.type is Path:
@@ -193,7 +193,8 @@ def schema_of_request(command: Command) -> dict[str, Any]:
 
 
 def schema_of_result(command: Command) -> dict[str, Any]:
-    """Return the JSON schema of what a command prints with --json; of another package what all results have.
+    """
+    Return the JSON schema of what a command prints with --json; of another package what all results have.
 
     Raise `MistrayError` if the command prints none.
     """
@@ -245,7 +246,7 @@ def take_request(command: Command, options: Any, path: Path) -> None:
 
 
 def _content(text: str, toml: bool) -> dict[str, Any]:
-    """Return the object that a text in JSON or TOML describes, without the key ``$schema``."""
+    """Return the mapping in a JSON or TOML text, without the key ``$schema``."""
     try:
         content = tomllib.loads(text) if toml else json.loads(text, parse_constant=_refuse)
     except RecursionError:
@@ -264,7 +265,7 @@ def _refuse(name: str) -> NoReturn:
 
 
 def _nearest(wrong: str, known: Mapping[str, Keyword]) -> str:
-    """Return what is meant by an unknown key: one that is written like it, or that of the option of this name."""
+    """Return a suggestion for an unknown key: one of similar spelling, or that of the option with this name."""
     word = wrong.lstrip("-").replace("-", "_")
     options = {option.dest: name for name, one in known.items() for option in one.options}
     inside = {option.of.name: name for name, one in known.items() for option in one.options if one.whole and option.of}

@@ -74,7 +74,7 @@ def _value_text(value: Any) -> str:
 
 
 def _metavar(demand: Any) -> Any:
-    """Return the placeholder of a value in the help of a command, such as its unit, NAME, or N for whole numbers."""
+    """Return the placeholder of an option's value in the help text: its unit, NAME, or N for whole numbers."""
     if isinstance(demand, Interval):
         return "LOW", "HIGH"
     if isinstance(demand, ByName):
@@ -87,7 +87,8 @@ def _metavar(demand: Any) -> Any:
 
 
 def options_of(request: type, *names: str) -> tuple[Option, ...]:
-    """Return the options of the named fields of a request (default: all).
+    """
+    Return the options of the named fields of a request (default: all).
 
     A nested object, or a subset of the fields of another dataclass, gives one per field.
     """

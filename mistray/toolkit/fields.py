@@ -50,7 +50,7 @@ class Nested(OfType):
 @dataclass(frozen=True)
 class Several(Demand):
     """
-    Condition on one or several values that are not numbers; for numbers there is `mistray.ranges.Each`.
+    Condition on one or several request values that are not numbers; `mistray.ranges.Each` is for numbers.
 
     Attributes
     ----------
@@ -223,7 +223,7 @@ def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
 
 
 def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
-    """Return the default value of a request field; raise `MistrayError` if it has none."""
+    """Return the default of a request field; raise `MistrayError` if the field must be given."""
     if isinstance(demand_of(declared), FieldSubset):
         return {}
     if declared.default is dataclasses.MISSING:

@@ -30,7 +30,7 @@ class ProgressBar:
         self._bar: Any = None
 
     def __call__(self, *state: Any) -> None:
-        """Move the bar; `state` is what any function of mistray tells its `progress`."""
+        """Move the bar to a state of progress, in any form that functions of mistray report."""
         done, total = _share(state)
         if self._bar is None:
             self._bar = _bar(self._what)
@@ -57,7 +57,7 @@ class ProgressBar:
 
 
 def _share(state: tuple[Any, ...]) -> tuple[float, float]:
-    """Return what is done and the whole, from the rays of a trace, a state of a PST, or a step and its share."""
+    """Return the amount done and the total, from the progress of a trace (rays), a PST, or counted steps."""
     last = state[-1] if state else 0.0
     if hasattr(last, "share_done"):
         return float(last.share_done), 1.0
@@ -68,7 +68,7 @@ def _share(state: tuple[Any, ...]) -> tuple[float, float]:
 
 
 def _bar(what: str) -> Any | None:
-    """Return a new bar of tqdm; None where nobody looks."""
+    """Return a new tqdm bar; None if the session has neither a terminal nor a notebook."""
     kernel = sys.modules.get("ipykernel.kernelapp")
     notebook = kernel is not None and kernel.IPKernelApp.initialized()
     if not notebook and (sys.stderr is None or not sys.stderr.isatty()):

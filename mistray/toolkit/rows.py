@@ -25,7 +25,7 @@ _COLUMN = "column"
 
 @dataclass(frozen=True)
 class _Shown:
-    """How a field of a row is shown in tables: heading, number format and unit; see `column` for the attributes."""
+    """Display of a row's field in tables: heading, number format and unit; see `column` for the attributes."""
 
     doc: str
     head: str = ""
@@ -90,7 +90,7 @@ class derived(property):
 
 
 def _declared(kind: type) -> dict[str, _Shown]:
-    """Return the columns that a row class shows, by name: fields first, then properties."""
+    """Return the columns of a row class with their display, by name: dataclass fields first, then properties."""
     fields = {
         field.name: dataclasses.replace(field.metadata[_COLUMN], kind=type_of(field.type))
         for field in dataclasses.fields(kind)
@@ -100,7 +100,7 @@ def _declared(kind: type) -> dict[str, _Shown]:
 
 
 def described(kind: type) -> dict[str, str]:
-    """Return the meaning of each column of a class of rows, as of `records`."""
+    """Return the meaning of each column of a row class, by the column names of `records`."""
     found: dict[str, str] = {}
     for name, shown in _declared(kind).items():
         value, *error = flat({shown.name(name): UNKNOWN if "Estimate" in shown.kind else None})

@@ -47,7 +47,7 @@ _DAMAGES = (
 
 
 class _NotSaved(Exception):
-    """Raised for a value that cannot be stored in a file, such as rays or a scene."""
+    """Exception for a value that a result file cannot hold, such as rays or a scene."""
 
 
 def save_result(result: Result, path: str | Path) -> Path:
@@ -118,7 +118,7 @@ def load_result(path: str | Path) -> Result:
 
 @contextmanager
 def _told(path: str | Path) -> Iterator[None]:
-    """Convert any exception from reading a result file within a block into a one-line `MistrayError`."""
+    """Turn any exception from reading a result file in a `with` block into a one-line `MistrayError`."""
     try:
         yield
     except MistrayError as error:
@@ -146,7 +146,7 @@ class _Encoder:
         self._known: dict[int, tuple[int, Any]] = {}  # numbers of objects by id, which the objects keep from reuse
 
     def encoded(self, value: Any) -> Any:
-        """Return a value as one of JSON; raise `_NotSaved` for what is no data."""
+        """Return a value in a JSON-serialisable form; raise `_NotSaved` for values that are no data."""
         inside = self.encoded
         match value:
             case Note():
@@ -188,7 +188,7 @@ class _Encoder:
         return self._object(value)
 
     def _object(self, value: Any) -> Any:
-        """Return an object that has a class of its own as a value of JSON, or as a reference if it is known."""
+        """Return an object of a class of its own in JSON form, or a reference to it if it was saved before."""
         if id(value) in self._known:
             return {KIND: "known", "number": self._known[id(value)][0]}
         if isinstance(value, type) or inspect.isroutine(value):
@@ -213,11 +213,11 @@ class _Encoder:
             raise
 
     def _given(self, value: Any) -> Any:
-        """Return an argument of what makes an object as a value of JSON; it may be what makes another one."""
+        """Return an argument of the function that rebuilds an object, in JSON form."""
         return {KIND: "maker", "of": _maker(value)} if inspect.isroutine(value) else self.encoded(value)
 
     def _state(self, value: Any) -> dict[str, Any]:
-        """Return the state of an object; a field that belongs to the process is None where that is allowed."""
+        """Return the attributes of an object; fields that belong to the process become None where allowed."""
         kind = type(value)
         declared = {field.name: field for field in dataclasses.fields(value)} if dataclasses.is_dataclass(kind) else {}
         own = "__getstate__" in vars(kind) or not declared
@@ -251,7 +251,7 @@ class _Decoder:
         self._known: dict[int, Any] = {}
 
     def decoded(self, value: Any) -> Any:
-        """Return the value that was encoded; raise one of `_DAMAGES` for what no encoder makes."""
+        """Return the value that `_Encoder` encoded; raise one of `_DAMAGES` for a damaged file."""
         inside = self.decoded
         if isinstance(value, list):
             return [inside(item) for item in value]
@@ -327,7 +327,7 @@ def _is_own(kind: type) -> bool:
 
 
 def _is_part_of(kind: type, name: str) -> bool:
-    """Whether a name is an attribute of a class that its instances must not hide: anything but a plain default."""
+    """True if a name is an attribute of a class that an instance's saved state must not override."""
     own = inspect.getattr_static(kind, name, None)
     return name.startswith("__") or not isinstance(own, _PLAIN | functools.cached_property)
 
@@ -350,7 +350,7 @@ def _class(name: str, base: type = object) -> Any:
 
 @functools.cache
 def _makers() -> dict[str, Callable[..., Any]]:
-    """Return what makes scenes, tables and runs again, by name."""
+    """Return the functions that rebuild scenes, surface tables and runs, by name."""
     from mistray._variant import ensure_variant
 
     ensure_variant()

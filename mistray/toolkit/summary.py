@@ -42,7 +42,7 @@ def one_line(result: Result) -> str:
 
 
 def _text(name: str, value: KeyNumber) -> str:
-    """Return a key number as text, with its name and unit, for the one-line summary."""
+    """Return a key number as text with its name and unit, for the one-line summary of a result."""
     if isinstance(value, str):
         return f"{name}: {value}"
     if isinstance(value, int):

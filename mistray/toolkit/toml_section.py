@@ -82,14 +82,14 @@ class TomlSection:
 
     def fail(self, key: str, text: str) -> MistrayError:
         """
-        Return the error for a key of this table (to be raised by the caller).
+        Return the error for a key of this TOML table; the caller raises it.
 
         An empty key means the table itself.
         """
         return MistrayError(f"{self.title}: {f'{self.place}{key}'.rstrip('.')} {text}")
 
     def known(self, keys: Iterable[str]) -> None:
-        """Raise `MistrayError` if the table has a key not among the given ones."""
+        """Raise `MistrayError` if the TOML table has a key that is not among the given ones."""
         choice = tuple(keys)
         for key in self.content:
             if key not in choice:

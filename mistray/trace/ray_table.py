@@ -145,7 +145,7 @@ class _Search:
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
 
     def _read(self, recorder: BranchRecorder, count: int) -> tuple[Columns, list[Ray]]:
-        """Return columns of the selected rays among the first `count` recorded, and rays if events were requested."""
+        """Return columns of the selected rays among the first `count` recorded, and rays if events are asked for."""
         slots = np.arange(count)
         lanes = np.array(recorder.lane)[:count]
         origins, directions = self._run.start_rays(lanes)

@@ -109,7 +109,7 @@ def notes(found: BsdfResult) -> list[str]:
 
 
 def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
-    """Return label and value of each result on the small detector, by JSON name; empty without one."""
+    """Return the probability of hitting a small detector, and the rays needed, by JSON name; empty without one."""
     unaimed = found.unaimed
     if unaimed is None:
         return {}

@@ -184,7 +184,7 @@ class Model:
         return cls(values - parts.sum(axis=1), parts)
 
     def metrics(self, variables: Sequence[ToleranceChoice], numbers: np.ndarray) -> np.ndarray:
-        """Return the metrics, (metrics,), that the model predicts for values of the variables, (variables,)."""
+        """Return the metrics, (metrics,), that the model predicts for values of the parameters, (variables,)."""
         ratios = np.array([float(v.ratio(np.array(p))) for v, p in zip(variables, numbers, strict=True)])
         return np.asarray(self.fixed + self.parts @ ratios)
 
@@ -238,7 +238,7 @@ def excess(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarra
 
 
 def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> np.ndarray:
-    """Return the grades, one per variable, (variables,), that meet the limits at the least total cost."""
+    """Return the grades of the parameters, (variables,), that meet the limits on the metrics at the least cost."""
     lists = [v.grades() for v in variables]
     costs = np.concatenate([v.cost(grades) for v, grades in zip(variables, lists, strict=True)])
     ratios = [v.ratio(grades) for v, grades in zip(variables, lists, strict=True)]

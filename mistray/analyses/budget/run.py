@@ -114,7 +114,7 @@ class _Search:
         return result
 
     def derive(self, numbers: np.ndarray) -> tuple[Model, np.ndarray, np.ndarray]:
-        """Return the model at given values, and the metrics there and their standard errors, (metrics,) each."""
+        """Return the model of the metrics at given parameter values, metrics and standard errors, (metrics,) each."""
         assign(self.params, {key: np.array([p]) for key, p in zip(self.keys, numbers, strict=True)})
         values, errors, rows = [], [], []
         for metric in self.metrics:
@@ -128,7 +128,7 @@ class _Search:
         return Model.of(self.choices(numbers), np.array(values), np.array(rows)), np.array(values), np.array(errors)
 
     def run(self) -> tuple[tuple[Chosen, ...], int]:
-        """Choose values until they settle or iterations run out. Return them and the number of gradients computed."""
+        """Choose component values until they stop changing or iterations run out; return them and gradients made."""
         numbers, first, gradients = self.start, np.zeros(0), 0
         while True:
             model, values, errors = self.derive(numbers)
@@ -156,7 +156,7 @@ class _Search:
         return self._chosen(first, model.parts * ratios / model.metrics(choices, numbers)[:, None]), gradients
 
     def verify(self) -> tuple[Met, ...]:
-        """Return each requirement with its metric before and after, measured on seeds that the search has not used."""
+        """Return each requirement with its metric before and after the choice, traced with fresh random seeds."""
         before, after = self._levels(self.start), self._levels(self.numbers)
         return tuple(
             Met(metric.name, metric.unit, float(limit), b, a)

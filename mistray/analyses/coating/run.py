@@ -57,7 +57,7 @@ class SurfacesResult:
 
 
 def run_coating(request: CoatingRequest) -> CoatingResult:
-    """Return R, T and A of a coating. By default an infrared preset is evaluated in its own band, on germanium."""
+    """Return R, T and A of a coating by wavelength and angle; for an infrared preset by default on germanium."""
     coating, design = coating_from_text(request.coating, request.design_nm), PRESETS.get(request.coating)
     design_nm, body, band = request.design_nm, "N-BK7", VISIBLE_NM
     if design is not None and design.design_nm > VISIBLE_TO_NM:

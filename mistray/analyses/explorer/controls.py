@@ -109,7 +109,7 @@ class Control:
 
     @property
     def way(self) -> str:
-        """Return how estimates treat a change: "exact", "held rays" (traced), "first order", "grid" (of fields)."""
+        """Method by which estimates follow a change: "exact", "held rays" (traced), "first order", "grid" (fields)."""
         if self.kind in (COATING, LAYERS):
             return "exact"
         if self.kind == NUMBER:

@@ -260,7 +260,7 @@ class BeamFinder:
         return points[:, : len(rim) + 1], points[:, len(rim) + 1 :]
 
     def _follow(self, bundle: PointBundle, x: Array) -> Array:
-        """Return points of rays at the start and at all surfaces, (p, n, 3), mm, from entrance coordinates (n, 2)."""
+        """Return points, (p, n, 3), mm, of rays at the start and each surface, from entrance coordinates, (n, 2)."""
         o, d = bundle.rays(x)
         points = [o]
         for step in self.path.steps:

@@ -514,7 +514,7 @@ def _range(room: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def _whitened(rows: np.ndarray, aims: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives, (n, k), and residuals, (n,), in units in which noise is independent with variance 1."""
+    """Return derivatives, (n, k), and residuals, (n,), in units in which noise is uncorrelated with variance 1."""
     root = cholesky(noise, lower=True)
     return solve_triangular(root, rows, lower=True), solve_triangular(root, aims, lower=True)
 
@@ -549,7 +549,7 @@ def _unscaled(x: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def _stretch(value: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the derivative of each parameter's scale with respect to the parameter itself, (k,)."""
+    """Return the derivative, (k,), of each scaled parameter (a power or logarithm) by the parameter itself."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(power == 0, 1 / value, power * np.power(value, power - 1))
 

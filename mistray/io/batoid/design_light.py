@@ -114,7 +114,7 @@ class BatoidLight:
         return float(np.nanmin(radius)), float(np.nanmax(radius))
 
     def _turn(self, interface: Any) -> int:
-        """Return the position of an interface in the order in which the light first meets surfaces."""
+        """Return the place of an interface in the order in which the design beam first meets surfaces."""
         return next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
 
     def way(self, interface: Any) -> int:
@@ -212,7 +212,7 @@ def interfaces(optic: Any) -> Iterator[Any]:
 
 
 def without(rings: Iterable[tuple[float, float]], holes: Rings) -> Rings:
-    """Return the parts of rings, as (inner, outer) radius in m, that remain outside all `holes`."""
+    """Return the parts of rings, (inner, outer) radius, m, that lie outside all `holes`."""
     left = list(rings)
     for low, high in holes:
         cut: Rings = []

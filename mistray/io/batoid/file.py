@@ -80,7 +80,7 @@ def _own_file(path: Path) -> Path:
 
 
 def _unshared(item: Any) -> Any:
-    """Return a copy of nested data without shared entries, because batoid changes entries as it reads."""
+    """Return a deep copy of nested data, because batoid changes entries that it reads."""
     if isinstance(item, dict):
         return {key: _unshared(value) for key, value in item.items()}
     return [_unshared(value) for value in item] if isinstance(item, list) else item
@@ -113,7 +113,7 @@ def _reason(item: dict[str, Any], error: Exception) -> str:
 
 
 def _types(system: dict[str, Any]) -> Iterator[Any]:
-    """Yield all types named in a telescope file at any depth, because batoid evaluates these names."""
+    """Yield every type name in a telescope file, at any depth, because batoid evaluates these names as code."""
     waiting: list[tuple[Any, int]] = [(system, 1)]
     seen = 0
     while waiting:

@@ -56,7 +56,8 @@ def from_batoid(
     field_deg: float | None = None,
     beam: Fill = "pupil",
 ) -> Prescription:
-    """Read a batoid telescope.
+    """
+    Read a batoid telescope.
 
     Parameters
     ----------
@@ -239,7 +240,8 @@ class _Reader:
         return self._figure(interface) | self._aperture(interface)
 
     def _figure(self, interface: Any) -> dict[str, Any]:
-        """Return radius, conic and sag of a surface as arguments of `Surface`, mm.
+        """
+        Return radius, conic and sag of a surface as arguments of `Surface`, mm.
 
         Raise `MistrayError` if unsupported.
         """
@@ -341,7 +343,7 @@ class _Reader:
         ]
 
     def _is_hole(self, interface: Any, placing: dict[str, Any]) -> bool:
-        """True if a baffle in the plane of a flat mirror is the mirror's hole, which is then added to the mirror."""
+        """True if a baffle in the plane of a flat mirror is that mirror's central hole; the mirror then gets it."""
         original = getattr(interface.obscuration, "original", None)
         if not isinstance(original, self.batoid.obscuration.ObscCircle) or original.x or original.y:
             return False

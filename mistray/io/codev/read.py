@@ -138,7 +138,7 @@ def read_codev(
 
 
 class _Reader:
-    """Reader of commands: `take` processes one command, `lens` returns the finished lens."""
+    """Reader of CODE V commands: `take` processes one, and `lens` returns the finished lens."""
 
     def __init__(
         self,
@@ -345,7 +345,7 @@ class _Reader:
         return True
 
     def _meant(self, match: re.Match[str]) -> list[CodevSurface]:
-        """Return the surfaces that ``S3``, ``SO``, ``SI``, ``SS`` or ``S2..4`` refers to."""
+        """Return the surfaces that a designation such as ``S3``, ``SO``, ``SI``, ``SS`` or ``S2..4`` stands for."""
         first, last = match[1].upper(), match[2]
         if last:
             end = len(self.surfaces) if last.upper() == "I" else int(last)

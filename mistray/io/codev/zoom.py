@@ -66,7 +66,7 @@ class ZoomPosition:
                 yield replace(command, words=(*command.words[:place], *command.words[place + 1 :]))
 
     def _look(self, command: SeqCommand) -> None:
-        """Record the number of zoom positions, or the name of one, if a command states it."""
+        """Record the number of zoom positions, or the name of one, if the command gives it."""
         words = command.words[1:]
         if command.name == "ZOO" and len(words) == 1 and words[0].isdigit():
             self.count = int(words[0])

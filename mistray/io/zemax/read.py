@@ -239,7 +239,7 @@ class _Reader:
         return Decentre(x=x * self.unit, y=y * self.unit, tilt_deg=(tilt[0], tilt[1], tilt[2]), tilt_first=order != 0)
 
     def _rest(self, n: SagNumbers, kind: str) -> None:
-        """List the numbers of a surface that its type `kind` does not use as unread."""
+        """List as unread the numbers of a surface that its Zemax type `kind` does not use."""
         self.unread += [line.unread(f"{n.owner}: {kind} has no {what}") for what, line in n.left()]
 
     def _surface(self, number: int, section: ZemaxSection, before: str, image: bool, name: str) -> Row:
@@ -312,7 +312,7 @@ class _Reader:
 
     def _stated(self, line: ZemaxLine, x: float, y: float, drawn: float) -> Outline | None:
         """
-        Return the outline, mm, that a line of an aperture or obscuration describes.
+        Return the outline, mm, that a line of an aperture or obscuration in the Zemax file describes.
 
         None, for an aperture from a user's file, means that it stops no light.
         """

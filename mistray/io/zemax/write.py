@@ -279,7 +279,7 @@ class _Writer:
         return name
 
     def _visible(self, material: str) -> bool:
-        """True if the index of a material is known from the F to the C line."""
+        """True if the index of a material is known at the F and the C line, which nd and Vd need."""
         return all(nearest_known_nm(material, nm) == nm for nm in (LINE_F_NM, LINE_C_NM))
 
     def _abbe(self, material: str) -> tuple[float, float]:

@@ -201,6 +201,6 @@ def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: n
 
 
 def _form(table: np.ndarray) -> Form:
-    """Return the form of a coefficient table: its degree, and whether only even orders in x and in y occur."""
+    """Return the form of a table of Chebyshev coefficients: its degree, and the symmetry in x and in y."""
     there = np.argwhere(np.abs(table) > NEGLIGIBLE * np.abs(table).max())
     return Form(len(table) - 1, not np.any(there[:, 0] % 2), not np.any(there[:, 1] % 2))

@@ -330,5 +330,5 @@ class Pupil:
 
 
 def _pairs(lit: npt.NDArray[np.bool_], axis: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Return two masks over pairs of neighbouring cells along an axis, for the first and for the second being lit."""
+    """Return masks of pairs of neighbouring pupil cells: whether the first is lit, and whether the second is."""
     return np.take(lit, range(lit.shape[axis] - 1), axis), np.take(lit, range(1, lit.shape[axis]), axis)

@@ -161,7 +161,7 @@ def ring_transform(inner: Array, outer: Array, flux: Array, frequency: npt.Array
 
 
 def ring_means(inner: Array, outer: Array, k: Array) -> Array:
-    """Return the means of J0(k r) over rings from `inner` to `outer`, (n,), for k, (m, 1), as an array (m, n)."""
+    """Return means of the Bessel function J0(k r) over rings, (n,), for k, (m, 1), as an array (m, n)."""
     a, b = k * inner, k * outer
     # At small arguments the quotient of differences is a series: 1 - (a² + b²)/8
     small = b < 1e-3

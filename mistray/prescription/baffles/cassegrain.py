@@ -254,7 +254,8 @@ def cassegrain_baffles(
 
 
 def _upper_edge(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
-    """Return the ray after the primary along the upper edge of the beam of a field (rad).
+    """
+    Return the ray after the primary along the upper edge of the beam of a field (rad).
 
     The rim of one mirror limits it.
     """
@@ -294,7 +295,7 @@ def _from_primary(primary: Surface, height: float, field: float) -> MeridionalRa
 
 
 def _bisected(growing: Callable[[float], float], low: float, high: float) -> float:
-    """Return the largest tested argument at which an increasing function is not positive, by bisection."""
+    """Return the largest argument found by bisection at which an increasing function is at most 0."""
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if growing(middle) > 0 else (middle, high)
@@ -302,7 +303,7 @@ def _bisected(growing: Callable[[float], float], low: float, high: float) -> flo
 
 
 def _first_root(surplus: Callable[[float], float], start: float, end: float) -> float | None:
-    """Return the first z from `start` to `end`, mm, at which `surplus` is at least 0; None if there is none."""
+    """Return the first z, mm, from `start` to `end`, at which the function `surplus` is at least 0; None if nowhere."""
     grid = np.linspace(start, end, _SCANNED, endpoint=False)
     good = next((k for k, z in enumerate(grid) if surplus(float(z)) >= 0), None)
     if not good:

@@ -106,14 +106,14 @@ def _gaps(tube: BaffleTube) -> Iterator[Zone]:
 
 
 def _wall(tube: BaffleTube) -> tuple[float, float]:
-    """Return p, mm, and q of the wall's radius R = p + q z."""
+    """Return the coefficients p, mm, and q of the tube wall's radius R = p + q z."""
     q = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     return tube.wall_front - q * tube.z_front, q
 
 
 def _crossing(tube: BaffleTube, openings: list[Opening], sign: float) -> Iterator[tuple[float, float]]:
     """
-    Yield (c_0, c_1) of the conditions c_0 + c_1 z ≥ 0 under which two openings leave a common slope.
+    Yield coefficients (c_0, c_1) of the conditions c_0 + c_1 z ≥ 0 for a ray from z through every two openings.
 
     `sign` is 1 for openings before the point and -1 for openings behind it.
     """

@@ -57,7 +57,7 @@ class _Body:
 
     def reached(self, shape: Surface | Structure, z: float) -> float:
         """
-        Return the largest radius, mm, at which a shape with its vertex at z, mm, lies in the glass.
+        Return the largest radius, mm, at which a shape with its vertex at z, mm, lies in the glass; 0 if nowhere.
 
         The result is 0 if it does not.
         """
@@ -147,7 +147,7 @@ def _bodies(table: OpticalSurfaces) -> list[_Body]:
 
 
 class _Standing:
-    """All shapes of the system with frames and extents, mm, for a quick search for those in a lens body."""
+    """All shapes of the system with their frames and extents, mm, to find those inside a lens body."""
 
     def __init__(self, shapes: Sequence[Surface | Structure]) -> None:
         self.shapes = shapes
@@ -195,7 +195,7 @@ def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, 
 
 
 def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
-    """Return the smallest radius, mm, at which unblocked rays meet the faces of a body on their regular way."""
+    """Return the least radius, mm, at which rays of the design beam meet the faces of a body in sequence."""
     frame = body.lower.to_world()
     places = [k + 1 for k, surface in table.surfaces.items() if surface.name in body.names]
     local = (table.beam[places][:, ~table.blocked] - frame[:3, 3]) @ frame[:3, :3]

@@ -98,7 +98,7 @@ class Closing:
 
     def close(self, items: Sequence[Item], ahead: Sequence[bool]) -> None:
         """
-        Close all bodies and spaces between neighbours.
+        Close all lens bodies and the spaces between neighbours with edges and walls.
 
         Parameters
         ----------
@@ -299,7 +299,7 @@ def _coaxial(a: Surface, b: Surface) -> bool:
 
 
 def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
-    """Return the frame of the surfaces' common axis, (4, 4), mm, and the surfaces expressed in this frame."""
+    """Return the frame, (4, 4), mm, of the surfaces' common axis, and the surfaces in this frame."""
     if all(surface.coaxial for surface in run):
         return np.eye(4), list(run)
     frame = run[0].to_world()
@@ -311,7 +311,8 @@ def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
 
 
 def meets_plane(surface: Surface, plane: np.ndarray, above: bool) -> float:
-    """Return the smallest radius, mm, at which a coaxial surface lies below a plane, or above it if not `above`.
+    """
+    Return the smallest radius, mm, at which a coaxial surface lies below a plane, or above it if not `above`.
 
     It is inf if none does.
     """

@@ -98,7 +98,7 @@ def _drilled(table: OpticalSurfaces, k: int, mirror: Surface, free: float, legs:
 
 
 def _free_middle(table: OpticalSurfaces, k: int, mirror: Surface) -> float:
-    """Return the radius within which an off-axis mirror gets no light, mm; 0 if light surrounds its vertex."""
+    """Return the radius, mm, about the vertex of an off-axis mirror within which no light falls; 0 if there is none."""
     own = footprint(table, k, mirror.to_world())
     return float(np.hypot(*own.T).min()) * (1 - table.margin) if beside_vertex(own) else 0.0
 
@@ -110,7 +110,7 @@ def footprint(table: OpticalSurfaces, k: int, frame: np.ndarray) -> np.ndarray:
 
 
 def beside_vertex(points: np.ndarray) -> bool:
-    """True if all points, (n, 2), lie on one side of the origin, so that the beam misses the vertex."""
+    """True if all points of a footprint, (n, 2), lie on one side of the vertex, so that the beam misses it."""
     azimuth = np.sort(np.arctan2(points[:, 1], points[:, 0]))
     return bool(len(points) and np.diff(azimuth, append=azimuth[0] + 2 * np.pi).max() > np.pi)
 

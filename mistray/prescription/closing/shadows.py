@@ -81,7 +81,7 @@ def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def _crossed(wall: Structure, start: Array, end: Array) -> bool:
     """
-    True if any ray between start and end points, (n, 3), mm, crosses a frustum.
+    True if any segment between start and end points, (n, 3), mm, crosses the frustum of a wall.
 
     Touching at an end does not count.
     """
@@ -107,5 +107,5 @@ def _crossed(wall: Structure, start: Array, end: Array) -> bool:
 
 
 def _between(share: Array) -> npt.NDArray[np.bool_]:
-    """Return a mask of the numbers that lie between 0 and 1, at least `_END` away from both."""
+    """Return a mask of fractions along a segment that lie within it, at least `_END` from both ends."""
     return (share > _END) & (share < 1 - _END)

@@ -87,7 +87,7 @@ def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, f
 
 
 def _direction(table: OpticalSurfaces) -> tuple[float, float]:
-    """Field angle and azimuth of the first field, degrees; a field in the yz plane has a sign instead of an azimuth."""
+    """Return field angle and azimuth of the first field, degrees; in the yz plane a sign replaces the azimuth."""
     x, y = (float(slope) for slope in field_tangents(table.lens, table.rays.data)[0])
     slope, azimuth = (math.hypot(x, y), math.degrees(math.atan2(-x, y))) if x else (y, 0.0)
     field = round(math.degrees(math.atan(slope)), _SOURCE_DIGITS)
@@ -98,7 +98,7 @@ def _direction(table: OpticalSurfaces) -> tuple[float, float]:
 
 def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
     """
-    Return a text on how the beam fills the stop, from real rays of the first field with clipping on the way.
+    Return a text on how far the beam of the first field fills the stop, from real rays with clipping.
 
     Parameters
     ----------

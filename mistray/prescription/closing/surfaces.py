@@ -177,7 +177,7 @@ class OpticalSurfaces:
         return known
 
     def _at(self, surface: Surface) -> list[int]:
-        """Return the indices of rows, so far, whose vertex coincides with that of a surface."""
+        """Return the indices of rows, so far, whose vertex in the world coincides with that of a surface."""
         apart = np.abs(self._vertices - [surface.x, surface.y, surface.z])
         return [int(k) for k in np.flatnonzero(np.all(apart <= _ROUND_OFF_MM, axis=1))]
 
@@ -290,7 +290,7 @@ class OpticalSurfaces:
         return list(pairwise([0, *(k + 1 for k in met)]))
 
     def _stopped(self, beam: np.ndarray) -> np.ndarray:
-        """Return beam positions, mm, with NaN after a stated aperture blocks a ray; unchanged if all are blocked."""
+        """Return beam positions, mm, with NaN where a stated aperture has blocked a ray; unchanged if it blocks all."""
         result = beam.copy()
         for k, (row, frame) in enumerate(zip(self.lens.rows, self.frames, strict=True)):
             if row.kind != "coordinate_break":

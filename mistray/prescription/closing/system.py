@@ -171,7 +171,7 @@ def build(
 def _structured(
     table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, float] | None
 ) -> Built:
-    """Add mechanical parts, source and detector (optional half sizes, mm) to surfaces; return the closed system."""
+    """Return the closed system: the optical surfaces with mechanical parts, source and detector added."""
     lens, surfaces = table.lens, table.surfaces
     detector = _detector(table, detector_half)
     items: list[Item] = []
@@ -205,7 +205,7 @@ def _structured(
 def _without_shadows(
     table: OpticalSurfaces, structures: list[Structure | Surface], detector: Detector
 ) -> list[Structure | Surface]:
-    """Return the structures except walls that the folded beam crosses."""
+    """Return the structures except those walls that the folded design beam would have to cross."""
     if not any(row.mirror for row in table.lens.rows):
         return structures
     segments = []

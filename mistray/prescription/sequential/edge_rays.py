@@ -229,7 +229,7 @@ def _inner_rays(start: Array, heading: Array) -> tuple[Array, Array]:
 
 
 def _upstream(start: Array, heading: Array, z: float) -> Array:
-    """Return the points, (n, 3) mm, at which rays cross the plane at `z`, mm."""
+    """Return the points, (n, 3), mm, at which rays, extended backward if need be, cross the plane at `z`, mm."""
     return start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading
 
 

@@ -250,7 +250,7 @@ def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array)
 
 def _bent(row: Row, position: Array, direction: Array, before: float, behind: float) -> Array:
     """
-    Return unit directions (n, 3) after reflection, or refraction from index `before` to `behind`.
+    Return the unit directions of rays, (n, 3), after reflection or refraction at a row.
 
     They are NaN at total reflection.
     """

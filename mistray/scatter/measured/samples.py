@@ -372,6 +372,6 @@ def half_circle(
 
 
 def _cell(nodes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each x the index of the interval of ascending `nodes` that holds it, and its place there, 0 … 1."""
+    """Return the index of the interval of ascending `nodes` that holds each x, and the place of x in it, 0 … 1."""
     low = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
     return low, np.clip((x - nodes[low]) / (nodes[low + 1] - nodes[low]), 0, 1)

@@ -231,7 +231,7 @@ class Tabulated(Placement):
         return RatioTable(self._over_incidence(planes, INCIDENCE_NODES), self._r_min, axes, fixed=True)
 
     def _turned(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """Return the ratio of an anisotropic table to the radial profile, in the frame with less change by rotation."""
+        """Return the ratio of an anisotropic table to the radial profile, in the frame where it varies least."""
         second, angle = self._second_nodes(axes, TURNED_R_NODES), np.linspace(0, 2 * np.pi, TURNED_PSI_NODES)
         rotations = np.radians(self.samples.rotation_deg)
 

@@ -1,4 +1,4 @@
-"""What a trace says about a BSDF of Mitsuba that it does not know: its name, and what to write instead."""
+"""Error messages for Mitsuba BSDFs that a trace does not support: their name, and a plugin to use instead."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ DIGITS = 7  # of numbers that Mitsuba holds in single precision
 @dataclass(frozen=True)
 class _Scene:
     """
-    Parsed scene and what the translation of a BSDF depends on beside the BSDF itself.
+    Parsed scene with the facts that a translation of its BSDFs needs.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class _Scene:
         return found
 
     def shapes(self) -> Iterator[Any]:
-        """Yield the shapes; a plugin of Python in a dict has no kind, and is one if it stands in the scene itself."""
+        """Yield the shape nodes of the parsed scene."""
         inside = {index for node in self.nodes if node.type.name == "Scene" for index in self.of_kind(node, "Unknown")}
         for number, node in enumerate(self.nodes):
             if node.type.name == "Shape" or number in inside:
@@ -141,7 +141,7 @@ def _translated(scene: _Scene, node: Any, side: str) -> dict[str, Any] | None:
 
 
 def _diffuse(reflectance: Any, side: str) -> dict[str, Any] | None:
-    """Return a Lambertian paint on one side or both; the other side is black, as it is in Mitsuba."""
+    """Return a Lambertian paint of this reflectance on one side or both; another side is black, as in Mitsuba."""
     number, paint = _number(reflectance), {"type": "paint", "side": side}
     if number is None and not _is_table(reflectance):
         return None
@@ -156,7 +156,7 @@ def _diffuse(reflectance: Any, side: str) -> dict[str, Any] | None:
 
 
 def _both(first: dict[str, Any] | None, second: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return one surface with the paint of one `_diffuse` on its one side, and of another one on its other side."""
+    """Return the dict of one surface with the paint of `first` on its one side and that of `second` on the other."""
     if first is None or second is None:
         return None
     paints = {f"paint_{k}": one["paint"] for k, one in enumerate((first, second), start=1) if "paint" in one}
@@ -164,7 +164,7 @@ def _both(first: dict[str, Any] | None, second: dict[str, Any] | None) -> dict[s
 
 
 def _dielectric(values: Mapping[str, Any], gas: float) -> dict[str, Any] | None:
-    """Return a bare surface; its indices are relative to the gas beside it, or around the scene."""
+    """Return a bare refracting surface; its indices are relative to the gas around it."""
     inside, outside = (_ior(values.get(key, usual)) for key, usual in (("int_ior", "bk7"), ("ext_ior", "air")))
     if inside is None or outside is None or any(_number(values.get(key, 1.0)) != 1 for key in FACTORS):
         return None
@@ -186,7 +186,7 @@ def _conductor(values: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _metal(eta: Any, k: Any) -> str | None:
-    """Return the material string of n and k that are numbers or tables over wavelength; None for colours."""
+    """Return the material string of a metal with n and k as numbers or tables over wavelength; None for colours."""
     n, extinction = _number(eta), _number(k)
     if n is not None and extinction is not None:
         return f"{_text(n)}+{_text(extinction)}i"
@@ -207,7 +207,7 @@ def _samples(name: str, wavelengths_nm: Sequence[float], values: Sequence[float]
 
 
 def _is_metal(material: str) -> bool:
-    """Whether a material lets no light through at any wavelength at which it is known."""
+    """True if a material transmits no light at any wavelength at which its n and k are known."""
     nodes = table_nodes_nm(material) or (DEFAULT_NM,)
     return min(complex_index(material, nearest_known_nm(material, nm, with_k=True)).imag for nm in nodes) > METAL_K
 
@@ -235,7 +235,7 @@ def _ior(value: Any) -> float | None:
 
 
 def _number(value: Any) -> float | None:
-    """Return a value that is the same at every wavelength; None for a colour, a table or a texture."""
+    """Return a property value that is equal at all wavelengths as a number; None for a colour, table or texture."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return _plain(value)
     if type(value).__name__ == SPECTRUM:
@@ -252,7 +252,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _text(value: float) -> str:
-    """Return a number as text, without the digits that single precision adds to it."""
+    """Return a number as text, without the digits that conversion from single precision adds."""
     return f"{float(value):.{DIGITS}g}"
 
 

@@ -1,4 +1,4 @@
-"""Shortest ways along line segments, such as along the edges of a lens from rim to rim."""
+"""Shortest connections along line segments between two points, such as along the edges of a lens from rim to rim."""
 
 from __future__ import annotations
 

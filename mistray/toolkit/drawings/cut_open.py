@@ -258,7 +258,8 @@ def _of_revolution(shape: Any) -> bool:
 
 
 def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.float64]:
-    """Return generatrix points (r, z), (n, 2), mm.
+    """
+    Return generatrix points (r, z), (n, 2), mm.
 
     A plane parallel to the axis adds the point where it touches a circle.
     """
@@ -365,7 +366,7 @@ def primitive(shape: Any) -> tuple[str, Points, Points]:
 
 
 def _strips(rows: int, steps: int) -> Faces:
-    """Return the triangles of a grid of `rows` rows of vertices with `steps` cells each, as (m, 3) vertex indices."""
+    """Return triangles, (m, 3) vertex indices, of a grid of `rows` rows of vertices with `steps` cells in each."""
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(steps), indexing="ij")
     a = (i * (steps + 1) + j).ravel()
     b, c, d = a + 1, a + steps + 1, a + steps + 2

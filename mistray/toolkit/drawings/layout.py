@@ -50,7 +50,7 @@ FORMATS = (".svg", ".pdf", ".eps", ".png")
 
 
 class Drawn(NamedTuple):
-    """Path to draw: its rays (mm), colour and label, and numbers of points where rays are reflected or scattered."""
+    """Path to draw: its rays, mm, colour and label, and indices of the points where rays are reflected or scattered."""
 
     rays: list[Polyline]
     colour: str
@@ -149,7 +149,8 @@ def layout(
 
 
 def _drawn(report: GhostReport, paths: Sequence[tuple[float, int, str, str]]) -> list[Drawn]:
-    """Return drawn paths from tuples of field angle (degrees), path id, colour and label.
+    """
+    Return drawn paths from tuples of field angle (degrees), path id, colour and label.
 
     Each has its own pupil heights.
     """
@@ -411,7 +412,7 @@ def _cut(shape: Any, name: str) -> list[Polyline]:
 
 def _mirrored(shape: Any) -> Polyline | None:
     """
-    Return the profile and its mirror image, (z, y) of the scene in mm, as one line through the axis.
+    Return a profile joined to its mirror image, as one line (z, y), mm, through the axis.
 
     It is None if the profile does not reach the axis.
     """

@@ -117,7 +117,7 @@ def draw_map(
 
 
 def _hatch(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-    """Return grey lines at 45° over the pixels where `where` is true, as an image, (h, w, 4) RGBA, 0 … 1."""
+    """Return an RGBA image, (h, w, 4), 0 … 1, of grey lines at 45° over the pixels where `where` is true."""
     finer = max(round(HATCHED / max(where.shape)), 1)
     lines = np.kron(where, np.ones((finer, finer), dtype=bool))
     row, column = np.indices(lines.shape)
@@ -180,6 +180,6 @@ def as_svg(figure: Figure, text: str = "") -> str:
 
 
 def _shorter(tag: str, used: set[str]) -> str:
-    """Return an SVG tag with rounded coordinates; its id is dropped unless it is in `used`."""
+    """Return an SVG tag with rounded coordinates, and without its id unless `used` holds that."""
     tag = _ID.sub(lambda found: found[0] if found[1] in used else "", tag)
     return _BLANKS.sub(" ", _LONG_NUMBER.sub(lambda found: f"{float(found[0]):.2f}".rstrip("0").rstrip("."), tag))

@@ -64,7 +64,7 @@ class MapStore:
 
 
 def packed(value: Any) -> str:
-    """Return a value as compressed JSON in base64."""
+    """Return a JSON-serialisable value as compressed JSON in base64."""
     return _compressed(json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode())
 
 
@@ -137,5 +137,5 @@ def palette_png(index: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8]) ->
 
 
 def rounded(lines: Sequence[npt.NDArray[np.float64]], digits: int) -> list[list[float]]:
-    """Return polylines, (n, 2) each, as flat lists x, y, x, y, … rounded to `digits` decimals."""
+    """Return polylines, (n, 2) each, as flat lists x, y, x, y, …, each number rounded to `digits` decimals."""
     return [np.round(line, digits).ravel().tolist() for line in lines]

@@ -104,7 +104,7 @@ def csv_text(table: pd.DataFrame, in_full: bool = False) -> str:
 
 @contextlib.contextmanager
 def told(directory: str | Path) -> Iterator[None]:
-    """Convert an `OSError` within a block into a `MistrayError` that says why a folder cannot be written."""
+    """Turn an `OSError` in a `with` block into a `MistrayError` that says why the folder cannot be written."""
     try:
         yield
     except OSError as error:
