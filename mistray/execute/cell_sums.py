@@ -85,7 +85,7 @@ class CellSums(Sums):
 
     def continued(self, saved: Mapping[str, np.ndarray], passes: int, seconds: float) -> Self:
         """
-        Return sums restored from saved `arrays`.
+        Return the sums of light by cell as they were when a run saved their `arrays`.
 
         This object, still without rays, gives shapes and missing arrays.
         """

@@ -463,7 +463,7 @@ class ReplaySurfaces:
         return dr.select(here, 0.5 * value / length, dr.inf), self.to_world(gradient / length, s, active)
 
     def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
-        """Return the signed distances F/|∇F| of world points from the surfaces s next to them, mm."""
+        """Return signed distances, mm, of world points from nearby surfaces s, to first order."""
         numbers = self.numbers(s, batch, active)
         q = self._at_rest(self.local_point(p, s, active), *self.pose(numbers))
         value, gradient = self.implicit(q, numbers)

@@ -170,7 +170,7 @@ def match(known: Mapping[str, Parameter], patterns: str | Iterable[str]) -> list
 
 def chosen_keys(scene: mi.Scene, known: Mapping[str, Parameter], keys: str | Iterable[str] | None) -> list[str]:
     """
-    Return the keys by which something is differentiated: all, or those that patterns match.
+    Return the keys of the scene parameters to differentiate by: all, or those that patterns match.
 
     Raises
     ------

@@ -88,7 +88,7 @@ def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
 
 
 def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
-    """Return the packed scatter counts of paths after one more scatter event; `COUNT_MASK` tells the packing."""
+    """Return packed scatter counts (all events, those not aimed, those at optical surfaces) after one more."""
     # One word holds all three counts, so that a node stores a single integer
     count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
     # `AT_WALL` is of the last event only; `NOT_DIFFRACTED` stays once it is set

@@ -303,7 +303,7 @@ class Pilot:
         self._seen = [*self._seen, (cell, kind, samples.path_class, samples.weight, odds)][-REMEMBERED:]
 
     def _starts_per_connection(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
-        """Return the forward starts per connected path, by cell; 0 if connections cost more time than they save."""
+        """Return forward start rays per path connected to a source, by cell; 0 if connections do not pay."""
         starts_per_connection, counts = self._sharing.starts_per_connection, self._counts & (light > 0)
         if self._rounds == 1:  # one light vertex for each connection
             return starts_per_connection / max(self._trace.vertices_per_ray, 1e-3)

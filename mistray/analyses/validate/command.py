@@ -1,4 +1,4 @@
-"""Command `mistray validate`: published numbers and other programs beside ours, with a verdict on each."""
+"""Command `mistray validate`: compare mistray with published numbers and other programs, with a verdict on each."""
 
 from __future__ import annotations
 

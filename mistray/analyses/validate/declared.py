@@ -1,5 +1,4 @@
-"""
-Rows of a validation as a TOML file declares them: the published number, its source, and what ours may differ by.
+"""Rows of a validation as TOML files declare them: published number, source, and allowed difference from mistray.
 
 The files of the packs that come along and those of users have the same form.
 """
@@ -47,7 +46,7 @@ UNITS = {
 @dataclass(frozen=True)
 class DeclaredRow:
     """
-    One number that is compared.
+    One published number that mistray's number is compared with.
 
     Ours agrees with the published number if they differ by at most four standard errors of both, added in quadrature,
     plus `tolerance`, plus `relative` times the published number.
@@ -78,12 +77,12 @@ class DeclaredRow:
         check_fields(self, f"row '{self.name}'")
 
     def argument(self, name: str) -> Any:
-        """Return what a row of a pack that comes along gives to the function that finds its number."""
+        """Return the value of a row's key that a built-in pack needs to compute mistray's number."""
         assert self.given is not None
         return self.given[name]
 
     def allowed(self, se: float, published: float, published_se: float) -> float:
-        """Return the largest difference that agrees, from both numbers' standard errors and the published number."""
+        """Return the largest difference between both numbers that still agrees, from their standard errors."""
         return ERRORS * float((se**2 + published_se**2) ** 0.5) + self.tolerance + self.relative * abs(published)
 
 
@@ -92,7 +91,7 @@ ERRORS = 4.0  # standard errors within which numbers agree: by chance one of 16,
 
 @dataclass(frozen=True)
 class ReferenceFile:
-    """Numbers of one source, with the light that they hold for."""
+    """Published numbers of one source, with the light (azimuth, wavelength, ...) that they hold for."""
 
     title: str = TEXT.field(doc="system, or subject")
     source: str = TEXT.field(doc="publication with its place, or program with its version")
@@ -135,7 +134,7 @@ def read_reference(path: str | Path) -> ReferenceFile:
 
 
 def _row(section: TomlSection, file: Mapping[str, Any]) -> DeclaredRow:
-    """Return a row of a file; where it names no field, azimuth or wavelength it has those of the file."""
+    """Return a row of a file; a field, azimuth or wavelength that it leaves out is that of the whole file."""
     section.known([field.name for field in dataclasses.fields(DeclaredRow) if demand_of(field)])
     light = {key: file.get(key) for key in ("field_deg", "azimuth_deg", "wavelength_nm") if key in file}
     return section.make(DeclaredRow, {}, **light)

@@ -1,4 +1,4 @@
-"""A pack of rows of one source: its file, how ours are found, and the program that is asked where it is installed."""
+"""A pack: numbers from one source, the function that computes mistray's, and the other program that gives theirs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Numbers = Callable[[ReferenceFile, int | None, int], Finder]
 @dataclass(frozen=True)
 class Peer:
     """
-    Program of others that gives the published number of rows that have none.
+    Other program, installed as a Python module, that computes reference numbers which the file leaves out.
 
     Attributes
     ----------
@@ -39,14 +39,14 @@ class Peer:
 
     @property
     def installed(self) -> bool:
-        """Whether its module is there."""
+        """Whether the program's Python module can be imported."""
         return importlib.util.find_spec(self.module) is not None
 
 
 @dataclass(frozen=True)
 class Pack:
     """
-    Rows of one source.
+    Reference numbers from one source, and the functions that compute the numbers to compare.
 
     Attributes
     ----------
@@ -64,5 +64,5 @@ class Pack:
 
     @cached_property
     def file(self) -> ReferenceFile:
-        """Published numbers of the pack."""
+        """Reference numbers and their conditions, read from the pack's TOML file."""
         return read_reference(Path(str(files("mistray.analyses.validate").joinpath("references", f"{self.name}.toml"))))

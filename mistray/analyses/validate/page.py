@@ -1,4 +1,4 @@
-"""Validation as text, JSON values and a report."""
+"""Result of a validation against published numbers and other programs, as text, JSON values and an HTML report."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ COUNTS = ("pack", "title", "count", "agree", "known", "differ", "left_out", "sec
 
 
 def _number(value: Estimate, allowed: float) -> Value:
-    """Return a number as a cell; without an error of its own it is text, as printed or to what is allowed."""
+    """Return a table cell of a number, with its standard error or, if it has none, as printed by its source."""
     if value.se > 0 and math.isfinite(value.se):
         return value
     if float(f"{value.value:.{PRINTED}g}") == value.value:
@@ -60,12 +60,12 @@ def _cells(row: ComparedRow) -> list[Value]:
 
 
 def pack_table(rows: Sequence[ComparedRow], name: str = "") -> Table:
-    """Return the table of the rows of a pack."""
+    """Return the table of compared rows from one source of numbers (a pack)."""
     return Table(columns(*HEADS), [_cells(row) for row in rows], name)
 
 
 def reasons(rows: Sequence[ComparedRow]) -> list[str]:
-    """Return why rows differ or were left out, each reason once with the rows that it is about."""
+    """Return why rows differ or were left out, each reason once with the names of its rows."""
     by_reason: dict[str, list[str]] = {}
     for row in rows:
         if row.why:
@@ -76,7 +76,7 @@ def reasons(rows: Sequence[ComparedRow]) -> list[str]:
 
 
 def finding(found: Validation) -> str:
-    """Return the result in a sentence."""
+    """Return in one sentence how many rows of a validation agree and how many differ."""
     words = {AGREES: "agree", KNOWN: "known to differ", DIFFERS: "differ and should agree"}
     words |= {NOT_ASKED: "without the program that they ask", TOO_FEW: "with too few rays"}
     told = ", ".join(f"{found.count(verdict)} {text}" for verdict, text in words.items() if found.count(verdict))
@@ -85,7 +85,7 @@ def finding(found: Validation) -> str:
 
 
 def text(found: Validation) -> str:
-    """Return all tables, with their sources and reasons, and the result in a sentence."""
+    """Return the tables of all sources with the reasons for differences, and the finding in a sentence."""
     parts = []
     for pack in found.packs:
         rows = found.of(pack.pack)
@@ -97,13 +97,13 @@ def text(found: Validation) -> str:
 
 
 def record(found: Validation) -> dict[str, Any]:
-    """Return the rows, the packs and the settings as JSON-serialisable values."""
+    """Return the compared rows, their sources and the settings as JSON-serialisable values."""
     values = {"rows": records(ComparedRow, found.rows), "packs": records(PackSummary, found.packs)}
     return dict(plain({"holds": found.holds} | values | {"facts": found.facts}))
 
 
 def page(found: Validation, command: str = "") -> Report:
-    """Return the report: a summary, the picture, and a section for each pack."""
+    """Return the HTML report: a summary, the picture of differences, and a section for each source of numbers."""
     drawn = FigurePart(functools.partial(differences_figure, found), "Differences over what is allowed.")
     summary = table(PackSummary, found.packs, "t-packs", only=COUNTS)
     sections = [

@@ -1,4 +1,4 @@
-"""Request of a validation: the rows that are compared, or a file with one's own, and the rays of their traces."""
+"""Request of a validation: rows of reference numbers to compare, or a user's file, and the start rays per trace."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mistray.toolkit.fields import Request, Several, field
 
 @dataclass(frozen=True)
 class ValidateRequest(Request):
-    """Rows that are compared, and the rays of their traces."""
+    """Rows of reference numbers to compare with mistray's, and the start rays of their traces."""
 
     only: tuple[str, ...] | None = field(
         Several(TEXT), None, "packs, or rows as 'pack/row', with * for any letters and ? for one", metavar="PATTERN"

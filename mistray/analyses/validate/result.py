@@ -1,4 +1,4 @@
-"""Result of a validation: rows of published numbers and ours with their verdicts, and the packs that they belong to."""
+"""Result of a validation: rows with the published number, mistray's and the verdict, and a summary of each source."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VERDICTS = (AGREES, KNOWN, DIFFERS, NOT_ASKED, TOO_FEW)
 
 @dataclass(frozen=True)
 class ComparedRow:
-    """Published number beside ours, with the verdict."""
+    """Published number beside mistray's, with the verdict."""
 
     pack: str = column("pack that the row belongs to")
     name: str = column("number that is compared", head="number")
@@ -37,12 +37,12 @@ class ComparedRow:
 
     @derived.column("ours less the published number")
     def difference(self) -> float:
-        """Difference of ours and the published number, in their unit."""
+        """Mistray's number minus the published one, in their unit."""
         return self.ours.value - self.published.value
 
     @property
     def of_allowed(self) -> float:
-        """Difference over the allowed one; NaN if either number is unknown."""
+        """Difference of both numbers divided by the largest that agrees; NaN if either number is unknown."""
         if not self.allowed <= 0:
             return self.difference / self.allowed
         return math.copysign(math.inf, self.difference) if self.difference else 0.0 * self.difference
@@ -50,7 +50,7 @@ class ComparedRow:
 
 @dataclass(frozen=True)
 class PackSummary:
-    """Numbers of rows of a pack by verdict."""
+    """Count of rows from one source of numbers, by verdict."""
 
     pack: str = column("pack")
     title: str = column("system, or subject")
@@ -68,7 +68,7 @@ class PackSummary:
 @dataclass(frozen=True, repr=False)
 class Validation(Result):
     """
-    Published numbers and other programs beside ours.
+    Mistray's numbers compared with published ones and with those of other programs.
 
     Attributes
     ----------
@@ -90,24 +90,24 @@ class Validation(Result):
 
     @property
     def holds(self) -> bool:
-        """Whether every row agrees that should: none differs without a known reason."""
+        """Whether no row differs without a known reason."""
         return not self.count(DIFFERS)
 
     def of(self, pack: str) -> list[ComparedRow]:
-        """Return the rows of a pack."""
+        """Return the rows of the named source of numbers (pack)."""
         return [row for row in self.rows if row.pack == pack]
 
     def key_numbers(self) -> Mapping[str, KeyNumber]:
-        """Return the numbers of rows, and of those that agree and differ."""
+        """Return the count of rows, and of those that agree and differ."""
         found = {verdict: self.count(verdict) for verdict in VERDICTS}
         return {"rows": len(self.rows), **{verdict: str(count) for verdict, count in found.items() if count}}
 
     def tables(self) -> Mapping[str, Rows]:
-        """Return the rows, and the packs."""
+        """Return tables of the rows and of the sources of numbers."""
         return {"validation": (ComparedRow, self.rows), "packs": (PackSummary, self.packs)}
 
     def figures(self) -> Mapping[str, Callable[[], Figure]]:
-        """Return the figure of all differences."""
+        """Return the figure with the differences of all rows."""
         from mistray.analyses.validate.figures import differences_figure
 
         return {"differences": lambda: differences_figure(self)}

@@ -1,4 +1,4 @@
-"""Run of a validation: choose rows, find our numbers, ask the other programs, and judge."""
+"""Run of a validation: choose rows, compute mistray's numbers, get those of other programs, and judge them."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class OwnPack(Pack):
-    """File of a user as a pack."""
+    """File of reference numbers that a user wrote, in the form of a built-in pack."""
 
     path: str = ""
 
     @property
     def file(self) -> ReferenceFile:
-        """Numbers of the file."""
+        """Reference numbers of the user's file."""
         found = read_reference(self.path)
         require_own(found, self.path)
         return found
@@ -50,7 +50,7 @@ class OwnPack(Pack):
 
 def run_validation(request: ValidateRequest, progress: Progress | None = None) -> Validation:
     """
-    Compare published numbers and those of other programs with ours.
+    Compare mistray's numbers with published ones and with those of other programs.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ Chosen = list[tuple[Pack, ReferenceFile, Sequence[DeclaredRow]]]
 
 
 def _chosen(packs: Sequence[Pack], patterns: Sequence[str] | None) -> Chosen:
-    """Return the packs with a row that a pattern names, each with these rows; all without patterns."""
+    """Return packs of reference numbers, each with the rows whose names fit the patterns; all without patterns."""
     found: Chosen = []
     used = set()
     for pack in packs:
@@ -114,7 +114,7 @@ def _fits(pack: str, row: str, pattern: str) -> bool:
 def _compared(
     pack: Pack, file: ReferenceFile, declared: Sequence[DeclaredRow], request: ValidateRequest
 ) -> list[ComparedRow]:
-    """Return the compared rows of a pack; a row whose program cannot be asked has the reason in place of numbers."""
+    """Return a pack's rows with both numbers, or with the reason why the other program gave none."""
     ours = pack.numbers(file, request.rays, request.seed)
     theirs = _asked(pack, file, [row for row in declared if row.published is None], request)
     rows = []
@@ -134,7 +134,7 @@ def _compared(
 def _asked(
     pack: Pack, file: ReferenceFile, rows: Sequence[DeclaredRow], request: ValidateRequest
 ) -> dict[str, Estimate | None] | str:
-    """Return the numbers of the other program by name of the row; if it cannot be asked, the remedy."""
+    """Return the other program's numbers by row name or, if it cannot run, why and how to install it."""
     if pack.peer is None or not rows:
         return {}
     if not pack.peer.installed:
@@ -149,7 +149,7 @@ def _asked(
 
 
 def judged(pack: str, row: DeclaredRow, unit: str, published: Estimate, found: Estimate | None) -> ComparedRow:
-    """Return a row with its verdict; light that is not there, None, differs, and a number without an error has none."""
+    """Return a row with its verdict: None (no light) differs, and a number without standard error gets none."""
     ours = found or UNKNOWN
     allowed = row.allowed(ours.se, published.value, published.se)
     if found is None:

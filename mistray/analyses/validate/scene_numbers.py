@@ -1,5 +1,4 @@
-"""
-Numbers of a row that a trace of a scene gives: of its image, of a ghost, or a PST.
+"""Numbers to compare that a trace of a scene gives: of its image, of a ghost, or a PST (point source transmittance).
 
 A path is named by the surfaces that reflect its light, without those that reflect the light of the image. Of several
 such paths it is the strongest.
@@ -39,7 +38,7 @@ OF_PATH: Mapping[str, tuple[str, str]] = {
 
 class SceneNumbers:
     """
-    Numbers of the rows of one file, each from the trace that it needs; a trace serves all rows of the same light.
+    Mistray's numbers for the rows of one file; rows with the same light share one trace.
 
     Parameters
     ----------
@@ -59,7 +58,7 @@ class SceneNumbers:
         self._traces: dict[tuple[Any, ...], Trace] = {}
 
     def __call__(self, row: DeclaredRow) -> Estimate | None:
-        """Return our number of a row with its standard error; None if the light takes no such path."""
+        """Return mistray's number for a row and its standard error; None if no light takes the row's path."""
         if row.quantity == "pst":
             return self._pst(row)
         reflections = max([2, *(len(one.path) for one in self._file.rows)])
@@ -72,7 +71,7 @@ class SceneNumbers:
         return None if found is None else Estimate(*(float(getattr(found, key)) for key in OF_PATH[row.quantity]))
 
     def scene(self, row: DeclaredRow) -> mi.Scene:
-        """Return the scene with the values that the file and the row set."""
+        """Return the scene with its parameters set as the file and the row ask."""
         values = {**(self._file.set or {}), **(row.set or {})}
         key = tuple(sorted(values.items()))
         if key not in self._scenes:
@@ -119,7 +118,7 @@ def set_values(scene: mi.Scene, values: Mapping[str, float]) -> None:
 
 
 def named_path(t: Trace, surfaces: Sequence[str]) -> PathRow | None:
-    """Return the strongest path of a trace whose light these surfaces reflect; None if there is none."""
+    """Return the strongest path of a trace that the named surfaces reflect; None if there is none."""
     image = next((row for row in t.paths if row.order == 0), None)
     design = _reflecting(image) if image is not None else []
     rows = [row for row in t.paths if _without(_reflecting(row), design) == list(surfaces)]
@@ -131,7 +130,7 @@ def _reflecting(row: PathRow) -> list[str]:
 
 
 def _without(names: list[str], design: list[str]) -> list[str]:
-    """Return the names but for one of each that the design has, the first."""
+    """Return names of reflecting surfaces less those in the image's own path, one occurrence for each."""
     left = list(design)
     kept = []
     for name in names:
@@ -143,7 +142,7 @@ def _without(names: list[str], design: list[str]) -> list[str]:
 
 
 def _diameter(t: Trace, row: PathRow, quantity: str) -> Estimate:
-    """Return the extent of the hits of a path along x or y; the outermost gap at each end is its standard error."""
+    """Return the extent of a path's hits along x or y, mm; its standard error is the outermost gaps at both ends."""
     column = f"detector_{quantity.removeprefix('diameter_')}"
     hits = np.sort(t.rays(f"path_id == {row.path_id}", n=None)[column].to_numpy())
     if len(hits) < 3:

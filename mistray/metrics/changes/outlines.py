@@ -167,7 +167,7 @@ class Faces(SpaceOutline):
 
 def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[SpaceOutline]:
     """
-    Return the surfaces of a scene that can take part in contacts.
+    Return outlines of the surfaces of a scene that can be tested for touching one another.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ class MapSamples(NamedTuple):
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def times(self, factor: np.ndarray | float) -> MapSamples:
-        """Return the samples with the light that each carries multiplied by `factor`."""
+        """Return the samples with the flux that each carries multiplied by `factor`."""
         return self._replace(weights=self.weights * factor, squares=self.squares * np.square(factor))
 
     def of_rays(self, rays: np.ndarray | float) -> MapSamples:

@@ -1,1 +1,1 @@
-"""Packs of the validation: for each source of numbers, how ours are found, and which program is asked."""
+"""Built-in packs of the validation, one for each source of reference numbers."""

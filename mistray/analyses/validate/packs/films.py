@@ -1,4 +1,4 @@
-"""Reflectance and transmittance of stacks of layers beside tmm, s or p."""
+"""Reflectance and transmittance of thin-film stacks in s or p polarisation, from mistray and from the program tmm."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _complex(value: Any) -> complex:
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives R or T of the stack of a row."""
+    """Return the function by which mistray computes reflectance or transmittance of a row's film stack."""
 
     def number(row: DeclaredRow) -> Estimate:
         layers = [_complex(n) for n in row.argument("n")]
@@ -31,7 +31,7 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
 
 
 def asked(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that asks tmm."""
+    """Return the function by which the program tmm computes reflectance or transmittance of a row's film stack."""
     import tmm
 
     def number(row: DeclaredRow) -> Estimate:

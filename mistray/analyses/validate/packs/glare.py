@@ -1,4 +1,4 @@
-"""Veiling glare index (ISO 9358) of a detector behind a window, by a PST, beside the closed form of their ghost."""
+"""Veiling glare index (ISO 9358) of a detector behind a window, from a PST, beside the closed form for its ghost."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ANGLES_DEG = np.arange(0.5 * CELL_DEG, 1.8, CELL_DEG)  # of the white source, to
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives the index of a black patch of 0.2° in a white source of 1.8°, percent."""
+    """Return the function that gives mistray's glare index, percent, of a 0.2° black patch in a 1.8° white source."""
     scenes = SceneNumbers(file, rays, seed)
 
     def number(row: DeclaredRow) -> Estimate:

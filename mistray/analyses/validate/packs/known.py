@@ -1,4 +1,4 @@
-"""All packs that come along, in the order of the report."""
+"""All built-in packs of reference numbers, in the order of the report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scatter of a rough surface to first order (Rayleigh and Rice), unpolarised, beside NIST's SCATMECH."""
+"""BRDF of a rough surface to first order (Rayleigh and Rice), unpolarised, from mistray and NIST's SCATMECH."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _angles(row: DeclaredRow) -> tuple[float, float, float]:
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives the BRDF at the angles of a row, 1/sr."""
+    """Return the function by which mistray computes the BRDF of a rough surface at a row's angles, 1/sr."""
 
     def number(row: DeclaredRow) -> Estimate:
         theta_i, theta_s, phi = _angles(row)
@@ -35,7 +35,7 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
 
 
 def asked(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that asks pySCATMECH."""
+    """Return the function by which pySCATMECH computes the BRDF of a rough surface at a row's angles, 1/sr."""
     from pySCATMECH.brdf import BRDF_Model
 
     psd = {None: "ABC_PSD_Function", "A": AMPLITUDE_UM4, "B": LENGTH_UM, "C": SLOPE}

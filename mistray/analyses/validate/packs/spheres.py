@@ -1,4 +1,4 @@
-"""Efficiencies of spheres by Mie's theory beside miepython."""
+"""Scattering efficiencies of spheres from Mie's theory, from mistray and from the program miepython."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mistray.physics.mie import spheres
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives the efficiency of a sphere."""
+    """Return the function by which mistray computes a Mie efficiency of a row's sphere."""
 
     def number(row: DeclaredRow) -> Estimate:
         found = spheres([row.argument("x")], complex(row.argument("n"), row.argument("k")))
@@ -19,7 +19,7 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
 
 
 def asked(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that asks miepython, whose index is n - ik."""
+    """Return the function by which miepython computes it; its refractive index is n - ik."""
     import miepython
 
     def number(row: DeclaredRow) -> Estimate:

@@ -1,5 +1,4 @@
-"""
-Ghosts of telescopes that batoid ships, beside its split trace of the same start rays.
+"""Ghosts of batoid's example telescopes, from mistray and from batoid's split trace of the same start rays.
 
 Each refracting face and the detector reflect 2 % of the light. batoid passes light to neighbours in its list only. Its
 paths with two reflections are compared, each with the same surfaces in the same order.
@@ -37,20 +36,20 @@ class Bundle:
 
 @dataclass(frozen=True)
 class BothPrograms:
-    """Paths of both programs by the surfaces that they meet."""
+    """Light on the detector by path, from mistray and from batoid; a path is the surfaces that it meets."""
 
     ours: Mapping[Names, Bundle]
     theirs: Mapping[Names, Bundle]
 
     @functools.cached_property
     def shared(self) -> list[Names]:
-        """Two-reflection paths of batoid above `FAINTEST`, the strongest first."""
+        """Paths with two reflections that batoid finds stronger than `FAINTEST`, the strongest first."""
         star = next((one.flux for one in self.theirs.values() if one.order == 0), 0.0)
         found = [names for names, one in self.theirs.items() if one.order == 2 and one.flux > FAINTEST * star]
         return sorted(found, key=lambda names: -self.theirs[names].flux)
 
     def number(self, quantity: str, bundles: Mapping[Names, Bundle]) -> float:
-        """Return a quantity of one of the programs; NaN where it has no such light."""
+        """Return a quantity of a path from one program; NaN if that program has no light there."""
         ghosts = {names: bundles[names] for names in self.shared if names in bundles}
         image = next((one for one in bundles.values() if one.order == 0), None)
         if image is None or not ghosts:
@@ -66,7 +65,7 @@ class BothPrograms:
 
 @functools.cache
 def _compared(file: str, wavelength_nm: float, field_deg: float, rays: int, seed: int) -> BothPrograms:
-    """Trace a telescope in both programs from the same start rays."""
+    """Trace a telescope with mistray and with batoid from the same start rays."""
     import batoid
 
     optic = batoid.Optic.fromYaml(file)
@@ -113,7 +112,7 @@ def _of(file: ReferenceFile, rays: int | None, seed: int, row: DeclaredRow) -> B
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives our number; both programs trace the same rays, and so it has no error."""
+    """Return the function that gives mistray's number for a row; it has no error, as both trace the same rays."""
 
     def number(row: DeclaredRow) -> Estimate:
         both = _of(file, rays, seed, row)
@@ -123,7 +122,7 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
 
 
 def asked(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives batoid's number."""
+    """Return the function that gives batoid's number for a row."""
 
     def number(row: DeclaredRow) -> Estimate:
         both = _of(file, rays, seed, row)

@@ -12,7 +12,7 @@ RAW_INTEGRAL = 0.015552516  # of the sheet, by which it normalises
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives the cells of the sheet, with its own integral, and the TIS of its A, B and g."""
+    """Return the function by which mistray computes the sheet's A, B, g, and TIS (total integrated scatter)."""
     sheet = abg.abg_from_rms(**INPUT, raw_integral=RAW_INTEGRAL)
 
     def number(row: DeclaredRow) -> Estimate:
