@@ -147,7 +147,7 @@ def _wheel() -> tuple[str, ...] | None:
 
 def _needs(path: str) -> tuple[str, ...]:
     """
-    Return the libraries to load before a libLLVM.
+    Return the libraries to load before a libLLVM: those of the pip wheel for its own, else none.
 
     That of the wheel finds its own only once Python has started again after pip.
     """

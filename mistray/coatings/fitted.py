@@ -1,4 +1,4 @@
-"""Presets fitted to a body: layers of the design, with the thicknesses of the least mean reflectance.
+"""Coating presets fitted to a substrate: the materials of a design, with thicknesses of least mean reflectance.
 
 A design is made for one index. On another body its layers keep their materials and their order. Their thicknesses
 minimise the mean of R over the band of the design at normal incidence. A layer that only does harm gets the thickness 0

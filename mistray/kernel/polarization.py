@@ -89,13 +89,13 @@ class Mueller:
     coefficients: mi.Vector4f
 
     def share(self, stokes: mi.Vector3f) -> mi.Float:
-        """Return the child's flux over the incident flux; `stokes`, (q, u, v), refers to the plane of incidence."""
+        """Return the outgoing flux over the incident flux; `stokes`, (q, u, v), refers to the plane of incidence."""
         s, p = self.coefficients.x, self.coefficients.y
         # Not as S + P + (S - P) q: where q is ±1 this leaves the rounding of the larger share on the smaller one
         return 0.5 * (s * larger(1 + stokes.x, 0) + p * larger(1 - stokes.x, 0))
 
     def apply(self, stokes: mi.Vector3f) -> mi.Vector3f:
-        """Return the child's normalised Stokes vector (q, u, v) with respect to the plane of incidence."""
+        """Return the outgoing normalised Stokes vector (q, u, v), which refers to the plane of incidence."""
         s, p, re, im = self.coefficients
         flux = self.share(stokes)
         scale = dr.select(flux > 0, 1 / flux, 0)  # not `dr.rcp`: polarised light must stay so by more than 1e-7

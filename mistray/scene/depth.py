@@ -70,7 +70,7 @@ def check_source(path: Path, text: str | None = None) -> None:
 
 
 class _Look:
-    """Recursive check of a scene in Mitsuba's reading order, through included files and shared parameters."""
+    """Check of elements and numbers of a scene before Mitsuba reads them, file by file through its includes."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -1,4 +1,4 @@
-"""Data of a trace that estimates use: powers of all paths, maps of the strongest, sampled rays with their angles."""
+"""Trace results on which the explorer's estimates rest: powers of all paths, maps of the strongest, sampled rays."""
 
 from __future__ import annotations
 

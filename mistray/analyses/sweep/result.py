@@ -159,7 +159,7 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
         return found
 
     def values(self) -> pd.DataFrame:
-        """Return the values that are set: configuration, key, entry, unit (empty where it is not known), value."""
+        """Return the parameter values set: configuration, key, entry, unit (empty where unknown), value."""
         import pandas as pd
 
         rows = [

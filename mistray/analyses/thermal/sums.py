@@ -42,7 +42,7 @@ def total(by_wave: Sequence[np.ndarray]) -> Estimate:
 
 def ratio(top: Sequence[np.ndarray], bottom: Sequence[np.ndarray]) -> Estimate:
     """
-    Return the ratio of the sums over wavelengths of two quantities from the same rays.
+    Return the ratio of two quantities, each summed over wavelengths, from the same rays.
 
     It is NaN unless the lower sum is above 0.
     """
