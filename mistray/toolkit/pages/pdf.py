@@ -21,6 +21,7 @@ from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages import model
 from mistray.toolkit.pages.render import drawn_map
 from mistray.toolkit.tables.text import cell_text
+from mistray.toolkit.typeset import typeset, value_and_error
 
 MARGIN, POINT = 12.0, 25.4 / 72  # mm
 FONT, MONO = "DejaVu Sans", "DejaVu Sans Mono"
@@ -170,7 +171,7 @@ class _Writer:
             for pair in terms.pairs:
                 row = table.row()
                 for text in pair:
-                    row.cell(text)
+                    row.cell(typeset(text))
         self.pdf.ln(1.5)
 
     def figure(self, figure: model.FigurePart, most: float) -> None:
@@ -260,7 +261,8 @@ class _Writer:
         with self.pdf.text_columns() as columns, columns.paragraph(line_height=LINE) as paragraph:
             for number, piece in enumerate(pieces):
                 self._font(size, bold or number % 2 == 1, family)
-                paragraph.write(_plain(piece) if isinstance(text, Markup) else piece)
+                plain = _plain(piece) if isinstance(text, Markup) else piece
+                paragraph.write(plain if family == MONO else typeset(plain))
         self.pdf.ln(1)
         self.pdf.set_text_color(*INK)
 
@@ -275,11 +277,11 @@ class _Writer:
 
 def _cell(value: model.Value) -> str:
     if isinstance(value, model.Noted):
-        return f"{_cell(value.number)}\n{value.note}"
+        return f"{_cell(value.number)}\n{typeset(value.note)}"
     if isinstance(value, model.HtmlCell):
         return _plain(Markup(value.html))
     text = cell_text(value)
-    return text.replace(" ± ", "\n± ") if isinstance(value, Estimate) else text
+    return "\n".join(filter(None, value_and_error(text))) if isinstance(value, Estimate) else typeset(text)
 
 
 def _plain(text: str) -> str:

@@ -20,6 +20,7 @@ from mistray.toolkit.irradiance import log_range
 from mistray.toolkit.pages import model
 from mistray.toolkit.pages.hover import hover_figure
 from mistray.toolkit.pages.markup import cell, number_cell
+from mistray.toolkit.typeset import typeset_html
 
 
 def html_page(report: model.Report) -> str:
@@ -99,6 +100,7 @@ def _environment() -> Environment:
         "cell": value_cell,
         "drawn_map": drawn_map,
         "hovering": _hovering,
+        "typeset": typeset_html,
         "svg": lambda drawn, text: Markup(as_svg(drawn, text)),
     }
     made.globals["can_draw"] = can_draw
