@@ -16,7 +16,7 @@ from mistray.toolkit.typeset import NO_BREAK, typeset, typeset_html, value_and_e
 
 pytestmark = pytest.mark.quick
 LOWERED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
-EDGES = (0.0, 5e-324, 1e-308, 1.0, 9.9995, 99999.5, 1e308, 1.7e308)
+EDGES = (0.0, 5e-324, 1e-308, 1.0, 9.9995, 99999.5, 1e308, 1.4e308)
 
 
 def pairs(count: int = 4000) -> list[tuple[float, float]]:

@@ -17,7 +17,7 @@ from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap
 from matplotlib.image import imread
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from PIL import Image
 
 from mistray.errors import MistrayError
@@ -26,6 +26,7 @@ from mistray.recorders.film import Pixels
 from mistray.replace_file import replace_file
 from mistray.toolkit.figures.figure import Figure
 from mistray.toolkit.irradiance import averaged, log10_image, log_range, pixels_averaged
+from mistray.toolkit.typeset import power_of_ten
 
 HOW_TO_READ = "black: below the floor or no ray; hatched: few rays, error unknown"
 DECADES = 12.0
@@ -72,6 +73,8 @@ def scaled_map(axes: Axes, image: Pixels, extent: Extent, limits: Range | None, 
         bar = axes.figure.colorbar(picture, ax=axes, pad=0.02, fraction=0.05, extend="min")
         bar.ax.yaxis.set_major_locator(MaxNLocator(6, integer=True))
         bar.ax.tick_params(labelsize=8)
+        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda exponent, _: power_of_ten(round(exponent))))
+        bar.ax.set_title("W/mm²", fontsize=7, pad=3)
 
 
 def draw_map(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 from markupsafe import Markup
@@ -43,7 +44,12 @@ def with_error(number: Estimate, digits: int = 2) -> str:
     size = _exponent(value, SIGNIFICANT) if value else _exponent(se, digits)
     last = max(_exponent(se, digits) - digits, size - SIGNIFICANT) + 1 if se else size - SIGNIFICANT + 1
     if not se or se <= 0.5 * 10.0**last:
-        return f"{value:.{SIGNIFICANT}g}"
+        text = f"{value:.{SIGNIFICANT}g}"
+        return (
+            text
+            if size in FIXED or "e" in text or not value
+            else re.sub(r"\.?0+e", "e", f"{value:.{SIGNIFICANT - 1}e}")
+        )
     largest = max(size, _exponent(se, digits))
     if largest in FIXED:
         decimals = max(-last, 0)

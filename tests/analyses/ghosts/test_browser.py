@@ -20,6 +20,7 @@ from mistray.analyses.pst.page import pst_report
 from mistray.toolkit.drawings.layout import worst_paths
 from mistray.toolkit.pages.embedded import palette_png
 from mistray.toolkit.pages.render import html_page
+from mistray.toolkit.typeset import power_of_ten
 
 WIDE, NARROW = 1300, 390  # pixels: a window, and a telephone
 pytestmark = [
@@ -174,7 +175,7 @@ def test_a_report_of_ghosts(report, browser, opened):
     browser.until("which.value === 'path'")
     run("pause()")
     assert run("[which.selectedOptions[0].textContent, pick.getAttribute('aria-pressed')]") == ["path 1", "true"]
-    assert "path 1, log10 scale 1e" in run("label()")
+    assert "path 1, log₁₀ scale 10" in run("label()")
     events = run("[...panel.querySelectorAll('ol.events li')].map((item) => item.textContent)")
     named = table.events[table.path_id == 1].iloc[0].split()
     assert [item.split(":")[0] for item in events] == [event.split(":")[0] for event in named]
@@ -235,9 +236,10 @@ def test_a_report_of_ghosts(report, browser, opened):
     run("second.closest('details').open = true; second.scrollIntoView()")
     browser.until("second.classList.contains('ready')")
     low, high = common_range(report)
-    assert f"to 1e{high:.0f} W/mm²" not in run("map.getAttribute('aria-label')")  # there are ghosts alone
+    low, high = (power_of_ten(round(power)) for power in (low, high))
+    assert f"to {high} W/mm²" not in run("map.getAttribute('aria-label')")  # there are ghosts alone
     run("second.querySelector('input.common').click(); pause()")
-    assert f"all light, log10 scale 1e{low:.0f} to 1e{high:.0f} W/mm²" in run("map.getAttribute('aria-label')")
+    assert f"all light, log₁₀ scale {low} to {high} W/mm²" in run("map.getAttribute('aria-label')")
     check_tables(run)
 
 
@@ -252,17 +254,38 @@ def test_widths_and_accessibility(browser, opened):
     """Nothing is wider than its page; the rules of axe: landmarks, names of controls, contrast, order of headings."""
     axe = pytest.importorskip("axe_core_python.base", reason="no axe; pip install axe-core-python")
     rules = Path(axe.__file__).with_name("axe.min.js").read_text(encoding="utf-8")
-    for name, width in (("ghosts", WIDE), ("ghosts", NARROW), ("pst", WIDE)):
+    for name, width, scheme in (
+        ("ghosts", WIDE, "light"), ("ghosts", NARROW, "light"), ("pst", WIDE, "light"), ("ghosts", WIDE, "dark"),
+        ("pst", NARROW, "dark"),
+    ):  # fmt: skip
+        browser.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
         run = opened(name, width)
         run(UNFOLDED)
         browser.until(READY)
         scrolled, shown = run("[document.documentElement.scrollWidth, document.documentElement.clientWidth]")
         assert scrolled <= shown <= width
         assert run(BESIDE) == []
-        if width == WIDE:
-            run(rules)
-            found = run("axe.run({ exclude: ['svg > *'] })")  # a drawing is one picture
-            assert [(one["id"], one["nodes"][0]["html"][:200]) for one in found["violations"]] == []
+        assert (run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)") == (scheme == "light")
+        run(rules)
+        found = run("axe.run({ exclude: ['svg > *'] })")  # a drawing is one picture
+        assert [(one["id"], one["nodes"][0]["html"][:200]) for one in found["violations"]] == []
+    browser.ask("Emulation.setEmulatedMedia", features=[])
+
+
+def test_warnings_are_one_line_and_a_small_path_fills_the_map(opened):
+    run = opened("ghosts", NARROW)
+    height, line = run("""(() => { const one = document.querySelector("details.warnings > summary");
+        return [one.getBoundingClientRect().height, parseFloat(getComputedStyle(one).lineHeight)]; })()""")
+    assert height <= 1.5 * line
+    assert run("document.querySelector('details.warnings').open") is False
+    run(UNFOLDED)
+    run("load = new Promise((done) => setTimeout(done, 500))")
+    run("pick.click(); pause()")
+    assert run("panel.querySelector('input.whole').checked") == run(
+        "panel.querySelector('select.which').value !== 'path'"
+    )
+    # Numbers and their units stay on one line
+    assert run(r"[...document.body.innerText.matchAll(/\d[\d.]*e[+-]\d\d|\d [±%]/g)].map((found) => found[0])") == []
 
 
 def test_on_paper(browser, opened):
