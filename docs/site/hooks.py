@@ -60,5 +60,6 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Formulas as MathML, and nothing that was meant for Git alone."""
-    return with_formulas(re.sub(r"<!-- .*? -->\n?", "", html))
+    """Formulas as MathML, results of notebooks in their places, and nothing that was meant for Git alone."""
+    page = with_formulas(re.sub(r"<!-- .*? -->\n?", "", html))
+    return re.sub(r"<p>(notebook-output-[\w-]+)</p>", lambda found: gallery.OUTPUTS.get(found[1], ""), page)

@@ -1,24 +1,47 @@
-"""Draws the pictures of the gallery: the layout of each shipped scene, and a figure that each notebook makes.
+"""Draws the pictures that the README, the pages and the gallery show, where what they are made of has changed.
 
     python docs/site/make_pictures.py [NAME ...]
 
-Without names it draws what has no picture yet. A scene takes seconds, a notebook runs as a whole. The pictures are
-small PNG files in docs/images/gallery, and the site is not built without them.
+`make docs` calls it. It draws layouts of the shipped scenes, figures of the notebooks, and what commands of
+`picture_record` draw. A name is that of a file below docs/images, such as gallery/plate.png.
 """
 
 from __future__ import annotations
 
 import base64
 import io
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-from gallery import ROOT, notebooks, picture_file, scenes
+from notebook_results import last_picture, names, results, run
+from picture_record import COMMANDS, inputs, keep, picture, scenes, stale
 from PIL import Image
 
-WIDTH, COLOURS = 760, 96
+WIDTH, COLOURS = 760, 96  # of the gallery
 RAYS = 4000
+
+
+def draw(name: str) -> bytes:
+    """Content of a picture."""
+    stem = Path(name).stem
+    if name in COMMANDS:
+        return draw_command(name)
+    if stem in scenes():
+        return small(draw_scene(stem))
+    return small(draw_notebook(stem))
+
+
+def draw_command(name: str) -> bytes:
+    """What a command draws."""
+    command, written = COMMANDS[name]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / (written or name)
+        words = [word.format(file=file, folder=folder) for word in command.split()]
+        force = ["--force", "--quiet"] if written else []
+        subprocess.run([sys.executable, "-m", "mistray", *words, *force], check=True, stdout=subprocess.DEVNULL)
+        return file.read_bytes()
 
 
 def draw_scene(name: str) -> bytes:
@@ -34,40 +57,38 @@ def draw_scene(name: str) -> bytes:
 
 def draw_notebook(name: str) -> bytes:
     """The last figure that a notebook makes when it runs."""
-    import nbformat
-    from nbclient import NotebookClient
-
-    notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4)
-    with tempfile.TemporaryDirectory() as folder:
-        client = NotebookClient(notebook, timeout=3000, kernel_name="python3", resources={"metadata": {"path": folder}})
-        client.execute()
-    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
-    figures = [output["data"]["image/png"] for output in outputs if "image/png" in output.get("data", {})]
-    return base64.b64decode(figures[-1])
+    if results(name) is None:
+        run(name)
+    png = last_picture(name)
+    if png is None:
+        raise SystemExit(f"notebooks/{name}.ipynb makes no figure; let it make one, which the gallery shows")
+    return base64.b64decode(png)
 
 
-def write(name: str, png: bytes) -> None:
-    """Write a picture as wide as the gallery needs, with few colours."""
+def small(png: bytes) -> bytes:
+    """A picture as wide as the gallery needs, with few colours."""
     image = Image.open(io.BytesIO(png)).convert("RGBA")
     on_white = Image.new("RGBA", image.size, "white")
     on_white.alpha_composite(image)
-    small = on_white.convert("RGB")
-    if small.width > WIDTH:
-        small = small.resize((WIDTH, round(small.height * WIDTH / small.width)), Image.Resampling.LANCZOS)
-    file = picture_file(name)
-    file.parent.mkdir(exist_ok=True)
-    small.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE).save(file, optimize=True)
-    print(file.relative_to(ROOT), file.stat().st_size, "bytes", flush=True)
+    shown = on_white.convert("RGB")
+    if shown.width > WIDTH:
+        shown = shown.resize((WIDTH, round(shown.height * WIDTH / shown.width)), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    shown.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
 
 
 def main() -> int:
-    """Draw what is named, or what is missing."""
-    drawn = dict.fromkeys(scenes(), draw_scene) | dict.fromkeys(notebooks(), draw_notebook)
-    names = sys.argv[1:] or [name for name in drawn if not picture_file(name).exists()]
-    if unknown := set(names) - set(drawn):
-        raise SystemExit(f"{', '.join(sorted(unknown))}: neither a scene nor a notebook")
-    for name in names:
-        write(name, drawn[name](name))
+    """Draw what is named, or what is stale."""
+    given = sys.argv[1:] or stale()
+    if unknown := set(given) - set(inputs()):
+        raise SystemExit(f"{', '.join(sorted(unknown))}: no picture of this name; give one of {', '.join(inputs())}")
+    for name in sorted(given, key=lambda one: Path(one).stem in names()):  # notebooks take longest
+        content = draw(name)
+        picture(name).parent.mkdir(exist_ok=True)
+        picture(name).write_bytes(content)
+        keep(name)
+        print(f"docs/images/{name}: {len(content)} bytes", flush=True)
     return 0
 
 

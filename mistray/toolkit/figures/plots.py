@@ -32,6 +32,7 @@ HOW_TO_READ = "black: below the floor or no ray; hatched: few rays, error unknow
 DECADES = 12.0
 OWN_DECADES = 8.0  # of a map on its own scale
 HATCHED, HATCHES = 1024, 48  # pixels of a hatch along its longer side, and lines
+MOST_ENLARGED, PIXELS_PER_INCH = 1.45, 96  # of figures on wide pages
 GREYS = 32  # in the palette of a PNG of maps
 Range = tuple[float, float]
 _TAG, _COMMENT = re.compile(r"<[^!?][^>]*>"), re.compile(r"<!--.*?-->", re.DOTALL)
@@ -179,7 +180,8 @@ def as_svg(figure: Figure, text: str = "") -> str:
     used = set(_USED_ID.findall(svg))
     svg = _TAG.sub(lambda tag: _shorter(tag[0], used), svg)
     label = f' role="img" aria-label="{escape(text)}"' if text else ""
-    return f"<svg{label}{svg.removeprefix('<svg')}"
+    widest = MOST_ENLARGED * PIXELS_PER_INCH * figure.get_size_inches()[0]
+    return f'<svg{label} style="max-width: {widest:.0f}px"{svg.removeprefix("<svg")}'
 
 
 def _shorter(tag: str, used: set[str]) -> str:

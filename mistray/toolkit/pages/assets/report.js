@@ -75,8 +75,11 @@ for (const place of document.querySelectorAll(".wide, figure")) {
       place.setAttribute("aria-label", place.localName === "figure" ? "picture that scrolls" : "table that scrolls");
     }
   };
+  look();
   place.addEventListener("scroll", look, { passive: true });
-  if (typeof ResizeObserver !== "undefined") new ResizeObserver(look).observe(place);
+  if (typeof ResizeObserver === "undefined") continue;
+  const watch = new ResizeObserver(look);
+  for (const one of [place, ...place.children]) watch.observe(one);
 }
 for (const input of document.querySelectorAll("input.filter")) {
   const table = document.getElementById(input.dataset.table);
