@@ -3,7 +3,7 @@
     python docs/site/make_pictures.py [NAME ...]
 
 `make docs` calls it. It draws layouts of the shipped scenes, figures of the notebooks, and what commands of
-`picture_record` draw. A name is that of a file below docs/images, such as gallery/plate.png.
+`picture_record` draw. A name is that of a picture, such as plate.
 """
 
 from __future__ import annotations
@@ -80,9 +80,10 @@ def small(png: bytes) -> bytes:
 
 def main() -> int:
     """Draw what is named, or what is stale."""
-    given = sys.argv[1:] or stale()
-    if unknown := set(given) - set(inputs()):
-        raise SystemExit(f"{', '.join(sorted(unknown))}: no picture of this name; give one of {', '.join(inputs())}")
+    by_stem = {Path(name).stem: name for name in inputs()}
+    if unknown := {name for name in sys.argv[1:] if Path(name).stem not in by_stem}:
+        raise SystemExit(f"{', '.join(sorted(unknown))}: no picture of this name; give one of {', '.join(by_stem)}")
+    given = [by_stem[Path(name).stem] for name in sys.argv[1:]] or stale()
     for name in sorted(given, key=lambda one: Path(one).stem in names()):  # notebooks take longest
         content = draw(name)
         picture(name).parent.mkdir(exist_ok=True)
