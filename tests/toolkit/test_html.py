@@ -34,8 +34,10 @@ from mistray.toolkit.pages.embedded import palette_png
 from mistray.toolkit.pages.formats import write_formats
 from mistray.toolkit.pages.model import (
     FigurePart,
+    Fold,
     Folded,
     Html,
+    HtmlCell,
     Items,
     Map,
     NotePart,
@@ -46,7 +48,7 @@ from mistray.toolkit.pages.model import (
     columns,
 )
 from mistray.toolkit.pages.pdf import _cell, _Writer, pdf_bytes
-from mistray.toolkit.pages.render import html_page, html_parts
+from mistray.toolkit.pages.render import html_page, html_parts, runs
 
 
 @pytest.fixture(scope="module")
@@ -235,6 +237,10 @@ def test_tables_are_no_wider_than_the_page(tmp_path):
         assert sum(widths) <= writer.pdf.epw + 1e-6
     assert min(widths) > 3
     assert (size, sum(narrow) < 20) == (7.0, True)
+    assert _cell(HtmlCell("<td>one.<br>two &amp; <b>three</b></td>")) == "one.\ntwo & three"
+    letters = Table(columns("<path", "<events"), [["a", Fold("TTTRA", "L1:T", "path m")]])
+    assert [column.head for column in letters.kept([0]).columns] == ["path"]
+    assert runs("TTTRA") == "T×3 R A"
     assert [_cell(value) for value in (Estimate(1.5, 0.1), "a </ b")] == ["1.50\n±\u00a00.10", "a </ b"]
     report = Report("Heading", "scene", [Section("a", "First", [NotePart("text")])], page="objects.html")
     (path,) = write_formats(["pdf"], tmp_path, {}, {}, report=report)

@@ -312,8 +312,8 @@ def _cell(value: model.Value) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return text without its HTML tags and entities."""
-    return unescape(_TAG.sub("", text))
+    """Return text without its HTML tags and entities; a break of the line remains one."""
+    return unescape(_TAG.sub("", text.replace("<br>", "\n")))
 
 
 def _size(png: bytes) -> tuple[int, int]:
