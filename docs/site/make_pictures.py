@@ -23,14 +23,15 @@ WIDTH, COLOURS = 760, 96  # of the gallery
 RAYS = 4000
 
 
-def draw(name: str) -> bytes:
-    """Content of a picture."""
+def draw(name: str) -> bytes | None:
+    """Content of a picture; None if it cannot be drawn here."""
     stem = Path(name).stem
     if name in COMMANDS:
         return draw_command(name)
     if stem in scenes():
         return small(draw_scene(stem))
-    return small(draw_notebook(stem))
+    png = draw_notebook(stem)
+    return small(png) if png is not None else None
 
 
 def draw_command(name: str) -> bytes:
@@ -55,10 +56,10 @@ def draw_scene(name: str) -> bytes:
         return write_layout(figure, Path(folder) / "layout.png").read_bytes()
 
 
-def draw_notebook(name: str) -> bytes:
-    """The last figure that a notebook makes when it runs."""
-    if results(name) is None:
-        run(name)
+def draw_notebook(name: str) -> bytes | None:
+    """The last figure that a notebook makes when it runs; None if it cannot run here."""
+    if results(name) is None and not run(name):
+        return None
     png = last_picture(name)
     if png is None:
         raise SystemExit(f"notebooks/{name}.ipynb makes no figure; let it make one, which the gallery shows")
@@ -74,7 +75,7 @@ def small(png: bytes) -> bytes:
     if shown.width > WIDTH:
         shown = shown.resize((WIDTH, round(shown.height * WIDTH / shown.width)), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
-    shown.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE).save(buffer, "PNG", optimize=True)
+    shown.quantize(COLOURS, method=Image.Quantize.FASTOCTREE).save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
 
@@ -86,6 +87,8 @@ def main() -> int:
     given = [by_stem[Path(name).stem] for name in sys.argv[1:]] or stale()
     for name in sorted(given, key=lambda one: Path(one).stem in names()):  # notebooks take longest
         content = draw(name)
+        if content is None:
+            continue
         picture(name).parent.mkdir(exist_ok=True)
         picture(name).write_bytes(content)
         keep(name)

@@ -51,18 +51,26 @@ def results(name: str) -> list[list[dict[str, Any]]] | None:
     return kept["outputs"] if kept.get("key") == key(name) else None
 
 
-def run(name: str) -> None:
-    """Run a notebook and keep the outputs of its code cells."""
+def run(name: str) -> bool:
+    """Run a notebook and keep the outputs of its code cells; False, with a line, if it needs what is not installed."""
     import nbformat
     from nbclient import NotebookClient
+    from nbclient.exceptions import CellExecutionError
 
     notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4)
     with tempfile.TemporaryDirectory() as folder:
         client = NotebookClient(notebook, timeout=3000, kernel_name="python3", resources={"metadata": {"path": folder}})
-        client.execute()
+        try:
+            client.execute()
+        except CellExecutionError as error:
+            if error.ename != "ModuleNotFoundError":
+                raise
+            print(f"notebooks/{name}.ipynb: {error.evalue}; install it to see results", flush=True)
+            return False
     outputs = [cell.get("outputs", []) for cell in notebook.cells if cell.cell_type == "code"]
     KEPT.mkdir(parents=True, exist_ok=True)
     (KEPT / f"{name}.json").write_text(json.dumps({"key": key(name), "outputs": outputs}), encoding="utf-8")
+    return True
 
 
 def last_picture(name: str) -> str | None:
@@ -106,21 +114,12 @@ def _joined(text: str | list[str]) -> str:
 
 def main() -> int:
     """Run what is named, or what has no results of its present code."""
-    from nbclient.exceptions import CellExecutionError
-
     given = sys.argv[1:]
     if unknown := set(given) - set(names()):
         raise SystemExit(f"{', '.join(sorted(unknown))}: no notebook of this name in notebooks/")
     for name in given or [name for name in names() if results(name) is None]:
         print(f"running notebooks/{name}.ipynb", flush=True)
-        try:
-            run(name)
-        except CellExecutionError as error:
-            if error.ename != "ModuleNotFoundError":
-                raise
-            print(
-                f"notebooks/{name}.ipynb: {error.evalue}; its page shows no results until it is installed", flush=True
-            )
+        run(name)
     return 0
 
 
