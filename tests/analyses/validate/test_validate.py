@@ -246,6 +246,23 @@ def test_errors_of_our_own_code_are_raised(monkeypatch: Patch) -> None:
         run_validation(ValidateRequest())
 
 
+@pytest.mark.long
+def test_an_error_in_a_traced_pack_is_of_the_program_that_raised_it(monkeypatch: Patch) -> None:
+    batoid = pytest.importorskip("batoid")
+    with monkeypatch.context() as inner:
+        inner.setattr("mistray.analyses.validate.packs.telescopes.from_batoid", broken)
+        with pytest.raises(ZeroDivisionError):
+            run_validation(ValidateRequest(only=("lsst",)))
+    monkeypatch.setattr(batoid.Optic, "fromYaml", broken)
+    found = run_validation(ValidateRequest(only=("lsst",)))
+    assert [row.verdict for row in found.rows] == [FAILED] * 4
+    assert found.rows[0].why.startswith("batoid failed: ZeroDivisionError: broken; try another release")
+
+
+def broken(*_: object, **__: object) -> None:
+    raise ZeroDivisionError("broken")
+
+
 def test_light_that_a_program_does_not_have_is_a_difference() -> None:
     """None and not NaN, which would read as too few rays: of the image, and of all ghosts that both should have."""
     image, ghost = Bundle(1.0, 0.01, 0), Bundle(1e-3, 2.0, 2)
