@@ -75,8 +75,10 @@ lint: venv
 	$(BIN)/mypy
 	$(BIN)/mypy $$(find mistray -name '*.pyi' | sed 's/i$$//')
 
-# The theme announces its successor at each build
+# Notebooks and pictures first, where their code has changed; the theme announces its successor at each build
 docs: venv
+	$(BIN)/python docs/site/notebook_results.py
+	$(BIN)/python docs/site/make_pictures.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "open out/docs/index.html"
 

@@ -333,6 +333,7 @@ CALLS: dict[str, tuple[str, ...]] = {
         "k_correlation --rms-nm 4 --B-um 20 --slope 2.5 --theory rayleigh_rice_vector --event reflection "
         "--substrate 1.2+7i --band-limited --angles-deg 0",
         "paint --preset flat_black --angles-deg 0 60 --csv abg.csv --force --json",
+        "paint --spectrum 400:0.02,700:0.05 --wavelength-nm 600 --angles-deg 0",
         "paint --reflectance 0.05 --b0 0.1 --n 1.6 --angles-deg 0",
         "particulate --level 300 --plot-particles sizes.png --particle 1.53+0.002i --min-um 2 --max-um 200 "
         "--immersion 1.33 --angles-deg 0 --json",

@@ -80,16 +80,25 @@ class Note(str):
 
 
 _quiet: ContextVar[bool] = ContextVar("quiet", default=False)
+_kept: ContextVar[list[Note] | None] = ContextVar("kept", default=None)
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
-    """Suppress warnings for notes of results within a block, because the caller prints them or the step is internal."""
-    before = _quiet.set(True)
+def quiet(kept: list[Note] | None = None) -> Iterator[None]:
+    """
+    Suppress warnings for notes of results within a block, because the caller prints them or the step is internal.
+
+    Parameters
+    ----------
+    kept : list of Note, optional
+        List to which the suppressed notes are appended, if the caller is to show them.
+    """
+    before = _quiet.set(True), _kept.set(kept)
     try:
         yield
     finally:
-        _quiet.reset(before)
+        _quiet.reset(before[0])
+        _kept.reset(before[1])
 
 
 def warns(function: Callable[P, T]) -> Callable[P, T]:
@@ -101,14 +110,18 @@ def warns(function: Callable[P, T]) -> Callable[P, T]:
 
     @functools.wraps(function)
     def warning(*args: P.args, **kwargs: P.kwargs) -> T:
-        if _quiet.get():
+        kept = _kept.get()
+        if _quiet.get() and kept is None:
             return function(*args, **kwargs)
         with quiet():
             result: Any = function(*args, **kwargs)
         level = _level_of_caller()
         for note in getattr(result, "notes", ()):
             if isinstance(note, Note) and note.warns:
-                warnings.warn(MistrayWarning(note, note.code), stacklevel=level)
+                if kept is not None:
+                    kept.append(note)
+                else:
+                    warnings.warn(MistrayWarning(note, note.code), stacklevel=level)
         return result
 
     return warning

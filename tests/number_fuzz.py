@@ -27,6 +27,8 @@ from typing import Any
 
 from fuzzing import unclear
 
+from mistray.toolkit.arguments import place
+
 NASTY = ("nan", "inf", "-inf", "0", "-0.0", "-1", "1e-308", "1e308", "1e-30", "1e30", "2147483648", "0.5", "abc")
 NASTY_XML = ("nan", "inf", "-inf", "0", "-1", "1e-308", "1e308", "1e-30", "1e30", "2147483648", "0.5")
 WORDS = ("", " ", "--", "9" * 20, "0x10", "1,5", "1:2", "½", "a" * 5000, "\x1b[2J", "../../etc/passwd")
@@ -74,7 +76,7 @@ def numeric(parser: argparse.ArgumentParser, numbers: bool = True) -> list[argpa
         and action.help != argparse.SUPPRESS
         and action.nargs != 0
         and action.choices is None
-        and (action.dest in TEXTS or action.type not in (None, str, Path)) is numbers
+        and (action.dest in TEXTS or action.type not in (None, str, Path, place)) is numbers
     ]
 
 
@@ -83,8 +85,8 @@ def words_of(action: argparse.Action, value: str) -> Iterator[tuple[str, ...]]:
     label = action.metavar if isinstance(action.metavar, str) else ""
     text = TEXTS.get(action.dest) or ("x={}" if "=" in label else "{}")
     count = action.nargs if isinstance(action.nargs, int) else 1
-    for place in range(count):
-        yield tuple(text.format(value if place == k else "1") for k in range(count))
+    for at in range(count):
+        yield tuple(text.format(value if at == k else "1") for k in range(count))
 
 
 def tries(lines: Mapping[str, Iterable[str]], about: Mapping[tuple[str, str], Iterable[str]]) -> list[Try]:

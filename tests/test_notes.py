@@ -14,7 +14,7 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray.messages import Message
-from mistray.notes import Code
+from mistray.notes import Code, quiet
 
 DOCS = Path(__file__).parents[1] / "docs" / "warnings.md"
 
@@ -97,6 +97,18 @@ def test_a_gradient_is_quiet(scene):
     """What a search traces on its way is no result of the user's."""
     metric = mistray.optimize.transmission(scene, rays=500, max_reflections=0)
     assert heard(lambda: mistray.gradient(metric, mi.traverse(scene), ["L1_front.curvature"]))[1] == []
+
+
+def test_suppressed_notes_are_kept_on_request(scene):
+    """Once each, those of the function that was called and not of those that it calls; and none in a block within."""
+    kept = []
+    with quiet(kept):
+        t = mistray.trace(scene, rays=500, max_reflections=0)
+        pst = mistray.pst(scene, [0.0, 70.0], rays=2000, next_order=False)
+        with quiet():
+            mistray.trace(scene, rays=500, max_reflections=0)
+    assert kept == [note for note in (*t.notes, *pst.notes) if note.warns]
+    assert "cut" in {note.code for note in kept}
 
 
 def test_every_code_is_documented():

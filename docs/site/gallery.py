@@ -6,10 +6,15 @@ import json
 import re
 from pathlib import Path
 
+from notebook_results import TOKEN, results
+from notebook_results import names as notebooks
+from notebook_results import shown as output_html
+from picture_record import scenes
 from repository import MadePage
 
 ROOT = Path(__file__).parents[2]
 PICTURES = "images/gallery"
+OUTPUTS: dict[str, str] = {}  # of cells as HTML, by the paragraph that stands for them in Markdown
 INTRODUCTION = """\
 # Gallery
 
@@ -17,16 +22,6 @@ All scenes and notebooks that come with mistray. A scene is loaded by its name, 
 `mistray ghosts plate` takes the name as well. Its page says where its numbers come from.
 
 """
-
-
-def scenes() -> list[str]:
-    """The shipped scenes."""
-    return sorted(file.parent.name for file in (ROOT / "scenes").glob("*/scene.xml"))
-
-
-def notebooks() -> list[str]:
-    """The notebooks, without the ending of their files."""
-    return sorted(file.stem for file in (ROOT / "notebooks").glob("*.ipynb"))
 
 
 def navigation() -> list[object]:
@@ -67,15 +62,10 @@ def cards(entries: dict[str, tuple[str, str, str]]) -> str:
     return "\n".join([*lines, "</div>\n"])
 
 
-def picture_file(name: str) -> Path:
-    """File of the picture of a scene or a notebook."""
-    return ROOT / "docs" / PICTURES / f"{name}.png"
-
-
 def picture(name: str) -> str:
-    """The same relative to docs/, for a link."""
-    if not picture_file(name).is_file():
-        raise FileNotFoundError(f"there is no picture of {name}; run: python docs/site/make_pictures.py {name}")
+    """File of the picture of a scene or a notebook, relative to docs/, for a link."""
+    if not (ROOT / "docs" / PICTURES / f"{name}.png").is_file():
+        raise FileNotFoundError(f"there is no picture of {name}; run: python docs/site/make_pictures.py")
     return f"{PICTURES}/{name}.png"
 
 
@@ -111,13 +101,22 @@ def prose(name: str) -> str:
 
 
 def notebook_page(name: str) -> str:
-    """A notebook with the picture that it makes; its results come when it runs."""
+    """A notebook with the picture that it makes, and the results of its cells if there are any of its present code."""
     (_, first), *rest = cells(name)
+    found = results(name)
     title, _, body = first.partition("\n")
     shown = f"![A figure of this notebook](../docs/{picture(name)}){{ .wide }}"
-    note = f"*To run it: `jupyter lab notebooks/{name}.ipynb`. This page shows its cells without their results.*"
-    parts = [title, shown, body.strip(), note]
-    parts += [f"```python\n{text}\n```" if kind == "code" else text for kind, text in rest if text]
+    told = "shows its cells without their results" if found is None else "shows what its cells gave when it was built"
+    parts = [title, shown, body.strip(), f"*To run it: `jupyter lab notebooks/{name}.ipynb`. This page {told}.*"]
+    outputs = iter(found or [])
+    for number, (kind, text) in enumerate(rest):
+        of_cell = next(outputs, []) if kind == "code" else []
+        if text:
+            parts.append(f"```python\n{text}\n```" if kind == "code" else text)
+        if of_cell:
+            token = TOKEN.format(name=name, cell=number)
+            OUTPUTS[token] = output_html(of_cell, f"figure {number} of this notebook")
+            parts.append(token)
     return "\n\n".join(parts) + "\n"
 
 

@@ -60,6 +60,7 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Formulas as MathML, numbers with their errors on one line, and nothing that was meant for Git alone."""
+    """Formulas as MathML, results of notebooks in their places, numbers with their errors, nothing for Git alone."""
     html = re.sub(r"(?<=\d) ± (?=\d)", "\u00a0±\u00a0", html)
-    return with_formulas(re.sub(r"<!-- .*? -->\n?", "", html))
+    page = with_formulas(re.sub(r"<!-- .*? -->\n?", "", html))
+    return re.sub(r"<p>(notebook-output-[\w-]+)</p>", lambda found: gallery.OUTPUTS.get(found[1], ""), page)

@@ -1,24 +1,50 @@
-"""Draws the pictures of the gallery: the layout of each shipped scene, and a figure that each notebook makes.
+"""Draws the pictures that the README, the pages and the gallery show, where what they are made of has changed.
 
     python docs/site/make_pictures.py [NAME ...]
 
-Without names it draws what has no picture yet. A scene takes seconds, a notebook runs as a whole. The pictures are
-small PNG files in docs/images/gallery, and the site is not built without them.
+`make docs` calls it. It draws layouts of the shipped scenes, figures of the notebooks, what commands of
+`picture_record` draw, and what functions of `page_pictures` draw. A name is that of pictures, such as plate.
 """
 
 from __future__ import annotations
 
 import base64
 import io
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-from gallery import ROOT, notebooks, picture_file, scenes
+from notebook_results import last_picture, names, results, run
+from picture_record import COMMANDS, inputs, keep, page_functions, picture, scenes, stale
 from PIL import Image
 
-WIDTH, COLOURS = 760, 96
+GALLERY_WIDTH, PAGE_WIDTH, COLOURS = 760, 1100, 96
 RAYS = 4000
+
+
+def draw(name: str) -> bytes | None:
+    """Content of a picture; None if it cannot be drawn here."""
+    stem = Path(name).stem
+    if name in COMMANDS:
+        return draw_command(name)
+    if name in page_functions():
+        from page_pictures import drawn
+
+        return small(drawn(stem), PAGE_WIDTH)
+    png = draw_scene(stem) if stem in scenes() else draw_notebook(stem)
+    return small(png, GALLERY_WIDTH) if png is not None else None
+
+
+def draw_command(name: str) -> bytes:
+    """What a command draws."""
+    command, written = COMMANDS[name]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / (written or name)
+        words = [word.format(file=file, folder=folder) for word in command.split()]
+        force = ["--force", "--quiet"] if written else []
+        subprocess.run([sys.executable, "-m", "mistray", *words, *force], check=True, stdout=subprocess.DEVNULL)
+        return file.read_bytes()
 
 
 def draw_scene(name: str) -> bytes:
@@ -32,41 +58,46 @@ def draw_scene(name: str) -> bytes:
         return write_layout(figure, Path(folder) / "layout.png").read_bytes()
 
 
-def draw_notebook(name: str) -> bytes:
-    """The last figure that a notebook makes when it runs."""
-    import nbformat
-    from nbclient import NotebookClient
-
-    notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4)
-    with tempfile.TemporaryDirectory() as folder:
-        client = NotebookClient(notebook, timeout=3000, kernel_name="python3", resources={"metadata": {"path": folder}})
-        client.execute()
-    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
-    figures = [output["data"]["image/png"] for output in outputs if "image/png" in output.get("data", {})]
-    return base64.b64decode(figures[-1])
+def draw_notebook(name: str) -> bytes | None:
+    """The last figure that a notebook makes when it runs; None if it cannot run here."""
+    if results(name) is None and not run(name):
+        return None
+    png = last_picture(name)
+    if png is None:
+        raise SystemExit(f"notebooks/{name}.ipynb makes no figure; let it make one, which the gallery shows")
+    return base64.b64decode(png)
 
 
-def save_small(file: Path, png: bytes, width: int = WIDTH) -> None:
-    """Write a picture, at most so many pixels wide, with few colours."""
+def small(png: bytes, width: int) -> bytes:
+    """A picture, at most so many pixels wide, with few colours."""
     image = Image.open(io.BytesIO(png)).convert("RGBA")
     on_white = Image.new("RGBA", image.size, "white")
     on_white.alpha_composite(image)
-    small = on_white.convert("RGB")
-    if small.width > width:
-        small = small.resize((width, round(small.height * width / small.width)), Image.Resampling.LANCZOS)
-    file.parent.mkdir(exist_ok=True)
-    small.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE).save(file, optimize=True)
-    print(file.relative_to(ROOT), file.stat().st_size, "bytes", flush=True)
+    shown = on_white.convert("RGB")
+    if shown.width > width:
+        shown = shown.resize((width, round(shown.height * width / shown.width)), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    shown.quantize(COLOURS, method=Image.Quantize.MEDIANCUT).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
 
 
 def main() -> int:
-    """Draw what is named, or what is missing."""
-    drawn = dict.fromkeys(scenes(), draw_scene) | dict.fromkeys(notebooks(), draw_notebook)
-    names = sys.argv[1:] or [name for name in drawn if not picture_file(name).exists()]
-    if unknown := set(names) - set(drawn):
-        raise SystemExit(f"{', '.join(sorted(unknown))}: neither a scene nor a notebook")
-    for name in names:
-        save_small(picture_file(name), drawn[name](name))
+    """Draw what is named, or what is stale."""
+    stems = {Path(name).stem for name in inputs()}
+    asked = {Path(name).stem for name in sys.argv[1:]}
+    if unknown := asked - stems:
+        raise SystemExit(
+            f"{', '.join(sorted(unknown))}: no picture of this name; give one of {', '.join(sorted(stems))}"
+        )
+    given = [name for name in inputs() if Path(name).stem in asked] if asked else stale()
+    for name in sorted(given, key=lambda one: Path(one).stem in names()):  # notebooks take longest
+        content = draw(name)
+        if content is None:
+            continue
+        picture(name).parent.mkdir(exist_ok=True)
+        picture(name).write_bytes(content)
+        keep(name)
+        print(f"docs/images/{name}: {len(content)} bytes", flush=True)
     return 0
 
 

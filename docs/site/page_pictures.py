@@ -1,9 +1,4 @@
-"""Draws the pictures of the pages of docs/ that no command and no example draws.
-
-    python docs/site/page_pictures.py [NAME ...]
-
-Without names it draws all. Each is a PNG file of few colours in docs/images.
-"""
+"""Pictures of the pages of docs/ that no command and no example draws; `make_pictures` writes them to docs/images."""
 
 from __future__ import annotations
 
@@ -20,7 +15,6 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from make_pictures import save_small
 from matplotlib.figure import Figure
 
 import mistray
@@ -29,8 +23,6 @@ from mistray.report import layout_figure
 from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILION
 
 ROOT = Path(__file__).parents[2]
-IMAGES = ROOT / "docs" / "images"
-WIDTH = 1100  # pixels, for the width of a page
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 sys.path.insert(0, str(ROOT / "tests"))
 
@@ -348,23 +340,11 @@ PICTURES: dict[str, Callable[[], Figure | bytes]] = {
 }
 
 
-def png_of(figure: Figure) -> bytes:
-    """A figure as PNG, as fine as a page shows it."""
+def drawn(name: str) -> bytes:
+    """A picture as PNG, as fine as a page shows it."""
+    picture = PICTURES[name]()
+    if isinstance(picture, bytes):
+        return picture
     content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=150)
+    picture.savefig(content, format="png", dpi=150)
     return content.getvalue()
-
-
-def main() -> int:
-    """Draw what is named, or all."""
-    names = sys.argv[1:] or list(PICTURES)
-    if unknown := set(names) - set(PICTURES):
-        raise SystemExit(f"{', '.join(sorted(unknown))}: choose from {', '.join(PICTURES)}")
-    for name in names:
-        picture = PICTURES[name]()
-        save_small(IMAGES / f"{name}.png", picture if isinstance(picture, bytes) else png_of(picture), WIDTH)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -21,6 +21,13 @@ class ProgressBar:
     ----------
     what : str
         Description of the work.
+
+    Examples
+    --------
+    >>> scene = mistray.load("cooke_triplet")
+    >>> report = mistray.ghosts(scene, [0, 10], rays=20_000, progress=mistray.ProgressBar("two fields"))
+    >>> [f"{angle:g}°" for angle in report]
+    ['0°', '10°']
     """
 
     def __init__(self, what: str = "tracing") -> None:

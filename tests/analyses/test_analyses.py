@@ -140,7 +140,7 @@ def test_thermal_text_and_pictures() -> None:
     assert "3.000e-06 ± 6.0e-08" in first
     assert any("NITD" in line and line.endswith("0.310 ± 0.020") for line in lines)
     (back,) = (line.split() for line in lines if line.startswith("lens_<rear>") and line.endswith("0.050"))
-    assert " ".join(back) == "lens_<rear> lens 0.00150 ± 0.00010 0.250 ± 0.020 0.400 ± 0.030 0.200 ± 0.050"
+    assert " ".join(back) == "lens_<rear> lens 1.50e-03 ± 1.0e-04 0.250 ± 0.020 0.400 ± 0.030 0.200 ± 0.050"
     assert "nothing emits" in thermal_text(NOTHING)
     parts = REPORT.by_part()
     assert list(parts) == ["lens", "tube", "(ZnSe)", "detector"]

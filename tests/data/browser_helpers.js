@@ -3,7 +3,7 @@ const pause = () => new Promise((done) => setTimeout(done, 50));
 const press = (target, key, more) =>
   target.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, ...more }));
 // Controls by their kind, so that one of many alike stands for all of them
-const CONTROLS = "button, select, input, summary, th[tabindex], canvas[tabindex], div[tabindex]";
+const CONTROLS = "button, select, input, summary, th[tabindex], canvas[tabindex], div[tabindex]:not(.wide)";
 const kind = (control) => [control.localName, control.type, control.name, control.className].filter(Boolean).join(" ");
 const used = new Set();
 for (const name of ["click", "keydown", "input", "change", "submit", "reset", "pointerdown"])

@@ -32,8 +32,10 @@ from mistray.toolkit.pages.embedded import palette_png
 from mistray.toolkit.pages.formats import write_formats
 from mistray.toolkit.pages.model import (
     FigurePart,
+    Fold,
     Folded,
     Html,
+    HtmlCell,
     Items,
     Map,
     NotePart,
@@ -44,7 +46,7 @@ from mistray.toolkit.pages.model import (
     columns,
 )
 from mistray.toolkit.pages.pdf import _cell, _Writer, pdf_bytes
-from mistray.toolkit.pages.render import html_page, html_parts
+from mistray.toolkit.pages.render import html_page, html_parts, runs
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +73,7 @@ def test_page_of_one_wavelength(tmp_path: Path, report: GhostReport) -> None:
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     html_pages.check(text)
     assert {"colour_0deg.png", "colour_20deg.png", "paths_per_wavelength.csv"} <= names
-    assert "450, 550, 650 nm with 25, 50, 25 % of the flux" in text
+    assert "450, 550, 650\u00a0nm with 25, 50, 25\u00a0% of the flux" in text
     assert "the detector in colour, field 20°" in text
     for name in ("t-summary-waves", "t-waves-field-20", "t-energy-450", "t-energy-650", "t-surfaces-wavelengths"):
         assert f'id="{name}"' in text
@@ -93,7 +95,7 @@ def test_a_detector_in_the_dark(tmp_path: Path, shares: dict[float, float] | Non
 def test_assumptions_name_the_polarisation(report: GhostReport, monkeypatch: pytest.MonkeyPatch) -> None:
     for key, value, words in (
         ("polarization", "stokes", "the light of the source is unpolarised"),
-        ("source_stokes", {"laser": (0.6, 0.0, -0.8)}, "0.6, 0, -0.8 (laser)"),
+        ("source_stokes", {"laser": (0.6, 0.0, -0.8)}, "0.6, 0, −0.8 (laser)"),
     ):
         assert words not in html_parts(html._settings(report, "").parts)
         monkeypatch.setitem(report[0.0].settings, key, value)
@@ -230,7 +232,11 @@ def test_tables_are_no_wider_than_the_page(tmp_path):
         assert sum(widths) <= writer.pdf.epw + 1e-6
     assert min(widths) > 3
     assert (size, sum(narrow) < 20) == (7.0, True)
-    assert [_cell(value) for value in (Estimate(1.5, 0.1), "a </ b")] == ["1.50\n± 0.10", "a </ b"]
+    assert _cell(HtmlCell("<td>one.<br>two &amp; <b>three</b></td>")) == "one.\ntwo & three"
+    letters = Table(columns("<path", "<events"), [["a", Fold("TTTRA", "L1:T", "path m")]])
+    assert [column.head for column in letters.kept([0]).columns] == ["path"]
+    assert runs("TTTRA") == "T×3 R A"
+    assert [_cell(value) for value in (Estimate(1.5, 0.1), "a </ b")] == ["1.50\n±\u00a00.10", "a </ b"]
     report = Report("Heading", "scene", [Section("a", "First", [NotePart("text")])], page="objects.html")
     (path,) = write_formats(["pdf"], tmp_path, {}, {}, report=report)
     assert path.name == "objects.pdf"

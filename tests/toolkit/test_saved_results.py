@@ -22,6 +22,8 @@ from toolkit.test_pickles import RECORDS
 import mistray
 from mistray.analyses.image.result import ImageQuality
 from mistray.analyses.transfer.result import Transfer
+from mistray.analyses.validate.request import ValidateRequest
+from mistray.analyses.validate.run import run_validation
 from mistray.recorders import Recorder
 from mistray.result import Result
 from mistray.toolkit import saved_result
@@ -84,6 +86,12 @@ def test_a_saved_result(name: str) -> None:
     for part in PARTS.get(type(result), lambda _: [])(result):
         check(part)
     RAN.add(name)
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_saved_Validation() -> None:
+    """Of the command alone: no exported function returns it."""
+    check(run_validation(ValidateRequest(only=("tracepro_abg",))))
 
 
 @long

@@ -9,11 +9,14 @@ import numpy as np
 
 from mistray.analyses.explorer.estimate import Guess
 from mistray.analyses.ghosts.verdict import Remedy
+from mistray.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.metrics.ranking import bounds
 from mistray.recorders.path_events import DIRECT
 from mistray.toolkit.pages.embedded import power_codes
 from mistray.toolkit.tables.frames import row_of
+from mistray.toolkit.tables.text import with_error
+from mistray.toolkit.typeset import typeset
 
 SHOWN = ("events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm", "rank_power", "rank_rms")
 PATHS = 25  # rows of the table, by either rank
@@ -32,11 +35,16 @@ def view_data(found: Guess) -> dict[str, Any]:
         "stray_W": plain(found.stray_W),
         "direct_W": plain(found.direct_W),
         "ratio": plain(found.ratio),
+        "shown": {name: _print(getattr(found, name)) for name in ("stray_W", "direct_W", "ratio")},
         "left_out": list(found.left_out),
         "count": len(stray),
         "listed": PATHS,
         "paths": [
-            plain(row_of(row, *SHOWN)) | {"percent": 100 * row.power_W / total if total > 0 else 0.0}
+            plain(row_of(row, *SHOWN))
+            | {
+                "percent": 100 * row.power_W / total if total > 0 else 0.0,
+                "power": _print(Estimate(row.power_W, row.power_se_W)),
+            }
             for row in stray[(stray.rank_rms < PATHS) | (stray.rank_power < PATHS)].itertuples()
         ],
         "map": {
@@ -46,6 +54,11 @@ def view_data(found: Guess) -> dict[str, Any]:
             "codes": base64.b64encode(planes).decode("ascii"),
         },
     }
+
+
+def _print(value: Estimate) -> str:
+    """Return a number with its standard error as in print."""
+    return typeset(with_error(value))
 
 
 def remedy_data(found: Remedy | None) -> dict[str, Any] | None:

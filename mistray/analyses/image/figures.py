@@ -80,6 +80,7 @@ def opd_figure(found: ImageQuality, title: str = "") -> Figure:
         drawn = axes.imshow(wave, origin="lower", extent=extent, cmap="RdBu_r", vmin=-most, vmax=most)
         bar = made.colorbar(drawn, ax=axes, shrink=0.75)
         bar.ax.tick_params(labelsize=7)
+        bar.ax.set_title("waves", fontsize=7, pad=3)
         axes.set_title(f"{image.name}: {image.main.rms_waves():.3g} waves rms", fontsize=9)
         axes.tick_params(labelsize=7)
         axes.set_xlabel("direction cosine x", fontsize=8)

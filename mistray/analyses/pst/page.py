@@ -214,8 +214,8 @@ def pst_verdict(pst: Pst) -> list[str]:
 
 
 def _change(found: MainCause) -> list[str]:
-    percent = with_error(found.percent, 1).replace(" ", "\u00a0")
-    of = Markup("{}\u00a0% of the stray light from a uniform sky").format(percent)
+    percent = with_error(found.percent, 1)
+    of = Markup("{} % of the stray light from a uniform sky").format(percent)
     if found.cause == GHOSTS:
         first = Markup("Change first what reflects the <b>ghosts</b>: they are {}.").format(of)
     elif found.cause == STRAIGHT_SHOTS:

@@ -116,7 +116,7 @@ def image_figure(found: FieldTransfer, title: str = "") -> Figure:
         shown = axes.imshow(values, origin="lower", extent=extent, cmap="inferno", interpolation="nearest", **how)
         axes.set_title(name, fontsize=9)
         axes.set_xlabel("sagittal [µm]")
-        figure.colorbar(shown, ax=axes, shrink=0.85)
+        figure.colorbar(shown, ax=axes, shrink=0.85).ax.set_title("of the peak", fontsize=7, pad=3)
     figure.axes[0].set_ylabel("tangential [µm]")
     return figure.headed(title, f"field {found.name}: image of a point with stray light, over its peak")
 

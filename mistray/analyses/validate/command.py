@@ -12,12 +12,13 @@ if TYPE_CHECKING:
     from mistray.cli.options import Options
 
 FILES = ("report.html", "validation.csv", "packs.csv", "validation.json", "differences.png")
-DISAGREES = 1  # exit code: a row differs that should agree
+DISAGREES = 1  # exit code: a row differs that should agree, or a program failed
 COMMAND = Command(
     "validate",
     "published numbers beside ours, with a verdict on each",
     "Compare numbers of publications and of other programs with ours, row by row: both numbers, their\n"
-    "errors, what is allowed, and a verdict. The exit code is 1 if a row differs that should agree.",
+    "errors, what is allowed, and a verdict. The exit code is 1 if a row differs that should agree, or a\n"
+    "program that it asks failed.",
     (
         "mistray validate",
         "mistray validate --only phone_camera 'rubin_ghosts/*flux' --out out",
@@ -34,7 +35,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run `mistray validate` with parsed options; return 1 if a row differs that should agree, else 0."""
+    """Run `mistray validate` with parsed options; return 1 if a row differs that should agree or a program failed."""
     from mistray.analyses.validate.request import ValidateRequest
 
     request = request_of(ValidateRequest, vars(options))

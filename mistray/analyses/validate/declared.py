@@ -49,7 +49,8 @@ class DeclaredRow:
     One published number that mistray's number is compared with.
 
     Ours agrees with the published number if they differ by at most four standard errors of both, added in quadrature,
-    plus `tolerance`, plus `relative` times the published number.
+    plus `tolerance`, plus `relative` times the published number. A number that is known to differ has to agree with
+    the `expected` one in the same way.
     """
 
     name: str = TEXT.field(doc="name of the row")
@@ -60,7 +61,11 @@ class DeclaredRow:
         0.0, "difference beyond the errors that the source leaves open, such as rounding"
     )
     relative: float = NOT_NEGATIVE.field(0.0, "the same as a share of the published number")
-    differs: str = TEXT.field("", "reason why the numbers differ, if that is known")
+    differs: str = TEXT.field("", "reason why the numbers differ, if that is known; needs `expected`")
+    expected: float | None = FINITE.field(
+        None, "our number where it is known to differ; ours has to agree with this one instead"
+    )
+    expected_uncertainty: float = NOT_NEGATIVE.field(0.0, "its standard error")
     unit: str = TEXT.field("", "unit, where there is no quantity")
     path: tuple[str, ...] = Several(TEXT, 0).field(
         (), "surfaces that reflect the light, in order; those of the design are left out. Empty: the image"
@@ -74,7 +79,15 @@ class DeclaredRow:
     given: Mapping[str, Any] | None = OfType(Mapping, "must be a table").field(None)
 
     def __post_init__(self) -> None:
-        check_fields(self, f"row '{self.name}'")
+        where = f"row '{self.name}'"
+        check_fields(self, where)
+        if bool(self.differs) != (self.expected is not None):
+            given, missing = ("differs", "expected") if self.differs else ("expected", "differs")
+            raise MistrayError(f"{where}: {given} is given without {missing}; give both: why, and our number")
+        if self.quantity == "pst" and self.path:
+            raise MistrayError(f"{where}: path is given for a pst, which has the light of all paths; leave it out")
+        if self.quantity == "pst" and self.field_deg is None:
+            raise MistrayError(f"{where}: field_deg is missing, the angle of the pst; give it in the row or the file")
 
     def argument(self, name: str) -> Any:
         """Return the value of a row's key that a built-in pack needs to compute mistray's number."""

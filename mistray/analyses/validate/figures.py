@@ -12,7 +12,7 @@ from mistray.toolkit.figures.figure import Figure, bar_axes
 from mistray.toolkit.figures.palette import BLUE, ORANGE, VERMILION
 
 if TYPE_CHECKING:
-    from mistray.analyses.validate.result import Validation
+    from mistray.analyses.validate.result import ComparedRow, Validation
 
 FARTHEST = 3.0  # in units of the allowed difference; what is farther stands there
 COLOURS = {AGREES: BLUE, KNOWN: ORANGE, DIFFERS: VERMILION}
@@ -20,7 +20,7 @@ SPREAD = 0.5  # of the points of a pack across its line
 
 
 def differences_figure(found: Validation, title: str = "") -> Figure:
-    """Draw each row's difference over the largest that agrees, a line per source; values beyond 3 at 3."""
+    """Draw the difference of each row over the allowed one, a line for each pack; beyond 3 and lost light at 3."""
     packs = [one.pack for one in found.packs]
     made, axes = Figure.of_panels(8.6, 1.6 + 0.34 * max(len(packs), 3))
     axes.axvspan(-1, 1, color="#e8f1e4", zorder=0)
@@ -29,9 +29,9 @@ def differences_figure(found: Validation, title: str = "") -> Figure:
         for line, pack in enumerate(packs):
             rows = found.of(pack)
             for k, row in enumerate(rows):
-                if row.verdict == verdict and math.isfinite(row.of_allowed):
+                if row.verdict == verdict:
                     places.append(line + SPREAD * ((k + 0.5) / len(rows) - 0.5))
-                    values.append(row.of_allowed)
+                    values.append(_place(row))
         if values:
             axes.plot(np.clip(values, -FARTHEST, FARTHEST), places, "o", ms=4, color=colour, mew=0, label=verdict)
     bar_axes(axes, len(packs))
@@ -41,5 +41,13 @@ def differences_figure(found: Validation, title: str = "") -> Figure:
     if axes.get_legend_handles_labels()[0]:
         made.legend(loc="outside upper right", fontsize=8, frameon=False, ncols=3)
     return made.headed(
-        title, small_print=f"rows in the green band agree; differences beyond {FARTHEST:g} stand at its end"
+        title,
+        small_print=f"rows in the green band agree; differences beyond {FARTHEST:g} and lost light stand at the ends",
     )
+
+
+def _place(row: ComparedRow) -> float:
+    """Return the difference over the allowed one; light that one side does not have is infinitely far."""
+    if math.isnan(row.of_allowed):
+        return math.inf if math.isnan(row.published.value) else -math.inf
+    return row.of_allowed

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
@@ -13,9 +14,24 @@ from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile, read_
 from mistray.estimate import Estimate
 
 Finder = Callable[[DeclaredRow], Estimate | None]
-"""Returns the number of a row; None if the light takes no such path, NaN if the rays are too few."""
+"""Returns the number of a row; None if there is no such light, an error of NaN if the rays are too few."""
 Numbers = Callable[[ReferenceFile, int | None, int], Finder]
 """Makes a finder from a file, the start rays of each trace (None: those of the file) and the seed."""
+Asked = Callable[[DeclaredRow, Finder], Estimate | None]
+"""Returns the number of the other program for a row, from the row and the finder of ours; None as `Finder`."""
+
+
+class PeerError(Exception):
+    """Error that a program of others raised where it was asked."""
+
+
+@contextmanager
+def others() -> Iterator[None]:
+    """Mark a block that runs code of others only: what it raises is a `PeerError`, and no error of ours."""
+    try:
+        yield
+    except Exception as error:
+        raise PeerError(f"{type(error).__name__}: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -30,12 +46,12 @@ class Peer:
     install : str
         Command that installs it.
     ask : callable
-        Makes the function that returns its number of a row.
+        Returns its number of a row. Calls of the program stand in blocks of `others`.
     """
 
     module: str
     install: str
-    ask: Numbers
+    ask: Asked
 
     @property
     def installed(self) -> bool:

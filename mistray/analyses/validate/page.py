@@ -13,6 +13,7 @@ from mistray.analyses.validate.figures import differences_figure
 from mistray.analyses.validate.result import (
     AGREES,
     DIFFERS,
+    FAILED,
     KNOWN,
     NOT_ASKED,
     TOO_FEW,
@@ -32,6 +33,7 @@ CRITERION = (
     f"A row agrees if the numbers differ by at most {ERRORS:g} standard errors of both, added in quadrature, plus what "
     "its source leaves open. Both are stated before the run."
 )
+WRONG = {DIFFERS: "differs and should agree", FAILED: "the other program failed"}
 LEAST_DIGITS, PRINTED, MOST_DIGITS = 4, 6, 10
 HEADS = ("<number", "<verdict", "published", "ours", "difference", "allowed", "<unit")
 COUNTS = ("pack", "title", "count", "agree", "known", "differ", "left_out", "seconds")
@@ -64,6 +66,11 @@ def pack_table(rows: Sequence[ComparedRow], name: str = "") -> Table:
     return Table(columns(*HEADS), [_cells(row) for row in rows], name)
 
 
+def rows_table(found: Validation) -> Table:
+    """Return the table of all rows."""
+    return Table(columns("<pack", *HEADS), [[row.pack, *_cells(row)] for row in found.rows])
+
+
 def reasons(rows: Sequence[ComparedRow]) -> list[str]:
     """Return why rows differ or were left out, each reason once with the names of its rows."""
     by_reason: dict[str, list[str]] = {}
@@ -78,14 +85,15 @@ def reasons(rows: Sequence[ComparedRow]) -> list[str]:
 def finding(found: Validation) -> str:
     """Return in one sentence how many rows of a validation agree and how many differ."""
     words = {AGREES: "agree", KNOWN: "known to differ", DIFFERS: "differ and should agree"}
-    words |= {NOT_ASKED: "without the program that they ask", TOO_FEW: "with too few rays"}
+    words |= {FAILED: "whose program failed", NOT_ASKED: "without the program that they ask"}
+    words |= {TOO_FEW: "with too few rays"}
     told = ", ".join(f"{found.count(verdict)} {text}" for verdict, text in words.items() if found.count(verdict))
     numbers = "number" if len(found.rows) == 1 else "numbers"
     return f"{len(found.rows)} {numbers} beside ours: {told}"
 
 
 def text(found: Validation) -> str:
-    """Return the tables of all sources with the reasons for differences, and the finding in a sentence."""
+    """Return all tables, with their sources and reasons, the notes of traces, and the result in a sentence."""
     parts = []
     for pack in found.packs:
         rows = found.of(pack.pack)
@@ -93,13 +101,15 @@ def text(found: Validation) -> str:
         why = reasons(rows)
         if why:
             parts.append("\n".join(f"  {one}" for one in why))
+    if found.notes:
+        parts.append("\n".join(f"warning: {note}" for note in found.notes))
     return "\n\n".join([*parts, f"{finding(found)}."])
 
 
 def record(found: Validation) -> dict[str, Any]:
     """Return the compared rows, their sources and the settings as JSON-serialisable values."""
     values = {"rows": records(ComparedRow, found.rows), "packs": records(PackSummary, found.packs)}
-    return dict(plain({"holds": found.holds} | values | {"facts": found.facts}))
+    return dict(plain({"holds": found.holds} | values | {"notes": [*found.notes], "facts": found.facts}))
 
 
 def page(found: Validation, command: str = "") -> Report:
@@ -122,12 +132,16 @@ def page(found: Validation, command: str = "") -> Report:
             parts += [NotePart("Why", "h3"), Items(why)]
         sections.append(Section(f"pack-{pack.pack}", pack.title, parts, pack.pack))
     facts = {**found.facts, "machine": platform.machine()}
+    notes = [str(note) for note in found.notes]
     return Report(
         "Validation",
         f"mistray {found.facts.get('mistray', '')}".rstrip(),
         [*sections, settings_section(facts, command, link="Settings")],
         lead=[NotePart(f"{finding(found)}.")],
-        warnings=[f"{row.pack}, {row.name}: differs and should agree" for row in found.rows if row.verdict == DIFFERS],
+        warnings=[
+            *(f"{row.pack}, {row.name}: {WRONG[row.verdict]}" for row in found.rows if row.verdict in WRONG),
+            *notes,
+        ],
         csv={"validation.csv": frame(ComparedRow, found.rows), "packs.csv": frame(PackSummary, found.packs)},
         json={"validation.json": {"command": command} | record(found)},
         files={"differences.png": as_png(differences_figure(found))},

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mistray.estimate import Estimate
+from mistray.notes import Note
 from mistray.result import KeyNumber, Result
 from mistray.toolkit.rows import column, derived
 
-if TYPE_CHECKING:
-    from mistray.toolkit.figures.figure import Figure
-    from mistray.toolkit.plain_page import Rows
-
 AGREES, KNOWN, DIFFERS = "agrees", "known to differ", "differs"
-NOT_ASKED, TOO_FEW = "peer not installed", "too few rays"
-VERDICTS = (AGREES, KNOWN, DIFFERS, NOT_ASKED, TOO_FEW)
+FAILED, NOT_ASKED, TOO_FEW = "peer failed", "peer not installed", "too few rays"
+VERDICTS = (AGREES, KNOWN, DIFFERS, FAILED, NOT_ASKED, TOO_FEW)
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,7 @@ class ComparedRow:
         "largest difference that agrees: four standard errors of both, and what the source leaves open"
     )
     verdict: str = column("whether the numbers agree")
-    why: str = column("reason why they differ, or the command that installs the other program", "")
+    why: str = column("reason why they differ, error of the other program, or the command that installs it", "")
 
     @derived.column("ours less the published number")
     def difference(self) -> float:
@@ -42,10 +39,10 @@ class ComparedRow:
 
     @property
     def of_allowed(self) -> float:
-        """Difference of both numbers divided by the largest that agrees; NaN if either number is unknown."""
-        if not self.allowed <= 0:
-            return self.difference / self.allowed
-        return math.copysign(math.inf, self.difference) if self.difference else 0.0 * self.difference
+        """Difference over the allowed one, infinite where none is allowed; NaN if either number is unknown."""
+        if math.isnan(self.difference) or self.difference == 0:
+            return self.difference
+        return self.difference / self.allowed if self.allowed != 0 else math.copysign(math.inf, self.difference)
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class PackSummary:
     count: int = column("rows that were compared or left out", head="rows")
     agree: int = column("rows that agree")
     known: int = column("rows that are known to differ", head="known to differ")
-    differ: int = column("rows that differ and should agree")
+    differ: int = column("rows that differ and should agree, or whose program failed")
     left_out: int = column("rows whose program is not installed, or with too few rays for an error")
     seconds: float = column("time that the pack took, s", head="seconds", digits=".1f")
     source: str = column("source of its numbers")
@@ -66,7 +63,7 @@ class PackSummary:
 
 
 @dataclass(frozen=True, repr=False)
-class Validation(Result):
+class Validation(Result, table=".page:rows_table", figure=".figures:differences_figure"):
     """
     Mistray's numbers compared with published ones and with those of other programs.
 
@@ -78,11 +75,14 @@ class Validation(Result):
         Packs with their sources.
     facts : dict
         Versions and settings.
+    notes : tuple of Note
+        What the traces of a pack warn of, such as light that was cut.
     """
 
     rows: Sequence[ComparedRow]
     packs: Sequence[PackSummary]
     facts: Mapping[str, Any] = field(default_factory=dict)
+    notes: Sequence[Note] = ()
 
     def count(self, verdict: str) -> int:
         """Return the number of rows with a verdict."""
@@ -90,8 +90,8 @@ class Validation(Result):
 
     @property
     def holds(self) -> bool:
-        """Whether no row differs without a known reason."""
-        return not self.count(DIFFERS)
+        """Whether every row agrees that should: none differs without a known reason, and no program failed."""
+        return not self.count(DIFFERS) and not self.count(FAILED)
 
     def of(self, pack: str) -> list[ComparedRow]:
         """Return the rows of the named source of numbers (pack)."""
@@ -101,13 +101,3 @@ class Validation(Result):
         """Return the count of rows, and of those that agree and differ."""
         found = {verdict: self.count(verdict) for verdict in VERDICTS}
         return {"rows": len(self.rows), **{verdict: str(count) for verdict, count in found.items() if count}}
-
-    def tables(self) -> Mapping[str, Rows]:
-        """Return tables of the rows and of the sources of numbers."""
-        return {"validation": (ComparedRow, self.rows), "packs": (PackSummary, self.packs)}
-
-    def figures(self) -> Mapping[str, Callable[[], Figure]]:
-        """Return the figure with the differences of all rows."""
-        from mistray.analyses.validate.figures import differences_figure
-
-        return {"differences": lambda: differences_figure(self)}

@@ -11,12 +11,13 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from mistray.analyses.validate.declared import UNITS, DeclaredRow, ReferenceFile, read_reference, require_own
-from mistray.analyses.validate.pack import Pack
+from mistray.analyses.validate.pack import Finder, Pack, PeerError
 from mistray.analyses.validate.packs.known import PACKS
 from mistray.analyses.validate.request import ValidateRequest
 from mistray.analyses.validate.result import (
     AGREES,
     DIFFERS,
+    FAILED,
     KNOWN,
     NOT_ASKED,
     TOO_FEW,
@@ -27,7 +28,7 @@ from mistray.analyses.validate.result import (
 from mistray.analyses.validate.scene_numbers import SceneNumbers
 from mistray.errors import MistrayError, nearest
 from mistray.estimate import UNKNOWN, Estimate
-from mistray.notes import quiet
+from mistray.notes import Code, Note, quiet
 from mistray.trace.forward import versions
 
 Progress = Callable[[str, int, int], None]
@@ -71,17 +72,20 @@ def run_validation(request: ValidateRequest, progress: Progress | None = None) -
     own = [OwnPack(Path(path).stem, SceneNumbers, path=path) for path in request.own or ()]
     chosen = _chosen(own or PACKS, request.only)
     rows: list[ComparedRow] = []
-    packs = []
+    packs, notes = [], list[Note]()
     for number, (pack, file, declared) in enumerate(chosen):
         if progress is not None:
             progress(file.title, number, len(chosen))
         began = time.monotonic()
-        with quiet():  # what traces cut is no concern of a row
+        kept: list[Note] = []
+        with quiet(kept):
             found = _compared(pack, file, declared, request)
+        # Standard errors stand in the rows
+        notes += [note.beside(pack.name) for note in dict.fromkeys(kept) if note.code != Code.ERROR]
         rows += found
         packs.append(_summary(pack, file, found, time.monotonic() - began))
     facts = {"rays": request.rays or "as each pack says", "seed": request.seed}
-    return Validation(tuple(rows), tuple(packs), {**facts, **versions()})
+    return Validation(tuple(rows), tuple(packs), {**facts, **versions()}, tuple(notes))
 
 
 Chosen = list[tuple[Pack, ReferenceFile, Sequence[DeclaredRow]]]
@@ -114,54 +118,73 @@ def _fits(pack: str, row: str, pattern: str) -> bool:
 def _compared(
     pack: Pack, file: ReferenceFile, declared: Sequence[DeclaredRow], request: ValidateRequest
 ) -> list[ComparedRow]:
-    """Return a pack's rows with both numbers, or with the reason why the other program gave none."""
+    """Return the compared rows of a pack; a row whose program gives no number has the reason in place of numbers."""
     ours = pack.numbers(file, request.rays, request.seed)
-    theirs = _asked(pack, file, [row for row in declared if row.published is None], request)
     rows = []
     for row in declared:
         unit = row.unit or UNITS.get(row.quantity, "")
-        if row.published is not None:
-            published = Estimate(row.published, row.uncertainty)
-        elif isinstance(theirs, str):
-            rows.append(ComparedRow(pack.name, row.name, unit, UNKNOWN, UNKNOWN, math.nan, NOT_ASKED, theirs))
-            continue
+        published = Estimate(row.published, row.uncertainty) if row.published is not None else _asked(pack, row, ours)
+        if isinstance(published, _NoAnswer):
+            rows.append(
+                ComparedRow(pack.name, row.name, unit, UNKNOWN, UNKNOWN, math.nan, published.verdict, published.why)
+            )
         else:
-            published = theirs[row.name] or UNKNOWN
-        rows.append(judged(pack.name, row, unit, published, ours(row)))
+            rows.append(judged(pack.name, row, unit, published, ours(row)))
     return rows
 
 
-def _asked(
-    pack: Pack, file: ReferenceFile, rows: Sequence[DeclaredRow], request: ValidateRequest
-) -> dict[str, Estimate | None] | str:
-    """Return the other program's numbers by row name or, if it cannot run, why and how to install it."""
-    if pack.peer is None or not rows:
-        return {}
-    if not pack.peer.installed:
-        return pack.peer.install
+@dataclass(frozen=True)
+class _NoAnswer:
+    """Verdict and reason of a row whose program gives no number."""
+
+    verdict: str
+    why: str
+
+
+def _asked(pack: Pack, row: DeclaredRow, ours: Finder) -> Estimate | _NoAnswer | None:
+    """Return the number of the other program for a row; None if it has no such light."""
+    peer = pack.peer
+    assert peer is not None  # a row without a published number has one
+    if not peer.installed:
+        return _NoAnswer(NOT_ASKED, peer.install)
     try:
-        ask = pack.peer.ask(file, request.rays, request.seed)
-        return {row.name: ask(row) for row in rows}
-    except MistrayError:
-        raise
-    except Exception as error:  # code of others: a broken installation, or another release
-        return f"{pack.peer.module} cannot be asked: {type(error).__name__}: {error}; {pack.peer.install}"
+        found = peer.ask(row, ours)
+    except PeerError as error:
+        return _NoAnswer(FAILED, f"{peer.module} failed: {error}; try another release, {peer.install}")
+    if found is not None and not math.isfinite(found.value):
+        return _NoAnswer(FAILED, f"{peer.module} gives {found.value:g}; try another release, {peer.install}")
+    return found
 
 
-def judged(pack: str, row: DeclaredRow, unit: str, published: Estimate, found: Estimate | None) -> ComparedRow:
-    """Return a row with its verdict: None (no light) differs, and a number without standard error gets none."""
-    ours = found or UNKNOWN
-    allowed = row.allowed(ours.se, published.value, published.se)
-    if found is None:
-        way = " → ".join(row.path) or "of the image"
-        verdict, why = DIFFERS, f"no light takes the path {way}; check its surfaces, the field and the rays"
-    elif not all(map(math.isfinite, (*ours, published.value))):
+def judged(pack: str, row: DeclaredRow, unit: str, published: Estimate | None, found: Estimate | None) -> ComparedRow:
+    """
+    Return a row with its verdict.
+
+    Light that one side does not have, None, differs whatever the reason that the row gives. A number whose error is
+    unknown has no verdict.
+    """
+    theirs, ours = published or UNKNOWN, found or UNKNOWN
+    allowed = row.allowed(ours.se, theirs.value, theirs.se)
+    if published is None or found is None:
+        verdict, why = DIFFERS, _lost(row, published, found)
+    elif not math.isfinite(ours.se):
         verdict, why = TOO_FEW, "too few rays for a number with an error; give more rays"
-    elif abs(ours.value - published.value) <= allowed:
+    elif abs(ours.value - theirs.value) <= allowed:
         verdict, why = AGREES, ""
+    elif row.expected is None:
+        verdict, why = DIFFERS, ""
+    elif abs(ours.value - row.expected) <= row.allowed(ours.se, row.expected, row.expected_uncertainty):
+        verdict, why = KNOWN, row.differs
     else:
-        verdict, why = KNOWN if row.differs else DIFFERS, row.differs
-    return ComparedRow(pack, row.name, unit, published, ours, allowed, verdict, why)
+        verdict, why = DIFFERS, f"ours was {row.expected:g} when this reason was found: {row.differs}"
+    return ComparedRow(pack, row.name, unit, theirs, ours, allowed, verdict, why)
+
+
+def _lost(row: DeclaredRow, published: Estimate | None, found: Estimate | None) -> str:
+    """Return which side has no light of a row."""
+    way = f"by the path {' → '.join(row.path)}" if row.path else "of this kind"
+    side = "on either side" if published is found else "in the other program" if published is None else "in ours"
+    return f"there is no light {way} {side}; check its surfaces, the field and the rays"
 
 
 def _summary(pack: Pack, file: ReferenceFile, rows: Sequence[ComparedRow], seconds: float) -> PackSummary:
@@ -172,7 +195,7 @@ def _summary(pack: Pack, file: ReferenceFile, rows: Sequence[ComparedRow], secon
         count=len(rows),
         agree=verdicts[AGREES],
         known=verdicts[KNOWN],
-        differ=verdicts[DIFFERS],
+        differ=verdicts[DIFFERS] + verdicts[FAILED],
         left_out=verdicts[NOT_ASKED] + verdicts[TOO_FEW],
         seconds=seconds,
         source=file.source,

@@ -6,9 +6,8 @@ such paths it is the strongest.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
@@ -22,8 +21,12 @@ from mistray.trace import trace
 from mistray.trace.paths import PathRow
 from mistray.trace.result import Trace
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 FAINTEST = 1e-9  # flux of a ray relative to a start ray, below which it is cut
-OUTERMOST_RAYS = 20_000  # whose hits give a diameter
+SUBSETS = 16  # of the hits of a path, whose extents tell the error of that of all hits
+LEAST_HITS = 16  # of a subset
 REFLECTED = ("SpecRefl", "TIR")
 OF_PATH: Mapping[str, tuple[str, str]] = {
     "power_W": ("power_W", "power_se_W"),
@@ -55,20 +58,21 @@ class SceneNumbers:
         self._rays = rays or file.rays
         self._seed = seed
         self._scenes: dict[tuple[tuple[str, float], ...], mi.Scene] = {}
+        self._reflections = max([2, *(len(one.path) for one in file.rows)])
         self._traces: dict[tuple[Any, ...], Trace] = {}
+        self._found_hits: dict[Trace, pd.DataFrame] = {}
 
     def __call__(self, row: DeclaredRow) -> Estimate | None:
         """Return mistray's number for a row and its standard error; None if no light takes the row's path."""
         if row.quantity == "pst":
             return self._pst(row)
-        reflections = max([2, *(len(one.path) for one in self._file.rows)])
-        if row.quantity.startswith("diameter"):
-            t = self._trace(row, max(len(row.path), 1), OUTERMOST_RAYS)
-            found = named_path(t, row.path)
-            return None if found is None else _diameter(t, found, row.quantity)
-        t = self._trace(row, reflections, self._rays)
+        t = self._trace(row)
         found = named_path(t, row.path)
-        return None if found is None else Estimate(*(float(getattr(found, key)) for key in OF_PATH[row.quantity]))
+        if found is None:
+            return None
+        if row.quantity.startswith("diameter"):
+            return extent(self._hits(t, found.path_id)[f"detector_{row.quantity.removeprefix('diameter_')}"].to_numpy())
+        return Estimate(*(float(getattr(found, key)) for key in OF_PATH[row.quantity]))
 
     def scene(self, row: DeclaredRow) -> mi.Scene:
         """Return the scene with its parameters set as the file and the row ask."""
@@ -82,27 +86,44 @@ class SceneNumbers:
             self._scenes[key] = loaded
         return self._scenes[key]
 
-    def _trace(self, row: DeclaredRow, reflections: int, rays: int) -> Trace:
-        values = tuple(sorted((row.set or {}).items()))
-        key = (values, row.field_deg, row.azimuth_deg, row.wavelength_nm, reflections, rays)
+    def _trace(self, row: DeclaredRow) -> Trace:
+        key = (tuple(sorted((row.set or {}).items())), row.field_deg, row.azimuth_deg, row.wavelength_nm)
         if key not in self._traces:
             self._traces[key] = trace(
                 self.scene(row),
-                rays=rays,
+                rays=self._rays,
                 seed=self._seed,
                 field_deg=row.field_deg,
                 azimuth_deg=row.azimuth_deg,
                 wavelength_nm=row.wavelength_nm,
-                max_reflections=reflections,
+                max_reflections=self._reflections,
                 flux_threshold=FAINTEST,
             )
         return self._traces[key]
+
+    def _hits(self, t: Trace, path: int) -> pd.DataFrame:
+        """Return the hits of a path; those of all paths whose extent the file asks for are found at once."""
+        if t not in self._found_hits:
+            named = [named_path(t, row.path) for row in self._file.rows if row.quantity.startswith("diameter")]
+            choice = " | ".join(dict.fromkeys(f"path_id == {one.path_id}" for one in named if one is not None))
+            self._found_hits[t] = t.rays(choice, n=None)
+        hits = self._found_hits[t]
+        return hits[hits["path_id"] == path]
 
     def _pst(self, row: DeclaredRow) -> Estimate:
         from mistray.analyses.pst.run import pst
 
         light = {} if row.wavelength_nm is None else {"wavelength_nm": row.wavelength_nm}
-        found = pst(self.scene(row), [row.field_deg or 0.0], rays=self._rays, seed=self._seed, **light)
+        found = pst(
+            self.scene(row),
+            [row.field_deg],
+            azimuths_deg=None if row.azimuth_deg is None else [row.azimuth_deg],
+            rays=self._rays,
+            seed=self._seed,
+            max_reflections=self._reflections,
+            flux_threshold=FAINTEST,
+            **light,
+        )
         value, se = found.curve()
         return Estimate(float(value[0]), float(se[0]))
 
@@ -141,10 +162,29 @@ def _without(names: list[str], design: list[str]) -> list[str]:
     return kept
 
 
-def _diameter(t: Trace, row: PathRow, quantity: str) -> Estimate:
-    """Return the extent of a path's hits along x or y, mm; its standard error is the outermost gaps at both ends."""
-    column = f"detector_{quantity.removeprefix('diameter_')}"
-    hits = np.sort(t.rays(f"path_id == {row.path_id}", n=None)[column].to_numpy())
-    if len(hits) < 3:
+def extent(hits: np.ndarray) -> Estimate:
+    """
+    Return the distance of the outermost hits of light with an edge, and a bound of its standard error.
+
+    The outermost of n hits lie short of the edge by c / n^p on average, and scatter by about as much. p is 1 where the
+    light, projected, ends at its full density, 2/3 for a disc, and 1/2 for a corner, the slowest. The extents of 16
+    disjoint subsets of the hits are smaller and scatter more. With p = 1/2, what the mean of theirs lacks is at least
+    three times what the extent of all hits lacks of the true one, and their standard deviation four times its own.
+
+    Parameters
+    ----------
+    hits : (n,) float64
+        Coordinates of the hits along one axis, mm.
+
+    Returns
+    -------
+    Estimate
+        Extent in mm; its error is NaN for fewer than 256 hits.
+    """
+    if len(hits) < SUBSETS * LEAST_HITS:
         return UNKNOWN
-    return Estimate(float(np.ptp(hits)), math.hypot(hits[-1] - hits[-2], hits[1] - hits[0]))
+    whole = float(np.ptp(hits))
+    shuffled = np.random.default_rng(0).permutation(hits)
+    parts = np.array([np.ptp(shuffled[k::SUBSETS]) for k in range(SUBSETS)])
+    short = (whole - parts.mean()) / (SUBSETS**0.5 - 1)
+    return Estimate(whole, float(np.hypot(short, parts.std(ddof=1) / SUBSETS**0.5)))

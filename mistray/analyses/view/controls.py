@@ -14,6 +14,7 @@ from matplotlib.colors import to_hex
 from mistray.analyses.view.drawing import ROLE_COLOURS, xyz
 from mistray.toolkit.drawings.cut_open import CutPlane, OpenSurface
 from mistray.toolkit.drawings.path_rays import RayLine
+from mistray.toolkit.typeset import power_of_ten
 
 if TYPE_CHECKING:
     from mistray.recorders.flux_maps.surface_maps import SurfaceMap
@@ -81,7 +82,7 @@ def colour_axes(scales: Mapping[str, LogScale], by: str) -> dict[str, dict[str, 
     axes = {}
     for key, name in zip(scales, COLOUR_AXES, strict=False):
         scale = scales[key]
-        ticks = [(float(power), f"1e{power}") for power in scale.decades]
+        ticks = [(float(power), power_of_ten(power)) for power in scale.decades]
         if len(ticks) < 2:
             ticks = [(power, f"{10**power:.3g}") for power in (scale.floor, scale.top)]
         dark = " (grey: none)" if NO_LIGHT in scale.colours else ""

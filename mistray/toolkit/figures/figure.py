@@ -12,6 +12,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter, FuncFormatter
 
 from mistray.errors import MistrayWarning
+from mistray.toolkit.typeset import NO_BREAK, typeset
 
 COLOUR_BAR = "<colorbar>"  # label that Matplotlib gives to its axes
 _GLYPH = re.compile(r"Glyph (?P<code>\d+) \(\\N\{(?P<name>[^}]*)\}\) missing")
@@ -144,6 +145,7 @@ class Figure(figure.Figure):
         for text in self.findobj(Text):
             if text not in numbers:
                 text.set_parse_math(False)
+                text.set_text(typeset(text.get_text()).replace(NO_BREAK, " "))
         layout = self.get_layout_engine()
         if not self._laid_out and layout is not None:
             # To write a file, Matplotlib draws twice, the first time only to place everything: that is all it needs

@@ -17,7 +17,7 @@ from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap
 from matplotlib.image import imread
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from PIL import Image
 
 from mistray.errors import MistrayError
@@ -26,11 +26,13 @@ from mistray.recorders.film import Pixels
 from mistray.replace_file import replace_file
 from mistray.toolkit.figures.figure import Figure
 from mistray.toolkit.irradiance import averaged, log10_image, log_range, pixels_averaged
+from mistray.toolkit.typeset import power_of_ten
 
 HOW_TO_READ = "black: below the floor or no ray; hatched: few rays, error unknown"
 DECADES = 12.0
 OWN_DECADES = 8.0  # of a map on its own scale
 HATCHED, HATCHES = 1024, 48  # pixels of a hatch along its longer side, and lines
+MOST_ENLARGED, PIXELS_PER_INCH = 1.45, 96  # of figures on wide pages
 GREYS = 32  # in the palette of a PNG of maps
 Range = tuple[float, float]
 _TAG, _COMMENT = re.compile(r"<[^!?][^>]*>"), re.compile(r"<!--.*?-->", re.DOTALL)
@@ -72,6 +74,8 @@ def scaled_map(axes: Axes, image: Pixels, extent: Extent, limits: Range | None, 
         bar = axes.figure.colorbar(picture, ax=axes, pad=0.02, fraction=0.05, extend="min")
         bar.ax.yaxis.set_major_locator(MaxNLocator(6, integer=True))
         bar.ax.tick_params(labelsize=8)
+        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda exponent, _: power_of_ten(round(exponent))))
+        bar.ax.set_title("W/mm²", fontsize=7, pad=3)
 
 
 def draw_map(
@@ -176,7 +180,8 @@ def as_svg(figure: Figure, text: str = "") -> str:
     used = set(_USED_ID.findall(svg))
     svg = _TAG.sub(lambda tag: _shorter(tag[0], used), svg)
     label = f' role="img" aria-label="{escape(text)}"' if text else ""
-    return f"<svg{label}{svg.removeprefix('<svg')}"
+    widest = MOST_ENLARGED * PIXELS_PER_INCH * figure.get_size_inches()[0]
+    return f'<svg{label} style="max-width: {widest:.0f}px"{svg.removeprefix("<svg")}'
 
 
 def _shorter(tag: str, used: set[str]) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
 from matplotlib.axes import Axes
 
 from mistray.toolkit.figures.figure import Figure
 from mistray.toolkit.figures.plots import as_svg
 from mistray.toolkit.pages.embedded import json_script
+from mistray.toolkit.typeset import typeset, typeset_html
 
 POINTS_PER_INCH = 72  # units of Matplotlib's SVG files
 Value = tuple[str, str]
@@ -59,9 +59,9 @@ def hover_figure(
         "view": [0, 0, float(width), float(height)],
         "area": [round(float(edge), 2) for edge in area],
         "titles": list(titles),
-        "values": [[list(pair) for pair in each] for each in values],
+        "values": [[[name, typeset(value)] for name, value in each] for each in values],
     }
-    below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+    below = f"<figcaption>{typeset_html(caption)}</figcaption>" if caption else ""
     return (
         f'<figure><div class="hover" tabindex="0" role="group" aria-label="plot; arrow keys show its values">{svg}'
         f'<div class="tip" role="status" hidden></div>{json_script(name, data)}</div>{below}</figure>'

@@ -8,20 +8,29 @@ from html import escape
 
 from mistray.estimate import Estimate
 from mistray.toolkit.tables.text import ABSENT, with_error
+from mistray.toolkit.typeset import typeset, typeset_html, value_and_error
+
+LONG_TEXT = 40  # letters from which on a cell may break its lines
 
 
 def cell(text: str, kind: str = "") -> str:
-    """Return the HTML of a table cell with text; `kind` is its CSS class."""
-    return f'<td class="{kind}">{escape(text)}</td>' if kind else f"<td>{escape(text)}</td>"
+    """Return the HTML of a table cell with text, which sorts by the number that it is; `kind` is its CSS class."""
+    kind = f"{kind} long" if kind.split(" ")[0] == "t" and len(text) > LONG_TEXT else kind
+    style = f' class="{kind}"' if kind else ""
+    try:
+        value = f' data-v="{float(text):.9g}"' if typeset(text) != text else ""
+    except ValueError:
+        value = ""
+    return f"<td{style}{value}>{typeset_html(text)}</td>"
 
 
 def number_cell(estimate: Estimate, note: str = "") -> str:
     """Return a table cell with a value, its standard error and a note below, which sorts by the value."""
     if not math.isfinite(estimate.value):
         return cell(ABSENT)
-    value, _, error = with_error(estimate).partition(" ± ")
-    below = f"<small>{escape(note)}</small>" if note else ""
-    return f'<td data-v="{estimate.value:.9g}">{value}<small>± {error}</small>{below}</td>'
+    value, *below = [*value_and_error(with_error(estimate)), typeset_html(note)]
+    small = "".join(f"<small>{text}</small>" for text in below if text)
+    return f'<td data-v="{estimate.value:.9g}">{value}{small}</td>'
 
 
 def image(png: bytes, text: str, title: str = "") -> str:

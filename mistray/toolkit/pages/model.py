@@ -32,6 +32,11 @@ class Fold:
     text: str
     style: str = "t"
 
+    @property
+    def of_letters(self) -> bool:
+        """Whether the summary is the letters of a path's events, of use only beside the text."""
+        return self.style.startswith("path")
+
 
 @dataclass(frozen=True)
 class Noted:
@@ -141,7 +146,10 @@ class Table(PagePart):
 
     def without(self, *heads: str) -> Table:
         """Return a copy of the table without the columns of these headings."""
-        kept = [k for k, column in enumerate(self.columns) if column.head not in heads]
+        return self.kept([k for k, column in enumerate(self.columns) if column.head not in heads])
+
+    def kept(self, kept: Sequence[int]) -> Table:
+        """Return a copy of the table with only the columns of these numbers."""
         rows = [[row[k] for k in kept] for row in self.rows]
         rest = [self.rest[k] for k in kept] if self.rest else ()
         return replace(self, columns=[self.columns[k] for k in kept], rows=rows, rest=rest)

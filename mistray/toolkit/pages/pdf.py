@@ -9,6 +9,8 @@ import contextlib
 import io
 import re
 from collections.abc import Sequence
+from datetime import UTC, datetime
+from hashlib import sha256
 from html import unescape
 from pathlib import Path
 
@@ -19,8 +21,11 @@ from mistray.estimate import Estimate
 from mistray.files.packages import format_package
 from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages import model
+from mistray.toolkit.pages.output import csv_text
 from mistray.toolkit.pages.render import drawn_map
 from mistray.toolkit.tables.text import cell_text
+from mistray.toolkit.typeset import typeset, value_and_error
+from mistray.trace.forward import versions
 
 MARGIN, POINT = 12.0, 25.4 / 72  # mm
 FONT, MONO = "DejaVu Sans", "DejaVu Sans Mono"
@@ -59,6 +64,7 @@ def pdf_bytes(report: model.Report) -> bytes:
 
 def _write(report: model.Report, writer: _Writer) -> None:
     writer.heading(f"{report.heading}: {report.title}", TITLE, 0)
+    writer.title_block(report)
     writer.parts(report.lead, LEAD_HEIGHT)
     if report.warnings:
         writer.parts([model.Items(report.warnings, "warnings")])
@@ -131,9 +137,28 @@ class _Writer:
         self.pdf.start_section(text, level=level)
         self.text(text, size, bold=True)
         if level == 1:
-            self.pdf.set_draw_color(*RULE)
-            self.pdf.line(MARGIN, self.pdf.y, MARGIN + self.pdf.epw, self.pdf.y)
-            self.pdf.ln(1.5)
+            self.rule()
+
+    def title_block(self, report: model.Report) -> None:
+        """Write system, analysis, date, program and checksum of the numbers, between two lines."""
+        tables = "".join(csv_text(frame, report.in_full) for frame in report.csv.values())
+        program = ", ".join(f"{name} {version}" for name, version in versions().items())
+        pairs = [
+            ("system", report.title),
+            ("analysis", report.heading),
+            ("date", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")),
+            ("computed with", program),
+            *([("checksum of the tables", f"SHA-256 {sha256(tables.encode()).hexdigest()[:16]}")] if tables else []),
+        ]
+        self.rule()
+        self.terms(model.Terms(pairs))
+        self.rule()
+
+    def rule(self) -> None:
+        """Draw a line across the page."""
+        self.pdf.set_draw_color(*RULE)
+        self.pdf.line(MARGIN, self.pdf.y, MARGIN + self.pdf.epw, self.pdf.y)
+        self.pdf.ln(1.5)
 
     def note(self, note: model.NotePart) -> None:
         if note.style == "h3":
@@ -170,7 +195,7 @@ class _Writer:
             for pair in terms.pairs:
                 row = table.row()
                 for text in pair:
-                    row.cell(text)
+                    row.cell(typeset(text))
         self.pdf.ln(1.5)
 
     def figure(self, figure: model.FigurePart, most: float) -> None:
@@ -206,6 +231,9 @@ class _Writer:
 
         if not table.rows:
             return
+        table = table.kept(
+            [k for k, value in enumerate(table.rows[0]) if not (isinstance(value, model.Fold) and value.of_letters)]
+        )
         short = table.rows if table.most is None else table.rows[: table.most]
         rest = [table.rest] if table.rest and len(short) < len(table.rows) else []
         heads = [f"{column.head}\n{column.unit}" if column.unit else column.head for column in table.columns]
@@ -260,7 +288,8 @@ class _Writer:
         with self.pdf.text_columns() as columns, columns.paragraph(line_height=LINE) as paragraph:
             for number, piece in enumerate(pieces):
                 self._font(size, bold or number % 2 == 1, family)
-                paragraph.write(_plain(piece) if isinstance(text, Markup) else piece)
+                plain = _plain(piece) if isinstance(text, Markup) else piece
+                paragraph.write(plain if family == MONO else typeset(plain))
         self.pdf.ln(1)
         self.pdf.set_text_color(*INK)
 
@@ -275,16 +304,16 @@ class _Writer:
 
 def _cell(value: model.Value) -> str:
     if isinstance(value, model.Noted):
-        return f"{_cell(value.number)}\n{value.note}"
+        return f"{_cell(value.number)}\n{typeset(value.note)}"
     if isinstance(value, model.HtmlCell):
         return _plain(Markup(value.html))
     text = cell_text(value)
-    return text.replace(" ± ", "\n± ") if isinstance(value, Estimate) else text
+    return "\n".join(filter(None, value_and_error(text))) if isinstance(value, Estimate) else typeset(text)
 
 
 def _plain(text: str) -> str:
-    """Return text without its HTML tags and entities."""
-    return unescape(_TAG.sub("", text))
+    """Return text without its HTML tags and entities; a break of the line remains one."""
+    return unescape(_TAG.sub("", text.replace("<br>", "\n")))
 
 
 def _size(png: bytes) -> tuple[int, int]:

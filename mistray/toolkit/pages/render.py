@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import functools
+import itertools
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
@@ -18,8 +19,10 @@ from mistray.toolkit.figures.figure import Figure
 from mistray.toolkit.figures.plots import DECADES, as_svg, draw_map
 from mistray.toolkit.irradiance import log_range
 from mistray.toolkit.pages import model
+from mistray.toolkit.pages.cures import cures
 from mistray.toolkit.pages.hover import hover_figure
 from mistray.toolkit.pages.markup import cell, number_cell
+from mistray.toolkit.typeset import typeset_html
 
 
 def html_page(report: model.Report) -> str:
@@ -63,9 +66,16 @@ def _cell(value: model.Value, column: model.Column) -> str:
     if isinstance(value, model.HtmlCell):
         return value.html
     if isinstance(value, model.Fold):
-        below = f"<details><summary>{escape(value.summary)}</summary>{escape(value.text)}</details>"
+        summary = runs(value.summary) if value.of_letters else value.summary
+        below = f"<details><summary>{escape(summary)}</summary>{escape(value.text)}</details>"
         return f'<td class="{value.style}">{below}</td>'
     return cell(str(value), column.style)
+
+
+def runs(letters: str) -> str:
+    """Return letters with the length of each run of equal ones: "TTTRA" becomes "T×3 R A"."""
+    groups = ((letter, len(list(same))) for letter, same in itertools.groupby(letters))
+    return " ".join(letter if count == 1 else f"{letter}×{count}" for letter, count in groups)
 
 
 def _hovering(figure: model.FigurePart) -> Markup:
@@ -97,8 +107,10 @@ def _environment() -> Environment:
     made.filters |= {
         "base64": lambda png: base64.b64encode(png).decode("ascii"),
         "cell": value_cell,
+        "cures": cures,
         "drawn_map": drawn_map,
         "hovering": _hovering,
+        "typeset": typeset_html,
         "svg": lambda drawn, text: Markup(as_svg(drawn, text)),
     }
     made.globals["can_draw"] = can_draw

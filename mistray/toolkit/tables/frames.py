@@ -19,7 +19,6 @@ from mistray.toolkit.pages.parts import thousands
 from mistray.toolkit.tables.text import ABSENT, cell_text, number, with_error
 
 ABBREVIATIONS = {"pst": "PST", "rms": "RMS", "bsdf": "BSDF", "gcf": "GCF", "tis": "TIS", "id": "surface"}
-LONG_TEXT = 60  # characters from which on a cell may break its lines
 DIGITS = 5
 ABSENT_BELOW_0 = ("space",)  # columns whose negative numbers say that there is none
 
@@ -94,7 +93,7 @@ def _value(value: Any, column: str, error: Any) -> Value:
     if error is not None:
         return Estimate(float(value), float(error))
     if isinstance(value, str):
-        return StyledCell(value, "t long" if len(value) > LONG_TEXT else "t")
+        return StyledCell(value, "t")
     if isinstance(value, bool):
         return StyledCell(value_text(value), "t")
     return StyledCell(value_text(math.nan if column in ABSENT_BELOW_0 and value < 0 else value), "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 from markupsafe import Markup
@@ -23,8 +24,8 @@ from mistray.toolkit.pages.model import (
     Value,
 )
 
-MOST_DECIMALS = 6
-ROUNDING = 1e-13  # relative; what sums of float64 leave of an error that is 0
+SIGNIFICANT = 5  # digits of a value at most: errors below them are not worth a place
+FIXED = range(-2, 5)  # powers of ten of numbers that are written without an exponent
 ABSENT = "–"
 
 
@@ -32,29 +33,35 @@ def with_error(number: Estimate, digits: int = 2) -> str:
     """
     Return a number and its standard error as text, "9.3548e-05 ± 1.2e-08".
 
-    The error has ``digits`` digits and the value ends at the same place. A number that is not finite is "–"; an unknown
-    error is "± ?".
+    The error has ``digits`` digits and the value ends at the same place, but has `SIGNIFICANT` digits at most. An error
+    that is 0 there is left out. A number that is not finite is "–"; an unknown error is "± ?".
 
     Examples
     --------
     >>> mistray.report.with_error(mistray.analysis.Estimate(9.35478e-5, 1.23e-8))
     '9.3548e-05 ± 1.2e-08'
     """
-    value, se = number
+    value, se = number.value + 0.0, number.se  # 0 has no sign
     if not math.isfinite(value):
         return ABSENT
     if not math.isfinite(se):
         return f"{value:.4g} ± ?"
-    if se <= ROUNDING * abs(value):
-        return f"{value:.6g} ± 0"
-    if value == 0:
-        return f"0 ± {se:.{digits - 1}e}"
-    places = _exponent(value) - _exponent(se) + digits - 1
-    decimals = min(max(places, 0), 9)
-    fixed = max(digits - 1 - _exponent(se), 0)
-    if -4 < _exponent(value) < 5 and se < abs(value) and fixed <= MOST_DECIMALS:
-        return f"{value:.{fixed}f} ± {se:.{fixed}f}"
-    return f"{value:.{decimals}e} ± {se:.{digits - 1}e}"
+    size = _exponent(value, SIGNIFICANT) if value else _exponent(se, digits)
+    last = max(_exponent(se, digits) - digits, size - SIGNIFICANT) + 1 if se else size - SIGNIFICANT + 1
+    if not se or se <= 0.5 * 10.0**last:
+        text = f"{value:.{SIGNIFICANT}g}"
+        return (
+            text
+            if size in FIXED or "e" in text or not value
+            else re.sub(r"\.?0+e", "e", f"{value:.{SIGNIFICANT - 1}e}")
+        )
+    largest = max(size, _exponent(se, digits))
+    if largest in FIXED:
+        decimals = max(-last, 0)
+        shown = f"{round(value, -last):.{decimals}f}" if value else "0"
+        return f"{shown} ± {round(se, -last):.{decimals}f}"
+    shown = f"{value:.{max(size - last, 0)}e}" if value else "0"
+    return f"{shown} ± {se:.{max(_exponent(se, digits) - last, 0)}e}"
 
 
 def number(value: float, digits: int = 5) -> str:
@@ -125,9 +132,10 @@ def first_of(texts: Sequence[str], most: int, between: str = ", ") -> str:
 
 
 def plain_sentences(texts: Sequence[str]) -> list[str]:
-    """Return the sentences of a verdict without markup, and with ordinary blanks."""
-    return [(text.striptags() if isinstance(text, Markup) else text).replace("\u00a0", " ") for text in texts]
+    """Return the sentences of a verdict without markup."""
+    return [text.striptags() if isinstance(text, Markup) else text for text in texts]
 
 
-def _exponent(value: float) -> int:
-    return math.floor(math.log10(abs(value)))
+def _exponent(value: float, digits: int) -> int:
+    """Return the power of ten of the first digit of a number that is rounded to `digits` digits."""
+    return int(f"{value:.{digits - 1}e}".partition("e")[2])

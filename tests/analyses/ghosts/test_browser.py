@@ -19,6 +19,7 @@ from mistray.analyses.pst.page import pst_report
 from mistray.toolkit.drawings.layout import worst_paths
 from mistray.toolkit.pages.embedded import palette_png
 from mistray.toolkit.pages.render import html_page
+from mistray.toolkit.typeset import power_of_ten
 
 WIDE, NARROW = 1300, 390  # pixels: a window, and a telephone
 pytestmark = [
@@ -31,8 +32,8 @@ PANEL = vectors.text("browser_panel.js")
 UNFOLDED = """for (const one of document.querySelectorAll("details.field, details.chapter")) one.open = true;
 document.querySelector("div.explorer")?.scrollIntoView()"""
 READY = 'document.querySelector("div.explorer.ready") || !document.querySelector("div.explorer")'
-# Nothing may be wider than the page, but for tables, which scroll by themselves
-BESIDE = """[...document.querySelectorAll("body *")].filter((place) => !place.closest(".wide, svg, .tip") &&
+# Nothing may be wider than the page, but for tables and pictures, which scroll by themselves
+BESIDE = """[...document.querySelectorAll("body *")].filter((place) => !place.closest(".wide, figure, svg, .tip") &&
   place.getBoundingClientRect().right > document.documentElement.clientWidth + 1).map((place) => place.outerHTML)"""
 
 
@@ -92,7 +93,7 @@ def test_a_report_of_ghosts(report, browser, opened):
     browser.until("which.value === 'path'")
     run("pause()")
     assert run("[which.selectedOptions[0].textContent, pick.getAttribute('aria-pressed')]") == ["path 1", "true"]
-    assert "path 1, log10 scale 1e" in run("label()")
+    assert "path 1, log₁₀ scale 10" in run("label()")
     events = run("[...panel.querySelectorAll('ol.events li')].map((item) => item.textContent)")
     named = table.events[table.path_id == 1].iloc[0].split()
     assert [item.split(":")[0] for item in events] == [event.split(":")[0] for event in named]
@@ -103,13 +104,13 @@ def test_a_report_of_ghosts(report, browser, opened):
     turns = run("panel.querySelectorAll('svg.rays path[stroke=\"#e69f00\"]').length")
     assert turns == 2  # the detector and the window
     path_light = run("light()")
+    assert not run("panel.querySelector('input.whole').checked")  # the map has zoomed to the path
     run("click('input.whole')")
-    assert run("light()") > path_light > 0  # larger in its own frame
-    run("click('input.whole')")
+    assert path_light > run("light()") > 0  # larger in its own frame
     run("pick.blur(); panel.querySelector('button.back').click()")
     assert run("document.activeElement === pick")
     run("choose('stray')")
-    assert "without the direct image, log10 scale 1e" in run("label()")
+    assert "without the direct image, log₁₀ scale 10" in run("label()")
     assert run("light()") not in (0, all_light)
     # A box by the pointer: the upper right quarter of the picture of all light
     run("choose('light')")
@@ -153,9 +154,10 @@ def test_a_report_of_ghosts(report, browser, opened):
     run("second.closest('details').open = true; second.scrollIntoView()")
     browser.until("second.classList.contains('ready')")
     low, high = common_range(report)
-    assert f"to 1e{high:.0f} W/mm²" not in run("map.getAttribute('aria-label')")  # there are ghosts alone
+    low, high = (power_of_ten(round(power)) for power in (low, high))
+    assert f"to {high} W/mm²" not in run("map.getAttribute('aria-label')")  # there are ghosts alone
     run("second.querySelector('input.common').click(); pause()")
-    assert f"all light, log10 scale 1e{low:.0f} to 1e{high:.0f} W/mm²" in run("map.getAttribute('aria-label')")
+    assert f"all light, log₁₀ scale {low} to {high} W/mm²" in run("map.getAttribute('aria-label')")
     check_tables(run)
 
 
@@ -170,17 +172,33 @@ def test_widths_and_accessibility(browser, opened):
     """Nothing is wider than its page; the rules of axe: landmarks, names of controls, contrast, order of headings."""
     axe = pytest.importorskip("axe_core_python.base", reason="no axe; pip install axe-core-python")
     rules = Path(axe.__file__).with_name("axe.min.js").read_text(encoding="utf-8")
-    for name, width in (("ghosts", WIDE), ("ghosts", NARROW), ("pst", WIDE)):
+    for name, width, scheme in (
+        ("ghosts", WIDE, "light"), ("ghosts", NARROW, "light"), ("pst", WIDE, "light"), ("ghosts", WIDE, "dark"),
+        ("pst", NARROW, "dark"),
+    ):  # fmt: skip
+        browser.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
         run = opened(name, width)
         run(UNFOLDED)
         browser.until(READY)
         scrolled, shown = run("[document.documentElement.scrollWidth, document.documentElement.clientWidth]")
         assert scrolled <= shown <= width
         assert run(BESIDE) == []
-        if width == WIDE:
-            run(rules)
-            found = run("axe.run({ exclude: ['svg > *'] })")  # a drawing is one picture
-            assert [(one["id"], one["nodes"][0]["html"][:200]) for one in found["violations"]] == []
+        assert (run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)") == (scheme == "light")
+        run(rules)
+        found = run("axe.run({ exclude: ['svg > *'] })")  # a drawing is one picture
+        assert [(one["id"], one["nodes"][0]["html"][:200]) for one in found["violations"]] == []
+    browser.ask("Emulation.setEmulatedMedia", features=[])
+
+
+def test_warnings_are_one_line_and_numbers_do_not_break(opened):
+    run = opened("ghosts", NARROW)
+    warnings = "document.querySelector('details.warnings')"
+    assert run(f"{warnings}.open") is False
+    assert run(f"{warnings}.getBoundingClientRect().height") < 60
+    assert "cured by --rays" in run(f"{warnings}.innerText")
+    # Neither exponents of a program nor blanks at which a number parts from its error or its unit
+    broken = "[...document.body.innerText.matchAll(/\\d\\.\\d*e[+-]\\d\\d|\\d [±%]/g)].map((found) => found[0])"
+    assert run(broken) == []
 
 
 def test_on_paper(browser, opened):

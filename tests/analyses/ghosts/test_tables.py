@@ -43,15 +43,19 @@ def report():
 
 
 def test_numbers_headings_and_columns():
-    """Errors have two digits and values as many places; headings, units and columns of errors follow from names."""
+    """Errors have two digits, values end with them; headings, units and columns of errors follow from names."""
     for value, se, text in (
         (9.354802972e-05, 1.234e-07, "9.355e-05 ± 1.2e-07"),
         (0.95231, 0.00123, "0.9523 ± 0.0012"),
         (12.345, 2.1, "12.3 ± 2.1"),
         (1e-9, 5.8e-8, "1e-09 ± 5.8e-08"),
         (0.0, 2.5e-3, "0 ± 2.5e-03"),
-        (1.5, 0.0, "1.5 ± 0"),
+        (1.5, 0.0, "1.5"),
         (1.5, math.nan, "1.5 ± ?"),
+        (0.178015, 0.0, "0.17802"),
+        (1.247231, 1.6e-5, "1.2472"),
+        (1e308, 1e306, "1.000e+308 ± 1.0e+306"),
+        (0.0, 0.0, "0"),
         (math.nan, 1.0, "–"),
         (math.inf, 1.0, "–"),
     ):
@@ -74,7 +78,7 @@ def test_numbers_headings_and_columns():
     html = html_parts([frame_table("t", frame)])
     cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
     assert cells[0] == "&lt;L1&gt;"
-    assert cells[2:4] == ["0.500<small>± 0.010</small>", "yes"]
+    assert cells[2:4] == ["0.500<small>±\u00a00.010</small>", "yes"]
     assert cells[5:7] == ["–", "–"]
     assert len(cells) == 2 * 4
     assert "power_se" not in html

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import html_pages
+import numpy as np
 import pytest
 from command_line import Captured, Patch, fails, succeeds
 from refusals import refused
@@ -18,15 +20,30 @@ from test_every_command import INPUTS
 from mistray import cli
 from mistray.analyses.validate import page, run
 from mistray.analyses.validate.declared import UNITS, DeclaredRow, read_reference
+from mistray.analyses.validate.figures import FARTHEST, differences_figure
+from mistray.analyses.validate.pack import Asked, Finder, Pack, Peer, others
 from mistray.analyses.validate.packs.known import PACKS
+from mistray.analyses.validate.packs.telescopes import BothPrograms, Bundle
 from mistray.analyses.validate.request import ValidateRequest
-from mistray.analyses.validate.result import AGREES, DIFFERS, KNOWN, NOT_ASKED, TOO_FEW, ComparedRow, Validation
+from mistray.analyses.validate.result import (
+    AGREES,
+    DIFFERS,
+    FAILED,
+    KNOWN,
+    NOT_ASKED,
+    TOO_FEW,
+    ComparedRow,
+    PackSummary,
+    Validation,
+)
 from mistray.analyses.validate.run import judged, run_validation
+from mistray.analyses.validate.scene_numbers import FAINTEST, SceneNumbers, extent
 from mistray.estimate import UNKNOWN, Estimate
 
 TRACED = ("rubin_ghosts", "lsst", "hsc", "decam", "phone_camera", "veiling_glare")
 CLOSED = tuple(pack.name for pack in PACKS if pack.name not in TRACED)
 ROW = DeclaredRow("row", published=2.0, uncertainty=0.3, tolerance=0.1, relative=0.05)
+ROW_SAYS = Estimate(2.0, 0.3)
 # Two faces of R 0.1 and T 0.8 before a detector: image T², ghost T² R² of the beam
 OWN = """
 title = "Two faces"
@@ -56,16 +73,31 @@ def test_criterion() -> None:
     """Four standard errors of both, 4 · 0.5, the tolerance of 0.1, and a twentieth of 2."""
     assert verdict(0.0).allowed == pytest.approx(2.2)
     assert [verdict(d).verdict for d in (2.19, -2.19, 2.21, -2.21)] == [AGREES, AGREES, DIFFERS, DIFFERS]
-    known = replace(ROW, differs="another glass")
+    known = replace(ROW, differs="another glass", expected=5.0)
     assert (verdict(3.0, row=known).verdict, verdict(3.0, row=known).why) == (KNOWN, "another glass")
     assert (verdict(1.0, row=known).verdict, verdict(1.0, row=known).why) == (AGREES, "")
     assert verdict(0.0, math.nan).verdict == TOO_FEW
     lost = judged("pack", replace(known, path=("a", "b")), "", Estimate(2.0, 0.0), None)
     assert judged("pack", known, "", Estimate(2.0, 0.0), UNKNOWN).verdict == TOO_FEW
+    assert (verdict(4.94, row=known).verdict, verdict(4.96, row=known).verdict) == (KNOWN, DIFFERS)
+    assert verdict(4.96, row=known).why == "ours was 5 when this reason was found: another glass"
+    assert (verdict(-3.0, row=known).verdict) == DIFFERS, "the other way is another difference"
     assert lost.verdict == DIFFERS, "a reason for a difference is none for light that is not there"
     assert "a → b" in lost.why
+    for published, ours, side in (
+        (None, ROW_SAYS, "in the other"),
+        (ROW_SAYS, None, "in ours"),
+        (None, None, "either"),
+    ):
+        missing = judged("pack", ROW, "", published, ours)
+        assert (missing.verdict, side in missing.why) == (DIFFERS, True)
+    no_number = judged("pack", ROW, "", ROW_SAYS, Estimate(math.nan, 0.0))
+    assert no_number.verdict == DIFFERS, "an error of 0 is known, and so the rays are not too few"
     exact = judged("pack", DeclaredRow("n", published=3.0), "1", Estimate(3.0, 0.0), Estimate(3.0, 0.0))
     assert (exact.verdict, exact.of_allowed) == (AGREES, 0.0)
+    below = judged("pack", DeclaredRow("n", published=3.0), "1", Estimate(3.0, 0.0), Estimate(2.0, 0.0))
+    assert (below.verdict, below.of_allowed) == (DIFFERS, -math.inf)
+    assert math.isnan(lost.of_allowed)
 
 
 @pytest.mark.parametrize(
@@ -85,6 +117,10 @@ def test_criterion() -> None:
         ("tolerance = 1e-6", 'set = { "p0_front.bsdf.Q" = 0.2 }', "no parameter 'p0_front.bsdf.Q'; did you mean"),
         ("tolerance = 1e-6", "given = { a = 1 }", "row 'ghost' has a table 'given'"),
         (OWN[OWN.index("[[row]]") :], "", "row is missing"),
+        ("tolerance = 1e-6", "differs = 'rounded'", "row 'ghost': differs is given without expected; give both"),
+        ("tolerance = 1e-6", "expected = 0", "row 'ghost': expected is given without differs; give both"),
+        ('"share_percent"\npath', '"pst"\npath', "row 'ghost': path is given for a pst"),
+        ('"share_percent"\npublished', '"pst"\npublished', "row 'image': field_deg is missing, the angle of the pst"),
     ],
 )
 def test_wrong_files_of_ones_own_are_one_line(folder: Path, old: str, new: str, words: str) -> None:
@@ -117,9 +153,15 @@ def test_own_numbers(folder: Path, capsys: Captured) -> None:
     assert "ghost: no reason is known; please report it" in text
     assert "4 numbers beside ours: 3 agree, 1 differ and should agree." in text
     html_pages.check((folder / "out" / "report.html").read_text(encoding="utf-8"))
-    why = 'tolerance = 1e-6\ndiffers = "typed wrong"'
+    why = 'tolerance = 1e-6\ndiffers = "typed wrong"\nexpected = 0.990099'
     (folder / "own.toml").write_text(OWN.replace("0.990099", "0.98").replace("tolerance = 1e-6", why))
     assert "ghost: typed wrong" in succeeds(capsys, "validate", "--own", "own.toml", "--rays", "2000")
+    (folder / "own.toml").write_text(OWN.replace("0.990099", "0.98").replace("tolerance = 1e-6", f"{why}1"))
+    assert succeeds(capsys, "validate", "--own", "own.toml", "--rays", "2000")
+    far = why.replace("0.990099", "0.9")
+    (folder / "own.toml").write_text(OWN.replace("0.990099", "0.98").replace("tolerance = 1e-6", far))
+    assert cli.main(["validate", "--own", "own.toml", "--rays", "2000"]) == 1
+    assert "ghost: ours was 0.9 when this reason was found: typed wrong" in capsys.readouterr().out
 
 
 @pytest.mark.long
@@ -130,11 +172,14 @@ def test_every_quantity_of_a_scene(folder: Path) -> None:
     numbers |= {"share_percent": 99, "diameter_x_mm": 1, "diameter_y_mm": 1}
     assert numbers.keys() == UNITS.keys()
     text = OWN[: OWN.index("[[row]]")] + "".join(row.format(key, key, value) for key, value in numbers.items())
+    text = text.replace('quantity = "pst"', 'quantity = "pst"\nfield_deg = 1\nazimuth_deg = 90')
     Path("own.toml").write_text(text, encoding="utf-8")
     rows = {one.name: one for one in run_validation(ValidateRequest(own=("own.toml",), rays=4000)).rows}
     radius = math.sqrt(2) * rows["rms_radius_mm"].ours.value
-    assert rows["diameter_x_mm"].ours.value == pytest.approx(2 * radius, rel=0.02)
-    assert rows["diameter_y_mm"].ours.value == pytest.approx(2 * radius, rel=0.02)
+    for key in ("diameter_x_mm", "diameter_y_mm"):
+        diameter = rows[key].ours
+        assert diameter.value == pytest.approx(2 * radius, abs=4 * diameter.se)
+        assert 0.003 < diameter.se / radius < 0.03, "that of 4000 rays"
     power = math.pi * radius**2 / 2 * rows["rms_irradiance_W_mm2"].ours.value
     assert rows["power_W"].ours.value == pytest.approx(power, rel=1e-4)
     assert abs(rows["x_mm"].ours.value) < 5 * rows["x_mm"].ours.se + 1e-3
@@ -161,19 +206,136 @@ def test_a_missing_program_is_named_with_its_command_and_fails_nothing(monkeypat
     assert "pip install 'mistray[validate]'" in page.text(found)
 
 
-def test_a_broken_program_is_no_difference(monkeypatch: Patch) -> None:
-    def broken(*_: object) -> float:
-        raise ValueError("no such thing")
+def peer_of(name: str, ask: Asked) -> Pack:
+    """A pack with another program in place of its own."""
+    (pack,) = [one for one in PACKS if one.name == name]
+    return replace(pack, peer=Peer("math", "pip install x", ask))
 
-    (pack,) = [one for one in PACKS if one.name == "thin_films"]
-    assert pack.peer is not None
-    for ask in (broken, lambda *_: broken):
-        peer = SimpleNamespace(module="tmm", install="pip install x", installed=True, ask=ask)
-        monkeypatch.setattr(run, "PACKS", (replace(pack, peer=peer),))  # type: ignore[arg-type]
-        found = run_validation(ValidateRequest())
-        assert found.holds
-        (why,) = {row.why for row in found.rows if row.verdict == NOT_ASKED}
-        assert why == "tmm cannot be asked: ValueError: no such thing; pip install x"
+
+def test_a_failed_program_fails_its_row_alone(monkeypatch: Patch) -> None:
+    """The other rows of the pack keep their numbers; the error is named, and the exit code is 1."""
+
+    def ask(row: DeclaredRow, ours: Finder) -> Estimate | None:
+        with others():
+            if row.argument("share") == "R":
+                raise ValueError("no such thing")
+        return ours(row)
+
+    monkeypatch.setattr(run, "PACKS", (peer_of("thin_films", ask),))
+    found = run_validation(ValidateRequest())
+    verdicts = {row.name: row.verdict for row in found.rows if row.name.endswith("asked")}
+    assert sorted(verdicts.values()) == [AGREES, FAILED]
+    (failed,) = [row for row in found.rows if row.verdict == FAILED]
+    assert failed.why == "math failed: ValueError: no such thing; try another release, pip install x"
+    assert not found.holds
+    assert found.packs[0].differ == 1
+    assert "1 whose program failed" in page.text(found)
+    assert [f"thin_films, {failed.name}: the other program failed"] == page.page(found).warnings
+    monkeypatch.setattr(run, "PACKS", (peer_of("thin_films", lambda *_: UNKNOWN),))
+    assert {row.why for row in run_validation(ValidateRequest()).rows if row.verdict == FAILED} == {
+        "math gives nan; try another release, pip install x"
+    }
+
+
+def test_errors_of_our_own_code_are_raised(monkeypatch: Patch) -> None:
+    def ask(row: DeclaredRow, ours: Finder) -> Estimate | None:
+        raise ZeroDivisionError("ours")
+
+    monkeypatch.setattr(run, "PACKS", (peer_of("thin_films", ask),))
+    with pytest.raises(ZeroDivisionError, match="ours"):
+        run_validation(ValidateRequest())
+
+
+@pytest.mark.long
+def test_an_error_in_a_traced_pack_is_of_the_program_that_raised_it(monkeypatch: Patch) -> None:
+    batoid = pytest.importorskip("batoid")
+    with monkeypatch.context() as inner:
+        inner.setattr("mistray.analyses.validate.packs.telescopes.from_batoid", broken)
+        with pytest.raises(ZeroDivisionError):
+            run_validation(ValidateRequest(only=("lsst",)))
+    monkeypatch.setattr(batoid.Optic, "fromYaml", broken)
+    found = run_validation(ValidateRequest(only=("lsst",)))
+    assert [row.verdict for row in found.rows] == [FAILED] * 4
+    assert found.rows[0].why.startswith("batoid failed: ZeroDivisionError: broken; try another release")
+
+
+def broken(*_: object, **__: object) -> None:
+    raise ZeroDivisionError("broken")
+
+
+def test_light_that_a_program_does_not_have_is_a_difference() -> None:
+    """None and not NaN, which would read as too few rays: of the image, and of all ghosts that both should have."""
+    image, ghost = Bundle(1.0, 0.01, 0), Bundle(1e-3, 2.0, 2)
+    whole = {("a", "d"): image, ("a", "d", "a", "d"): ghost}
+    quantities = ("ghosts", "ghost_permille", "smallest_mm", "spot_um")
+    both = BothPrograms(whole, whole)
+    assert [both.number(key, both.ours) for key in quantities] == [(1.0, 0.0), (1.0, 0.0), (2.0, 0.0), (10.0, 0.0)]
+    no_ghosts = BothPrograms({("a", "d"): image}, whole)
+    assert [no_ghosts.number(key, no_ghosts.ours) for key in quantities] == [None, None, None, (10.0, 0.0)]
+    no_image = BothPrograms({("a", "d", "a", "d"): ghost}, whole)
+    assert [no_image.number(key, no_image.ours) for key in quantities] == [None] * 4
+
+
+@pytest.mark.parametrize("shape", [1.0, 1.5, 2.0])
+def test_the_error_of_an_extent_bounds_what_it_lacks(shape: float) -> None:
+    """Light that ends at its full density, as a disc, and with a corner; the true extent is 1."""
+    generator = np.random.default_rng(3)
+    found = [extent(generator.beta(shape, shape, 1000)) for _ in range(300)]
+    lacking = np.array([1 - one.value for one in found])
+    errors = np.array([one.se for one in found])
+    assert (lacking < 4 * errors).all()
+    assert 0.9 < errors.mean() / np.sqrt(np.mean(lacking**2)) < 6
+    assert extent(generator.random(4000)).se < 0.5 * extent(generator.random(1000)).se
+    assert math.isnan(extent(generator.random(255)).se)
+    assert extent(np.full(256, 2.0)) == (0.0, 0.0)
+
+
+def test_warnings_of_traces_are_shown(folder: Path) -> None:
+    """Light that is not followed beyond two reflections, of faces that reflect half of it."""
+    values = "".join(f"'p0_{side}.bsdf.{key}' = 0.5\n" for side in ("front", "rear") for key in "RT")
+    Path("own.toml").write_text(OWN.replace("[[row]]", f"[set]\n{values}\n[[row]]", 1), encoding="utf-8")
+    found = run_validation(ValidateRequest(own=("own.toml",), rays=2000))
+    (note,) = found.notes
+    assert note.code == "cut"
+    assert note.startswith("own: up to ")
+    assert f"warning: {note}" in page.text(found)
+    assert str(note) in page.page(found).warnings
+    assert page.record(found)["notes"] == [str(note)]
+
+
+def test_a_pst_has_the_light_and_the_limits_of_its_row(folder: Path, monkeypatch: Patch) -> None:
+    asked: dict[str, object] = {}
+
+    def pst(_: object, angles: Sequence[float], **keywords: object) -> SimpleNamespace:
+        asked.update(keywords, angles=angles)
+        return SimpleNamespace(curve=lambda: ([2.0], [0.1]))
+
+    monkeypatch.setattr("mistray.analyses.pst.run.pst", pst)
+    row = DeclaredRow("pst", "pst", published=2.0, field_deg=5.0, azimuth_deg=30.0, wavelength_nm=600.0)
+    numbers = SceneNumbers(replace(read_reference("own.toml"), rows=(row,)), 64, 3)
+    assert numbers(row) == (2.0, 0.1)
+    assert asked == {
+        "angles": [5.0],
+        "azimuths_deg": [30.0],
+        "wavelength_nm": 600.0,
+        "rays": 64,
+        "seed": 3,
+        "max_reflections": 2,
+        "flux_threshold": FAINTEST,
+    }
+
+
+def test_the_worst_rows_stand_at_the_ends_of_the_picture() -> None:
+    """A difference where none is allowed, and light that one side does not have."""
+    exact = DeclaredRow("exact", published=3.0)
+    rows = [
+        judged("pack", exact, "1", Estimate(3.0, 0.0), Estimate(4.0, 0.0)),
+        judged("pack", exact, "1", Estimate(3.0, 0.0), None),
+        judged("pack", exact, "1", None, Estimate(3.0, 0.0)),
+    ]
+    found = Validation(rows, [PackSummary("pack", "", 3, 0, 0, 3, 0, 0.0, "")])
+    (line,) = differences_figure(found).axes[0].get_lines()
+    assert list(line.get_xdata()) == [FARTHEST, -FARTHEST, FARTHEST]
 
 
 @pytest.mark.quick
@@ -216,7 +378,8 @@ def test_page_and_result() -> None:
     found = run_validation(ValidateRequest(only=CLOSED))
     html_pages.check(page.text(found) and _html(found))
     assert repr(found).startswith("Validation(75 rows, agrees: ")
-    assert set(found.tables()) == {"validation", "packs"}
+    assert len(page.rows_table(found).rows) == 75
+    assert found._repr_html_().count("<figure>") == 1
     record = page.record(found)
     assert record["holds"] is True
     assert len(record["rows"]) == 75

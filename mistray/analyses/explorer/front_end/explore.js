@@ -10,13 +10,8 @@ function make(tag, properties = {}, ...children) {
   return made;
 }
 function power(value) {
-  return value === null ? "–" : `${short(value, 4)} W`;
+  return value === null ? "–" : `${printed(value, 4)} W`;
 }
-function withError([value, se]) {
-  if (value === null) return "–";
-  return se === null ? short(value, 4) : `${short(value, 4)} ± ${short(se, 2)}`;
-}
-
 class LiveExplorer {
   constructor(root, transport, page) {
     Object.assign(this, { root, transport, page, chosen: null, moves: {}, sent: {}, sending: false, answers: 0 });
@@ -64,6 +59,7 @@ class LiveExplorer {
     ));
     this.watch = new ResizeObserver(() => this.drawMap());
     this.watch.observe(this.canvas.parentElement);
+    window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.drawMap());
   }
   groups() {
     const titles = { light: "Light", coating: "Coatings", number: "Numbers" };
@@ -91,11 +87,11 @@ class LiveExplorer {
       return Number((control.log ? Math.exp(value) : value).toPrecision(4 + (control.log ? 0 : 2)));
     };
     const clamped = (value) => Math.min(Math.max(value, control.low), control.high);
-    const tell = (value) => { shown.textContent = `${short(value)}${control.unit ? ` ${control.unit}` : ""}`; };
+    const tell = (value) => { shown.textContent = `${printed(value)}${control.unit ? ` ${control.unit}` : ""}`; };
     const input = make("input", { type: "range", name: control.name, min: 0, max: STEPS_OF_SLIDER, step: 1 });
     const set = (value) => {
       input.value = String(Math.round(STEPS_OF_SLIDER * ((control.log ? Math.log(value) : value) - ends[0]) / (ends[1] - ends[0])));
-      input.setAttribute("aria-valuetext", `${short(value)} ${control.unit}`);
+      input.setAttribute("aria-valuetext", `${printed(value)} ${control.unit}`);
       tell(value);
     };
     input.addEventListener("input", () => {
@@ -163,7 +159,7 @@ class LiveExplorer {
     this.leftOut.replaceChildren(...(view.left_out || []).map((text) => make("li", { textContent: text })));
     if (view.message) this.say(view.message);
     const d = view.difference;
-    this.difference.textContent = d ? `The estimate was ${short(d.estimate_W)} W, ${d.percent >= 0 ? "+" : "−"}${short(Math.abs(d.percent), 2)} % from the trace, ${short(d.traced_W)} ± ${short(d.traced_se_W, 2)} W.` : "";
+    this.difference.textContent = d ? `The estimate was ${printed(d.estimate_W)} W, ${d.percent >= 0 ? "+" : "−"}${printed(Math.abs(d.percent), 2)} % from the trace, ${printed(d.traced_W)} ± ${printed(d.traced_se_W, 2)} W.` : "";
     if (!view.stray_W) return;
     this.showNumbers(view);
     this.showPaths(view);
@@ -182,11 +178,11 @@ class LiveExplorer {
   showNumbers(view) {
     const [worst] = this.worst(view);
     const rows = [
-      ["stray light", `${withError(view.stray_W)} W absorbed`],
-      ["stray over direct", view.ratio[0] === null ? "no direct image here" : withError(view.ratio)],
-      ["direct image", `${withError(view.direct_W)} W absorbed`],
-      ["worst path", worst ? `${worst.label}, ${short(worst.percent, 3)} % of the stray light` : "none"],
-      ...(view.remedy ? [["change first", `${view.remedy.surface}: it ${view.remedy.deed} ${short(view.remedy.percent, 3)} % of the stray light${view.label === "traced" ? "" : " of the last trace"}`]] : []),
+      ["stray light", `${view.shown.stray_W} W absorbed`],
+      ["stray over direct", view.ratio[0] === null ? "no direct image here" : view.shown.ratio],
+      ["direct image", `${view.shown.direct_W} W absorbed`],
+      ["worst path", worst ? `${worst.label}, ${printed(worst.percent, 3)} % of the stray light` : "none"],
+      ...(view.remedy ? [["change first", `${view.remedy.surface}: it ${view.remedy.deed} ${printed(view.remedy.percent, 3)} % of the stray light${view.label === "traced" ? "" : " of the last trace"}`]] : []),
     ];
     this.numbers.replaceChildren(...rows.flatMap(([name, text]) => [make("dt", { textContent: name }), make("dd", { textContent: text })]));
   }
@@ -197,7 +193,7 @@ class LiveExplorer {
       const pick = make("button", { type: "button", textContent: path.label });
       pick.setAttribute("aria-pressed", String(path.events === this.chosen));
       pick.addEventListener("click", () => this.choose(path.events));
-      const cells = [path.kind, `${short(path.power_W)} ± ${path.power_se_W === null ? "?" : short(path.power_se_W, 2)}`, short(path.percent, 3), path.rms_radius_mm === null ? "–" : short(path.rms_radius_mm, 3)];
+      const cells = [path.kind, path.power, printed(path.percent, 3), path.rms_radius_mm === null ? "–" : printed(path.rms_radius_mm, 3)];
       return make("tr", {}, make("td", {}, pick), ...cells.map((text) => make("td", { textContent: text })));
     });
     const focused = this.table.contains(this.root.getRootNode().activeElement);
@@ -219,7 +215,7 @@ class LiveExplorer {
     const turns = new Set(found.turns.map((turn) => turn.surface));
     drawSection(this.svg, this.page, found.rays, turns, RAY_COLOUR);
     const list = make("ol", { className: "events" }, ...found.events.map(([surface, what, turn]) => make("li", { textContent: `${surface}: ${what}`, className: turn ? "turn" : "" })));
-    const shares = found.turns.map((turn) => make("li", { textContent: `${short(turn.percent, 3)} % of all stray light turns at ${turn.surface}` }));
+    const shares = found.turns.map((turn) => make("li", { textContent: `${printed(turn.percent, 3)} % of all stray light turns at ${turn.surface}` }));
     const now = this.view.stray_W[0];
     const remedies = found.remedies.map((one) => {
       const text = one.choice === one.now
@@ -261,7 +257,7 @@ class LiveExplorer {
     const limits = logRange(powers.map((value) => value / cell), DECADES_OF_STRAY);
     if (limits) frame.paint(pen, { width: map.width, height: map.height, power: powers }, map.extent, limits, cell, this.page.palette);
     frame.axes(pen, limits, this.page.palette);
-    this.canvas.setAttribute("aria-label", `Irradiance map of the stray light, ${this.view.label}${limits ? `, log10 scale 1e${limits[0]} to 1e${limits[1]} W/mm²` : ", dark"}`);
+    this.canvas.setAttribute("aria-label", `Irradiance map of the stray light, ${this.view.label}${limits ? `, log₁₀ scale ${raised(limits[0])} to ${raised(limits[1])} W/mm²` : ", dark"}`);
   }
   ended() {
     this.root.dataset.ended = "1";

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from mistray.toolkit.figures.figure import Figure as Drawing
 
 PATHS_DRAWN = 3
-NO_BREAK = "\u00a0"
 LEAST_PERCENT = 1.0  # of the stray light, for a kind of path to be named
 DRAWN = (
     "The worst paths of all fields, each at the field where it is worst. Section x = 0, onto which rays are projected; "
@@ -115,7 +114,7 @@ def verdict_record(report: GhostReport) -> dict[str, Any]:
 
 def _how_much(report: GhostReport, field: float) -> str:
     most = report.summary(field)
-    text = f"Most stray light arrives at {field:g}°: {_plain(most.stray_W)}{NO_BREAK}W"
+    text = f"Most stray light arrives at {field:g}°: {_plain(most.stray_W)} W"
     relative = {at: report.summary(at).stray_to_nominal for at in report}
     if relative[field].value > 0:
         text += f", {_percent(relative[field])} of the power of the direct image on axis"
@@ -128,10 +127,10 @@ def _how_much(report: GhostReport, field: float) -> str:
 def _from_where(report: GhostReport, field: float) -> Markup:
     kinds = shares_of_kinds(report, field)
     named = [kind for kind, share in kinds.items() if share.value >= LEAST_PERCENT] or list(kinds)[:1]
-    shares = ", ".join(f"{number(kinds[kind].value, 3)}{NO_BREAK}% {kind}" for kind in named)
+    shares = ", ".join(f"{number(kinds[kind].value, 3)} % {kind}" for kind in named)
     row = report.top(field, 1, "power").iloc[0]
     power = _plain(estimate_of(row, "power_W"))
-    return Markup("At {:g}° it is {}; the strongest path is <b>{}</b> with {}\u00a0W.").format(
+    return Markup("At {:g}° it is {}; the strongest path is <b>{}</b> with {} W.").format(
         field, shares, row.label, power
     )
 
@@ -150,23 +149,23 @@ def _change(found: Remedy | None) -> list[Sentence]:
     if found is None:
         return []
     left = found.left_W[found.field_deg]
-    first = Markup("Change <b>{}</b> first: {}\u00a0% of the stray light at {:g}° {}.").format(
+    first = Markup("Change <b>{}</b> first: {} % of the stray light at {:g}° {}.").format(
         found.surface, _plain(found.percent), found.field_deg, DEEDS[found.deed]
     )
-    second = f"Without that light {f'{_plain(left)}{NO_BREAK}W' if left.value else 'nothing'} is left there"
+    second = f"Without that light {f'{_plain(left)} W' if left.value else 'nothing'} is left there"
     most = max(found.left_W, key=lambda at: found.left_W[at].value)
     if most != found.field_deg:
-        second += f", and the field with the most would be {most:g}° with {_plain(found.left_W[most])}{NO_BREAK}W"
+        second += f", and the field with the most would be {most:g}° with {_plain(found.left_W[most])} W"
     return [first, f"{second}."]
 
 
 def _plain(value: Estimate) -> str:
-    """Return a value with one digit of its standard error as text, joined by no-break spaces."""
-    return with_error(value, 1).replace(" ", NO_BREAK)
+    """Return a value with one digit of its standard error as text."""
+    return with_error(value, 1)
 
 
 def _percent(share: Estimate) -> str:
-    return f"{_plain(share.times(100))}{NO_BREAK}%"
+    return f"{_plain(share.times(100))} %"
 
 
 def _name(path: WorstPath) -> str:

@@ -39,6 +39,7 @@ from mistray.toolkit.pages.model import (
 from mistray.toolkit.pages.parts import thousands
 from mistray.toolkit.rows import table
 from mistray.toolkit.tables.text import ABSENT, number, with_error
+from mistray.toolkit.typeset import power_of_ten
 
 SURFACE_AND_ALL = 2  # columns of a table of levels that holds none
 ROWS_SHOWN = 60  # the worst paths
@@ -222,6 +223,6 @@ def _picture(report: GhostReport, field_deg: float, row: Any, maps: FieldMaps) -
     t = report[field_deg]
     height, width = t.irradiance.shape
     found = thumbnail(maps.paths[row.path_id], t.extent, (height, width), (row.x_mm, row.y_mm), row.rms_radius_mm)
-    scale = "1e{:.0f} … 1e{:.0f}".format(*(limit + 0.0 for limit in found.limits)) if found.limits else "dark"
+    scale = " … ".join(power_of_ten(round(limit)) for limit in found.limits) if found.limits else "dark"
     content = image(found.png, f"irradiance of path {row.path_id}")
     return picture_cell(row.path_id, content, (scale, f"{found.width_mm:.2g} mm wide"))

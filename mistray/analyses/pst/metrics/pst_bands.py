@@ -114,7 +114,7 @@ class PstBands:
     [(None, 10.0, 20.0), (None, 20.0, 40.0)]
     >>> modelled = bands(bands.start)
     >>> [f"{value:.1e}" for value in modelled.value]
-    ['5.0e-03', '2.9e-03']
+    ['4.8e-03', '3.0e-03']
     """
 
     def __init__(

@@ -49,7 +49,7 @@ class PstObservation:
     >>> pst = mistray.pst(mistray.load("lens_and_window"), [10, 30], rays=20_000)
     >>> found = mistray.optimize.PstObservation(pst)
     >>> print(f"{found.value_at(10, light='ghost')[0]:.1e}")
-    4.7e-05
+    4.8e-05
     """
 
     resamples = False

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
-from mistray.analyses.validate.pack import Finder
+from mistray.analyses.validate.pack import Finder, others
 from mistray.estimate import Estimate
 from mistray.physics.thinfilm import reflectance_transmittance
 
@@ -30,20 +30,13 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
     return number
 
 
-def asked(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function by which the program tmm computes reflectance or transmittance of a row's film stack."""
-    import tmm
+def asked(row: DeclaredRow, _: Finder) -> Estimate:
+    """Return the number of tmm."""
+    indices = [1.0, *map(_complex, row.argument("n")), _complex(row.argument("substrate"))]
+    thickness = [math.inf, *row.argument("thickness_nm"), math.inf]
+    angle = math.radians(row.argument("angle_deg"))
+    with others():
+        import tmm
 
-    def number(row: DeclaredRow) -> Estimate:
-        indices = [1.0, *map(_complex, row.argument("n")), _complex(row.argument("substrate"))]
-        thickness = [math.inf, *row.argument("thickness_nm"), math.inf]
-        found = tmm.coh_tmm(
-            row.argument("polarization"),
-            indices,
-            thickness,
-            math.radians(row.argument("angle_deg")),
-            row.argument("nm"),
-        )
+        found = tmm.coh_tmm(row.argument("polarization"), indices, thickness, angle, row.argument("nm"))
         return Estimate(float(found[row.argument("share")]), 0.0)
-
-    return number

@@ -13,9 +13,9 @@ SCATMECH = Peer("pySCATMECH", "pip install 'mistray[scatmech]'", roughness.asked
 
 PACKS = (
     Pack("rubin_ghosts", SceneNumbers),
-    Pack("lsst", telescopes.ours, BATOID),
-    Pack("hsc", telescopes.ours, BATOID),
-    Pack("decam", telescopes.ours, BATOID),
+    Pack("lsst", telescopes.TelescopeNumbers, BATOID),
+    Pack("hsc", telescopes.TelescopeNumbers, BATOID),
+    Pack("decam", telescopes.TelescopeNumbers, BATOID),
     Pack("phone_camera", SceneNumbers),
     Pack("veiling_glare", glare.ours),
     Pack("tracepro_abg", tracepro.ours),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
-from mistray.analyses.validate.pack import Finder
+from mistray.analyses.validate.pack import Finder, others
 from mistray.estimate import Estimate
 from mistray.physics import k_correlation as kc
 from mistray.physics import rayleigh_rice as rr
@@ -34,17 +34,14 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
     return number
 
 
-def asked(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function by which pySCATMECH computes the BRDF of a rough surface at a row's angles, 1/sr."""
-    from pySCATMECH.brdf import BRDF_Model
-
+def asked(row: DeclaredRow, _: Finder) -> Estimate:
+    """Return the number of pySCATMECH."""
+    theta_i, theta_s, phi = _angles(row)
+    substrate = f"({row.argument('n')!r},{row.argument('k')!r})"
     psd = {None: "ABC_PSD_Function", "A": AMPLITUDE_UM4, "B": LENGTH_UM, "C": SLOPE}
+    with others():
+        from pySCATMECH.brdf import BRDF_Model
 
-    def number(row: DeclaredRow) -> Estimate:
-        theta_i, theta_s, phi = _angles(row)
-        substrate = f"({row.argument('n')!r},{row.argument('k')!r})"
         values = {"lambda": WAVELENGTH_UM, "substrate": substrate, "type": 0, "psd": psd}
         model = BRDF_Model("Microroughness_BRDF_Model", values)
         return Estimate(float(model.BRDF(thetai=theta_i, thetas=theta_s, phis=phi)), 0.0)
-
-    return number

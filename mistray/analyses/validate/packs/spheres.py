@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
-from mistray.analyses.validate.pack import Finder
+from mistray.analyses.validate.pack import Finder, others
 from mistray.estimate import Estimate
 from mistray.physics.mie import spheres
 
@@ -18,14 +18,11 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
     return number
 
 
-def asked(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function by which miepython computes it; its refractive index is n - ik."""
-    import miepython
+def asked(row: DeclaredRow, _: Finder) -> Estimate:
+    """Return the number of miepython, whose index is n - ik."""
+    index = complex(row.argument("n"), -row.argument("k"))
+    with others():
+        import miepython
 
-    def number(row: DeclaredRow) -> Estimate:
-        extinction, scattering, *_ = miepython.efficiencies_mx(
-            complex(row.argument("n"), -row.argument("k")), row.argument("x")
-        )
+        extinction, scattering, *_rest = miepython.efficiencies_mx(index, row.argument("x"))
         return Estimate(float({"extinction": extinction, "scattering": scattering}[row.argument("efficiency")]), 0.0)
-
-    return number

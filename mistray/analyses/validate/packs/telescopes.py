@@ -7,7 +7,6 @@ paths with two reflections are compared, each with the same surfaces in the same
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
-from mistray.analyses.validate.pack import Finder
+from mistray.analyses.validate.pack import Finder, others
 from mistray.estimate import Estimate
 from mistray.prescription import from_batoid
 from mistray.trace import trace
@@ -48,41 +47,77 @@ class BothPrograms:
         found = [names for names, one in self.theirs.items() if one.order == 2 and one.flux > FAINTEST * star]
         return sorted(found, key=lambda names: -self.theirs[names].flux)
 
-    def number(self, quantity: str, bundles: Mapping[Names, Bundle]) -> float:
-        """Return a quantity of a path from one program; NaN if that program has no light there."""
+    def number(self, quantity: str, bundles: Mapping[Names, Bundle]) -> Estimate | None:
+        """Return a quantity of one of the programs, of the same rays and so without an error; None: no such light."""
         ghosts = {names: bundles[names] for names in self.shared if names in bundles}
         image = next((one for one in bundles.values() if one.order == 0), None)
-        if image is None or not ghosts:
-            return math.nan
-        if quantity == "ghosts":
-            return len(ghosts)
+        if image is None or (not ghosts and quantity != "spot_um"):
+            return None
         if quantity == "spot_um":
-            return 1e3 * image.rms_mm
-        if quantity == "ghost_permille":
-            return 1e3 * sum(one.flux for one in ghosts.values()) / image.flux
-        return ghosts[min(ghosts, key=lambda names: self.theirs[names].rms_mm)].rms_mm
+            value = 1e3 * image.rms_mm
+        elif quantity == "ghosts":
+            value = float(len(ghosts))
+        elif quantity == "ghost_permille":
+            value = 1e3 * sum(one.flux for one in ghosts.values()) / image.flux
+        else:
+            value = ghosts[min(ghosts, key=lambda names: self.theirs[names].rms_mm)].rms_mm
+        return Estimate(value, 0.0)
 
 
-@functools.cache
-def _compared(file: str, wavelength_nm: float, field_deg: float, rays: int, seed: int) -> BothPrograms:
-    """Trace a telescope with mistray and with batoid from the same start rays."""
-    import batoid
+class TelescopeNumbers:
+    """Numbers of the rows of one file; a trace in both programs serves all rows of the same light."""
 
-    optic = batoid.Optic.fromYaml(file)
+    def __init__(self, file: ReferenceFile, rays: int | None, seed: int) -> None:
+        self._rays = rays or file.rays
+        self._seed = seed
+        self._traced: dict[tuple[str, float, float], BothPrograms] = {}
+
+    def __call__(self, row: DeclaredRow) -> Estimate | None:
+        """Return our number of a row."""
+        both = self._both(row)
+        return both.number(row.argument("quantity"), both.ours)
+
+    def theirs(self, row: DeclaredRow) -> Estimate | None:
+        """Return batoid's number of a row."""
+        both = self._both(row)
+        return both.number(row.argument("quantity"), both.theirs)
+
+    def _both(self, row: DeclaredRow) -> BothPrograms:
+        assert row.field_deg is not None
+        assert row.wavelength_nm is not None
+        light = (row.argument("file"), row.wavelength_nm, row.field_deg)
+        if light not in self._traced:
+            self._traced[light] = _traced(*light, self._rays, self._seed)
+        return self._traced[light]
+
+
+def asked(row: DeclaredRow, ours: Finder) -> Estimate | None:
+    """Return batoid's number, for the start rays of ours."""
+    assert isinstance(ours, TelescopeNumbers)
+    return ours.theirs(row)
+
+
+def _traced(file: str, wavelength_nm: float, field_deg: float, rays: int, seed: int) -> BothPrograms:
+    """Trace a telescope in both programs from the same start rays."""
+    with others():
+        import batoid
+
+        optic = batoid.Optic.fromYaml(file)
     read = from_batoid(optic, wavelength_nm=wavelength_nm, reflectance=REFLECTANCE, beam="exact")
     mirrors = {surface.name for surface in read.surfaces if surface.mirror}
     assert read.detector is not None
     sequence = [*(surface.name for surface in read.surfaces), read.detector.name]
-    coating = batoid.SimpleCoating(REFLECTANCE, 1 - REFLECTANCE)
-    for name in set(sequence) - mirrors:
-        optic[name].forwardCoating = optic[name].reverseCoating = coating
     scene = read.to_scene()
     t = trace(scene, rays=rays, seed=seed, field_deg=field_deg, max_reflections=2, flux_threshold=1e-6)
     (run,) = t.runs
     origin, direction = run.start_rays(np.arange(run.rays))
     columns = [np.ascontiguousarray(column) for column in (*(1e-3 * origin).T, *direction.T)]
-    start = batoid.RayVector(*columns, t=0.0, wavelength=1e-9 * wavelength_nm, flux=1.0)
-    forward, _ = optic.traceSplit(start, minFlux=1e-4)
+    with others():
+        coating = batoid.SimpleCoating(REFLECTANCE, 1 - REFLECTANCE)
+        for name in set(sequence) - mirrors:
+            optic[name].forwardCoating = optic[name].reverseCoating = coating
+        start = batoid.RayVector(*columns, t=0.0, wavelength=1e-9 * wavelength_nm, flux=1.0)
+        forward, _ = optic.traceSplit(start, minFlux=1e-4)
     unit = t.energy.launched_W / run.rays
     ours = {
         tuple(name for name, _ in row.event_list): Bundle(row.power_W / unit, row.rms_radius_mm, row.order)
@@ -92,7 +127,9 @@ def _compared(file: str, wavelength_nm: float, field_deg: float, rays: int, seed
     for bundle in forward:
         names = tuple(name for name in bundle.path if name in sequence)  # without baffles
         steps = np.diff([sequence.index(name) for name in names])
-        theirs[names] = _bundle(bundle, int(np.count_nonzero(np.diff(steps))))
+        found = _bundle(bundle, int(np.count_nonzero(np.diff(steps))))
+        if found.flux > 0:  # not all of it vignetted
+            theirs[names] = found
     return BothPrograms(ours, theirs)
 
 
@@ -103,29 +140,3 @@ def _bundle(rays: Any, order: int) -> Bundle:
     x, y = share @ rays.x[good], share @ rays.y[good]
     rms = np.sqrt(share @ ((rays.x[good] - x) ** 2 + (rays.y[good] - y) ** 2))
     return Bundle(float(flux.sum()), 1e3 * float(rms), order)
-
-
-def _of(file: ReferenceFile, rays: int | None, seed: int, row: DeclaredRow) -> BothPrograms:
-    assert row.field_deg is not None
-    assert row.wavelength_nm is not None
-    return _compared(row.argument("file"), row.wavelength_nm, row.field_deg, rays or file.rays, seed)
-
-
-def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives mistray's number for a row; it has no error, as both trace the same rays."""
-
-    def number(row: DeclaredRow) -> Estimate:
-        both = _of(file, rays, seed, row)
-        return Estimate(both.number(row.argument("quantity"), both.ours), 0.0)
-
-    return number
-
-
-def asked(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives batoid's number for a row."""
-
-    def number(row: DeclaredRow) -> Estimate:
-        both = _of(file, rays, seed, row)
-        return Estimate(both.number(row.argument("quantity"), both.theirs), 0.0)
-
-    return number

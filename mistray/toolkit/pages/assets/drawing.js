@@ -23,11 +23,22 @@ function ticks(low, high, count) {
 function bytesOf(text) {
   return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 }
+function raised(exponent) {  // a power of ten in print
+  return `10${[...String(exponent)].map((sign) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(sign)]).join("")}`;
+}
+function printed(value, digits = 4) {  // a number in print; fields of a form hold the short one
+  const [mantissa, exponent] = short(value, digits).split("e");
+  const number = mantissa.replace("-", "−");
+  return exponent === undefined ? number : `${number === "1" ? "" : `${number}·`}${raised(Number(exponent))}`;
+}
+function ink(canvas) {  // colour of lines and letters on the page, which may be dark
+  return (typeof getComputedStyle === "function" && getComputedStyle(canvas).getPropertyValue("--ink").trim()) || "#1b1f24";
+}
 function short(value, digits = 4) {
   return value === 0 ? "0" : Math.abs(value) >= 1e-3 && Math.abs(value) < 1e5 ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1);
 }
 
-const STYLES = { glass: ["#4a6a86", 0.9], structure: ["#7a7a7a", 1.4], mirror: ["#333333", 1.6], detector: ["#000000", 2.4] };
+const STYLES = { glass: ["#4a6a86", 0.9], structure: ["#7a7a7a", 1.4], mirror: ["var(--ink, #333)", 1.6], detector: ["var(--ink, #000)", 2.4] };
 const MARGIN = { left: 52, right: 74, top: 8, bottom: 36 };
 const TURN = "#e69f00";  // of the surfaces where a path turns; no path of the layout has it
 
@@ -35,7 +46,10 @@ function svgPath(points, attributes) {
   const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
   let d = "";
   for (let k = 0; k < points.length; k += 2) d += `${k ? "L" : "M"}${points[k]} ${-points[k + 1]}`;
-  for (const [name, value] of Object.entries({ d, fill: "none", "vector-effect": "non-scaling-stroke", ...attributes })) path.setAttribute(name, value);
+  for (const [name, value] of Object.entries({ d, fill: "none", "vector-effect": "non-scaling-stroke", ...attributes })) {
+    if (String(value).startsWith("var(")) path.style.setProperty(name, value);
+    else path.setAttribute(name, value);
+  }
   return path;
 }
 
@@ -71,14 +85,14 @@ class MapFrame {  // a map on a canvas: view x0, x1, y0, y1 in mm, scale in pixe
   }
   axes(pen, limits, colours) {
     const { view, size } = this, bottom = MARGIN.top + size[1];
-    pen.fillStyle = pen.strokeStyle = "#1b1f24";
+    pen.fillStyle = pen.strokeStyle = ink(pen.canvas);
     pen.lineWidth = 1;
     pen.textAlign = "center";
     pen.textBaseline = "top";
     for (const x of ticks(view[0], view[1], Math.max(size[0] / 70, 2))) {
       const at = this.screen(x, view[2])[0];
       pen.fillRect(at, bottom, 1, 4);
-      pen.fillText(short(x), at, bottom + 6);
+      pen.fillText(printed(x), at, bottom + 6);
     }
     pen.fillText("x [mm]", MARGIN.left + size[0] / 2, bottom + 21);
     pen.textAlign = "right";
@@ -86,7 +100,7 @@ class MapFrame {  // a map on a canvas: view x0, x1, y0, y1 in mm, scale in pixe
     for (const y of ticks(view[2], view[3], Math.max(size[1] / 50, 2))) {
       const at = this.screen(view[0], y)[1];
       pen.fillRect(MARGIN.left - 4, at, 4, 1);
-      pen.fillText(short(y), MARGIN.left - 6, at);
+      pen.fillText(printed(y), MARGIN.left - 6, at);
     }
     pen.save();
     pen.translate(10, MARGIN.top + size[1] / 2);
@@ -105,11 +119,11 @@ class MapFrame {  // a map on a canvas: view x0, x1, y0, y1 in mm, scale in pixe
       pen.fillStyle = `rgb(${colours[3 * k]},${colours[3 * k + 1]},${colours[3 * k + 2]})`;
       pen.fillRect(left, bottom - size[1] * (k + 1) / 256, 12, size[1] / 256 + 1);
     }
-    pen.fillStyle = "#1b1f24";
+    pen.fillStyle = ink(pen.canvas);
     pen.textAlign = "left";
     const each = Math.ceil((limits[1] - limits[0]) / 8);
     for (let power = limits[0]; power <= limits[1]; power += each) {
-      pen.fillText(`1e${power}`, left + 16, Math.min(Math.max(bottom - size[1] * (power - limits[0]) / (limits[1] - limits[0]), MARGIN.top + 5), bottom - 5));
+      pen.fillText(raised(power), left + 16, Math.min(Math.max(bottom - size[1] * (power - limits[0]) / (limits[1] - limits[0]), MARGIN.top + 5), bottom - 5));
     }
     pen.textBaseline = "top";
     pen.fillText("W/mm²", left, bottom + 6);
@@ -121,7 +135,7 @@ function drawSection(svg, { bounds, glass, surfaces }, rays, turns, colour) {  /
   const margin = 0.05 * Math.max(z1 - z0, y1 - y0), wide = z1 - z0 + 3 * margin, high = y1 - y0 + 2 * margin;
   const below = 0.1 * Math.max(high, 0.55 * wide);  // room for the scale
   svg.setAttribute("viewBox", [z0 - 2 * margin, -y1 - margin, wide, high + below].join(" "));
-  const parts = glass.map((body) => svgPath(body, { fill: "#dbe9f4" }));
+  const parts = glass.map((body) => svgPath(body, { fill: "var(--glass, #dbe9f4)" }));
   for (const surface of surfaces) {
     const [stroke, width] = STYLES[surface.kind] || STYLES.structure, marked = turns.has(surface.name);
     for (const line of surface.lines) {
@@ -134,9 +148,10 @@ function drawSection(svg, { bounds, glass, surfaces }, rays, turns, colour) {  /
   }
   for (const ray of rays) parts.push(svgPath(ray, { stroke: colour, "stroke-width": 0.9, "stroke-opacity": 0.9, class: "ray" }));
   const [, bar] = ticks(0, wide, 5), left = z0 - margin, base = -y0 + margin + 0.3 * below;
-  parts.push(svgPath([left, -base, left + bar, -base], { stroke: "#1b1f24", "stroke-width": 2 }));
+  parts.push(svgPath([left, -base, left + bar, -base], { stroke: "var(--ink, #1b1f24)", "stroke-width": 2 }));
   const text = document.createElementNS("http://www.w3.org/2000/svg", "text");
-  text.textContent = `${short(bar)} mm (z to the right, y up)`;
-  for (const [name, value] of Object.entries({ x: left, y: base + 0.6 * below, "font-size": 0.45 * below, fill: "#1b1f24" })) text.setAttribute(name, value);
+  text.textContent = `${printed(bar)} mm (z to the right, y up)`;
+  for (const [name, value] of Object.entries({ x: left, y: base + 0.6 * below, "font-size": 0.45 * below })) text.setAttribute(name, value);
+  text.style.fill = "var(--ink, #1b1f24)";
   svg.replaceChildren(...parts, text);
 }

@@ -66,6 +66,8 @@ async function inflated(bytes) {
 }
 
 const DECADES = { light: 12, stray: 12, path: 6 };
+const SMALL_SHARE = 0.4;  // of the detector, below which the map zooms to a path that is chosen
+const FEWEST_CELLS = 24;  // along a side of the map, so that a path of one cell has surroundings
 const OTHER_PATH = "#8a6d1d";  // of a path that the layout does not show
 
 class Explorer {
@@ -167,7 +169,8 @@ class Explorer {
   }
   window(map) {
     if (this.whole.checked || !map.width) return this.data.extent;
-    const [a, b, c, d] = this.mm(map), half = 0.55 * Math.max(b - a, d - c), x = (a + b) / 2, y = (c + d) / 2;
+    const [a, b, c, d] = this.mm(map), x = (a + b) / 2, y = (c + d) / 2;
+    const half = Math.max(0.55 * Math.max(b - a, d - c), 0.5 * FEWEST_CELLS * map.pixels * Math.max(...this.pixel));
     return [x - half, x + half, y - half, y + half];
   }
   draw(dragged) {
@@ -206,7 +209,7 @@ class Explorer {
       pen.fillRect(x - 0.75, y - 9, 1.5, 18);
     }
     const name = { light: "all light", stray: "without the direct image", path: `path ${this.path}` }[this.which.value];
-    canvas.setAttribute("aria-label", `Irradiance map of field ${this.data.field}°, ${name}${limits ? `, log10 scale 1e${limits[0]} to 1e${limits[1]} W/mm²` : ", dark"}`);
+    canvas.setAttribute("aria-label", `Irradiance map of field ${this.data.field}°, ${name}${limits ? `, log₁₀ scale ${raised(limits[0])} to ${raised(limits[1])} W/mm²` : ", dark"}`);
     this.panel.classList.add("ready");
     this.read();
   }
@@ -230,7 +233,7 @@ class Explorer {
       const [x, y] = this.cursor, [x0, x1, y0, y1] = this.mm(map);
       const c = Math.floor((x - x0) / (x1 - x0) * map.width), r = Math.floor((y - y0) / (y1 - y0) * map.height);
       const power = c >= 0 && r >= 0 && c < map.width && r < map.height ? map.power[r * map.width + c] : 0;
-      text = `x ${short(x)}, y ${short(y)} mm: ${short(power / (map.pixels ** 2 * this.pixel[0] * this.pixel[1]))} W/mm² (mean over ${map.pixels} × ${map.pixels} pixels)`;
+      text = `x ${printed(x)}, y ${printed(y)} mm: ${printed(power / (map.pixels ** 2 * this.pixel[0] * this.pixel[1]))} W/mm² (mean over ${map.pixels} × ${map.pixels} pixels)`;
     }
     out.textContent = text;
   }
@@ -263,6 +266,7 @@ class Explorer {
       option.disabled = false;
       option.textContent = `path ${path}`;
       this.which.value = "path";
+      this.whole.checked = !this.isSmall(this.current());
       this.draw();
       this.showEvents(this.pick().closest("tr"));
       this.showRays();
@@ -270,6 +274,10 @@ class Explorer {
       const top = this.panel.getBoundingClientRect().top;
       if (top < 0 || top > window.innerHeight - 200) this.panel.scrollIntoView({ block: "start" });
     });
+  }
+  isSmall(map) {  // whether a path would be a dot on the whole detector
+    const [x0, x1, y0, y1] = this.data.extent, [a, b, c, d] = this.mm(map);
+    return map.width > 0 && Math.max((b - a) / (x1 - x0), (d - c) / (y1 - y0)) < SMALL_SHARE;
   }
   pick() {  // the button of the chosen path
     return this.table.querySelector(`button.pick[data-path="${this.path}"]`);
@@ -300,7 +308,7 @@ class Explorer {
       const { extent, shape, grid } = this.data;
       const beyond = [0, 2].some((k) => Math.max(corners[k], corners[k + 1]) <= extent[k] || Math.min(corners[k], corners[k + 1]) >= extent[k + 1]);
       if (beyond) {
-        const [a, b, c, d] = extent.map((v) => short(v));
+        const [a, b, c, d] = extent.map((v) => printed(v));
         this.say(`The box lies beside the detector, which has x ${a} … ${b}, y ${c} … ${d} mm.`);
         return this.draw();
       }
@@ -316,20 +324,20 @@ class Explorer {
         const cell = row.querySelector("td.inbox");
         row.dataset.aside = power > 0 ? "0" : "1";
         cell.dataset.v = String(power);
-        cell.replaceChildren(power > 0 ? short(power, 3) : "–");
+        cell.replaceChildren(power > 0 ? printed(power, 3) : "–");
         if (power > 0) {
           fed += 1;
           const share = document.createElement("small");
-          share.textContent = `${short(100 * power / total, 3)} % of it`;
+          share.textContent = `${printed(100 * power / total, 3)} % of it`;
           cell.append(share);
         }
       }
       this.table.classList.add("boxed");
       sortTable(this.table, [...this.table.tHead.rows[0].cells].findIndex((head) => head.classList.contains("inbox")), true);
       filterTable(this.table);
-      const more = rest > 0 ? `, and ${short(100 * rest / total, 3)} % of it come from ${this.below(rest, total)}` : "";
-      const [x0, x1, y0, y1] = this.box.mm.map((v) => short(v));
-      this.say(`Box x ${x0} … ${x1}, y ${y0} … ${y1} mm: ${short(total, 3)} W absorbed, ${fed} of ${this.order.length} paths of the table light it${more}.`);
+      const more = rest > 0 ? `, and ${printed(100 * rest / total, 3)} % of it come from ${this.below(rest, total)}` : "";
+      const [x0, x1, y0, y1] = this.box.mm.map((v) => printed(v));
+      this.say(`Box x ${x0} … ${x1}, y ${y0} … ${y1} mm: ${printed(total, 3)} W absorbed, ${fed} of ${this.order.length} paths of the table light it${more}.`);
       this.draw();
     });
   }
@@ -337,7 +345,7 @@ class Explorer {
     const found = this.others.map((path) => [path, powerAbout(path.map, this.box.pixels)]).filter((pair) => pair[1] > 0);
     found.sort((a, b) => b[1] - a[1]);
     if (!found.length) return "paths below the table";
-    const named = found.slice(0, 3).map(([{ id, label }, power]) => `path ${id} (${label}, about ${short(100 * Math.min(power, rest) / total, 2)} %)`);
+    const named = found.slice(0, 3).map(([{ id, label }, power]) => `path ${id} (${label}, about ${printed(100 * Math.min(power, rest) / total, 2)} %)`);
     const more = found.length - named.length;
     return `paths below the table: ${named.join(", ")}${more ? ` and ${more} more` : ""}`;
   }
@@ -375,5 +383,7 @@ if (pageData) {
     const folded = panel.closest("details");
     if (folded) folded.addEventListener("toggle", () => { if (folded.open && explorer.data) explorer.draw(); });
   });
-  window.addEventListener("resize", () => explorers.forEach((explorer) => { if (explorer.data) explorer.draw(); }));
+  const redraw = () => explorers.forEach((explorer) => { if (explorer.data) explorer.draw(); });
+  window.addEventListener("resize", redraw);
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 }

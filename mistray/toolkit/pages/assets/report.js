@@ -54,6 +54,33 @@ if (typeof window !== "undefined") {
   });
   window.addEventListener("afterprint", () => { for (const details of closed) details.open = false; });
 }
+// On a phone each row of a short table with many columns is a card
+const MOST_CARDS = 12, FEWEST_COLUMNS = 5;
+for (const table of document.querySelectorAll(".wide > table")) {
+  const heads = [...table.tHead.rows[0].cells];
+  if (heads.length < FEWEST_COLUMNS || table.tBodies[0].rows.length > MOST_CARDS || table.querySelector("button.pick")) continue;
+  table.classList.add("cards");
+  for (const row of table.tBodies[0].rows) {
+    [...row.cells].forEach((cell, k) => { cell.dataset.head = [...heads[k].childNodes].map((node) => node.textContent.trim()).join(" "); });
+  }
+}
+// What is wider than the page fades at its edge until it is scrolled there, and can be scrolled by keys
+for (const place of document.querySelectorAll(".wide, figure")) {
+  const look = () => {
+    const beyond = place.scrollWidth - place.clientWidth;
+    place.classList.toggle("more", beyond > 1 && place.scrollLeft < beyond - 1);
+    if (beyond > 1 || place.scrollHeight > place.clientHeight + 1) {
+      place.tabIndex = 0;
+      place.setAttribute("role", "group");
+      place.setAttribute("aria-label", place.localName === "figure" ? "picture that scrolls" : "table that scrolls");
+    }
+  };
+  look();
+  place.addEventListener("scroll", look, { passive: true });
+  if (typeof ResizeObserver === "undefined") continue;
+  const watch = new ResizeObserver(look);
+  for (const one of [place, ...place.children]) watch.observe(one);
+}
 for (const input of document.querySelectorAll("input.filter")) {
   const table = document.getElementById(input.dataset.table);
   input.addEventListener("input", () => filterTable(table));

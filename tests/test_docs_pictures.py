@@ -1,0 +1,49 @@
+"""Pictures of the README, the pages and the gallery: none is older than what it is made of."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "docs" / "site"))
+import notebook_results  # noqa: E402
+import picture_record  # noqa: E402
+
+pytestmark = pytest.mark.quick
+
+
+def test_pictures_are_made_of_what_is_there():
+    """`make docs` draws what a change of a scene, a notebook, a command or the drawing code has made stale."""
+    assert picture_record.stale() == [], "make docs draws them"
+    assert set(picture_record.record()) == set(picture_record.inputs())
+
+
+def test_commands_of_pictures_stand_beside_them():
+    texts = [file.read_text(encoding="utf-8") for file in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))]
+    words = " ".join(" ".join(texts).split())
+    for name, (command, _) in picture_record.COMMANDS.items():
+        assert f"images/{name}" in words
+        told = f"mistray {re.sub(r' --(out|plot|layout) .*', '', command)}"
+        assert told in words, told
+
+
+def test_outputs_of_cells():
+    stream = {"output_type": "stream", "name": "stdout", "text": ["a <b>\n"] * 50}
+    picture = {"output_type": "display_data", "data": {"image/png": "QQ==\n", "text/plain": "<Figure>"}}
+    view = {
+        "output_type": "execute_result",
+        "data": {"text/html": "<iframe srcdoc='x'></iframe>", "text/plain": "View"},
+    }
+    error = {"output_type": "stream", "name": "stderr", "text": "a warning"}
+    page = notebook_results.shown([stream, picture, view, error], "a figure")
+    assert page.count("a &lt;b&gt;") == 40
+    assert "and 10 more lines" in page
+    assert 'alt="a figure" src="data:image/png;base64,QQ=="' in page
+    assert "iframe" not in page
+    assert "a warning" not in page
+    assert notebook_results.shown([], "") == ""
+    assert notebook_results.results("no_such_notebook") is None

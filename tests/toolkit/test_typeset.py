@@ -1,0 +1,90 @@
+"""Numbers on pages: digits follow the error, powers of ten are in print, and nothing breaks within a number."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+
+import pytest
+from markupsafe import Markup
+
+from mistray.estimate import Estimate
+from mistray.toolkit.pages.markup import cell, number_cell
+from mistray.toolkit.tables.text import SIGNIFICANT, with_error
+from mistray.toolkit.typeset import NO_BREAK, typeset, typeset_html, value_and_error
+
+pytestmark = pytest.mark.quick
+LOWERED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
+EDGES = (0.0, 5e-324, 1e-308, 1.0, 9.9995, 99999.5, 1e308, 1.4e308)
+
+
+def pairs(count: int = 4000) -> list[tuple[float, float]]:
+    """Values and errors of all sizes, edges included."""
+    rng = random.Random(7)
+    found = [(sign * value, se) for value in EDGES for se in (*EDGES, math.inf, math.nan) for sign in (1, -1)]
+    for _ in range(count):
+        value = rng.choice((1, -1)) * rng.random() * 10 ** rng.uniform(-307, 307)
+        found.append((value, abs(value) * 10 ** rng.uniform(-9, 2)))
+    return found
+
+
+def digits(text: str) -> str:
+    """The significant digits of a number as text."""
+    return re.sub(r"e.*|\D", "", text).lstrip("0")
+
+
+@pytest.mark.parametrize("most", [1, 2])
+def test_digits_follow_the_error(most):
+    """The error is never "0" and has as many digits as it may; the value is right to its last place, and not longer."""
+    for value, se in pairs():
+        text = with_error(Estimate(value, se), most)
+        shown, _, error = text.partition(" ± ")
+        if not math.isfinite(se):
+            assert error == "?"
+            continue
+        last = 10.0 ** (int(f"{value:.{SIGNIFICANT - 1}e}".partition("e")[2]) - SIGNIFICANT + 1) if value else 0.0
+        assert error or se <= 0.51 * last or value == se == 0, text
+        assert not error or float(error) > 0, text
+        assert len(digits(shown)) <= SIGNIFICANT or float(error) >= 1, text
+        assert len(digits(error)) <= most or float(error) >= 1, text
+        scale = max(abs(value), se)
+        assert abs(float(shown) / scale - value / scale) <= 0.51 * max(se, last) / scale if scale else shown == "0", (
+            text
+        )
+        if error and "e" not in text and shown != "0":  # both end at the same place
+            assert len(shown.partition(".")[2]) == len(error.partition(".")[2]), text
+    assert {with_error(Estimate(value, 1.0)) for value in (math.nan, math.inf, -math.inf)} == {"–"}
+
+
+def test_numbers_in_print_have_the_same_value():
+    for value, se in pairs():
+        text = with_error(Estimate(value, se))
+        shown = typeset(text)
+        assert not re.search(r"\de[+-]?\d| ", shown), shown
+        told, error = value_and_error(text)
+        plain = re.sub(r"·?10(?=-?\d)(-?\d+)$", r"e\1", told.translate(LOWERED)) if "10" in told and "·" in told else ""
+        first, _, second = text.partition(" ± ")
+        if plain:
+            assert float(plain) == pytest.approx(float(first), rel=1e-3, abs=float(second or 0) if second != "?" else 0)
+        assert bool(error) == bool(second)
+        assert "<small></small>" not in number_cell(Estimate(value, se))
+
+
+def test_sentences():
+    for text, shown in (
+        ("1.79e-04 ± 1e-06 W/mm²", "(1.79 ± 0.01)·10⁻⁴ W/mm²"),
+        ("1e-06 sr and -1e+05 W", "10⁻⁶ sr and −10⁵ W"),
+        ("0 ± 2.5e-03", "0 ± 2.5·10⁻³"),
+        ("log10 of 5 053 345 segments", "log₁₀ of 5 053 345 segments"),
+        ("x -3.2 … 4.1 mm", "x −3.2 … 4.1 mm"),
+    ):
+        assert typeset(text).replace(NO_BREAK, " ") == shown
+        assert not re.search(r"\d [±…\dWms]", typeset(text))
+    # Names, files and dates are not numbers
+    for text in ("wall_1e-03.xml", "L1e-03", "--rays 1e4", "R=1e-3", "2026-11-22", "5-10", "v1.2e-3b"):
+        assert typeset(text) == text
+    assert typeset_html("<a> 1e-03 of E_det") == "&lt;a&gt; 10⁻³ of E<sub>det</sub>"
+    assert typeset_html(Markup("<b title='1e-03'>1e-03</b> &lt;")) == "<b title='1e-03'>10⁻³</b> &lt;"
+    assert cell("1.5e-06") == '<td data-v="1.5e-06">1.5·10⁻⁶</td>'
+    assert cell("a -> b", "t") == '<td class="t">a -&gt; b</td>'
