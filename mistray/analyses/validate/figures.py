@@ -20,7 +20,7 @@ SPREAD = 0.5  # of the points of a pack across its line
 
 
 def differences_figure(found: Validation, title: str = "") -> Figure:
-    """Draw the difference of each row over the allowed one, a line for each pack; beyond 3 and lost light at 3."""
+    """Draw each row's difference over the largest that agrees, a line per source; beyond 3 and lost light at 3."""
     packs = [one.pack for one in found.packs]
     made, axes = Figure.of_panels(8.6, 1.6 + 0.34 * max(len(packs), 3))
     axes.axvspan(-1, 1, color="#e8f1e4", zorder=0)

@@ -22,7 +22,7 @@ Asked = Callable[[DeclaredRow, Finder], Estimate | None]
 
 
 class PeerError(Exception):
-    """Error that a program of others raised where it was asked."""
+    """Error that the code of another program raised while it computed a number."""
 
 
 @contextmanager

@@ -67,7 +67,7 @@ def pack_table(rows: Sequence[ComparedRow], name: str = "") -> Table:
 
 
 def rows_table(found: Validation) -> Table:
-    """Return the table of all rows."""
+    """Return the table of all compared rows, with the source of each."""
     return Table(columns("<pack", *HEADS), [[row.pack, *_cells(row)] for row in found.rows])
 
 
@@ -93,7 +93,7 @@ def finding(found: Validation) -> str:
 
 
 def text(found: Validation) -> str:
-    """Return all tables, with their sources and reasons, the notes of traces, and the result in a sentence."""
+    """Return all tables, with sources, reasons of differences and notes of traces, and the finding in a sentence."""
     parts = []
     for pack in found.packs:
         rows = found.of(pack.pack)

@@ -39,7 +39,7 @@ class ComparedRow:
 
     @property
     def of_allowed(self) -> float:
-        """Difference over the allowed one, infinite where none is allowed; NaN if either number is unknown."""
+        """Difference over the largest that agrees, infinite if none does; NaN if either number is unknown."""
         if math.isnan(self.difference) or self.difference == 0:
             return self.difference
         return self.difference / self.allowed if self.allowed != 0 else math.copysign(math.inf, self.difference)
@@ -90,7 +90,7 @@ class Validation(Result, table=".page:rows_table", figure=".figures:differences_
 
     @property
     def holds(self) -> bool:
-        """Whether every row agrees that should: none differs without a known reason, and no program failed."""
+        """Whether no row differs without a known reason and no other program failed."""
         return not self.count(DIFFERS) and not self.count(FAILED)
 
     def of(self, pack: str) -> list[ComparedRow]:

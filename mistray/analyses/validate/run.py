@@ -118,7 +118,7 @@ def _fits(pack: str, row: str, pattern: str) -> bool:
 def _compared(
     pack: Pack, file: ReferenceFile, declared: Sequence[DeclaredRow], request: ValidateRequest
 ) -> list[ComparedRow]:
-    """Return the compared rows of a pack; a row whose program gives no number has the reason in place of numbers."""
+    """Return a pack's rows with both numbers, or with the reason why the other program gave none."""
     ours = pack.numbers(file, request.rays, request.seed)
     rows = []
     for row in declared:

@@ -31,7 +31,7 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
 
 
 def asked(row: DeclaredRow, _: Finder) -> Estimate:
-    """Return the number of tmm."""
+    """Return the reflectance or transmittance of a row's film stack as the program tmm computes it."""
     indices = [1.0, *map(_complex, row.argument("n")), _complex(row.argument("substrate"))]
     thickness = [math.inf, *row.argument("thickness_nm"), math.inf]
     angle = math.radians(row.argument("angle_deg"))

@@ -35,7 +35,7 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
 
 
 def asked(row: DeclaredRow, _: Finder) -> Estimate:
-    """Return the number of pySCATMECH."""
+    """Return the BRDF of a rough surface at a row's angles, 1/sr, as pySCATMECH computes it."""
     theta_i, theta_s, phi = _angles(row)
     substrate = f"({row.argument('n')!r},{row.argument('k')!r})"
     psd = {None: "ABC_PSD_Function", "A": AMPLITUDE_UM4, "B": LENGTH_UM, "C": SLOPE}

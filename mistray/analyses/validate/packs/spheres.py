@@ -19,7 +19,7 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
 
 
 def asked(row: DeclaredRow, _: Finder) -> Estimate:
-    """Return the number of miepython, whose index is n - ik."""
+    """Return the efficiency of a row's sphere as miepython computes it, whose refractive index is n - ik."""
     index = complex(row.argument("n"), -row.argument("k"))
     with others():
         import miepython

@@ -48,7 +48,7 @@ class BothPrograms:
         return sorted(found, key=lambda names: -self.theirs[names].flux)
 
     def number(self, quantity: str, bundles: Mapping[Names, Bundle]) -> Estimate | None:
-        """Return a quantity of one of the programs, of the same rays and so without an error; None: no such light."""
+        """Return a quantity of one program; it has no error, as both trace the same rays. None: no such light."""
         ghosts = {names: bundles[names] for names in self.shared if names in bundles}
         image = next((one for one in bundles.values() if one.order == 0), None)
         if image is None or (not ghosts and quantity != "spot_um"):
@@ -65,7 +65,7 @@ class BothPrograms:
 
 
 class TelescopeNumbers:
-    """Numbers of the rows of one file; a trace in both programs serves all rows of the same light."""
+    """Numbers of the rows of one file; rows with the same light share one trace in mistray and in batoid."""
 
     def __init__(self, file: ReferenceFile, rays: int | None, seed: int) -> None:
         self._rays = rays or file.rays
@@ -73,12 +73,12 @@ class TelescopeNumbers:
         self._traced: dict[tuple[str, float, float], BothPrograms] = {}
 
     def __call__(self, row: DeclaredRow) -> Estimate | None:
-        """Return our number of a row."""
+        """Return mistray's number for a row; None if it finds no such light."""
         both = self._both(row)
         return both.number(row.argument("quantity"), both.ours)
 
     def theirs(self, row: DeclaredRow) -> Estimate | None:
-        """Return batoid's number of a row."""
+        """Return batoid's number for a row; None if it finds no such light."""
         both = self._both(row)
         return both.number(row.argument("quantity"), both.theirs)
 
@@ -92,13 +92,13 @@ class TelescopeNumbers:
 
 
 def asked(row: DeclaredRow, ours: Finder) -> Estimate | None:
-    """Return batoid's number, for the start rays of ours."""
+    """Return batoid's number for a row, from the same start rays as mistray's."""
     assert isinstance(ours, TelescopeNumbers)
     return ours.theirs(row)
 
 
 def _traced(file: str, wavelength_nm: float, field_deg: float, rays: int, seed: int) -> BothPrograms:
-    """Trace a telescope in both programs from the same start rays."""
+    """Trace a telescope with mistray and with batoid from the same start rays."""
     with others():
         import batoid
 
