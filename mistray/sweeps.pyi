@@ -183,7 +183,7 @@ def rank_edits(
     >>> [edit.label for edit in found.edits]
     ['polish.A', 'polish.g', 'polish.B']
     >>> print(f"{found.to_pandas().change_percent[0]:.1f} % by a tenth more scatter")
-    1.8 % by a tenth more scatter
+    1.9 % by a tenth more scatter
     """
 
 def sweep(

@@ -73,7 +73,7 @@ class Gradient(
     >>> ghosts = mistray.optimize.path_power(scene, "ghost", rays=5000)
     >>> found = mistray.gradient(ghosts, mi.traverse(scene), keys=["detector.bsdf.R", "window_front.z"])
     >>> mistray.report.with_error(found.along({"detector.bsdf.R": -0.1}))  # if R falls by a tenth
-    '-0.003103 ± 0.000014'
+    '-3.103e-03 ± 1.4e-05'
     """
 
     value: float

@@ -49,7 +49,7 @@ class FirstLevel(Result, table=".tables:level_table", figure=".figures:level_cur
     >>> limits = {"scatter off": {"max_scatters": 0}, "all": {}}
     >>> found = mistray.first_level(mistray.load("plate_and_wall"), [30], rays=10_000, limits=limits)
     >>> mistray.report.with_error(found.curves["all"].estimates("stray")[0])
-    '0.002904 ± 0.000083'
+    '2.904e-03 ± 5.8e-05'
     """
 
     curves: dict[str, Pst]

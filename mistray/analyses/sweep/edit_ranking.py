@@ -215,7 +215,7 @@ def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Prog
     >>> [edit.label for edit in found.edits]
     ['polish.A', 'polish.g', 'polish.B']
     >>> print(f"{found.to_pandas().change_percent[0]:.1f} % by a tenth more scatter")
-    1.8 % by a tenth more scatter
+    1.9 % by a tenth more scatter
     """
     angles, keys = request.field_deg, request.keys
     loaded = scene if isinstance(scene, mi.Scene) else load(find(scene))

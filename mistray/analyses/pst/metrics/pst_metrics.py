@@ -238,7 +238,7 @@ def veiling_glare(
     --------
     >>> metric = mistray.optimize.veiling_glare(mistray.load("lens_and_window"), 2, source_deg=40, rays=20_000)
     >>> print(f"{metric.value():.2f} %")
-    0.50 %
+    0.49 %
     """
     return _metric(
         scene,
