@@ -16,7 +16,7 @@ import pandas as pd
 from mistray.analyses.explorer.controls import NUMBER, VALUES, WAVELENGTH, Control
 from mistray.analyses.explorer.looks import Looks
 from mistray.analyses.explorer.traced import Traced
-from mistray.estimate import Estimate
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.events import FIRST_SCATTERED
 from mistray.recorders.path_events import DIRECT
 
@@ -102,7 +102,8 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
 
 def _of_first_order(of: Traced, state: Mapping[str, VALUES], moved: list[Control]) -> Estimate:
     """Return the relative change of the stray power to first order in the moved controls, with its standard error."""
-    found = [(of.slopes[c.name], float(state[c.name]) - float(of.state[c.name])) for c in moved if c.name in of.slopes]
+    slopes = [(c.name, of.slopes[c.name]) for c in moved if c.name in of.slopes]
+    found = [(slope, float(state[k]) - float(of.state[k])) for k, slope in slopes if math.isfinite(slope.value)]
     change = sum(slope.value * step for slope, step in found)
     return Estimate(change, math.sqrt(sum((slope.se * step) ** 2 for slope, step in found)))
 
@@ -232,7 +233,8 @@ def _left_out(of: Traced, moved: list[Control]) -> list[str]:
         if c.kind == WAVELENGTH:
             found.append("wavelength: R and T follow; rays and scatter stay as they were")
         elif c.kind == NUMBER and c.way == OF_FIRST_ORDER:
-            known = "total to first order; paths and map" if c.name in of.slopes else "no derivative yet; all"
+            slope = of.slopes.get(c.name, UNKNOWN)
+            known = "total to first order; paths and map" if math.isfinite(slope.value) else "no derivative; all"
             found.append(f"{c.label}: {known} as traced")
     if any(c.parameter is not None and c.parameter.name in ("level", "coverage_percent") for c in moved):
         found.append("cleanliness: scatter in proportion to the area that particles cover")

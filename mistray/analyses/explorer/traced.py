@@ -111,7 +111,8 @@ class Traced:
     remedy : Remedy or None
         Surface that takes part in most of the stray light, detectors aside.
     slopes : dict
-        Name of a control → d(stray power)/d(value) over the stray power, where it is known.
+        Name of a control → d(stray power)/d(value) over the stray power, where it is known. It is not a number for a
+        rim that the beam just fills: there the derivatives on its two sides differ.
     factors : dict
         Index of a `HitGroup` → factors of its hits on the flux in `state`.
     """

@@ -164,6 +164,18 @@ def test_a_shape_is_followed_to_first_order():
     assert abs(off) < 4.5 * np.hypot(estimate["stray_W"][1], traced["stray_W"][1])
 
 
+@pytest.mark.long
+def test_a_stop_that_the_beam_just_fills_has_no_derivative():
+    """Its derivatives differ on its two sides: the estimate leaves its move out, says so, and stays a number."""
+    explorer = Explorer("phone_camera", field_deg=[5.0], control=["stop_front.r1"], rays=1000)
+    explorer.prepare()
+    assert np.isnan(explorer._traced.slopes["stop_front.r1"].value)
+    for part in (0.98, 0.96):
+        view = explorer.move({"stop_front.r1": part * float(explorer.controls["stop_front.r1"].start)})
+        assert "no derivative; all as traced" in view["left_out"][0]
+        json.dumps([view, explorer.settle()], allow_nan=False)
+
+
 def test_what_cannot_be_done_ahead_is_said_once():
     """Derivatives of polarised light, and light that misses the lens; the rest is done all the same."""
     explorer = Explorer("singlet_window_detector", field_deg=[0.0, 89.0, 1.0], rays=200, polarization="stokes",
