@@ -88,6 +88,7 @@ def test_a_saved_result(name: str) -> None:
     RAN.add(name)
 
 
+@long
 @pytest.mark.usefixtures("folder")
 def test_a_saved_Validation() -> None:
     """Of the command alone: no exported function returns it."""
