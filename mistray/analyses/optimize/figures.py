@@ -61,9 +61,9 @@ def search_figure(result: Optimization, title: str = "") -> Figure:
     fixed = result.study.optimizer.seeds == "fixed"
     rays = "all points trace the same rays" if fixed else "every point has its own rays"
     how = (
-        "merit: sum of the terms to be lowered, as logarithms, and of penalties of limits; gradient: of the merit, "
-        "by shares of the way between the bounds\n"
-        f"error bars: one standard error, long where few heavy rays carry a term; {rays}"
+        "merit: sum of the terms to be lowered, as logarithms, and of penalties of limits. "
+        "Gradient: of the merit, by shares of the way between the bounds.\n"
+        f"Error bars: one standard error, long where few heavy rays carry a term; {rays}."
     )
     return figure.headed(title, small_print=how) if title else figure.small_print(how)
 
