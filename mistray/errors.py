@@ -154,3 +154,11 @@ def nearest(word: str, choices: Iterable[str]) -> str:
     words = list(choices)
     close = difflib.get_close_matches(word, words, n=1)
     return f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(words)}"
+
+
+def nearest_parameters(key: str, keys: Iterable[str]) -> str:
+    """Return the end of an error message on an unknown parameter of a scene: similar keys, or how to list all."""
+    import difflib
+
+    close = difflib.get_close_matches(key, list(keys))
+    return f"did you mean {' or '.join(close)}?" if close else "list(mi.traverse(scene).keys()) shows them all"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mistray._mitsuba_compat import peek
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest_parameters
 from mistray.surfaces.upload import upload
 
 
@@ -27,9 +27,11 @@ def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
     Raises
     ------
     MistrayError
-        If a number is not finite, or a plugin refuses a value.
+        If the scene has no such parameter, a number is not finite, or a plugin refuses a value.
     """
     for key, value in values.items():
+        if key not in params:
+            raise MistrayError(f"the scene has no parameter '{key}'; {nearest_parameters(key, params.keys())}")
         if not np.all(np.isfinite(value)):
             raise MistrayError(f"parameter '{key}' would become {np.ravel(value).tolist()}; it must be finite")
         params[key] = upload(type(peek(params, key)), np.ravel(value))

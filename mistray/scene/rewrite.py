@@ -7,7 +7,6 @@ Thicknesses of a preset or of a table become a list of layers.
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 from collections.abc import Mapping
@@ -21,7 +20,7 @@ import numpy.typing as npt
 
 from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest_parameters
 from mistray.materials import resolved
 from mistray.prescription.scene_file import comment_text
 from mistray.replace_file import replace_file
@@ -116,8 +115,7 @@ def write_rewritten(
 def _plugin(file: SceneFile, params: Any, key: str) -> Any:
     """Return the plugin that has a parameter; raise `MistrayError` if a scene file holds no value for the parameter."""
     if key not in params:
-        close = difflib.get_close_matches(key, list(params.keys()))
-        hint = f"did you mean {' or '.join(close)}?" if close else "list(mi.traverse(scene).keys()) shows them all"
+        hint = nearest_parameters(key, params.keys())
         raise MistrayError(f"scene '{file.path}': it has no parameter '{key}'; {hint}")
     plugin, name = params.properties[key][2], key.rpartition(".")[2]
     film = getattr(plugin, "film", None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray._mitsuba_compat import holds_numbers, peek
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest_parameters
 from mistray.ids import check_id, fits
 from mistray.metrics.bodies import Body, bodies
 from mistray.metrics.parameters import Parameter, groups, parameters
@@ -20,7 +19,6 @@ from mistray.surfaces.gradient_columns import POSE
 
 AS_IT_IS = "as it is"
 """Name of the configuration in which nothing is changed."""
-OFFERED = 3  # names in a message about one that does not exist
 
 
 @dataclass(frozen=True)
@@ -178,8 +176,7 @@ def _keys(
         if fits(group, name):
             found |= dict.fromkeys(members)
     if not found:
-        close = difflib.get_close_matches(name, [*keys, *named], n=OFFERED)
-        hint = f"did you mean {' or '.join(close)}?" if close else "list(mi.traverse(scene).keys()) shows them all"
+        hint = nearest_parameters(name, [*keys, *named])
         raise MistrayError(f"configuration '{configuration}': the scene has no parameter '{name}'; {hint}")
     return list(found)
 

@@ -30,7 +30,7 @@ def others() -> Iterator[None]:
     """Mark a block that runs code of others only: what it raises is a `PeerError`, and no error of ours."""
     try:
         yield
-    except Exception as error:
+    except Exception as error:  # code of others
         raise PeerError(f"{type(error).__name__}: {error}") from error
 
 

@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
-from mistray.errors import MistrayError, nearest
+from mistray.errors import errors_of
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.scene_values import assign
 from mistray.scene import load
@@ -82,7 +82,8 @@ class SceneNumbers:
             own = self._file.folder / self._file.scene
             loaded = load(own if own.is_file() else self._file.scene)
             if values:
-                set_values(loaded, values)
+                with errors_of("set"):
+                    assign(mi.traverse(loaded), {key: np.array([value]) for key, value in values.items()})
             self._scenes[key] = loaded
         return self._scenes[key]
 
@@ -126,16 +127,6 @@ class SceneNumbers:
         )
         value, se = found.curve()
         return Estimate(float(value[0]), float(se[0]))
-
-
-def set_values(scene: mi.Scene, values: Mapping[str, float]) -> None:
-    """Set parameters of a scene by their keys; raise `MistrayError` for a key that the scene has not."""
-    params = mi.traverse(scene)
-    known = [str(key) for key in params.keys()]  # noqa: SIM118  SceneParameters is no mapping
-    for key in values:
-        if key not in known:
-            raise MistrayError(f"set: the scene has no parameter '{key}'; {nearest(key, known)}")
-    assign(params, {key: np.array([value]) for key, value in values.items()})
 
 
 def named_path(t: Trace, surfaces: Sequence[str]) -> PathRow | None:
