@@ -204,7 +204,7 @@ def _roots(
     t0: mi.Float, a: mi.Float, b: mi.Float, g: mi.Float, own: mi.Bool
 ) -> tuple[mi.Float, mi.Float, mi.Float, mi.Bool]:
     """
-    Return the two distances, mm, at which a ray crosses a quadric, the discriminant, and whether it crosses at all.
+    Return the two distances, mm, at which a ray crosses a quadric, (b² - a g)/a, and whether it crosses at all.
 
     The distances are from the ray's origin. `a`, `b` and `g` are the coefficients of a u² + 2 b u + g = 0 for the
     distance u from the ray's point at `t0`, the one closest to the vertex or the axis. From a distant origin, the
@@ -215,7 +215,7 @@ def _roots(
     discriminant = dr.fma(b, b, -a * g)
     q = -(b + dr.mulsign(dr.sqrt(larger(discriminant, 0)), b))
     ta, tb = dr.select(own, 0, t0 + q / a), dr.select(own, 2 * (t0 - b / a), t0 + g / q)
-    return ta, tb, discriminant, own | (discriminant >= 0)
+    return ta, tb, discriminant / a, own | (discriminant >= 0)
 
 
 def _conic_roots(ray: AxisRay, n: Numbers, own: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float, mi.Bool]:
@@ -255,7 +255,7 @@ def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple
     It is unsafe, too, if the steps do not converge. Unsafe rays need the full search.
     """
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
-    ta, tb, discriminant, real = _conic_roots(ray, n, own)
+    ta, tb, shallow, real = _conic_roots(ray, n, own)
     # The conic is hit where the asphere is, but for the departure along the ray
     early = dr.select(own, n.self_hit, -4 * n.departure)
 
@@ -266,8 +266,7 @@ def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple
 
     near_a, near_b = near(ta), near(tb)
     found = near_a | near_b
-    curving = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
-    touching = dr.abs(discriminant) < 4 * n.departure * dr.abs(curving)
+    touching = dr.abs(shallow) < 4 * n.departure
     unsure = (near_a & near_b) | (own & found) | (touching & ~own)
     t = dr.select(near_a, ta, tb)
     # A step squares the error; the interaction at the hit adds one more
