@@ -26,6 +26,12 @@ FIRST_R2 = 4.0**LOG2_FIRST
 TURNED = -0.3  # z component of a normal below which its tangents take the other branch
 
 
+def from_local(local: mi.Vector3f, normal: mi.Vector3f) -> mi.Vector3f:
+    """Return a vector that is given in the frame of `tangents` and a unit normal, which is its z axis."""
+    first, second = tangents(normal)
+    return local.x * first + local.y * second + local.z * normal
+
+
 def tangents(normal: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
     """
     Return unit vectors t1 and t2 such that t1, t2 and a unit normal, in this order, are a right-handed frame.

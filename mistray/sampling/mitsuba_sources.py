@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.kernel.lobes import from_local
 from mistray.sampling.emission_laws import cosine_power, direction, polar
 from mistray.sampling.sky_map import environment
 from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
@@ -75,9 +76,8 @@ class AreaLight:
         """Return random ray origins, mm, uniform over the shape, and Lambertian unit directions, in the world frame."""
         found = self.shape.sample_position(0.0, place)
         square, cosine, sine = polar(sample)
-        return mi.Vector3f(found.p), mi.Frame3f(found.n).to_world(
-            direction(cosine_power(square, mi.Float(1), mi.Float(1)), cosine, sine)
-        )
+        local = direction(cosine_power(square, mi.Float(1), mi.Float(1)), cosine, sine)
+        return mi.Vector3f(found.p), from_local(local, mi.Vector3f(found.n))
 
     def density(self, place: mi.Point2f, d: mi.Vector3d, n: Mapping[str, mi.Float]) -> mi.Float64:
         """Return the pdf cos θ/π, 1/sr, of emission in direction d from points of the shape."""

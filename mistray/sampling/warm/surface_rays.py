@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.kernel.lobes import from_local
 from mistray.sampling.emission_laws import IntensityTable
 from mistray.sampling.source import Emission, SceneSource, on_host
 from mistray.sampling.strata import stratified_points
@@ -66,4 +67,4 @@ class WarmRays(SceneSource):
         outward = mi.Vector3d(*(upload(mi.Float64, column) for column in (normals if self.to_back else -normals).T))
         # Directions of equal flux in the local frame
         local = self.law.directions(mi.Point2d(sample))
-        return o, dr.normalize(mi.Frame3f(mi.Vector3f(outward)).to_world(mi.Vector3f(local)))
+        return o, dr.normalize(from_local(mi.Vector3f(local), mi.Vector3f(outward)))
