@@ -181,7 +181,7 @@ def chosen_keys(scene: mi.Scene, known: Mapping[str, Parameter], keys: str | Ite
         raise MistrayError(NO_PARAMETERS)
     found = list(known) if keys is None else match(known, keys)
     if not found:
-        raise MistrayError("no parameter to differentiate by; give some of list(mistray.metrics.parameters(scene))")
+        raise MistrayError("no parameter to differentiate by; give some of list(mistray.optimize.parameters(scene))")
     return found
 
 
@@ -237,7 +237,7 @@ def _nearest(known: Mapping[str, Parameter], pattern: str) -> str:
         close = difflib.get_close_matches(pattern, known)
     if close:
         return f"did you mean {' or '.join(close)}?"
-    return "give one of list(mistray.metrics.parameters(scene))"
+    return "give one of list(mistray.optimize.parameters(scene))"
 
 
 def _values(owner: Any) -> Mapping[str, Any]:

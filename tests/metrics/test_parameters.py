@@ -200,7 +200,7 @@ def test_match(known: dict[str, Any]) -> None:
     for pattern, message in (
         ("front.curvatur", r"no parameter 'front.curvatur' with a derivative; did you mean front.curvature"),
         ("*.curvatur", r"did you mean \*\.curvature"),
-        ("zzz", r"give one of list\(mistray.metrics.parameters\(scene\)\)"),
+        ("zzz", r"give one of list\(mistray.optimize.parameters\(scene\)\)"),
         ("front.X", "did you mean front.x"),
     ):
         with pytest.raises(mistray.MistrayError, match=message):

@@ -91,7 +91,7 @@ def test_values_ghosts_and_view(tmp_path: Path) -> None:
 def test_gradient(x: float) -> None:
     """Of the share of the light, π W, with what the rim takes; 3 errors of 3 numbers: false alarms 0.8 %."""
     here = scene(x=x)
-    assert {"lamp.x", "lamp.y", "lamp.z"} <= set(mistray.metrics.parameters(here))
+    assert {"lamp.x", "lamp.y", "lamp.z"} <= set(mistray.optimize.parameters(here))
     metric = path_power(here, "straight shot", rays=200_000)
     g = mistray.gradient(metric, mi.traverse(here), keys=["lamp.[xyz]"])
     exact = {
