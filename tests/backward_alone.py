@@ -8,7 +8,7 @@ from mistray.execute.backward import BackwardTrace
 from mistray.recorders.direction_recorder import MULTIPLE, SINGLE
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import hull_points
-from mistray.sampling.sharing.balance import Sharing
+from mistray.sampling.sharing.mis_weights import Sharing
 from mistray.sampling.sharing.start_map import StartMap
 from mistray.settings import Settings
 

@@ -80,8 +80,8 @@ class AllCells:
         """
         Trace rays apart from the sums, and return samples of those that meet the detector, by wavelength.
 
-        Where unscattered light has rays of its own, see `mistray.sampling.sharing.balance.Sharing`, each wavelength has
-        two parts; the first is the scattered light.
+        Where unscattered light has rays of its own, see `mistray.sampling.sharing.mis_weights.Sharing`, each wavelength
+        has two parts; the first is the scattered light.
 
         Parameters
         ----------

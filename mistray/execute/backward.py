@@ -43,8 +43,8 @@ from mistray.recorders.tallies import Tallies
 from mistray.sampling.backward_targets import backward_targets
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.importance_targets import importance_targets
-from mistray.sampling.sharing.balance import Balance, Sharing
 from mistray.sampling.sharing.cell_waves import CellWaves, cell_starts, whole_batches
+from mistray.sampling.sharing.mis_weights import Balance, Sharing
 from mistray.sampling.sharing.path_classes import PathClassWeights
 from mistray.settings import BATCHES, NO_LIMIT, Settings
 from mistray.surfaces.upload import upload
@@ -155,7 +155,7 @@ class BackwardTrace(GridTrace):
             self.share_paths(sharing)
 
     def share_paths(self, sharing: Sharing) -> None:
-        """Weight paths by MIS against forward rays from now on, see `mistray.sampling.sharing.balance`."""
+        """Weight paths by MIS against forward rays from now on, see `mistray.sampling.sharing.mis_weights`."""
         self._sharing = sharing
         # Weight windows: inverse bounds, of which 0 and inf have no effect
         windows = np.zeros((2, self.table.count, WAYS)) if sharing.windows is None else sharing.windows

@@ -4,7 +4,7 @@ Derivatives of a metric of a point source transmittance (PST), from rays that ar
 Where forward and backward rays share the paths by MIS, they share the derivatives, too. There are two kinds:
 
 - Coatings and scatter change the flux of a path and leave it in place. Each ray contributes with its MIS weight, see
-  `mistray.sampling.sharing.balance`: the weights of a path add up to 1 whatever factor they are multiplied by.
+  `mistray.sampling.sharing.mis_weights`: the weights of a path add up to 1 whatever factor they are multiplied by.
 - Shapes and indices move paths and the rims that end them. Backward rays keep their start on the detector, forward rays
   theirs in the sky. The same path then moves in two ways, and MIS weights that vary along it do not cancel. So all
   paths of a path class have one weight, see `mistray.sampling.sharing.path_classes`, and each direction estimates the

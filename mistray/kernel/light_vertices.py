@@ -94,7 +94,7 @@ class LightVertices:
     words, numbers, keys : np.ndarray
         See `LightVertexRecorder.read`.
     starts_per_connection : (c,) float64
-        See `mistray.sampling.sharing.balance.Sharing`.
+        See `mistray.sampling.sharing.mis_weights.Sharing`.
     lanes : (c,) int
         Number of start rays of each cell.
     extent : float

@@ -1,9 +1,9 @@
 """
-Ratios of path densities, from which the MIS weights of forward and backward rays follow.
+Ratios of path densities, from which `mistray.sampling.sharing.mis_weights` makes the MIS weights of both directions.
 
-Forward and backward rays build the same paths, see `mistray.sampling.sharing.balance`. The balance heuristic (E. Veach,
-Robust Monte Carlo methods for light transport simulation, 1997, section 9.2) weights a path by the density of each
-technique. Here "own" is the direction of the ray and "rev" the other one, and a ray carries along its path
+Forward and backward rays build the same paths. The balance heuristic (E. Veach, Robust Monte Carlo methods for light
+transport simulation, 1997, section 9.2) weights a path by the density of each technique. Here "own" is the direction of
+the ray and "rev" the other one, and a ray carries along its path
 
     pdf_ratio = ∏ pdf_rev/pdf_own over its scatter events,
     survival_ratio = ∏ q_rev/q_own since the last of them,

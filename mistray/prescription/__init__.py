@@ -6,9 +6,9 @@ from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, pol
 from mistray.physics.sags.grid import Grid
 from mistray.prescription.baffles.cassegrain import CassegrainBaffles, cassegrain_baffles
 from mistray.prescription.baffles.spider import spider
-from mistray.prescription.baffles.tube import BaffleTube, hood_length, vane_tube
 from mistray.prescription.baffles.two_stage import TwoStageBaffle, two_stage_baffle
-from mistray.prescription.baffles.vanes import Vane, VaneEdge
+from mistray.prescription.baffles.vane_edges import Vane, VaneEdge
+from mistray.prescription.baffles.vane_tube import BaffleTube, hood_length, vane_tube
 from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
 from mistray.prescription.bodies.extruded import beam_splitter_cube, box, prism
 from mistray.prescription.bodies.fresnel import fresnel

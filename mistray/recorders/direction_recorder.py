@@ -73,7 +73,7 @@ class MisWeights(NamedTuple):
         `mistray.sampling.detector_start.DetectorStart.place`, and its weight.
     """
 
-    # w_i = n_i p_i/Σ n_k p_k, see `mistray.sampling.sharing.balance`
+    # w_i = n_i p_i/Σ n_k p_k, see `mistray.sampling.sharing.mis_weights`
 
     forward: mi.Float
     backward: mi.Float
@@ -84,7 +84,7 @@ class MisWeights(NamedTuple):
 
 
 class MisWeighting(Protocol):
-    """Interface to MIS weights of paths; see `mistray.sampling.sharing.balance.Balance`."""
+    """Interface to MIS weights of paths; see `mistray.sampling.sharing.mis_weights.Balance`."""
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
         """Return the MIS weights, 0 … 1, of paths of backward rays that leave the scene within a cell of directions."""

@@ -1,4 +1,4 @@
-"""Sources, start rays, and importance targets at which scattered rays are aimed."""
+"""Sources, start rays, importance targets of scattered rays, and MIS weights of forward and backward rays."""
 
 from mistray._variant import active_variant, ensure_variant
 

@@ -11,9 +11,9 @@ import mistray
 from mistray.errors import MistrayError
 from mistray.prescription import Coating, Detector, Prescription, Source, Surface, spider
 from mistray.prescription.baffles.cassegrain import cassegrain_baffles
-from mistray.prescription.baffles.tube import BaffleTube, hood_length, vane_tube
 from mistray.prescription.baffles.two_stage import two_stage_baffle
-from mistray.prescription.baffles.vanes import Vane, VaneEdge, vane_faces
+from mistray.prescription.baffles.vane_edges import Vane, VaneEdge, vane_faces
+from mistray.prescription.baffles.vane_tube import BaffleTube, hood_length, vane_tube
 from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
 
 SKIN = 1e-6  # distance of tested points from the faces, mm

@@ -1,1 +1,1 @@
-"""Scatter models evaluated on their own: BSDF, total integrated scatter and fits to measured data."""
+"""Scatter models evaluated on their own: BSDF and total integrated scatter (TIS)."""

@@ -1,1 +1,1 @@
-"""Fits of parameters of a scene to measured values."""
+"""Fits of parameters of a scene to measured values, such as a PST."""

@@ -25,8 +25,8 @@ from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
 from mistray.recorders.direction_recorder import SINGLE
 from mistray.recorders.start_samples import Samples
-from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_waves import whole_batches
+from mistray.sampling.sharing.mis_weights import Sharing
 from mistray.sampling.sharing.path_classes import PathClassVariances
 from mistray.sampling.sharing.start_map import MapSamples, StartMap
 from mistray.time_budget import time_is_up

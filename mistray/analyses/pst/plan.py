@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mistray.sampling.sharing.balance import Sharing
 from mistray.sampling.sharing.cell_waves import whole_batches
+from mistray.sampling.sharing.mis_weights import Sharing
 from mistray.sampling.sharing.start_map import MapSamples, StartMap
 
 RESERVE = 1.4  # number of rays over that which the pilot's variances require

@@ -22,7 +22,7 @@ through the axis:
 
 Each place of A on the first ray gives a B; the last condition selects the A nearest to the secondary, of the smallest
 obscuration. Inside, the tube has vanes that end on the line from B to the edge of the detector, by
-`mistray.prescription.baffles.tube.vane_tube` with the detector as the optic.
+`mistray.prescription.baffles.vane_tube.vane_tube` with the detector as the optic.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import sag, sag_derivative
-from mistray.prescription.baffles.tube import BaffleTube, vane_tube
-from mistray.prescription.baffles.vanes import VaneEdge
+from mistray.prescription.baffles.vane_edges import VaneEdge
+from mistray.prescription.baffles.vane_tube import BaffleTube, vane_tube
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Detector, Structure, Surface
 from mistray.prescription.scatter import Scatter

@@ -5,8 +5,8 @@ The inner stage stands before the optic; its opening B of radius b is the optic'
 - The optic sees nothing of the outer stage: the vanes there stand outside of the cone from the optic's rim past the far
   edge of B, of slope s = (r_o + b)/L_2.
 - Light beyond the exclusion angle ε does not reach B directly: tan ε = (a + b)/L_1, a the radius of the opening.
-- Within each stage, walls lit from its front are not seen from its end (`mistray.prescription.baffles.tube`). For the
-  inner stage, all light through B counts, from any direction.
+- Within each stage, walls lit from its front are not seen from its end (`mistray.prescription.baffles.vane_tube`). For
+  the inner stage, all light through B counts, from any direction.
 
 So light from beyond ε meets a surface of the outer stage, then one that B sees, then one of the inner stage, then one
 that the optic sees: four scatters. This is the scheme of star trackers and coronagraphs (C. Leinert and D. Klüppelberg,
@@ -29,8 +29,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.prescription.baffles.tube import BaffleTube, slope_margin, vane_tube
-from mistray.prescription.baffles.vanes import VaneEdge
+from mistray.prescription.baffles.vane_edges import VaneEdge
+from mistray.prescription.baffles.vane_tube import BaffleTube, slope_margin, vane_tube
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure
 from mistray.prescription.scatter import Scatter

@@ -5,7 +5,8 @@ before it, (R - a_j)/(z - z_j) ≤ s ≤ (R + a_j)/(z - z_j), and s is that of l
 if a ray to the optic passes all openings behind it and meets the optic within its radius: the same, with the optic as
 the last opening. There is such a slope if each lower bound is below each upper bound. For R linear in z, the quadratic
 terms of each condition cancel. So each condition is linear in z, and the zone between two vanes is one interval.
-`mistray.prescription.baffles.tube` shows why a plane through the axis is enough. The thickness of vanes is ignored.
+`mistray.prescription.baffles.vane_tube` shows why a plane through the axis is enough. The thickness of vanes is
+ignored.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 
-from mistray.prescription.baffles.tube import BaffleTube
+from mistray.prescription.baffles.vane_tube import BaffleTube
 
 Zone = tuple[float, float]
 """First and last z, mm."""

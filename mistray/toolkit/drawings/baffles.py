@@ -14,8 +14,8 @@ from matplotlib.lines import Line2D
 
 from mistray.prescription import Prescription, Structure, Surface
 from mistray.prescription.baffles.cassegrain import CassegrainBaffles
-from mistray.prescription.baffles.tube import BaffleTube
 from mistray.prescription.baffles.two_stage import TwoStageBaffle
+from mistray.prescription.baffles.vane_tube import BaffleTube
 from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
 from mistray.toolkit.figures.figure import Figure
 from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION

@@ -27,8 +27,8 @@ from mistray.analyses.ghosts.spectral import SpectralMaps
 from mistray.coatings import Bare, preset, spectrum
 from mistray.errors import MistrayError
 from mistray.prescription.baffles.cassegrain import cassegrain_baffles
-from mistray.prescription.baffles.tube import vane_tube
 from mistray.prescription.baffles.two_stage import two_stage_baffle
+from mistray.prescription.baffles.vane_tube import vane_tube
 from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
 from mistray.recorders.sampled import Sampled
 from mistray.scatter.abg import ABg

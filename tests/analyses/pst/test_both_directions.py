@@ -40,7 +40,7 @@ from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.start_samples import WAYS, Samples
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.plane_wave import hull_points
-from mistray.sampling.sharing.balance import Sharing
+from mistray.sampling.sharing.mis_weights import Sharing
 from mistray.sampling.sharing.start_map import MapSamples, StartMap
 from mistray.settings import Settings
 

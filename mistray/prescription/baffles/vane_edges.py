@@ -1,4 +1,4 @@
-"""Cross-sections of vanes in baffle tubes: ideal knife edges, plates, bevels and rounded edges."""
+"""Cross-sections of vanes, which `vane_tube` places in tubes: knife edges, plates, bevels and rounded edges."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ from itertools import pairwise
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.prescription.baffles.vanes import Vane, VaneEdge, vane_faces
+from mistray.prescription.baffles.vane_edges import Vane, VaneEdge, vane_faces
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure
 from mistray.prescription.scatter import Scatter
