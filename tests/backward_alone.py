@@ -14,18 +14,18 @@ from mistray.settings import Settings
 
 
 def against_alone(
-    scene: mi.Scene, angle: float, width: float, rays: int, linked: float = 0.0, windows: np.ndarray | None = None
+    scene: mi.Scene, angle: float, width: float, rays: int, linked: float = 0.0, **windows: np.ndarray
 ) -> dict[int, tuple[float, float]]:
     """PST of light that is scattered once, and several times, of a cell of that width, and its error; by class."""
-    trace = _shared(scene, angle, width, 1e-12, linked, windows)
+    trace = _shared(scene, angle, width, 1e-12, linked, **windows)
     return _backward(trace, rays)
 
 
 def both_directions(
-    scene: mi.Scene, angle: float, width: float, rays: int, linked: float
+    scene: mi.Scene, angle: float, width: float, rays: int, linked: float, **windows: np.ndarray
 ) -> dict[int, tuple[float, float]]:
     """The same by as many forward rays as backward rays, and connections; the MIS weights of all must add up to 1."""
-    trace = _shared(scene, angle, width, 1.0, linked)
+    trace = _shared(scene, angle, width, 1.0, linked, **windows)
     backward, forward = _backward(trace, rays), AllCells(trace)
     sums = forward.sums(np.array([rays]), 0).cells[:, 0, 0] * forward.unit.item() / rays
     by_class = {}
@@ -36,11 +36,12 @@ def both_directions(
 
 
 def _shared(
-    scene: mi.Scene, angle: float, width: float, forward: float, linked: float, windows: np.ndarray | None = None
+    scene: mi.Scene, angle: float, width: float, forward: float, linked: float, **windows: np.ndarray
 ) -> BackwardTrace:
     trace = BackwardTrace(scene, DirectionGrid.of([angle], cell_deg=width), Settings.of(scene, max_scatters=3))
     one = np.ones(1)
-    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), forward * one, linked * one, windows))
+    lit = hull_points(trace.table)
+    trace.share_paths(Sharing(lit, StartMap.uniform(1), forward * one, linked * one, **windows))
     return trace
 
 

@@ -76,7 +76,7 @@ class AllCells:
         self._paths: PathSums | None = None  # made with the first sums: a pilot needs none
         self.begin()
 
-    def samples(self, rays: np.ndarray, number: int) -> list[Samples]:
+    def samples(self, rays: np.ndarray, number: int, values: np.ndarray | None = None) -> list[Samples]:
         """
         Trace rays apart from the sums, and return samples of those that meet the detector, by wavelength.
 
@@ -89,13 +89,19 @@ class AllCells:
             Number of start rays of each cell, multiples of `BATCHES`.
         number : int
             Number of this search, which selects its random numbers.
+        values : (c,) float64, optional
+            Value of a unit of contribution in each cell; None: `Samples.importance` is 0.
         """
         found = []
+        values = np.zeros(self.cells) if values is None else values
         for band in range(len(self._trace.bands)):
             mis = self._trace.balance(band)
             assert mis is not None
             for scatter, only in self._kinds:
-                recorder = ArrivalSamples(self.cells, self._trace.design_keys, mis, only)
+                surfaces = self._trace.bands[band].table.count
+                recorder = ArrivalSamples(
+                    self.cells, self._trace.design_keys, mis, surfaces, values, scattered_only=only
+                )
                 for start in self.starts(band, rays, (SAMPLES, number), scatter):
                     self.trace_trees(band, start, recorder, scatter)
                 found.append(recorder.read())

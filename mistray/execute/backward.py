@@ -35,10 +35,11 @@ from mistray.notes import Note
 from mistray.recorders.direction_recorder import DirectionRecorder, MisWeighting
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
+from mistray.recorders.importance import WAYS
 from mistray.recorders.path_sums import PathsByCell
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
-from mistray.recorders.start_samples import SAMPLES, WAYS, DepartureSamples, Samples
+from mistray.recorders.start_samples import SAMPLES, DepartureSamples, Samples
 from mistray.recorders.tallies import Tallies
 from mistray.sampling.backward_targets import backward_targets
 from mistray.sampling.detector_start import DetectorStart
@@ -47,7 +48,7 @@ from mistray.sampling.sharing.cell_waves import CellWaves, cell_starts, whole_ba
 from mistray.sampling.sharing.mis_weights import Balance, Sharing
 from mistray.sampling.sharing.path_classes import PathClassWeights
 from mistray.settings import BATCHES, NO_LIMIT, Settings
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import upload, upload_rows
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the smallest passes, and of the largest
 PASSES_OF_A_SIZE = 4  # a run is at most about 1 / 4 longer than was requested
@@ -55,6 +56,7 @@ VERTICES_OF_RAY, VERTEX_SEED = 1.0, 2  # forward rays of the light vertex cache 
 AHEAD = 2  # passes per worker that are handed over before they are needed
 ROOM = 1.3  # capacity of the cache, in units of the number of vertices expected from the last pass
 FIRST_SEARCH, SEARCHES = 1 << 24, 64  # number of the first pass of a pilot, beyond those of any run; its searches
+PLACES = 32  # along the longest side of the lit volume, that weight windows tell apart
 # Branch probabilities: numbers of scatter events, and of reflections that are followed, of a ray that meets all optics;
 # and the least probability of scatter at a surface, in units of the share of its rays that reach the sky
 SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
@@ -158,9 +160,8 @@ class BackwardTrace(GridTrace):
         """Weight paths by MIS against forward rays from now on, see `mistray.sampling.sharing.mis_weights`."""
         self._sharing = sharing
         # Weight windows: inverse bounds, of which 0 and inf have no effect
-        windows = np.zeros((2, self.table.count, WAYS)) if sharing.windows is None else sharing.windows
-        inverse_upper, inverse_lower = windows[0], np.where(windows[1] > 0, windows[1], np.inf)
-        self._windows = WeightWindows(upload(mi.Float, inverse_upper.ravel()), upload(mi.Float, inverse_lower.ravel()))
+        self._windows = self._uploaded(sharing.windows, sharing.points)
+        self._forward_windows = self._uploaded(sharing.forward_windows, sharing.points, sharing.values)
         for start in self.starts:
             start.guide(sharing.ends)
         if self.forward:
@@ -169,6 +170,20 @@ class BackwardTrace(GridTrace):
         self.waves = CellWaves(sharing.points, self.grid, self.table.centre)
         self.forward = self.with_aims(importance_targets(self.table, self._scene, self.settings))
         self._balances = [Balance(sharing, self.waves, start) for start in self.starts]
+
+    def _uploaded(
+        self, windows: np.ndarray | None, points: np.ndarray, values: np.ndarray | None = None
+    ) -> WeightWindows:
+        """Return weight windows, (2, n, WAYS) or None, on the device; 0 stands for no bound."""
+        inverse_upper, inverse_lower = np.zeros((2, self.table.count, WAYS)) if windows is None else windows
+        inverse_lower = np.where(inverse_lower > 0, inverse_lower, np.inf)
+        size = float(np.ptp(points, axis=0).max())
+        return WeightWindows(
+            upload(mi.Float, inverse_upper.ravel()),
+            upload(mi.Float, inverse_lower.ravel()),
+            per_mm=dr.opaque(mi.Float, PLACES / size),
+            values=None if values is None else upload_rows(mi.Float, values),
+        )
 
     @property
     def notes(self) -> list[Note]:
@@ -240,11 +255,10 @@ class BackwardTrace(GridTrace):
         number : int
             Number of this search, below `SEARCHES`, which selects its random numbers.
         values : (c,) float64, optional
-            See `DepartureSamples`; None: the importance in `Samples.importance` is not estimated.
+            Value of a unit of contribution in each cell, see `DepartureSamples`; None: `Samples.importance` is 0.
         """
         found = []
-        if values is None:
-            values = np.zeros(self.unit.size)
+        values = np.zeros(self.unit.size) if values is None else values
         passes = max(1, -(-rays // PASS_LANES))
         here = rays // passes
         for band in range(len(self.bands)):
@@ -349,6 +363,7 @@ class BackwardTrace(GridTrace):
             self.intersector,
             self._forward_probabilities,
             competing=CompetingTrace(competing, self._probabilities, self.connects),
+            windows=None if band.table.optics.scatters else self._forward_windows,
         )
 
     def scene(self, band: Band) -> KernelScene:

@@ -62,7 +62,7 @@ class Node:
     rng : mi.PCG32
         Random number generator of each lane.
     row : mi.UInt32 or None
-        Row of its weight window, see `mistray.recorders.start_samples.window_row`; None: there are no windows.
+        Row of its weight window, see `mistray.recorders.importance.window_row`; None: there are no windows.
     """
 
     start: StartRays
@@ -281,7 +281,7 @@ class Branching:
             if budget is not None:
                 rays = dr.select(budget.random_rays > 0, budget.random_rays, rays)
             if self._windows is not None:
-                rays *= self._windows.split(node.row, w, visit)
+                rays *= self._windows.split(node.row, self._windows.value(node.start, w, visit), visit)
             random_rays = dr.select(at_random, rays, 0)
             remainder = dr.select(at_random, mi.UInt32(SAMPLING), mi.UInt32(SCATTERS))  # aimed rays leave light out
             aimed_rays = budget.aimed_t + budget.aimed_r if budget is not None else mi.UInt32(0)
@@ -397,7 +397,7 @@ class Branching:
         if self._probabilities is not None:
             q = q * dr.gather(mi.Float, self._probabilities.scatter, state["s"], first)
         if self._windows is not None:
-            survival = self._windows.survival(node.row, w, first)
+            survival = self._windows.survival(node.row, self._windows.value(node.start, w, first), first)
             if self._vertices is not None:
                 survival = dr.select(state["light_vertex"] == 0, survival, 1)
             q = q * survival

@@ -10,6 +10,9 @@ import mitsuba as mi
 from mistray.kernel.interaction import Interaction
 from mistray.kernel.light_vertices import LightVertices
 from mistray.kernel.scattering import Scattering
+from mistray.recorders.importance import BACK
+from mistray.recorders.path_key import mixed_word
+from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
@@ -48,11 +51,29 @@ class WeightWindows:
     Attributes
     ----------
     inverse_upper, inverse_lower : mi.Float
-        Inverse of the upper and lower bounds of throughput, by `window_row`: the surface and the event before.
+        Inverse of the upper and lower bounds of throughput, by `mistray.recorders.importance.window_row`.
+    per_mm : mi.Float
+        Places per mm along the z axis of the world and away from it.
+    values : mi.Float or None
+        Value of a unit of throughput by the cell of the start ray, (c,), by which it is multiplied; None: 1.
     """
 
     inverse_upper: mi.Float
     inverse_lower: mi.Float
+    per_mm: mi.Float
+    values: mi.Float | None = None
+
+    def place(self, it: Interaction) -> mi.UInt32:
+        """Return part and side of the surface of each hit; parts of a long wall matter to different field angles."""
+        along, away = (mi.UInt32(mi.Int32(dr.floor(v * self.per_mm))) for v in (it.p.z, dr.hypot(it.p.x, it.p.y)))
+        word = mixed_word(along * 0x846CA68B + away * 0x9E3779B1)
+        return (word << 1) | dr.select(it.from_front, mi.UInt32(0), BACK)
+
+    def value(self, start: StartRays, weight: mi.Float, active: mi.Bool) -> mi.Float:
+        """Return the throughput of rays times the value of their start cell, as the windows compare it."""
+        if self.values is None:
+            return weight
+        return weight * dr.gather(mi.Float, self.values, start.cell, active)
 
     def split(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
         """Return the factor, 1 … `MOST_RAYS`, on a hit's scattered rays: throughput over the window's upper bound."""

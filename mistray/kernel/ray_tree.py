@@ -34,10 +34,10 @@ from mistray.kernel.pending_nodes import (
 )
 from mistray.kernel.scatter_shares import ScatterHit, ScatterPdfs
 from mistray.kernel.start_supply import StartSupply
+from mistray.recorders.importance import window_row
 from mistray.recorders.path_key import COUNT_MASK, FIRST_KEY, after_scatter, extend_key
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Segment, Visit
 from mistray.recorders.start_rays import StartRays
-from mistray.recorders.start_samples import window_row
 from mistray.recorders.tallies import ESCAPED, FIRST_MISS, MEDIUM, STARTED
 from mistray.settings import Settings
 from mistray.surfaces.optics import DETECTOR, NO_LOSS
@@ -359,10 +359,11 @@ class _Tree:
             pdf_ratio=None if ratios is None else ratios.at_end(state),
             connection_ratio=None if ratios is None else ratios.connection_ratio_at_end(state),
         )
-        self.recorders.visit(hits, memory)
         row = None
         if self.scene.windows is not None:
-            row = window_row(s, hits.before(active), state["scatters"] & COUNT_MASK)
+            hits.window_place = self.scene.windows.place(it)
+            row = window_row(s, hits.window_place, hits.before(active), state["scatters"] & COUNT_MASK)
+        self.recorders.visit(hits, memory)
         return Node(start, state, it, budget, R, T, first & ~at_rim, again, contributes, state["rng"], row)
 
     def _send(self, node: Node, children: Children, choice: Choice, memory: Memory) -> Sent:

@@ -71,6 +71,9 @@ class Visit:
     connection_ratio : mi.Float or None
         Connections that find the path, per ray and per light vertex, see
         `mistray.kernel.pdf_ratios.PdfRatios.connection_ratios`; None: there are no connections.
+    window_place : mi.UInt32 or None
+        Part and side of the surface that is hit, see `mistray.recorders.importance.window_row`; None: there are no
+        weight windows.
 
     Examples
     --------
@@ -106,6 +109,7 @@ class Visit:
     slot: mi.UInt32 | None = None
     pdf_ratio: mi.Float | None = None
     connection_ratio: mi.Float | None = None
+    window_place: mi.UInt32 | None = None
 
     @property
     def surface(self) -> mi.UInt32:

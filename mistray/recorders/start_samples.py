@@ -8,34 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.events import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTED
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import REDUCE, DirectionRecorder, MisWeighting, class_of_light
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.path_key import COUNT_MASK, NO_EVENT, mixed_word, path_class_of
+from mistray.recorders.importance import ImportanceSums
+from mistray.recorders.path_key import COUNT_MASK, path_class_of
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
-from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.upload import upload
 
 SAMPLES = 1 << 20  # most samples that are kept; more are counted only
-WAYS = 256  # approaches to a surface that are told apart by hashing; more of them share rows
-
-
-def window_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
-    """
-    Return the row of a surface and approach in importance tables of (surfaces · `WAYS`,) entries.
-
-    The approach is the event before, or `NO_EVENT`, and the number of scatter events. So the two faces of a stop are
-    distinguished, and reflection from transmission.
-    """
-    return surface * WAYS + mixed_word(before + scatters * 0x9E3779B1) % WAYS
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +51,8 @@ class Samples:
         Weight with which a backward ray would start there, the inverse of its density.
     segments : (c,) float64
         Number of ray segments by the cell of their start rays; in a backward trace one number for all cells.
-    importance : (4, n, WAYS) float64, optional
-        Sums by surface and approach, see `window_row`, of a backward trace: throughput that arrives, its squares, the
-        contribution that follows from it, and the squares of that. Weight windows follow from them.
+    importance : (3, 2, n, WAYS) float64
+        Sums by row, see `mistray.recorders.importance.ImportanceSums.read`.
     """
 
     lane: np.ndarray
@@ -80,7 +67,7 @@ class Samples:
     ends: np.ndarray
     start_weight: np.ndarray
     segments: np.ndarray
-    importance: np.ndarray | None = None
+    importance: np.ndarray
 
     def times(self, unit: np.ndarray) -> Samples:
         """Return the samples with each weight multiplied by the factor of its cell of directions, `unit` (c,)."""
@@ -105,13 +92,31 @@ class _StartSamples(Recorder):
 
     kernel_by: ClassVar[tuple[str, ...]] = ("_design",)
 
-    def __init__(self, cells: int, design: DesignKeys, mis: MisWeighting, capacity: int = SAMPLES) -> None:
+    def __init__(
+        self,
+        cells: int,
+        design: DesignKeys,
+        mis: MisWeighting,
+        surfaces: int,
+        values: np.ndarray,
+        capacity: int = SAMPLES,
+    ) -> None:
         self._design, self._mis, self._capacity = design, mis, capacity
+        self._importance, self._values = ImportanceSums(surfaces), upload(mi.Float64, values)
         self._count = dr.zeros(mi.UInt32, 1)
         self._words = [dr.empty(mi.UInt32, capacity) for _ in range(4)]
         self._floats = [dr.empty(mi.Float, capacity) for _ in range(13)]
         self._segments = dr.zeros(mi.Float64, cells)
         dr.eval(self._count, self._words, self._floats, self._segments)
+
+    @property
+    def by_ray(self) -> bool:
+        """False: a lane may trace several start rays, since each writes its places before it reads them."""
+        return False
+
+    def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
+        """Allocate memory for the places of the events on the path of a lane."""
+        self._importance.begin(max_events, memory)
 
     def _keep(self, words: tuple[mi.UInt32, ...], floats: tuple[mi.Float | None, ...], active: mi.Bool) -> None:
         place = dr.scatter_inc(self._count, mi.UInt32(0), active)
@@ -144,7 +149,8 @@ class _StartSamples(Recorder):
         weight *= total / max(count, 1)
         segments = np.array(self._segments)
         return Samples(
-            *(lane, cell, kind, path_class, places, weight, forward, connected, density, ends, numbers[12], segments)
+            *(lane, cell, kind, path_class, places, weight, forward, connected, density, ends, numbers[12], segments),
+            importance=self._importance.read(),
         )
 
 
@@ -156,76 +162,20 @@ class DepartureSamples(_StartSamples):
     ----------
     grid : DirectionGrid
         Cells of directions.
-    design : DesignKeys
-        Sequences of the direct image.
-    mis : MisWeighting
-        MIS weights of the paths.
-    surfaces : int
-        Number of surfaces.
-    values : (c,) float64
-        Value of a unit of contribution in each cell, for the importance of surfaces.
-    capacity : int
-        Most samples that are kept; more are counted only.
+    design, mis, surfaces, values, capacity
+        See `_StartSamples`.
     """
 
-    def __init__(
-        self,
-        grid: DirectionGrid,
-        design: DesignKeys,
-        mis: MisWeighting,
-        surfaces: int,
-        values: np.ndarray,
-        capacity: int = SAMPLES,
-    ) -> None:
-        super().__init__(1, design, mis, capacity)
-        self._cells = DirectionRecorder(grid, design)
-        self._values, self._surfaces = upload(mi.Float64, values), surfaces
-        self._importance = [dr.zeros(mi.Float64, surfaces * WAYS) for _ in range(4)]
-        dr.eval(self._importance)
+    def __init__(self, grid: DirectionGrid, *arguments: Any, **options: Any) -> None:
+        super().__init__(1, *arguments, **options)
+        self._cells = DirectionRecorder(grid, self._design)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add each ray's throughput at a scattering surface, and its square, to sums by surface and approach."""
-        if visit.shares is None:
-            return
-        active = visit.active & (visit.shares.scattered > 0)
-        row = window_row(visit.surface, visit.before(active), visit.state["scatters"] & COUNT_MASK)
-        weight = mi.Float64(visit.weight)
-        dr.scatter_reduce(dr.ReduceOp.Add, self._importance[0], weight, row, active)
-        dr.scatter_reduce(dr.ReduceOp.Add, self._importance[1], weight * weight, row, active)
-
-    def _add_importance(self, departure: Departure, importance: mi.Float64, active: mi.Bool) -> None:
-        """Add each path's MIS-weighted throughput to the importance of its scatter events, except at light vertices."""
-        # The last scatter event of a connected ray is at its light vertex
-        last = dr.full(mi.UInt32, NO_SURFACE, dr.width(active))
-        if departure.light_vertex is not None:
-            last = dr.select(departure.light_vertex != 0, (departure.scatters & COUNT_MASK) - 1, last)
-
-        # Walk the events from the start: `order` is the number of scatter events so far, as at the visits
-        def on(
-            k: mi.UInt32, before: mi.UInt32, order: mi.UInt32, going: mi.Bool
-        ) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32, mi.Bool]:
-            code = departure.event(k, going)
-            scattered = going & ((code & EVENT_MASK) >= RANDOM_TRANSMITTED)
-            # Media scatter too, but have no rows
-            surface = code >> EVENT_BITS
-            row = window_row(surface, before, order)
-            here = scattered & (order != last) & (surface < self._surfaces)
-            dr.scatter_reduce(dr.ReduceOp.Add, self._importance[2], importance, row, here)
-            dr.scatter_reduce(dr.ReduceOp.Add, self._importance[3], importance * importance, row, here)
-            return k + 1, code, order + dr.select(scattered, mi.UInt32(1), 0), going & (k + 1 < departure.length)
-
-        width = dr.width(active)
-        going = active & (departure.length > 0) & (importance > 0)
-        dr.while_loop(
-            (dr.zeros(mi.UInt32, width), dr.full(mi.UInt32, NO_EVENT, width), dr.zeros(mi.UInt32, width), going),
-            lambda k, before, order, going: going,
-            on,
-            mode="symbolic",
-            label="importance",
-        )
+        """Add each ray's throughput at a scattering surface to the importance sums."""
+        self._importance.arrive(visit, mi.Float64(visit.weight), memory)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Keep samples of rays that leave within a cell, and add their throughput to the importance of surfaces."""
+        """Keep samples of rays that leave within a cell, and add their contribution to the importance sums."""
         cell, inside = self._cells.cell(departure.heading)
         inside &= departure.active
         path_class = path_class_of(departure.event, departure.length, departure.start, inside)
@@ -237,13 +187,9 @@ class DepartureSamples(_StartSamples):
         assert mis.end is not None
         floats = (*mis.place, weight * mis.backward, mis.forward, mis.connected, mis.density, *mis.end)
         self._keep(words, floats, inside & (mis.backward > 0))
-        value = dr.gather(mi.Float64, self._values, cell, inside)
-        self._add_importance(departure, mi.Float64(weight * mis.backward) * value, inside)
-
-    def read(self) -> Samples:
-        """Return the samples on the host, with the sums of importance by surface and approach."""
-        importance = np.array([np.array(one) for one in self._importance]).reshape(4, self._surfaces, WAYS)
-        return replace(super().read(), importance=importance)
+        value = mi.Float64(weight * mis.backward) * dr.gather(mi.Float64, self._values, cell, inside)
+        contributes = inside & (value > 0)
+        self._importance.contribute(departure, departure.length, value, mis.forward, contributes, memory)
 
 
 class ArrivalSamples(_StartSamples):
@@ -252,8 +198,10 @@ class ArrivalSamples(_StartSamples):
 
     Parameters
     ----------
-    cells, design, mis
-        See `mistray.recorders.direction_recorder.ArrivalRecorder`.
+    cells : int
+        Number of cells of directions.
+    design, mis, surfaces, values, capacity
+        See `_StartSamples`.
     scattered_only : bool
         Leave out light that nothing has scattered.
     """
@@ -262,8 +210,8 @@ class ArrivalSamples(_StartSamples):
 
     kernel_by = ("_design", "_scattered_only")
 
-    def __init__(self, cells: int, design: DesignKeys, mis: MisWeighting, scattered_only: bool = False) -> None:
-        super().__init__(cells, design, mis)
+    def __init__(self, *arguments: Any, scattered_only: bool = False, **options: Any) -> None:
+        super().__init__(*arguments, **options)
         self._scattered_only = scattered_only
 
     def visit(self, visit: Visit, memory: Memory) -> None:
@@ -271,6 +219,8 @@ class ArrivalSamples(_StartSamples):
         start, met = visit.start, visit.detected
         assert start.cell is not None
         assert start.place is not None
+        value = dr.gather(mi.Float64, self._values, start.cell, visit.active)
+        self._importance.arrive(visit, value * visit.weight, memory)
         if self._scattered_only:
             met &= (visit.state["scatters"] & COUNT_MASK) != 0
         path_class = path_class_of(visit.event, visit.depth, start, met)
@@ -279,3 +229,6 @@ class ArrivalSamples(_StartSamples):
         assert mis.end is not None
         floats = (*start.place, visit.weight * mis.forward, mis.forward, mis.connected, mis.density, *mis.end)
         self._keep(words, floats, met)
+        value *= mi.Float64(visit.weight * mis.forward)
+        contributes = met & (value > 0)
+        self._importance.contribute(visit, visit.depth, value, mis.forward, contributes, memory)

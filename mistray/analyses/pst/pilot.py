@@ -109,7 +109,8 @@ class Pilot:
         self._light = np.zeros(count)  # of the round before
         self._parts: list[np.ndarray] = []  # see `_unscattered`
         self._variances: list[tuple[float, np.ndarray, np.ndarray]] = []  # see `variances_together`
-        self._importance: list[tuple[np.ndarray, np.ndarray]] = []  # see `_windows`
+        # See `_windows`, of backward and of forward rays
+        self._importance: dict[bool, list[tuple[np.ndarray, np.ndarray]]] = {False: [], True: []}
         self._pace = np.zeros(2)  # s for a forward ray, and for a backward ray
         self.took = 0.0  # s of the last round
         if earlier is not None:
@@ -120,7 +121,8 @@ class Pilot:
                 earlier._light,
                 earlier._parts,
             )
-            self._variances, self._importance, self._ends = earlier._variances, earlier._importance, earlier._ends
+            self._variances, self._ends = earlier._variances, earlier._ends
+            self._importance = dict(earlier._importance)
         trace.share_paths(self._sharing)
         self._cells = AllCells(trace)
 
@@ -158,14 +160,15 @@ class Pilot:
     def _round(self, rays: int) -> Plan:
         """Trace one pilot round of `rays` backward rays, and return the plan based on all rounds so far."""
         trace, sharing, cells = self._trace, self._sharing, self._cells
-        # Trace both directions; backward, the weight windows learn from the relative value of light
+        # Trace both directions; the weight windows learn from the relative value of light
         forward_rays = whole_batches(sharing.rays * rays)
         counts = self._counts & (self._light > 0)
         values = np.divide(trace.unit.ravel(), self._light, out=np.zeros(len(counts)), where=counts)
+        forward_values = np.where(counts, self._values(sharing.rays, self._light), 0)
         began = time.perf_counter()
         backward = trace.samples(rays, self._rounds, values)
         then = time.perf_counter()
-        forward = cells.samples(forward_rays, self._rounds)
+        forward = cells.samples(forward_rays, self._rounds, forward_values)
         # Pace of the last round, which is the longest and compiles nothing
         now = time.perf_counter()
         self._pace, self.took = (
@@ -175,7 +178,13 @@ class Pilot:
         self._rounds += 1
         self._rays += forward_rays.sum(), rays
         count = cells.cells
-        windows = self._windows(backward, values, rays)
+        windows = self._windows(False, backward, values, rays)
+        # Forward rays rarely find the detector, so that paths of backward rays count, too. A backward ray brings as
+        # much as `ratio` forward rays
+        ratio = float(forward_rays.sum()) / rays
+        by_forward, by_backward = (np.sum([one.importance[2] for one in part], axis=0) for part in (forward, backward))
+        shared = by_forward + np.stack((ratio * by_backward[0], ratio**2 * by_backward[1]))
+        forward_windows = self._windows(True, forward, forward_values, float(forward_rays.sum()), shared)
         costs_forward = self._costs_forward(forward)
         cost_forward = costs_forward.sum(axis=0)
         cost_backward = sum(float(one.segments.sum()) for one in backward)
@@ -205,14 +214,17 @@ class Pilot:
             [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
         )
         least = np.where(self._counts, min(LEAST_OF_CELL, LEAST_OF_ALL / count), 0)
+        rays_of_run = np.maximum(sharing.rays * best, least)
         plan = Plan(
             sharing=replace(
                 sharing,
                 starts=starts,
                 ends=ends,
-                rays=np.maximum(sharing.rays * best, least),
+                rays=rays_of_run,
                 starts_per_connection=self._starts_per_connection(light, relative, gain),
                 windows=windows,
+                forward_windows=forward_windows,
+                values=self._values(rays_of_run, light),
             ),
             light=light,
             variance=variance * light**2 * rays,
@@ -226,6 +238,7 @@ class Pilot:
         self._sharing = replace(
             plan.sharing,
             rays=rays_of_cell,
+            values=self._values(rays_of_cell, light),
             unscattered=self._unscattered(both, light, costs_forward),
         )
         trace.share_paths(self._sharing)
@@ -261,36 +274,68 @@ class Pilot:
         best = np.where(clear + scattered > 0, np.clip(best, now / STEP, now * STEP), now)
         return np.clip(best, LEAST_UNSCATTERED, MOST_UNSCATTERED)
 
-    def _windows(self, backward: Sequence[Samples], values: np.ndarray, rays: int) -> np.ndarray:
+    def _windows(
+        self,
+        forward: bool,
+        samples: Sequence[Samples],
+        values: np.ndarray,
+        rays: float,
+        shared: np.ndarray | None = None,
+    ) -> np.ndarray:
         """
-        Return the inverse bounds of the weight windows of backward rays, upper and lower, from the latest rounds.
+        Return the inverse bounds of the weight windows of one direction, upper and lower, from the latest rounds.
 
         Let F be the contribution of a ray per unit of throughput at a surface, and F₀ that of a start ray. The inverse
         upper bound is the larger of √(E[F²]/E[F₀²]) (A. Rath et al., EARS: efficiency-aware Russian roulette and
         splitting, ACM Trans. Graph. 41, 81 (2022), with the same cost for all rays) and the lower confidence bound of
         E[F]/E[F₀]. The inverse lower bound is no less than the upper confidence bound of E[F]/E[F₀], since rare strong
         rays may not have been found.
+
+        Parameters
+        ----------
+        forward : bool
+            Whether the windows are those of forward rays.
+        samples : sequence of Samples
+            Samples of this round.
+        values : (c,) float64
+            Value of a unit of contribution by cell.
+        rays : float
+            Number of start rays of this round.
+        shared : (2, n, WAYS) float64, optional
+            Contributions by row, and their squares, for the confidence bounds; None: those of `samples`.
         """
-        # Moments of F₀ of this round, and sums of F by surface and event before it
-        brought = [one.weight * values[one.cell] for one in backward]
-        sums = np.array([sum(part.sum() for part in brought), sum(np.square(part).sum() for part in brought)])
-        importance = np.sum([one.importance for one in backward if one.importance is not None], axis=0)
-        self._importance = [*self._importance, (importance, np.append(sums, rays))][-REMEMBERED:]
-        (weight, weight_squares, follows, squares), (all_brought, all_squares, all_rays) = (
-            np.sum(column, axis=0) for column in zip(*self._importance, strict=True)
+        # Moments of F₀ of this round, and sums of F by row
+        brought = [one.weight * values[one.cell] for one in samples]
+        sums = np.array([sum(part.sum() for part in brought), sum(np.square(part).sum() for part in brought), rays])
+        arrived, follows, _ = np.sum([one.importance for one in samples], axis=0)
+        importance = np.array([arrived, follows, follows if shared is None else shared])
+        self._importance[forward] = [*self._importance[forward], (importance, sums)][-REMEMBERED:]
+        found, (all_brought, all_squares, all_rays) = (
+            np.sum(column, axis=0) for column in zip(*self._importance[forward], strict=True)
         )
+        (weight, weight_squares), (_, squares), (follows, shared_squares) = found
         if not all_brought > 0:
             return np.zeros((2, *weight.shape))
         mean, moment = all_brought / all_rays, all_squares / all_rays
-
-        def of_weight(sums: np.ndarray, weights: np.ndarray) -> np.ndarray:
-            return np.divide(sums, weights, out=np.zeros_like(sums), where=weights > 0)
-
         # Confidence bounds of E[F]/E[F₀]
-        error = np.sqrt(squares)
-        least, most = (of_weight(follows + errors * error, weight) / mean for errors in (-1, BOUND))
-        inverse_upper = np.maximum(np.sqrt(of_weight(squares, weight_squares) / moment), least)
-        return _rounded(np.stack([inverse_upper, np.where(squares > 0, np.maximum(most, inverse_upper), 0)]))
+        error = np.sqrt(shared_squares)
+        least, most = (_ratio(follows + errors * error, weight) / mean for errors in (-1, BOUND))
+        inverse_upper = np.maximum(np.sqrt(_ratio(squares, weight_squares) / moment), least)
+        return _rounded(
+            np.stack([inverse_upper, np.where(shared_squares > 0, np.maximum(most, inverse_upper), 0)])
+        ).astype(np.float32)
+
+    def _values(self, rays: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """
+        Return the value of a unit of throughput of forward rays by cell, (c,), relative to the cell's light.
+
+        Cells without light so far are as valuable as the most valuable one.
+        """
+        lit = self._counts & (light > 0) & (rays > 0)
+        if not lit.any():
+            return np.ones(len(light))
+        value = np.divide(self._cells.unit.ravel(), light * rays, out=np.zeros(len(light)), where=lit)
+        return _rounded(np.where(lit, value, value.max()) * rays.sum())
 
     def _note_path_classes(self, samples: Samples) -> None:
         """Store this round's samples to derive MIS weights of path classes; the last `REMEMBERED` rounds are kept."""
@@ -346,6 +391,11 @@ def _rounded(values: np.ndarray) -> np.ndarray:
     """Round values to 8 significant bits, so that the order of sums in parallel threads does not change them."""
     mantissa, exponent = np.frexp(values)
     return np.asarray(np.ldexp(np.round(256 * mantissa) / 256, exponent))
+
+
+def _ratio(sums: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return `sums` over `weights`, 0 where the weight is 0."""
+    return np.divide(sums, weights, out=np.zeros_like(sums), where=weights > 0)
 
 
 def _together(parts: Sequence[Samples]) -> Samples:

@@ -16,6 +16,8 @@ RESERVE = 1.4  # number of rays over that which the pilot's variances require
 MOST_UNEVEN = 4.0  # largest cost of one direction over that of the other
 LEVELS = 200  # number of levels of the relative variance that are compared
 ARRAYS = ("light", "variance", "pilot_rays")
+WINDOWS = ("windows", "forward_windows", "values")  # of weight windows, optional
+OPTIONAL = (*WINDOWS, "unscattered")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +85,7 @@ class Plan:
         if sharing.ends is not None:
             starts |= {f"ends_{f.name}": getattr(sharing.ends, f.name) for f in fields(StartMap)}
         shared = {"points_lit": sharing.points, "rays": sharing.rays, "linked": sharing.starts_per_connection}
-        optional = {name: getattr(sharing, name) for name in ("windows", "unscattered")}
+        optional = {name: getattr(sharing, name) for name in OPTIONAL}
         return own | found | starts | shared | {name: values for name, values in optional.items() if values is not None}
 
     @classmethod
@@ -92,11 +94,11 @@ class Plan:
         starts = StartMap(**{f.name: arrays[f"starts_{f.name}"] for f in fields(StartMap)})
         own: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
         samples = MapSamples(*(arrays[f"samples_{name}"] for name in MapSamples._fields))
-        windows, unscattered = arrays.get("windows"), arrays.get("unscattered")
         ends = (
             StartMap(**{f.name: arrays[f"ends_{f.name}"] for f in fields(StartMap)}) if "ends_axis" in arrays else None
         )
-        sharing = Sharing(arrays["points_lit"], starts, arrays["rays"], arrays["linked"], windows, unscattered, ends)
+        optional: dict[str, Any] = {name: arrays.get(name) for name in OPTIONAL}
+        sharing = Sharing(arrays["points_lit"], starts, arrays["rays"], arrays["linked"], ends=ends, **optional)
         return cls(sharing=sharing, samples=samples, **own)
 
 
@@ -116,7 +118,7 @@ def shared(plans: Sequence[Plan]) -> list[Plan]:
     same = {
         "starts": starts,
         "rays": rays,
-        "windows": windows[0] if alike else None,
+        **{name: getattr(plans[0].sharing, name) if alike else None for name in WINDOWS},
         "unscattered": np.max(ratios, axis=0) if len(ratios) == len(plans) else None,
         "ends": plans[0].sharing.ends,
     }

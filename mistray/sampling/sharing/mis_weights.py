@@ -50,9 +50,11 @@ class Sharing:
     starts_per_connection : (c,) float64
         Number of start rays of each cell per connection, which picks one of their light vertices, see
         `mistray.kernel.light_vertices`; all 0: there are no connections.
-    windows : (2, n, WAYS) float64, optional
-        Inverse upper and lower bounds of `mistray.kernel.kernel_scene.WeightWindows`, for backward rays; 0 for no
-        bound. None: there are no weight windows.
+    windows, forward_windows : (2, n, WAYS) float64, optional
+        Inverse upper and lower bounds of `mistray.kernel.kernel_scene.WeightWindows`, for backward and for forward
+        rays; 0 for no bound. None: there are no weight windows.
+    values : (c,) float64, optional
+        Value of a unit of throughput of forward rays by cell, for their weight windows; None: 1.
     unscattered : (c,) float64, optional
         Number of further forward rays, which are not scattered, per ray of `rays`. They alone carry the unscattered
         light; they cost little, and find narrow entrances. None: there are none, and `rays` carry all light.
@@ -67,6 +69,8 @@ class Sharing:
     rays: np.ndarray
     starts_per_connection: np.ndarray
     windows: np.ndarray | None = None
+    forward_windows: np.ndarray | None = None
+    values: np.ndarray | None = None
     unscattered: np.ndarray | None = None
     ends: StartMap | None = None
     path_classes: PathClassVariances | None = None
