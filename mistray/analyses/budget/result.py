@@ -107,7 +107,7 @@ class Budget(Result, table=".page:numbers_table", figure=".figures:budget_figure
     seconds: float
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return if all requirements are met, metrics after, and total costs before and after, by label."""
+        """Return whether all requirements are met, metrics after, and total costs before and after, by label."""
         before, after = self.cost
         metrics = {f"{item.requirement} [{item.unit}]": item.after for item in self.requirements}
         verdict = "met" if self.holds else "NOT met"

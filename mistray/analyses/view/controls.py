@@ -67,7 +67,11 @@ class FluxScale(LogScale):
 def light_scales(
     surfaces: Sequence[OpenSurface], flux: Mapping[str, SurfaceFlux], walls: Sequence[SurfaceMap]
 ) -> dict[str, LogScale]:
-    """Return colour scales of incident and absorbed flux, W, and recorded irradiance, W/mm²; empty without a trace."""
+    """
+    Return the colour scales of incident and absorbed flux, W, and of recorded irradiance, W/mm², by name.
+
+    There are none without a trace, and none of irradiance without wall maps.
+    """
     scales: dict[str, LogScale] = {}
     if flux:
         scales = {key: FluxScale(surfaces, flux, what) for key, what in COLOURINGS.items()}
