@@ -57,7 +57,7 @@ def view_data(found: Guess) -> dict[str, Any]:
 
 
 def _print(value: Estimate) -> str:
-    """Return a number with its standard error as in print."""
+    """Return a value with its standard error as typeset text."""
     return typeset(with_error(value))
 
 

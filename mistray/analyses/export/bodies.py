@@ -99,7 +99,11 @@ class StepBody:
 
     @property
     def error_mm(self) -> float:
-        """Return the largest distance of its B-splines from the surfaces, mm, once its faces are made; 0 if all are exact."""
+        """
+        Return the largest distance of its B-splines from the surfaces, mm, once its faces are made.
+
+        It is 0 if the body has none.
+        """
         profiles = [profile.error_mm for _, own in self.turned for profile in own]
         return max([*profiles, *(patch.error_mm for patch in self.patches)], default=0.0)
 

@@ -543,7 +543,7 @@ def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.n
 
 
 def _squared(point: np.ndarray, aim: np.ndarray, power: np.ndarray, metric: np.ndarray) -> float:
-    """Return the squared distance, with weights `metric`, from a point in parameter units to a scaled one."""
+    """Return the squared distance from a point in parameter units to a scaled one, by the weights `metric`, (k, k)."""
     apart = _scaled(point, power) - aim
     return float(apart @ metric @ apart)
 

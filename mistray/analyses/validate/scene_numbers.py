@@ -63,7 +63,11 @@ class SceneNumbers:
         self._found_hits: dict[Trace, pd.DataFrame] = {}
 
     def __call__(self, row: DeclaredRow) -> Estimate | None:
-        """Return mistray's number for a row and its standard error; None if no light takes the row's path."""
+        """
+        Return mistray's number for a row and its standard error, in the unit of the quantity.
+
+        It is None if no light takes the row's path.
+        """
         if row.quantity == "pst":
             return self._pst(row)
         t = self._trace(row)
@@ -170,7 +174,7 @@ def extent(hits: np.ndarray) -> Estimate:
     Returns
     -------
     Estimate
-        Extent in mm; its error is NaN for fewer than 256 hits.
+        Extent and its standard error, mm; both are NaN for fewer than 256 hits.
     """
     if len(hits) < SUBSETS * LEAST_HITS:
         return UNKNOWN
