@@ -182,7 +182,7 @@ def _shares(
     """
     Return R and T, (n,) each, 0 … 1, at cosines of incidence, (n,): means of s and p.
 
-    Under total reflection T is 0, and R is less than 1 only for what the coating absorbs.
+    Under total reflection T is 0.
     """
     refraction, total = _tables(coating, wavelength_nm, sides)
     n_in, n_out = (n.real for n in (sides if from_front else sides[::-1]))

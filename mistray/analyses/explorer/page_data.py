@@ -62,7 +62,7 @@ def _print(value: Estimate) -> str:
 
 
 def remedy_data(found: Remedy | None) -> dict[str, Any] | None:
-    """Return the surface to change first and its share of the stray light in percent, or None."""
+    """Return the surface to change first, with its share of the stray light in percent; None if there is none."""
     if found is None:
         return None
     return {"surface": found.surface, "deed": found.deed, "percent": plain(found.percent.value)}

@@ -104,7 +104,11 @@ def _draw(axes: Axes, surface: SectionLine, group: str, is_detector: bool) -> No
 def _names(
     axes: Axes, lines: Mapping[str, SectionLine], labels: list[str], low: Polyline, high: Polyline, room: float
 ) -> None:
-    """Label objects side by side above the system, each with a thin line to the upper end of its object."""
+    """
+    Label objects side by side above the system, each with a thin line to the upper end of its object.
+
+    Objects that lie in the lower half of the drawing have no label.
+    """
     anchors: dict[str, Polyline] = {}
     for name in labels:
         points = np.concatenate(lines[name].lines) if lines[name].lines else np.empty((0, 2))

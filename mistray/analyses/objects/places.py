@@ -117,7 +117,12 @@ class Places:
     # ---- the gap of a ray
 
     def _index_steps(self) -> None:
-        """Assign design steps to surfaces of the design path, and to transparent ones beside them such as bevels."""
+        """
+        Assign to each surface the design steps at which light meets it.
+
+        A transparent surface off the path, such as a bevel, has the steps of the design surfaces of its part with the
+        same media.
+        """
         assert self.path is not None
         table, steps = self.table, self.path.steps
         words = table.optics.host_words
@@ -183,7 +188,7 @@ class Places:
         return np.asarray(np.einsum("ij,ij->i", point - start[gap], direction[gap]))
 
     def between(self, gap: int) -> str:
-        """Return the name of a gap: the design surfaces that it lies between."""
+        """Return the name of a gap: the design surfaces that it lies between; "" without a design path."""
         if self.path is None:
             return ""
         names = [self.table.ids[step.surface] for step in self.path.steps]
