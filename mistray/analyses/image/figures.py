@@ -20,7 +20,7 @@ RAYS = 3000  # of a spot diagram
 
 
 def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Draw the tangential and sagittal MTF of each field against frequency, 1/mm, with the diffraction limit."""
+    """Draw the tangential and sagittal MTF of up to 8 fields against frequency, 1/mm, with the diffraction limit."""
     return _mtf(found.fields[:SHOWN], max(map(_last_frequency, found)), title)
 
 

@@ -125,7 +125,11 @@ def _names(
 
 
 def spread(wanted: Sequence[float], low: float, high: float, most: int) -> list[float]:
-    """Return label positions close to the ascending `wanted` ones, at least 1/`most` of the range apart."""
+    """
+    Return label positions close to the ascending `wanted` ones, from `low` to `high`.
+
+    Neighbours are at least 1/`most` of that range apart. More than `most` of them begin below `low`.
+    """
     apart = (high - low) / most
     places: list[float] = []
     for place in wanted:

@@ -64,7 +64,7 @@ class Finished:
             self.save()
 
     def add(self, value: float) -> None:
-        """Store the metric of one more perturbed system."""
+        """Store the metric of one more perturbed system; write the file if that was last done 5 s ago."""
         self.systems.append(value)
         if time.perf_counter() - self._saved > SAVED_S:
             self.save()

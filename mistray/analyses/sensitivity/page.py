@@ -79,7 +79,11 @@ def ranking_table(result: Sensitivity) -> Table:
 
 
 def change_text(row: SensitivityRow) -> str:
-    """Return as text the value that lowers the metric by the requested factor, else the bound and its factor."""
+    """
+    Return as text the value that lowers the metric by the requested factor, else the bound and its factor.
+
+    Return "held" for a parameter that is not free, and a dash if no value lowers the metric.
+    """
     if not row.free:
         return "held"
     if row.reached:

@@ -63,7 +63,8 @@ def band_weights(
     Returns
     -------
     (m,) float64
-        Weights, W/(mm² sr), not negative; their sum is the radiance of a blackbody in the band.
+        Weights, W/(mm² sr), not negative; their sum is the radiance of a blackbody in the band. With `derivative` they
+        are per K, and with `photons` in photons/s instead of W.
     """
     quadrature = planck.derivative_nodes if derivative else planck.band_nodes
     nodes = np.asarray(wavelengths_um, dtype=np.float64)

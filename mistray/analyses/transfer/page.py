@@ -51,6 +51,8 @@ def transfer_parts(found: Transfer, title: str = "") -> list[PagePart]:
     """
     Return pictures of all fields, remarks, and definitions of terms, as page parts.
 
+    A note replaces the pictures of a field if the time is up or its wavefront is not resolved.
+
     Parameters
     ----------
     found : Transfer

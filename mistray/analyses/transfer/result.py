@@ -297,6 +297,11 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
             Radii of the circles, mm, from 0 to the last of `edges_mm`. Between two edges the irradiance is constant.
         stray : bool
             Whether to include stray light; without it the fraction is one of the direct image.
+
+        Raises
+        ------
+        MistrayError
+            If a radius is below 0 or beyond the last edge.
         """
         radii = np.atleast_1d(np.asarray(radii_mm, dtype=np.float64))
         if not np.all((radii >= 0) & (radii <= self.edges_mm[-1])):
