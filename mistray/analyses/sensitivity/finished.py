@@ -141,7 +141,11 @@ def numbers_hash(params: Any) -> str:
 
 
 def signature_of(metric: Metric, params: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the facts in which a saved run must agree: metric, numbers of its scene, and the arguments in `facts`."""
+    """
+    Return the facts in which a saved run must agree.
+
+    These are the metric, the values of all parameters of its scene, and the arguments in `facts`.
+    """
     about = {name: getattr(metric, name) for name in ("name", "field_deg", "wavelength_nm", "weights")}
     return {"metric": about, "settings": dict(metric.settings or {}), **facts, "scene": numbers_hash(params)}
 

@@ -56,6 +56,8 @@ def edit_ranking_table(found: EditRanking, count: int = 20) -> Table:
     """
     Return the table of edits with the effect of one step at each field angle, percent.
 
+    Edits that change nothing are left out.
+
     Parameters
     ----------
     found : EditRanking

@@ -33,7 +33,7 @@ class Step(Demand):
     also = ({"type": "number"}, {"type": "string", "minLength": 1})
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the step; raise `MistrayError` if it is neither a number nor a text."""
+        """Return the step; raise `MistrayError` if it is neither a finite number nor a string that is not empty."""
         return value if isinstance(value, str) and value else FINITE.check(name, value, owner)
 
 

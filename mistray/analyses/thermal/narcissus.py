@@ -61,7 +61,7 @@ class NarcissusReturn:
 
     @derived.column("Difference over the field: middle zone less outermost, K", head="middle - edge [K]")
     def over_field_K(self) -> Estimate:
-        """Difference of `with_shield_K` between middle and outermost zone, K, which the image shows."""
+        """Difference of `with_shield_K` between middle and outermost zone, K, seen in the image; NaN without zones."""
         if not self.by_zone_K:
             return UNKNOWN
         middle, edge = self.by_zone_K[0], self.by_zone_K[-1]

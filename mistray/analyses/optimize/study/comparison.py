@@ -286,7 +286,7 @@ def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
     """
     Return the comparison of two steps of a search, from its own seed, before verification.
 
-    Standard errors are NaN.
+    Standard errors are NaN, and units are empty.
     """
     rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:
@@ -359,6 +359,11 @@ def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
 def compare(before: Levels, after: Levels) -> Comparison:
     """
     Compare two designs measured with the same study and seeds: mean, ratio and standard error of each value.
+
+    Raises
+    ------
+    MistrayError
+        If the seeds or the terms of both differ.
 
     Examples
     --------

@@ -84,13 +84,14 @@ class Merit:
         y : (n,) float64
             Variables as shares of the way from the low to the high bound, 0 … 1.
         number : int
-            Number of the evaluation in its search; decides the seed if seeds are fresh.
+            Index of the evaluation in its search, from 0; decides the seed if seeds are fresh.
 
         Returns
         -------
         dict
-            merit, merit_se, slope (n,) by y, terms, slopes, traced_seconds (s), left_out, edge_widths. `slopes` are the
-            derivatives of the terms by y for a method that uses them, otherwise empty.
+            merit, merit_se, slope (derivatives of the merit with respect to y, (n,)), terms, slopes, traced_seconds
+            (s), left_out, edge_widths. `slopes` are the derivatives of the terms with respect to y for "sqp", otherwise
+            empty.
 
         Raises
         ------
