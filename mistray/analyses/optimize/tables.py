@@ -62,7 +62,7 @@ def variable_rows(result: Optimization) -> list[VariableRow]:
 
 
 def terms_table(result: Optimization) -> str:
-    """Return the table of terms before and after, with their goals and if these are met, as text."""
+    """Return the table of terms before and after, with their goals and whether these are met, as text."""
     rows = [result.comparison.of(term.name) for term in result.study.terms]
     goals = [
         [goal_text(term, row.before), kept_text(term, row)] for term, row in zip(result.study.terms, rows, strict=True)

@@ -31,6 +31,8 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
     """
     Return a table of the stray paths at a field angle, degrees, averaged over azimuths; the strongest is first.
 
+    At most `n` paths are returned, all by default.
+
     Returns
     -------
     DataFrame
@@ -80,9 +82,10 @@ def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
 
 def cause_frame(pst: Pst) -> pd.DataFrame:
     """
-    Return the percentage of the stray light that each cause brings at each field angle.
+    Return the percentage of the stray light that is due to each cause at each field angle.
 
-    Rows are field angles, degrees (index). Columns are causes, the one with the largest percentage first.
+    Rows are field angles, degrees (index). Columns are causes, the one with the largest percentage first. There are
+    none without a table of paths or without stray paths.
     """
     listed = pst.path_rows
     if listed is None or (listed.kind == DIRECT).all():

@@ -85,7 +85,7 @@ def forward_pst(
     MistrayError
         If an argument is out of range, the scene has no detector, or where `mistray.trace` raises.
     UnfinishedError
-        If workers of `mistray.distribute` are lost; ``partial`` has the sums of finished cells by their numbers.
+        If workers of `mistray.distribute` are lost; ``partial`` has the sums of finished cells by their indices.
     """
     # Arguments and defaults
     require_scene(scene, "forward_pst")

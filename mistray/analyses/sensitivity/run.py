@@ -201,7 +201,14 @@ def _checked(
 
 
 def _with_derivative(found: Gradient, lines: list[Line]) -> tuple[list[Line], list[str]]:
-    """Return the table lines whose parameters have a derivative, and notes on the others."""
+    """
+    Return the table lines whose parameters have a derivative, and notes on the others.
+
+    Raises
+    ------
+    MistrayError
+        If none has a derivative.
+    """
     without = [line for line in lines if found.full.keys() & set(line.moved)]
     if len(without) == len(lines):
         found.require(found.full)

@@ -262,7 +262,7 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
         )
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of rows, and the least and most stray power in a row, W, by label."""
+        """Return the numbers of rows, configurations and cached rows, and least and most stray power, W, by label."""
         found: dict[str, KeyNumber] = {"rows": len(self), "configurations": len(self.configurations)}
         stray = [estimate_of(row, "stray_W") for row in self.rows]
         if stray:

@@ -208,7 +208,7 @@ class Merit:
             self.edge_widths[name] = found.edge_width
 
     def pieces(self, at: Evaluation) -> Pieces | None:
-        """Return the smooth part and the penalties of the merit, if the terms were differentiated one by one."""
+        """Return the smooth part and the penalties of the merit; None if the terms were differentiated together."""
         if not at.slopes:
             return None
         return pieces(self.study.terms, at.terms, at.slopes, self.start or at.terms)

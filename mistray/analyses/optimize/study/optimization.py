@@ -73,7 +73,7 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
     steps : tuple of Step
         All steps of all searches.
     ended : dict
-        Number of a start → why its search ended. Starts that were only evaluated are not in it.
+        Index of a start → why its search ended. Starts that were only evaluated are not in it.
     best : Step
         Step of the searches that is the result.
     comparison : Comparison
