@@ -217,7 +217,11 @@ class CellRounds:
             self._report()
 
     def _report(self) -> None:
-        """Call `progress` with the rays traced, the largest relative error of a cell and the time left, s."""
+        """
+        Call `progress` with the rays traced, the largest relative error of a cell and the time left, s.
+
+        Do nothing without `progress`.
+        """
         if self.progress is None:
             return
         rays = self.light.rays

@@ -320,7 +320,9 @@ def _of_source(
     facts: Mapping[str, float],
 ) -> StrayMetric:
     """
-    Return a stray-light metric of an extended source; `over` computes it from PST and radiance per cell.
+    Return a stray-light metric of an extended source, in `unit`.
+
+    `over` computes it from the PST and the factor on each of its cells.
 
     Raises
     ------

@@ -181,10 +181,10 @@ class PstObservation:
 
     def seen(self, source: ExtendedSource, light: Light, interpolation: str = "cells") -> np.ndarray:
         """
-        Return derivatives of the irradiance from an extended source by the PST_normal of the cells, (n, m), W/mm².
+        Return the factor of PST_normal of each cell in the irradiance from an extended source, (n, m), W/mm².
 
-        The integral is homogeneous of degree 1 in the PST, so that the sum of these times the PST is the integral
-        itself.
+        It is the derivative of that irradiance. The integral is homogeneous of degree 1 in the PST, so that the sum of
+        the factors times the PST is the integral itself.
         """
         curve = None
         if interpolation == "log":
@@ -244,7 +244,11 @@ class PstObservation:
         return total
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Yield the gradients of the metric by the tracer's parameter tables, for each relevant wavelength."""
+        """
+        Yield the gradients of the metric with respect to the tracer's parameter tables, for each relevant wavelength.
+
+        There are none if the metric does not depend on the PST.
+        """
         derivative = self.derivative
         if not np.any(derivative):
             return iter(())
@@ -256,7 +260,7 @@ class PstObservation:
         return Sampled.of(parts, self.pst.weight)
 
     def clear(self) -> None:
-        """Set to zero the derivatives by PST cells that an earlier metric has left."""
+        """Set to zero the derivatives with respect to PST cells that an earlier metric has left."""
         for cells in self._cells.values():
             dr.clear_grad(cells)
 
