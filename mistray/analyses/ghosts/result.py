@@ -115,7 +115,11 @@ class GhostReport(
         self.nominal = direct_image(nominal_trace.paths)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of fields, and the most stray light of a field in W and over the direct image on axis."""
+        """
+        Return the number of fields, and the most stray light of a field in W and over the direct image on axis.
+
+        They are keyed by label; without a traced field only the number is there.
+        """
         stray = {field: t.paths.stray_W for field, t in self.items()}
         found: dict[str, KeyNumber] = {"fields": len(self)}
         if not stray:
@@ -358,6 +362,11 @@ class GhostReport(
         Return the irradiance map of a path of ``listed(field_deg, MAPPED_PATHS)`` with its standard error, W/mm².
 
         For other paths use ``report[field_deg].irradiance_of(path_ids)``.
+
+        Raises
+        ------
+        MistrayError
+            If the path is not among these.
         """
         try:
             return self._images(field_deg).paths[path_id]

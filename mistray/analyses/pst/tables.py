@@ -39,7 +39,7 @@ def shown_classes(pst: Pst) -> tuple[str, ...]:
 
 
 def name_of(group: str) -> str:
-    """Return the name of a class of light with blanks instead of underscores."""
+    """Return the name of a class of light with spaces instead of underscores."""
     return group.replace("_", " ")
 
 
@@ -111,7 +111,11 @@ def curve_text(pst: Pst) -> str:
 
 
 def top_paths_text(pst: Pst, count: int) -> str:
-    """Return the strongest stray paths of each angle side by side, with their percentages, as text."""
+    """
+    Return the strongest stray paths of each angle side by side, with their percentages, as text.
+
+    If there are none, a sentence says so.
+    """
     tops = {angle: stray_paths(pst, angle, count) for angle in pst.field_deg}
     shown = max((len(top) for top in tops.values()), default=0)
     if not shown:
@@ -247,7 +251,7 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
     -------
     dict
         convention, definition, method, facts, grid, field_edge_deg, curve (rows of `curve_frame`, each with its
-        ``paths`` and ``causes``), cells (rows of `cell_frame`, if there are azimuths), breaks, next_orders and
+        ``paths`` and ``causes``), cells (rows of `cell_frame`, if there are several azimuths), breaks, next_orders and
         warnings.
     """
     curve = curve_frame(pst).drop(columns=["convention", "method"]).to_dict("records")

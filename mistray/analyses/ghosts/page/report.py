@@ -176,7 +176,7 @@ def _traced(report: GhostReport) -> str:
 
 
 def _undrawn(report: GhostReport, shown: GhostReport) -> list[str]:
-    """Return a warning that names the fields without pictures, if there are any."""
+    """Return a list with a warning that names the fields without pictures; empty if all have them."""
     missing = [f"{field:g}" for field in report if field not in shown]
     if not missing:
         return []
@@ -204,7 +204,11 @@ def _peak(shown: GhostReport, field_deg: float) -> Estimate:
 
 
 def _pictures(report: GhostReport, shown: GhostReport, pictures: Mapping[str, bytes]) -> list[PagePart]:
-    """Return the pictures of the stray light of all fields and of the levels against field angle, as page parts."""
+    """
+    Return the pictures of the stray light of all fields and of the levels against field angle, as page parts.
+
+    If no field was drawn, only the levels are there.
+    """
     if not shown:
         return [_levels(report)]
     own = pictures.get("overview.png") or as_png(montage(shown), of_maps=True)

@@ -56,7 +56,7 @@ def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
 
 
 def surface_map_figures(report: GhostReport) -> dict[str, Drawing]:
-    """Return drawings of the nine brightest surfaces of each field, by file name."""
+    """Return drawings of up to nine surfaces of each field, the brightest ones, by file name."""
     own = {field: [one for one in brightest(report, field)[:DRAWN] if one.power[0] > 0] for field in report}
     return {f"surface_maps_{field:g}deg.png": _draw(lit) for field, lit in own.items() if lit}
 
