@@ -513,7 +513,11 @@ class Explorer:
         return self._traced is not None and not self._traced.slopes and "derivatives" not in self._impossible
 
     def _fields_missing(self) -> list[float]:
-        """Return the field angles, degrees, of the estimate's grid that have not been traced yet."""
+        """
+        Return the field angles, degrees, of the estimate's grid that have not been traced yet.
+
+        None without a field control.
+        """
         if "field" not in self.controls:
             return []
         return [field for field in self.fields if field not in self._grid and field not in self._impossible]
@@ -547,7 +551,11 @@ class Explorer:
 
 
 def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES]]:
-    """Return control states with different kernels, to be compiled ahead: a bare part, a layered part, and both."""
+    """
+    Return control states with different kernels, to be compiled ahead: a bare part, a layered part, and both.
+
+    There are none without a control of coatings.
+    """
     names = [name for name, one in controls.items() if one.kind == COATING]
     if not names:
         return []

@@ -1,4 +1,4 @@
-"""Requests of a ghost analysis: its arguments, and its optional tables and pictures."""
+"""Requests for a ghost analysis: its arguments, and its optional tables and pictures."""
 
 from __future__ import annotations
 

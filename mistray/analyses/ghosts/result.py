@@ -67,7 +67,7 @@ class GhostReport(
     wavelengths_nm : list of float
         Wavelengths, nm, ascending.
     nominal : DirectImage
-        Direct image on axis (field 0), all light: the denominator of every normalised number.
+        Direct image on axis (field 0), all light: the denominator of every normalised value.
     nominal_trace : Trace
         Trace that the direct image on axis is from.
     arguments : dict
@@ -118,7 +118,7 @@ class GhostReport(
         """
         Return the number of fields, and the most stray light of a field in W and over the direct image on axis.
 
-        They are keyed by label; without a traced field only the number is there.
+        They are keyed by label; without a traced field there is only the number of fields, 0.
         """
         stray = {field: t.paths.stray_W for field, t in self.items()}
         found: dict[str, KeyNumber] = {"fields": len(self)}
@@ -168,7 +168,7 @@ class GhostReport(
 
     @property
     def notes(self) -> list[Note]:
-        """Notes on the reliability of the numbers; `ghosts` raises them as warnings, see docs/warnings.md."""
+        """Notes on the reliability of the results; `ghosts` raises them as warnings, see docs/warnings.md."""
         return ghost_notes(self)
 
     def recorded(self, kind: type[T]) -> Iterator[tuple[float, T]]:

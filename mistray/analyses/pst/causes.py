@@ -242,7 +242,7 @@ class MainCause:
         Percentage of that stray light that it causes. The errors of its paths are added in quadrature, as if their
         rays were independent.
     field_deg : float
-        Field angle from which this cause brings most light under this sky, degrees.
+        Field angle from which this cause contributes most light under this sky, degrees.
     stray, left : Estimate
         PST of all stray light at this angle, and of the part from all other causes.
     """
@@ -291,7 +291,7 @@ def main_cause(pst: Pst) -> MainCause | None:
 
 def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]:
     """
-    Return the ranges of field angle over which one and the same cause brings most of the stray light.
+    Return the ranges of field angle over which one and the same cause contributes most of the stray light.
 
     Parameters
     ----------

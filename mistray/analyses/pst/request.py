@@ -1,4 +1,4 @@
-"""Requests of a point source transmittance (PST): directions, light, rays, and choice of pictures."""
+"""Requests for a point source transmittance (PST): directions, light, rays, and choice of pictures."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class PstRequest(Request):
 
 @dataclass(frozen=True)
 class FirstLevelRequest(PstRequest):
-    """Request of a first-level analysis: one point source transmittance (PST) for each set of limits on its paths."""
+    """Request for a first-level analysis: one point source transmittance (PST) for each set of limits on its paths."""
 
     _: KW_ONLY
     limits: Mapping[str, Mapping[str, Any]] | None = field(

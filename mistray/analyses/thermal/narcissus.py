@@ -88,8 +88,8 @@ class Returned:
     emission : dict of str to Estimate
         Surface id or `TOTAL` → emission, as in `NarcissusReturn`; only surfaces that send light back.
     cold : dict of str to (ZONES, BATCHES) float64
-        Surface id or `TOTAL` → irradiance missing because cold objects are seen by it, W/mm², by zone and batch
-        of rays.
+        Surface id or `TOTAL` → irradiance missing because it shows cold objects to the detector, W/mm², by zone and
+        batch of rays.
     scene : (ZONES, BATCHES) float64
         Derivative of the irradiance of the imaged scene with respect to its temperature, W/(mm² K).
     zones_mm : (ZONES + 1,) float64

@@ -280,7 +280,7 @@ class _AtLag:
     variance: float | None = None
 
     def __call__(self, lag: Array) -> Array:
-        """Return the values at lags, µm, of any shape."""
+        """Return the values at lags, µm, of any shape; they are 1 if nothing is scattered."""
         if self.rings is None:
             return np.ones_like(lag, dtype=np.float64)
         found = self.rings.transform(self.highest * np.asarray(lag))

@@ -33,7 +33,12 @@ def path_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFram
 
 
 def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Return the energy ledger of all fields: entry, name, power_W, power_se_W (NaN: exact or unknown), share."""
+    """
+    Return the energy ledger of all fields as a DataFrame: entry, name, power_W, power_se_W, share of the launch.
+
+    An error of NaN means that the power is exact or its error unknown. With `per_wavelength` each wavelength (column
+    wavelength_nm) has a ledger.
+    """
     ledgers = _by_wavelength(report, per_wavelength, lambda t: t.energy, lambda t, line: t.energy_at(line))
     rows = []
     for where, energy in ledgers:
@@ -82,7 +87,7 @@ def scatter_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataF
 
 
 def aiming_table(report: GhostReport) -> pd.DataFrame:
-    """Return a DataFrame of the aimed rays by field and surface: numbers aimed and landed, and landed / aimed."""
+    """Return a DataFrame of the aimed rays by field and surface: number aimed, number landed, and landed / aimed."""
     aimed = [(field, row) for field, t in report.items() for row in t.aiming]
     rows = [{"field_deg": field, "surface": row.id, **row_of(row, "aimed", "landed")} for field, row in aimed]
     return pd.DataFrame([row | {"landed_share": row["landed"] / row["aimed"]} for row in rows])

@@ -80,7 +80,7 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
         The given design and the result on independent seeds, with the further event on each path that matters; on the
         seeds of the search if `unverified`.
     next_orders : tuple of NextOrder
-        The terms of the result beside those with one more event on each path, where that was measured.
+        The terms of the result compared with those with one more event on each path, where that was measured.
     unverified : str
         The error that ended the comparison; empty if there was none.
     gaps : tuple of Gap
@@ -201,8 +201,8 @@ def run(
     progress : callable, optional
         Called after each step with the `Step` and the `Start` of its search.
     seconds : float, optional
-        Time for the searches and the comparison, s; the comparison then has fewer seeds, at least 2. Searches ended by
-        it can be resumed from the checkpoint.
+        Time for the searches and the comparison, s; the comparison then has fewer seeds, at least 2. Searches that it
+        ends can be resumed from the checkpoint.
 
     Returns
     -------
