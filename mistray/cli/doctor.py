@@ -295,7 +295,7 @@ def _variants(with_cuda: bool) -> list[Check]:
     """
     Run a small kernel in each JIT variant of Mitsuba, each backend in its own process; return the checks.
 
-    If Mitsuba cannot be imported, there is one check that says so.
+    Variants for CUDA are run only if `with_cuda`. If Mitsuba cannot be imported, there is one check that says so.
     """
     environment = dict(os.environ)
     before = [path for path in (provide_libatomic(),) if path]

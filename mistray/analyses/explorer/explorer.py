@@ -65,8 +65,7 @@ class Explorer:
 
     `move` answers at once. `work` does the slow jobs one by one, in a thread that calls it repeatedly. It traces the
     present state, compiles kernels for other coatings, finds derivatives with respect to shapes, and then traces the
-    field angles of
-    the grid.
+    field angles of the grid.
 
     Parameters
     ----------

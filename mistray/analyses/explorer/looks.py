@@ -182,7 +182,7 @@ def _shares(
     """
     Return R and T, (n,) each, 0 … 1, at cosines of incidence, (n,): means of s and p.
 
-    Under total reflection T is 0.
+    Light comes from the front if `from_front`, else from the back. Under total reflection T is 0.
     """
     refraction, total = _tables(coating, wavelength_nm, sides)
     n_in, n_out = (n.real for n in (sides if from_front else sides[::-1]))
@@ -230,7 +230,11 @@ def _scattered(
     directions: tuple[Floats, Floats],
     event: tuple[str, Floats],
 ) -> Floats:
-    """Return the sum of the BSDFs of all scatter models of a surface, (n,), 1/sr."""
+    """
+    Return the sum of the BSDFs of all scatter models of a surface, (n,), 1/sr.
+
+    Light comes from the front if `from_front`, else from the back.
+    """
     total = np.zeros(len(directions[0]))
     for model, amount in look.models:
         lobes = model.lobes(wavelength_nm, *indices, from_front)

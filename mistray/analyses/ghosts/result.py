@@ -232,7 +232,11 @@ class GhostReport(
         return found
 
     def _ranked(self, field_deg: float, column: str) -> pd.DataFrame:
-        """Return the path table of a field for all light, with a rank column; the rank by peak needs maps."""
+        """
+        Return the path table of a field for all light, with a rank column; the rank by peak needs maps.
+
+        Columns are those of `table`, with powers in W and irradiances in W/mm².
+        """
         key, t = (field_deg, False), self[field_deg]
         if key not in self._tables:
             self._tables[key] = ranked(by_path(self._rows(t), t.paths), t.paths, self.nominal)
@@ -270,7 +274,11 @@ class GhostReport(
         return stray.head(count)
 
     def listed(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
-        """Return the rows of `top`, plus the strongest stray path by power if it is not among them."""
+        """
+        Return the rows of `top`, plus the strongest stray path by power if it is not among them.
+
+        Arguments, columns and units are those of `top` and `table`.
+        """
         top, strongest = self.top(field_deg, count, rank), self.top(field_deg, min(count, 1), "power")
         return pd.concat([top, strongest[~strongest.path_id.isin(top.path_id)]])
 
@@ -279,6 +287,8 @@ class GhostReport(
         Return rows of a field's table with the RMS irradiance at the Airy radius, see `mistray.analyses.ghosts.airy`.
 
         For paths with so small a radius that it matters, some rays are traced again to find their light cones.
+
+        The new columns are in mm and W/mm².
         """
         known, wanted = self._cones.setdefault(field_deg, {}), set(tight(rows).path_id)
         if wanted - known.keys():
@@ -338,12 +348,20 @@ class GhostReport(
         self.light_maps = {field: light_maps(t, several(selections)) for field, t in self.items()}
 
     def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
-        """Return the path table of a field with renamed surfaces, see `mistray.trace.PathTable.by_way`."""
+        """
+        Return the path table of a field with renamed surfaces, see `mistray.trace.PathTable.by_way`.
+
+        Powers are in W.
+        """
         t = self[field_deg]
         return self._once(("aliased", t, str(aliases)), lambda: t.paths.by_way(aliases))
 
     def path_analysis(self, field_deg: float, sort: str = "power_W", least_share: float = 0.0) -> pd.DataFrame:
-        """Return the paths of a field with lengths and objects, see `mistray.analyses.ghosts.path_analysis`."""
+        """
+        Return the paths of a field with lengths and objects, see `mistray.analyses.ghosts.path_analysis`.
+
+        Powers are in W, and optical path lengths in mm.
+        """
         t = self[field_deg]
         return self._once(("analysis", t, sort, least_share), lambda: path_analysis(t, sort, least_share))
 

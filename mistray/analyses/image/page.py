@@ -77,7 +77,7 @@ def _number(value: float, form: str) -> str:
 
 
 def zernike_frame(found: ImageQuality) -> pd.DataFrame:
-    """Return a DataFrame of Noll's Zernike coefficients in waves, by field and wavelength."""
+    """Return a DataFrame of Noll's Zernike coefficients in waves, by field (degrees), wavelength (nm) and index."""
     rows = []
     for image in found:
         for line in image.lines:

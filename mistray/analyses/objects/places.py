@@ -233,9 +233,9 @@ class Places:
         """
         Find the aperture stop by fans of rays parallel to the base ray, of which the outermost just arrives.
 
-        The stop is whatever ends the next ray outside it: a surface in the way, or the rim of a design surface
-        that the ray misses. The fan whose beam is narrowest decides. The result is None if in every fan no ray arrives
-        or the outermost does, or if that next ray just misses the detector.
+        The stop is whatever ends the next ray outside it: a surface in the way, or the rim of a design surface that the
+        ray misses. The fan whose beam is narrowest decides. The result is None if in every fan no ray arrives or the
+        outermost does, or if that next ray just misses the detector.
         """
         assert self.path is not None
         size, first = self._size(), self.path.steps[0]

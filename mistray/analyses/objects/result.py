@@ -272,6 +272,8 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
         """
         Return one of the lists, such as "critical" or "common", as a frame with a column for each attribute.
 
+        Powers are fractions of the launched flux.
+
         Raises
         ------
         MistrayError

@@ -77,8 +77,8 @@ def forward_pst(
         cells together), seconds, segments, settings, seed, relative_error, error_up_to_deg, entrance, rays_of_cell and
         beam_area_mm2 (n, m); ``unseen``: cells (angle, azimuth) in which no light was found, whose PST of 0 is an upper
         limit only by the number of their rays; ``unfinished``: cells whose error is larger than requested;
-        ``not_traced``: cells for which a time budget was too short, whose values are NaN;
-        ``notes``: these facts in words, and other notes on the reliability.
+        ``not_traced``: cells for which a time budget was too short, whose values are NaN; ``notes``: these facts in
+        words, and other notes on the reliability.
 
     Raises
     ------

@@ -3,8 +3,7 @@ Pilot of a PST: short forward and backward traces that learn where light gets in
 
 Its rays contribute to no result, so that the mean of a run is that of either direction alone, whatever the pilot finds.
 With the light f along a path and the density q of all rays, forward and backward, the variance of a cell is ∫ f²/q.
-Each sample yields f/q; the MIS
-weight of forward rays in its path determines how q changes with their number.
+Each sample yields f/q; the MIS weight of forward rays in its path determines how q changes with their number.
 """
 
 from __future__ import annotations
@@ -372,9 +371,8 @@ def _relative_variances(
     Estimate the light of the cells and its relative variance.
 
     With the light f along a path and the density q of all rays, the variance is ∫ f²/q. Each sample yields f/q, and the
-    weight s of forward rays in
-    its path. With a factor k of the forward rays q becomes q (1 - s + k s). Samples of one ray in a cell are
-    correlated, which multiplies the variance of each direction by a factor of its own.
+    weight s of forward rays in its path. With a factor k of the forward rays q becomes q (1 - s + k s). Samples of one
+    ray in a cell are correlated, which multiplies the variance of each direction by a factor of its own.
 
     Parameters
     ----------

@@ -62,7 +62,11 @@ def curve_frame(pst: Pst) -> pd.DataFrame:
 
 
 def cell_frame(pst: Pst) -> pd.DataFrame:
-    """Return the table of `Pst.to_pandas` with a column for the largest share of a single ray in each cell."""
+    """
+    Return the table of `Pst.to_pandas` with a column for the largest share, 0 … 1, of a single ray in each cell.
+
+    That share is NaN if it is unknown.
+    """
     share = pst.largest_share
     return pst.to_pandas().assign(largest_share=np.nan if share is None else share.ravel())
 

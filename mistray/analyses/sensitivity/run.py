@@ -79,9 +79,8 @@ def run(
     ------
     MistrayError
         If a key is unknown, no parameter has a derivative, an argument is out of range, the state is of another run, or
-        the metric is 0 or not
-        finite. Also if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such
-        parameters are left out.
+        the metric is 0 or not finite. Also if a beam just fills a rim that one of `keys` or of `together` moves.
+        Without `keys` such parameters are left out.
 
     Examples
     --------

@@ -119,7 +119,11 @@ def _warnings(pst: Pst) -> tuple[str, ...]:
 
 
 def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
-    """Return a DataFrame of the PST by class of light with standard errors and the main cause, one row per angle."""
+    """
+    Return a DataFrame of the PST (dimensionless) by class of light, one row per field angle (degrees).
+
+    It has the standard errors, the main cause of stray light, and its percentage of the stray light.
+    """
     columns: dict[str, object] = {"angle_deg": pst.field_deg, **pst.columns(pst.curve)}
     strongest = [
         (str(row.idxmax()), float(row.max())) if not row.empty and row.max() > 0 else ("-", math.nan)

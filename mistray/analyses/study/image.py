@@ -76,7 +76,11 @@ def images_with_stray_light(
 
 
 def transfer_tables(found: Transfer) -> dict[str, pd.DataFrame]:
-    """Return DataFrames of results, energy balances, transfer functions and rings for all fields, by table name."""
+    """
+    Return DataFrames of results, energy balances, transfer functions and rings for all fields, by table name.
+
+    Frequencies are in 1/mm, radii in mm, irradiances in 1/mm², and shares 0 … 1.
+    """
     return {
         "image_with_stray_light": found.to_pandas(),
         "books": found.books(),

@@ -167,6 +167,8 @@ def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame
     Return paraxial images of the detector seen from surfaces of the path, beside the traced targets, as DataFrame.
 
     It has no rows without a design path.
+
+    Distances and half sizes are in mm, and half angles in degrees.
     """
     rows = []
     images = DetectorImages(path).paraxial if path is not None else []

@@ -44,8 +44,7 @@ def run(
 
     Each combination is a separate trace, with all the rays and at its wavelength alone, so that a row does not depend
     on the other rows. The scene is loaded once and its parameter values are data to the kernels. These are compiled for
-    the
-    first row and serve all others, unless a configuration adds another kind of effect, such as a reflectance or a
+    the first row and serve all others, unless a configuration adds another kind of effect, such as a reflectance or a
     decentre that was absent before.
 
     Parameters

@@ -140,7 +140,11 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return AZIMUTHS.index(azimuth)
 
     def _waves(self, kind: int, azimuth: str, line: float | None = None) -> _Complex:
-        """Return Fourier sums of a light class about the origin, W, (m,), complex with batch deviations for errors."""
+        """
+        Return Fourier sums of a light class about the origin, W, (m,), complex with batch deviations for errors.
+
+        `line` is a wavelength, nm; by default the sums are over all wavelengths.
+        """
         n, m = self._number(azimuth), len(self.frequencies_per_mm)
         part = slice(n * m, (n + 1) * m)
         real, imaginary = (found[part] for found in self.spread.waves(kind, line))
@@ -395,11 +399,15 @@ class Transfer(OfFields[FieldTransfer], Result, table=".page:field_table", figur
         return found
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a DataFrame with a row of results for each field, see `FieldTransfer.row`."""
+        """
+        Return a DataFrame with a row of results for each field: shares, floor and glare (0 … 1), frequencies (1/mm).
+
+        The columns are those of `FieldTransfer.row`.
+        """
         return pd.DataFrame([one.row() for one in self])
 
     def books(self) -> pd.DataFrame:
-        """Return the fractions of the launched light by destination, with standard errors, a row per field."""
+        """Return the fractions, 0 … 1, of the launched light by destination, with standard errors, a row per field."""
         return pd.DataFrame([flat({"field_deg": one.image.field_deg, **one.books}) for one in self])
 
 

@@ -107,7 +107,11 @@ class SceneNumbers:
         return self._traces[key]
 
     def _hits(self, t: Trace, path: int) -> pd.DataFrame:
-        """Return the hits of a path; those of all paths whose extent the file asks for are found at once."""
+        """
+        Return the hits of a path on the detector, mm, as a table of rays.
+
+        Those of all paths whose extent the file asks for are found at once.
+        """
         if t not in self._found_hits:
             named = [named_path(t, row.path) for row in self._file.rows if row.quantity.startswith("diameter")]
             choice = " | ".join(dict.fromkeys(f"path_id == {one.path_id}" for one in named if one is not None))

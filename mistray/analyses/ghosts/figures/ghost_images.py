@@ -202,7 +202,7 @@ def _error_bars(
     """
     Draw points with error bars of one standard error on a logarithmic axis.
 
-    Values not above 0 are left out; if no other is left, nothing is drawn.
+    Lines connect the points if `joined`. Values not above 0 are left out; if no other is left, nothing is drawn.
     """
     y = np.array(values, dtype=np.float64)
     good = np.isfinite(y) & (y > 0)

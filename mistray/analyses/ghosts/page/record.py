@@ -36,7 +36,11 @@ def text(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> str:
 
 
 def record(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> dict[str, Any]:
-    """Return the whole analysis as JSON-serialisable values; on request fields also have values at each wavelength."""
+    """
+    Return the whole analysis as JSON-serialisable values.
+
+    The members of `shown` decide what the fields also hold, such as values at each wavelength.
+    """
     rows = _rows(summary_frame(report))
     found = {
         "verdict": verdict_record(report),

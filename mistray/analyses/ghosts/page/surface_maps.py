@@ -41,7 +41,11 @@ def surface_maps_section(report: GhostReport) -> Section | None:
 
 
 def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Return irradiance, W/mm², on request illuminance, lx, on recorded surfaces, by file name without suffix."""
+    """
+    Return irradiance maps of recorded surfaces, W/mm², by file name without suffix.
+
+    If the report is photometric, illuminance maps, lx, are there as well.
+    """
     files = {}
     for field, recorder in report.recorded(SurfaceMaps):
         lux = recorder.illuminance if report.photometric else {}

@@ -105,7 +105,11 @@ def is_partly_reflected(paths: pd.DataFrame) -> bool:
 
 
 def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
-    """Return the worst stray paths of every field as text, on request each with its spectrum below it."""
+    """
+    Return the worst stray paths of every field as text, W and W/mm².
+
+    With `per_wavelength` each is followed by its values at each of its wavelengths.
+    """
     numbers = [*TEXT_NUMBERS, *(["peak_W_mm2"] if report.rank == "peak" else [])]
     if listed_paths(report, count).airy_radius_mm.isna().all():
         numbers = [name for name in numbers if not name.startswith("airy")]

@@ -122,7 +122,11 @@ def summary_rows(report: GhostReport, wavelengths_nm: Sequence[float | None]) ->
 
 
 def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, pd.DataFrame]:
-    """Return the tables that `write_csv` writes, as DataFrames by file name."""
+    """
+    Return the tables that `write_csv` writes, as DataFrames by file name.
+
+    With `per_wavelength` also those of wavelengths.
+    """
     makers: dict[str, Callable[..., pd.DataFrame]] = {
         "summary": summary_frame,
         "paths": path_table,
@@ -189,9 +193,10 @@ def _by_wavelength(
     report: GhostReport, per_wavelength: bool, of_all: Callable[[Trace], Any], of_one: Callable[[Trace, float], Any]
 ) -> list[tuple[dict[str, float], Any]]:
     """
-    Return pairs of identifying columns (field, wavelength) and result, for each field or each field and wavelength.
+    Return pairs of identifying columns and a result, made from a trace by `of_all` or `of_one`.
 
-    `of_all` and `of_one` make the result from a trace.
+    There is one for each field (degrees), made by `of_all`; or, with `per_wavelength`, one for each field and
+    wavelength (nm), made by `of_one`.
     """
     if not per_wavelength:
         return [({"field_deg": field}, of_all(t)) for field, t in report.items()]

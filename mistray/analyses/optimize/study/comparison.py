@@ -146,7 +146,7 @@ class Comparison(Result, table="..tables:rows_table", figure="..figures:comparis
     Attributes
     ----------
     seeds : tuple of int
-        Seeds of the random numbers of the traces.
+        Seeds of the random numbers of the traces; empty in a comparison from the seed of the search (`of_search`).
     rows : tuple of ComparisonRow
         Rows of each term: the whole, each field, each wavelength, each field at each wavelength.
     entering : mapping of str to tuple of Entering

@@ -128,8 +128,8 @@ class Searches:
         Return the step that is the result of the optimisation.
 
         With fixed seeds, or before any search has ended, it is the step of the least merit. With fresh seeds the least
-        merit is the luckiest. The result
-        is then the last step of the search with the least mean over its last `patience` merits.
+        merit is the luckiest. The result is then the last step of the search with the least mean over its last
+        `patience` merits.
         """
         if self.optimizer.seeds == "fixed" or not self.ended:
             return min(self.steps, key=lambda step: step.merit)
@@ -190,7 +190,7 @@ class Searches:
         return self.state.seconds / max(sum(map(len, self.state.evaluations)), 1)
 
     def _note(self, start: int, step: int, at: Evaluation, new: bool) -> None:
-        """Store a step, and report it to `progress` unless it was already made before an interruption."""
+        """Store a step, and report it to `progress` if it is `new`, not one made before an interruption."""
         self.steps.append(
             Step(
                 start=start,

@@ -69,8 +69,7 @@ def veiling_glare_index(
     ------
     MistrayError
         If the patch is not within the source, no cell contains any of it, or the PST has no maps for "map". Also if it
-        is off the axis while one cell
-        covers all azimuths and the detector is a point or a pixel.
+        is off the axis while one cell covers all azimuths and the detector is a point or a pixel.
     """
     place = place or ("mean" if pst.maps is None else "map")
     if place == "map" and pst.maps is None:
