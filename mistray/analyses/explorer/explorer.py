@@ -256,7 +256,7 @@ class Explorer:
 
     def work(self, seconds: float = 0.5) -> bool:
         """
-        Do the most urgent job, or wait for one.
+        Do the most urgent job, or wait for one; an error of the job is shown on the page.
 
         Parameters
         ----------

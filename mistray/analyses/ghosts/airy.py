@@ -18,7 +18,11 @@ Floats = npt.NDArray[np.float64]
 
 
 def tight(table: pd.DataFrame) -> pd.DataFrame:
-    """Return rows of a path table whose RMS radius is below the Airy radius at F/100: diffraction may count there."""
+    """
+    Return rows of a path table whose RMS radius is below the Airy radius at F/100: diffraction may count there.
+
+    Radii are in mm.
+    """
     return table[table.rms_radius_mm < 0.5 * airy_diameter(1.0, SLOWEST) * MM_PER_NM * table.wavelength_nm]
 
 

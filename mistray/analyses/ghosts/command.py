@@ -197,12 +197,12 @@ def _seconds_of_trace(options: Options, request: GhostsRequest) -> float | None:
 
 def _write(report: GhostReport, shown: GhostTables, options: Options) -> list[Path]:
     """
-    Write all files and return their paths; if the disk is full, write as many tables as possible.
+    Write all files and return their paths; if that fails, write as many tables as possible, and print the main one.
 
     Raises
     ------
     MistrayError
-        If a file cannot be written; the message names the tables that are.
+        If a file cannot be written; the message names the tables that are. An `UnfinishedError` passes unchanged.
     """
     from mistray.analyses.ghosts.page.output import page
     from mistray.analyses.ghosts.tables.ghosts import WORST_SHOWN, main_table

@@ -146,7 +146,11 @@ class GhostReport(
         return len(self._traces)
 
     def of(self, traces: Mapping[float, Trace], not_traced: Sequence[float] = ()) -> GhostReport:
-        """Return a report for other traces, by field angle (degrees), that reuses results computed for this one."""
+        """
+        Return a report for other traces, by field angle (degrees), that reuses results computed for this one.
+
+        `not_traced` are the field angles for which there was no time, degrees.
+        """
         found = copy.copy(self)
         found._traces, found.not_traced = dict(traces), tuple(not_traced)
         return found
@@ -177,7 +181,11 @@ class GhostReport(
             yield from ((field, one) for one in t.recorders.values() if isinstance(one, kind))
 
     def rivals(self, field_deg: float) -> pd.DataFrame:
-        """Return the rows of `table` that may be the brightest path within two errors, by upper bound of irradiance."""
+        """
+        Return the rows of `table` that may be the brightest path within two errors, by upper bound of irradiance.
+
+        Powers are in W and irradiances in W/mm².
+        """
         table = self.table(field_deg)
         table = table[table.contested]
         return table.iloc[np.argsort(-bounds(table)[1], kind="stable")]
@@ -332,7 +340,7 @@ class GhostReport(
 
     def stray_levels(self, field_deg: float, by: str = "scatter") -> pd.DataFrame:
         """
-        Return the stray light of a field by critical surface and by level of scatter or of splitting.
+        Return the stray light of a field, W, by critical surface and by level of scatter or of splitting.
 
         See `mistray.analyses.ghosts.stray_levels.stray_levels` for the columns and for `by`.
         """

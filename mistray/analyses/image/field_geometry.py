@@ -113,7 +113,7 @@ def image_axes(path: DesignPath, chief: ChiefRay) -> Array:
     Return image axes as columns, (3, 3): x (sagittal) and y (tangential) in the detector's plane, z along the light.
 
     y is the direction in which the image moves as the field grows, or its opposite, whichever is closer to the y axis
-    of the detector. x and y have the handedness of the detector.
+    of the detector; that axis itself if the image does not move. x and y have the handedness of the detector.
     """
     opening = outline(path.table.shapes[path.table.detector])
     z = chief.normal

@@ -360,7 +360,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         return max(line.pupil.cut_off(direction_of(azimuth)) for line in self.lines)
 
     def f_number(self, azimuth: str | float = "tangential") -> float:
-        """Return the working F-number along a direction: 1/(λ cut-off) at the reference wavelength."""
+        """Return the working F-number along the direction `azimuth`: 1/(λ cut-off) at the reference wavelength λ."""
         pupil = self.main.pupil
         return 1 / (pupil.wavelength_mm * pupil.cut_off(direction_of(azimuth)))
 
@@ -453,7 +453,11 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         return min(WINDOW / line.pupil.frequency_step for line in self.lines)
 
     def encircled_radius_mm(self, share: float = ENERGY, about: str = "centroid") -> float:
-        """Return the radius of the circle that holds a share of the flux, mm; NaN if it exceeds `largest_radius_mm`."""
+        """
+        Return the radius of the circle that holds a share of the flux, mm; NaN if it exceeds `largest_radius_mm`.
+
+        `share` is 0 … 1, and `about` the centre of the circle, as in `encircled_energy`.
+        """
         from scipy.optimize import brentq
 
         SHARE.check("share", share)

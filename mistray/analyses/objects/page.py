@@ -115,7 +115,7 @@ def heading(found: Objects) -> str:
 
 
 def text(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> str:
-    """Return the text that `mistray objects` prints."""
+    """Return the text that `mistray objects` prints, with at most as many rows in each table as `shown` says."""
     most = shown.rows
     parts = [
         heading(found),
@@ -173,7 +173,11 @@ def record(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> dict[str, A
 
 
 def page(found: Objects, shown: ObjectsTables = DEFAULT_TABLES, title: str = "scene", command: str = "") -> Report:
-    """Return the report with all rows; `title` names the optical system, `command` is the command line."""
+    """
+    Return the report with all rows, whatever `shown` says; `title` names the optical system.
+
+    `command` is the command line quoted in it.
+    """
     from mistray.analyses.objects.figures import objects_layout
     from mistray.toolkit.figures.plots import as_png
 

@@ -270,7 +270,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     def to_pandas(self, which: str = "common") -> pd.DataFrame:
         """
-        Return one of the lists, such as "critical" or "common", as a frame with a column for each attribute.
+        Return the list called `which`, such as "critical" or "common", as a frame with a column for each attribute.
 
         Powers are fractions of the launched flux.
 

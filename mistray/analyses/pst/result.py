@@ -198,7 +198,11 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         return self.estimate(self.samples(classes), self.weight)
 
     def curve(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
-        """Return the PST over field angle, averaged over azimuths, and its standard error, (n,) each."""
+        """
+        Return the PST over field angle, averaged over azimuths, and its standard error, (n,) each.
+
+        For `classes` see `samples`.
+        """
         samples, weight = self.samples(classes), self.weight
         if weight.ndim == 1:
             # Cells share their start rays: the mean is formed in every batch

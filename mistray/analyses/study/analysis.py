@@ -216,7 +216,11 @@ def _causes_in_words(causes: Sequence[tuple[str, float]]) -> str:
 
 
 def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame:
-    """Return a DataFrame with a row per field: field_deg, paths, direct and stray power (W), ratios, worst path."""
+    """
+    Return a DataFrame with a row per field: field_deg, paths, direct and stray power (W), ratios, worst path.
+
+    `design` are the surfaces of the design path, from which paths without reflection differ.
+    """
     rows = []
     for field in report:
         s = report.summary(field)
@@ -236,7 +240,7 @@ def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame
 
 def worst_ghosts(report: GhostReport, design: Sequence[str] = (), count: int = TOP_PATHS) -> pd.DataFrame:
     """
-    Return a DataFrame of the worst paths of each field by RMS irradiance.
+    Return a DataFrame of the `count` worst paths of each field by RMS irradiance, and of the strongest one.
 
     Columns: field_deg, rank, path, kind, rays, and with standard errors power_W, rms_radius_mm, rms_irradiance_W_mm2
     and normalised (dimensionless).

@@ -109,6 +109,8 @@ def traced_wavelengths(
     and then, one by one, nodes of the tables of materials and coatings and an even grid between them. The next lies
     where an absorbed, reflected or transmitted share is farthest from the line between its neighbours.
 
+    The integrals are those with the spectra of blackbodies at `temperatures_K`.
+
     Raises
     ------
     MistrayError

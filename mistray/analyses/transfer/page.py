@@ -43,7 +43,7 @@ def field_table(found: Transfer) -> Table:
 
 
 def curve_table(found: FieldTransfer) -> Table:
-    """Return the table of a field's transfer functions, with a row for each frequency."""
+    """Return the table of a field's transfer functions, dimensionless, with a row for each frequency, 1/mm."""
     return frame_table("", found.to_pandas())
 
 

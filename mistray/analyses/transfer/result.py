@@ -114,7 +114,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
 
     @cached_property
     def shares(self) -> dict[str, Estimate]:
-        """Share of the light on the detector by class."""
+        """Share of the light on the detector, 0 … 1, by class."""
         return {name: _estimate(self._power(k).over(self._detected)) for k, name in enumerate(CLASSES)}
 
     @property
@@ -159,11 +159,15 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return [line.pupil.otf(f * x, f * y) * moved for line in self.image.lines]
 
     def lens(self, azimuth: str = "tangential") -> Array:
-        """Return the MTF of the direct image alone, (m,), computed without Monte Carlo noise."""
+        """Return the MTF of the direct image alone, (m,), along `azimuth`, computed without Monte Carlo noise."""
         return self.image.mtf(self.frequencies_per_mm, azimuth)
 
     def detector(self, azimuth: str = "tangential") -> Array:
-        """Return the transfer function of the detector, (m,), negative in places beyond 1/pixel; 1 without `pixels`."""
+        """
+        Return the transfer function of the detector along `azimuth`, (m,).
+
+        It is negative in places beyond 1/pixel, and 1 without `pixels`.
+        """
         if self.pixels is None:
             return np.ones(len(self.frequencies_per_mm))
         nu = self.frequencies_per_mm[:, None] * self.axes[self._number(azimuth)]
@@ -171,9 +175,10 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
 
     def stf(self, azimuth: str = "tangential") -> TransferCurve:
         """
-        Return the scatter transfer function |STF|, (m,): direct and scattered light about the image, over their sum.
+        Return the scatter transfer function |STF| along `azimuth`, (m,), with errors.
 
-        It is 1 at zero frequency, and 1 - TIS of the light on the detector where scatter is not resolved.
+        It is that of direct and scattered light about the image, over their sum: 1 at zero frequency, and 1 - TIS of
+        the light on the detector where scatter is not resolved.
         """
         light = self._direct()
         return (self._waves(SCATTER, azimuth) + light).over(light + self._power(SCATTER)).modulus()
@@ -198,24 +203,25 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return TransferCurve(found.value * factor, found.se * factor)
 
     def without_stray(self, azimuth: str = "tangential") -> Array:
-        """Return the MTF of lens and detector, (m,)."""
+        """Return the MTF of lens and detector along `azimuth`, (m,)."""
         return self.lens(azimuth) * np.abs(self.detector(azimuth))
 
     def in_doubt(self, azimuth: str = "tangential") -> float:
         """
-        Return the largest share of contrast that scattered light would gain if the lens did not multiply it.
+        Return the largest share of contrast, 0 … 1, that scatter would gain if the lens did not multiply it.
 
         Scatter so narrow that it lies within the direct image is multiplied by the lens, although its rays include that
-        blur already. The truth lies between.
+        blur already. The truth lies between. The contrast is that along `azimuth`.
         """
         waves = self._waves(SCATTER, azimuth).over(self._detected)
         return float(np.max(np.abs(waves.value) * (1 - self.lens(azimuth)), initial=0.0))
 
     def frequency_at(self, contrast: float = 0.5, azimuth: str = "tangential", stray: bool = True) -> float:
         """
-        Return the first frequency at which the MTF falls to a contrast, 1/mm, with or without stray light.
+        Return the first frequency at which the MTF along `azimuth` falls to a contrast, 1/mm.
 
-        It is interpolated linearly; NaN if the MTF does not fall so far within `frequencies_per_mm`.
+        The MTF is that with `stray` light, or without. The frequency is interpolated linearly; NaN if the MTF does not
+        fall so far within `frequencies_per_mm`.
         """
         SHARE.check("contrast", contrast)
         curve = self.composite(azimuth).value if stray else self.without_stray(azimuth)

@@ -22,7 +22,7 @@ from mistray.trace.reliability import sampling_check
 
 
 def text(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> str:
-    """Return the text that `mistray ghosts` prints."""
+    """Return the text that `mistray ghosts` prints, with the tables that `shown` asks for."""
     parts = [main_table(report, WORST_SHOWN, shown.per_wavelength)]
     if shown.levels:
         parts.append(level_text(report))

@@ -106,7 +106,7 @@ def is_partly_reflected(paths: pd.DataFrame) -> bool:
 
 def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
     """
-    Return the worst stray paths of every field as text, W and W/mm².
+    Return the `count` worst stray paths of every field as text, W and W/mm².
 
     With `per_wavelength` each is followed by its values at each of its wavelengths.
     """
@@ -139,7 +139,11 @@ def listed_paths(report: GhostReport, count: int) -> pd.DataFrame:
 
 
 def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
-    """Return the table of a field's stray paths without the `count` worst ones."""
+    """
+    Return the table of a field's stray paths without the `count` worst ones.
+
+    Columns are those of `GhostReport.table`.
+    """
     paths = report.table(field_deg)
     return paths[(paths.kind != DIRECT) & ~paths.path_id.isin(report.listed(field_deg, count).path_id)]
 

@@ -92,7 +92,7 @@ class PstObservation:
         return self._cells[classes]
 
     def weighted(self, coefficients: np.ndarray, light: Light = "stray") -> mi.Float64:
-        """Return the sum over the cells of coefficients, (n, m), times PST_normal, differentiable."""
+        """Return the sum over the cells of coefficients, (n, m), times PST_normal of `light`, differentiable."""
         return dr.sum(self.cells(light) * upload(mi.Float64, np.asarray(coefficients, dtype=np.float64)))
 
     @known_arguments
@@ -129,7 +129,11 @@ class PstObservation:
         return self.weighted(weights / grid.mean_cosine[i] if convention == "projected" else weights, light)
 
     def curve(self, light: Light = "stray", convention: str = "normal") -> mi.Float64:
-        """Return the PST at each field angle, averaged over azimuths, (n,), differentiable."""
+        """
+        Return the PST at each field angle, averaged over azimuths, (n,), differentiable.
+
+        `light` and `convention` are those of `cells`.
+        """
         m = self.pst.grid.shape[1]
         return dr.block_sum(self.cells(light, convention), m) / m
 
