@@ -59,7 +59,11 @@ class Met:
 
     @property
     def distance(self) -> float:
-        """Limit minus metric after the budget, in standard errors; negative if the limit is exceeded."""
+        """
+        Limit minus metric after the budget, in standard errors; negative if the limit is exceeded.
+
+        It is ±∞ if the metric has no error.
+        """
         room = self.limit - self.after.value
         return room / self.after.se if self.after.se > 0 else math.copysign(math.inf, room)
 

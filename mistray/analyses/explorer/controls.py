@@ -61,7 +61,7 @@ class Control:
     bodies : tuple of str
         For a coating: the material of the body that each surface bounds.
     parameter : Parameter or None
-        For a number: the scene parameter, the first if several move.
+        For a number: the scene parameter, the first if several move; None for other kinds.
     keys : tuple of str
         For a number: keys of the scene parameters that are all set to its value.
     """

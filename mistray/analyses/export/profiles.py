@@ -46,9 +46,9 @@ class Profile:
     degree : int
         Degree of a B-spline.
     knots : (n + degree + 1,) float64
-        Knot vector of a B-spline.
+        Knot vector of a B-spline; None for lines and circles.
     weights : (n,) float64 or None
-        Weights of the poles of a rational B-spline.
+        Weights of the poles of a rational B-spline; None if it is not rational.
     error_mm : float
         Largest distance of a B-spline from the surface, mm, measured between the points that it goes through.
     """

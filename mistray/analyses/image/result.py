@@ -356,7 +356,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         return np.asarray(np.abs(sum(parts)))
 
     def cut_off_per_mm(self, azimuth: str | float = "tangential") -> float:
-        """Return the largest spatial frequency, 1/mm, with any contrast at some wavelength, in a direction."""
+        """Return the largest spatial frequency, 1/mm, with any contrast at some wavelength, along `azimuth`."""
         return max(line.pupil.cut_off(direction_of(azimuth)) for line in self.lines)
 
     def f_number(self, azimuth: str | float = "tangential") -> float:

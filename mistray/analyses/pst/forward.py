@@ -126,7 +126,7 @@ class CellRounds:
     light : AllCells
         Forward rays, with their sums so far.
     progress : callable or None
-        Called with a `PstProgress` after each pass.
+        Called with a `PstProgress` after each pass; None: nothing is called.
     """
 
     def __init__(

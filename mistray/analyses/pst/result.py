@@ -211,7 +211,11 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         return value.mean(axis=1), np.sqrt(np.sum(se**2, axis=1)) / value.shape[1]
 
     def estimates(self, classes: str | Sequence[str] = "total") -> list[Estimate]:
-        """Return the values of `curve` as estimates with standard errors, one for each field angle."""
+        """
+        Return the values of `curve` as estimates with standard errors, one per field angle.
+
+        For `classes` see `samples`.
+        """
         return [Estimate(float(value), float(se)) for value, se in zip(*self.curve(classes), strict=True)]
 
     def columns(self, found: Callable[[str], tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -43,9 +43,9 @@ class Finished:
     Attributes
     ----------
     taken : Taken or None
-        Gradient, if it has been taken.
+        Gradient; None if it has not been taken.
     check : TracedChange or None
-        Traced check of the proposed changes, if it has all of its seeds.
+        Traced check of the proposed changes; None until it has all of its seeds.
     systems : list of float
         Metrics of the first perturbed systems.
     """

@@ -110,7 +110,7 @@ def together_lines(result: Sensitivity) -> list[str]:
 
 
 def changes_table(result: Sensitivity) -> Table:
-    """Return the table of the few changes that together lower the metric, one parameter per row."""
+    """Return the table of the changes that together lower the metric, one parameter per row."""
     rows = [
         [row.label, number(row.value), number(change.value), row.unit, number(change.factor, 3)]
         for row, change in result.together.changes

@@ -135,7 +135,7 @@ def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
 
 
 def top_paths(pst: Pst, count: int = TOP_PATHS) -> pd.DataFrame:
-    """Return a DataFrame of the strongest stray paths at each angle, with PST and percentage of the stray light."""
+    """Return a DataFrame of the `count` strongest stray paths at each angle: PST, and percentage of the stray light."""
     columns = ["rank", "path", "kind", "first_scatter", "rays", "pst", "pst_se", "percent_of_stray"]
     tables = []
     for angle in pst.field_deg:

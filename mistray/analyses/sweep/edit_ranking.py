@@ -114,9 +114,10 @@ class EditRanking(Result, table=".edit_tables:edit_ranking_table", figure=".edit
     left_out : tuple of str
         Effects that the derivatives do not contain, and changes of more than 1 % that Stokes vectors would make.
     edge_width : tuple of float or None
-        Relative width of the zones at rims at each field angle, see `mistray.optimize.Gradient`.
+        Relative width of the zones at rims at each field angle, see `mistray.optimize.Gradient`; None where no ray near
+        a rim counts.
     traced : Pst or None
-        PST that is differentiated, with the facts of its trace.
+        PST that is differentiated, with the facts of its trace; None if it is not kept.
 
     Examples
     --------

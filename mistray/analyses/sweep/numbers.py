@@ -88,7 +88,7 @@ def numbers_of(t: Trace) -> Numbers:
 
 def read_numbers(content: bytes) -> Numbers:
     """
-    Read a cached row, JSON of `numbers_of`.
+    Return a cached row, read from JSON of `numbers_of`.
 
     Raises
     ------

@@ -184,7 +184,11 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return (self._waves(SCATTER, azimuth) + light).over(light + self._power(SCATTER)).modulus()
 
     def ghosts(self, azimuth: str = "tangential") -> TransferCurve:
-        """Return the ghost transfer function, (m,), like `stf` with ghosts: 1 at zero frequency, then a floor."""
+        """
+        Return the ghost transfer function along `azimuth`, (m,), with errors.
+
+        It is like `stf` with ghosts in place of scatter: 1 at zero frequency, then a floor.
+        """
         light = self._direct()
         return (self._waves(GHOSTS, azimuth) + light).over(light + self._power(GHOSTS)).modulus()
 
@@ -356,7 +360,11 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return pd.DataFrame(columns)
 
     def row(self, contrast: float = 0.5) -> dict[str, Any]:
-        """Return the results of the field as plain values: shares, floor, glare, frequencies (1/mm) at a contrast."""
+        """
+        Return the results of the field as plain values: shares, floor, glare, frequencies (1/mm) at a contrast.
+
+        Shares and floor are 0 … 1; the glare is stray over direct light.
+        """
         found: dict[str, Any] = {"field_deg": self.image.field_deg}
         if not np.isnan(self.image.field_mm):
             found["field_mm"] = self.image.field_mm
@@ -406,9 +414,10 @@ class Transfer(OfFields[FieldTransfer], Result, table=".page:field_table", figur
 
     def to_pandas(self) -> pd.DataFrame:
         """
-        Return a DataFrame with a row of results for each field: shares, floor and glare (0 … 1), frequencies (1/mm).
+        Return a DataFrame with a row of results for each field.
 
-        The columns are those of `FieldTransfer.row`.
+        The columns are those of `FieldTransfer.row`: shares and veiling floor (0 … 1), glare (stray over direct light),
+        and frequencies (1/mm).
         """
         return pd.DataFrame([one.row() for one in self])
 

@@ -51,7 +51,7 @@ class Merit:
     ----------
     start : dict or None
         Name of a term → its value at the first point evaluated, to which the merit refers. Set by the first evaluation,
-        or by the caller.
+        or by the caller; None before.
     edge_widths : dict
         Width of the zones at rims, over their radii, of each gradient: `WHOLE` or the name of a term. It is set by the
         first evaluation that meets rims and kept, so that the slopes of a search are consistent.

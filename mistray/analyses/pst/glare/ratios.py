@@ -171,7 +171,9 @@ def stray_to_signal(
     pst: Pst, source: ExtendedSource, scene_radiance: float, *, interpolation: str = "cells"
 ) -> StrayMetric:
     """
-    Return stray light over signal: irradiance from a stray source over that of the image of a uniform scene.
+    Return stray light over signal, dimensionless: irradiance from a stray source over that of the scene's image.
+
+    The scene is uniform, with the radiance `scene_radiance`.
 
     Parameters
     ----------

@@ -103,7 +103,11 @@ def asked(row: DeclaredRow, ours: Finder) -> Estimate | None:
 
 
 def _traced(file: str, wavelength_nm: float, field_deg: float, rays: int, seed: int) -> BothPrograms:
-    """Trace a telescope with mistray and with batoid from the same start rays."""
+    """
+    Trace a telescope at a wavelength, nm, and a field angle, degrees, with mistray and batoid from the same start rays.
+
+    Return the light on the detector by path, from both.
+    """
     with others():
         import batoid
 
