@@ -79,7 +79,7 @@ class Options(argparse.Namespace):
 
     def seconds_left(self, page_s: float = PAGE_S) -> float | None:
         """
-        Return the time of --seconds that is left for traces, s; None if --seconds is not given.
+        Return the time of --seconds that is left for traces, s, at least `SECONDS.low`; None if it is not given.
 
         Parameters
         ----------

@@ -411,7 +411,11 @@ def _unit(turns: Array) -> Array:
 
 
 def _aside(points: Array, corners: Array) -> Array:
-    """Return the distance, mm, of each point, (n, d), from the polygon side that begins at the corner of its index."""
+    """
+    Return the distance of each point, (n, d), from the polygon side that begins at the corner of its index, (n,).
+
+    It is in the unit of the coordinates: mm, or slopes for rays of a near object.
+    """
     side = np.roll(corners, -1, axis=0) - corners
     away = points - corners
     share = np.sum(away * side, axis=1) / np.maximum(np.sum(side * side, axis=1), 1e-300)

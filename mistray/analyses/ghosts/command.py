@@ -162,7 +162,11 @@ def run(options: Options) -> int:
 
 
 def _refuse(options: Options) -> None:
-    """Raise `MistrayError` for options given without another one that they need, or output without a destination."""
+    """
+    Raise `MistrayError` for options given without another one that they need, or output without a destination.
+
+    So it does for an alias that stands for all surfaces next to another one.
+    """
     from mistray.analyses.ghosts.request import ALL_SURFACES
 
     for words, needed, why in (

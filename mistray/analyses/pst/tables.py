@@ -174,7 +174,7 @@ def paths_table(pst: Pst, count: int) -> Table:
 
 
 def causes_text(causes: Sequence[tuple[str, float]]) -> str:
-    """Return causes of stray light and their shares as text, such as "barrel_1 83 %, ghosts 12 %"."""
+    """Return causes of stray light and their shares as text, such as "barrel_1 83 %, ghosts 12 %"; a dash for none."""
     return ", ".join(f"{name} {percent_text(0.01 * share)}" for name, share in causes) or ABSENT
 
 
