@@ -67,9 +67,9 @@ def figure(found: CoatingResult | SurfacesResult) -> Figure:
 
 def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
     """
-    Return a row for each layer of a stack: thickness, nm, n, k, and optical thickness in design wavelengths.
+    Return rows for the layers of a stack: material, thickness, nm, n, k, and optical thickness in waves.
 
-    The list is empty for other coatings.
+    Indices and waves are those at the design wavelength. There are no rows for other coatings.
     """
     if not isinstance(found.coating, Stack):
         return []

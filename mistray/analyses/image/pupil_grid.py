@@ -306,7 +306,12 @@ def _net(count: int) -> Array:
 def _at_stop(
     path: DesignPath, bundle: PointBundle, stop: PupilStop, x: Array, slopes: Array, h: float
 ) -> tuple[Array, Array]:
-    """Return stop coordinates of rays, (n, 2) in stop radii, and stop area per area of direction cosines, (n,)."""
+    """
+    Return stop coordinates of rays, (n, 2) in stop radii, and stop area per area of direction cosines, (n,).
+
+    The rays have entrance coordinates `x`, (n, 2), in which derivatives are taken over steps of ±`h`, and derivatives
+    `slopes` of their cosines with respect to `x`.
+    """
     shifts = np.concatenate([np.zeros((1, 2)), h * np.eye(2), -h * np.eye(2)])
     found = stop.coordinates(path, bundle, (x[:, None] + shifts).reshape(-1, 2)).reshape(len(x), 5, 2)
     by_x = np.stack([found[:, 1] - found[:, 3], found[:, 2] - found[:, 4]], axis=2) / (2 * h)

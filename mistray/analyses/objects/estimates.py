@@ -215,7 +215,7 @@ class _Pairs:
 
 
 def _pairs(table: SurfaceTable, surface: int, lit: HitSamples, view: SeenObject, chance: np.ndarray) -> _Pairs:
-    """Return pairs of a ray that lights a surface, drawn with probability `chance`, and nearby rays that see it."""
+    """Return pairs of a ray that lights a surface, drawn in proportion to `chance`, and nearby rays that see it."""
     rng, seen = np.random.default_rng(surface), view.hits
     sums = np.cumsum(chance)
     chosen = np.searchsorted(sums, (np.arange(LIT) + rng.random()) / LIT * sums[-1], side="right")

@@ -192,7 +192,7 @@ class CellRounds:
         return replace(self.light.total, paths=self.light.paths)
 
     def add(self, cell: int, found: WaveSums) -> None:
-        """Add the sums of a cell that a worker has traced to those of all cells."""
+        """Add the sums of a cell that a worker has traced, mark it as finished, and report progress."""
         self.light.total = self.light.total + found
         self._open[cell] = False
         self._judge()

@@ -225,7 +225,11 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
     @staticmethod
     def estimate(samples: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the weighted mean over batches (last axis), and its standard error from the spread of batches."""
+        """
+        Return the weighted mean over batches (last axis), and its standard error from the spread of batches.
+
+        The weights of the batches add up to 1; empty batches have none.
+        """
         value = np.sum(weight * samples, axis=-1)
         # Empty batches have no weight
         used = np.maximum(np.count_nonzero(weight, axis=-1), 2)

@@ -128,7 +128,7 @@ def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
 
 
 def shown_box(surfaces: Sequence[OpenSurface], lines: Sequence[RayLine], cut: CutPlane | None) -> Box:
-    """Return the two corners, mm, of the shown volume: surfaces, rays in the removed half, and starts of beams."""
+    """Return two corners, mm, of the shown volume: surfaces, and for rays the removed half and starts of beams."""
     points = np.concatenate([surface.vertices for surface in surfaces]).astype(np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())

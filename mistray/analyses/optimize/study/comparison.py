@@ -326,7 +326,8 @@ def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
     """
     True if a term has become worse in a row by more than `far` standard errors.
 
-    It has grown, left its tolerance, or broken a limit that held before.
+    By its goal, it has grown (by more than `WORTH_TELLING` too), left its tolerance, or broken a limit that held
+    before.
     """
     margin = far * row.ratio_se
     if term.goal == "minimise":
