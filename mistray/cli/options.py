@@ -84,8 +84,8 @@ class Options(argparse.Namespace):
         Parameters
         ----------
         page_s : float
-            Time of the report on a free machine that is as fast as the one on which `START_S` was measured, s; 0
-            without --out.
+            Time of the report on a free machine that is as fast as the one on which `START_S` was measured, s. Without
+            --out it is not used.
         """
         if self.seconds is None:
             return None

@@ -69,7 +69,8 @@ def run(
     Raises
     ------
     MistrayError
-        If plotly is missing, a value needs a trace, the trace is of another scene, or the cut leaves nothing.
+        If plotly is missing, a value is out of range or needs a trace, the trace is of another scene, or the cut leaves
+        nothing.
 
     Examples
     --------
