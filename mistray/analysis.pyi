@@ -721,7 +721,9 @@ def pst(
         If an argument is out of range, or a state belongs to another run.
     UnfinishedError
         If workers of `mistray.distribute` are lost; ``partial`` is the PST of the passes before, or, forward, the sums
-        of the finished cells by their numbers of angle and azimuth.
+        of the finished cells by their indices.
+    KeyboardInterrupt
+        After the pass in which an interrupt came; the finished part is then in `state`, if that is given.
 
     Examples
     --------
@@ -861,7 +863,7 @@ def study(
     Raises
     ------
     MistrayError
-        If an argument is out of range, or the scene has no source or no detector.
+        If an argument is out of range, the scene has no source or no detector, or a source is polarised.
 
     Examples
     --------

@@ -153,8 +153,8 @@ def optimize(
     progress : callable, optional
         Called after each step with the `Step` and the `Start` of its search.
     seconds : float, optional
-        Time for the searches and the comparison, s; the comparison then has fewer seeds, at least 2. Searches ended by
-        it can be resumed from the checkpoint.
+        Time for the searches and the comparison, s; the comparison then has fewer seeds, at least 2. Searches that it
+        ends can be resumed from the checkpoint.
 
     Returns
     -------
@@ -253,9 +253,9 @@ def sensitivity(
     Raises
     ------
     MistrayError
-        If a key is unknown, nothing is left to differentiate by, an argument is out of range, or the metric is 0 or not
-        finite. Also if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such
-        parameters are left out. If the state is of another run.
+        If a key is unknown, no parameter has a derivative, an argument is out of range, the state is of another run, or
+        the metric is 0 or not finite. Also if a beam just fills a rim that one of `keys` or of `together` moves.
+        Without `keys` such parameters are left out.
 
     Examples
     --------

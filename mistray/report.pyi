@@ -160,7 +160,8 @@ def export_step(
     Raises
     ------
     MistrayError
-        If a number is out of range, a field has no light on the detector, or the file cannot be written.
+        If a value is out of range, a field has no light on the detector, no surface can be written in STEP, or the file
+        cannot be written.
 
     Examples
     --------
@@ -228,7 +229,8 @@ def view(
     Raises
     ------
     MistrayError
-        If plotly is missing, a value is out of range or needs a trace, or the trace is of another scene.
+        If plotly is missing, a value is out of range or needs a trace, the trace is of another scene, or the cut leaves
+        nothing.
 
     Examples
     --------

@@ -72,11 +72,12 @@ def rank_edits(
     r"""
     Rank possible edits (moves, blocks, paint, coatings) by the first-order effect of one step of each on the PST.
 
-    It takes one PST and, for each field angle, one reverse-mode run that gives the derivatives by all parameters.
+    It takes one PST and, for each field angle, one reverse-mode run that gives the derivatives with respect to all
+    parameters.
 
     ====== ========================================================================================================
     move   places and tilts of parts as a whole
-    block  radii and ends of opaque surfaces that are no part of a lens
+    block  radii and ends of opaque surfaces that are not part of a lens
     paint  values of scatter models: of paint, polish, dust; the ideal R of opaque surfaces
     coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
     ====== ========================================================================================================
@@ -222,8 +223,8 @@ def sweep(
     Trace a scene at every field and wavelength, in every configuration.
 
     Each combination is a separate trace, with all the rays and at its wavelength alone, so that a row does not depend
-    on the other rows. The scene is loaded once and its numbers are data to the kernels. These are compiled for the
-    first row and serve all others, unless a configuration adds another kind of effect, such as a reflectance or a
+    on the other rows. The scene is loaded once and its parameter values are data to the kernels. These are compiled for
+    the first row and serve all others, unless a configuration adds another kind of effect, such as a reflectance or a
     decentre that was absent before.
 
     Parameters
@@ -366,7 +367,7 @@ def sweep_pst(
     Parameters
     ----------
     scene : str, Path or mi.Scene
-        Scene XML file, the name of a shipped scene, or a scene from `mistray.load` with its numbers as they are now,
+        Scene XML file, the name of a shipped scene, or a scene from `mistray.load` with its values as they are now,
         which stays as it is.
     configurations : mapping of str to mapping, or sequence of Configuration
         Changes of the scene; a mapping gives values of parameters only.

@@ -71,14 +71,14 @@ def _refuse(options: argparse.Namespace, paths: Sequence[Path]) -> None:
 
 
 def named_places(options: argparse.Namespace) -> list[str]:
-    """Return the texts among the arguments that name existing files or folders."""
+    """Return the strings among the arguments that name existing files or folders."""
     own = ("outputs", "folder_files", "command_line", "asked")
     texts = _texts({name: value for name, value in vars(options).items() if name not in own})
     return [text for text in dict.fromkeys(texts) if "\0" not in text and os.path.exists(text)]
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Yield all texts and paths in nested dicts, lists and tuples of option values, as text."""
+    """Yield all strings and paths in nested dicts, lists and tuples of option values, as strings."""
     if isinstance(value, str | Path):
         yield str(value)
     elif isinstance(value, dict):

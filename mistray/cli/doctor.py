@@ -125,7 +125,7 @@ def show(checks: list[Check], as_json: bool = False, request: Mapping[str, Any] 
     as_json : bool
         Whether to print JSON instead of a table.
     request : mapping, optional
-        Request of the command, for the JSON.
+        Request of the command, which the JSON repeats.
 
     Returns
     -------
@@ -268,7 +268,7 @@ class _Gpu:
 
 
 def _gpu(driver: ctypes.CDLL, number: int) -> _Gpu:
-    """Return name, compute capability and memory of the GPU with a number, as its driver states them."""
+    """Return name, compute capability and memory of the GPU of index `number`, as its driver states them."""
     device, name, memory = ctypes.c_int(0), ctypes.create_string_buffer(100), ctypes.c_size_t(0)
     driver.cuDeviceGet(ctypes.byref(device), number)
     driver.cuDeviceGetName(name, len(name), device)
@@ -280,12 +280,23 @@ def _gpu(driver: ctypes.CDLL, number: int) -> _Gpu:
 
 
 def _library(name: str, variable: str) -> ctypes.CDLL:
-    """Load and return a library of the GPU driver, found as Dr.Jit does: by an environment variable, else its name."""
+    """
+    Load and return a library of the GPU driver, found as Dr.Jit does: by an environment variable, else its name.
+
+    Raises
+    ------
+    OSError
+        If the library cannot be loaded.
+    """
     return ctypes.CDLL(os.environ.get(variable) or name)
 
 
 def _variants(with_cuda: bool) -> list[Check]:
-    """Run a small kernel in each JIT variant of Mitsuba, each backend in its own process; return the checks."""
+    """
+    Run a small kernel in each JIT variant of Mitsuba, each backend in its own process; return the checks.
+
+    Variants for CUDA are run only if `with_cuda`. If Mitsuba cannot be imported, there is one check that says so.
+    """
     environment = dict(os.environ)
     before = [path for path in (provide_libatomic(),) if path]
     with contextlib.suppress(MistrayError):  # reported by _llvm; the kernels show what Dr.Jit makes of it
@@ -319,7 +330,11 @@ def _variants(with_cuda: bool) -> list[Check]:
 def _run_python(
     code: str, argument: str, before: list[str], environment: dict[str, str]
 ) -> subprocess.CompletedProcess[str]:
-    """Run Python code in its own process, which first loads the libraries at paths `before`; return its outcome."""
+    """
+    Run Python code in its own process, which first loads the libraries at paths `before`; return its outcome.
+
+    A process that gives no answer within `PROBE_TIMEOUT_S` is ended, and counts as ended by SIGTERM.
+    """
     command = [sys.executable, "-c", _PRELOAD + code, argument, *before]
     try:
         return subprocess.run(

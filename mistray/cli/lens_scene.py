@@ -16,7 +16,13 @@ def lens_as_scene(options: Options) -> Iterator[None]:
     """
     Convert a lens file given as a command's scene to a temporary scene file, used within a block.
 
-    The scene file exists as long as the block; notes go to stderr. `mistray import` has more options and writes a file.
+    The scene file exists as long as the block; notes go to stderr. For any other scene nothing is done. `mistray
+    import` has more options and writes a file.
+
+    Raises
+    ------
+    MistrayError
+        If the lens file cannot be read, or needs further files beside it.
     """
     lens = Path(options.has("scene") or "")
     kind = None

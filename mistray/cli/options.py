@@ -79,13 +79,13 @@ class Options(argparse.Namespace):
 
     def seconds_left(self, page_s: float = PAGE_S) -> float | None:
         """
-        Return the time of --seconds that is left for traces, s; None if --seconds is not given.
+        Return the time of --seconds that is left for traces, s, at least `SECONDS.low`; None if it is not given.
 
         Parameters
         ----------
         page_s : float
-            Time of the report on a free machine that is as fast as the one on which `START_S` was measured, s; 0
-            without --out.
+            Time of the report on a free machine that is as fast as the one on which `START_S` was measured, s. Without
+            --out it is not used.
         """
         if self.seconds is None:
             return None
@@ -163,6 +163,11 @@ class Options(argparse.Namespace):
         Return the saved run in the file of --state, else in the file `name` of --out, or in no file.
 
         `what` describes its contents.
+
+        Raises
+        ------
+        MistrayError
+            If the file is a folder or must not be written, or there is no saved run to resume.
         """
         path: Path | None = self.has("state")
         if path is not None:
@@ -182,7 +187,11 @@ class Options(argparse.Namespace):
         return INTERRUPTED
 
     def bar(self, form: str, what: str, total: float = 1.0) -> contextlib.AbstractContextManager[Any | None]:
-        """Return a context that shows a progress bar, `form` being its format of tqdm; see `terminal_bar`."""
+        """
+        Return a context with a progress bar, `form` being its format of tqdm; see `terminal_bar`.
+
+        It yields the bar, or None with --quiet or if stderr is not a terminal.
+        """
         return terminal_bar(self, form, what, total)
 
     def check_pictures(self, *names: str) -> None:
@@ -234,12 +243,20 @@ class Options(argparse.Namespace):
         return distribute(self.scheduler)
 
     def stepping(self) -> contextlib.AbstractContextManager[Callable[[float, float], None] | None]:
-        """Return a context with a progress bar; it yields the function that advances the bar, or None."""
+        """
+        Return a context with a progress bar; it yields the function (done, total) that advances the bar.
+
+        With --quiet, or if stderr is not a terminal, it yields None.
+        """
         return progress_bar(self)
 
     @contextlib.contextmanager
     def tracing(self) -> Iterator[Callable[[float, float], None] | None]:
-        """Trace within a block, by workers if there are any; yield the function that advances the bar, or None."""
+        """
+        Trace within a block, by workers if there are any; yield the function (done, total) that advances the bar.
+
+        With --quiet, or if stderr is not a terminal, yield None.
+        """
         with self.workers(), self.stepping() as progress:
             yield progress
 

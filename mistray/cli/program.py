@@ -80,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     -------
     int
         Exit code: that of the command, usually 0; 2 after an error and 130 after an interrupt, each with one line on
-        stderr.
+        stderr. It is 0 if the reader of stdout ends early.
     """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError):  # a replaced stream, as in a notebook, has no encoding to speak of
@@ -151,7 +151,11 @@ def _print_schema(options: Options) -> int:
 
 
 def _tell_of_compilation() -> None:
-    """Print on stderr how much of the time of --seconds, s, was spent on compiling kernels that were not cached."""
+    """
+    Print on stderr how much of the time of --seconds, s, was spent on compiling kernels that were not cached.
+
+    Less than `LEAST_TOLD_S` is not mentioned.
+    """
     launches = sys.modules.get("mistray.kernel.launches")
     took = sum(launches.compilations) if launches else 0.0
     if took >= LEAST_TOLD_S:

@@ -58,7 +58,7 @@ def terminal_bar(
     options: argparse.Namespace, form: str, what: str = "tracing", total: float = 1.0
 ) -> Iterator[Any | None]:
     """
-    Show a tqdm bar on stderr within a block and yield it; yield None with --quiet, or if stderr is no terminal.
+    Show a tqdm bar on stderr within a block and yield it; yield None with --quiet, or if stderr is not a terminal.
 
     Set its ``n`` and its texts, then call ``refresh``. ``update`` draws nothing within 0.1 s of the last drawing, so a
     long step could be shown with the text of the step before it.
@@ -85,7 +85,11 @@ def terminal_bar(
 
 @contextlib.contextmanager
 def progress_bar(options: argparse.Namespace) -> Iterator[Callable[[float, float], None] | None]:
-    """Show a progress bar on a terminal within a block; yield the function (done, total) that advances it, or None."""
+    """
+    Show a progress bar on a terminal within a block; yield the function (done, total) that advances it.
+
+    With --quiet, or if stderr is not a terminal, yield None.
+    """
     with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}") as bar:
         planned = 0.0
 

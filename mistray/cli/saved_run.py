@@ -43,7 +43,17 @@ class SavedRun:
 
     @contextlib.contextmanager
     def reported(self) -> Iterator[None]:
-        """Report errors and interrupts in a block, and say on stderr how to continue if the file has changed."""
+        """
+        Report errors and interrupts in a block.
+
+        If the file has changed, errors say how to continue; so does a line on stderr after an interrupt, which sets
+        `code` and is not raised again. An interrupt of a resumed run counts as if the file had changed.
+
+        Raises
+        ------
+        MistrayError, KeyboardInterrupt
+            Errors of the block; an interrupt if nothing is saved.
+        """
         try:
             yield
         except (KeyboardInterrupt, MistrayError) as error:

@@ -53,7 +53,7 @@ def watched(process_ends: bool) -> Iterator[None]:
     """
     Handle SIGINT and SIGTERM alike within a block and record them; signals ignored before stay ignored.
 
-    They may still be blocked, see `mistray.supervisor.listen`.
+    They may still be blocked, see `mistray.supervisor.listen`. Outside the main thread nothing is done.
 
     While C++ code runs, Python's handlers wait; a separate thread then ends the process.
 

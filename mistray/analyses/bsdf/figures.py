@@ -42,6 +42,11 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
         Title of the figure, to which the event is added.
     knee : float, optional
         |β - β0| at which the BSDF bends, marked on the left.
+
+    Raises
+    ------
+    MistrayError
+        If there is no scan, or the BSDF is 0 everywhere.
     """
     if not scans:
         raise MistrayError("a plot of a BSDF needs one or more angles of incidence")
@@ -127,7 +132,14 @@ def _first_distance(scans: Sequence[Scan]) -> float:
 
 
 def _range(scans: Sequence[Scan]) -> tuple[float, float]:
-    """Return the lower and upper end of the BSDF axis, 1/sr, at most 12 decades apart."""
+    """
+    Return the lower and upper end of the BSDF axis, 1/sr, at most 12 decades apart.
+
+    Raises
+    ------
+    MistrayError
+        If the BSDF is 0 everywhere.
+    """
     values = np.concatenate([scan.values for scan in scans])
     values = values[values > 0]
     if not len(values):

@@ -37,7 +37,11 @@ TABLES = (".bsdf", ".anisotropicbsdf", ".csv")
 
 
 def _kinds() -> Mapping[str, Any]:
-    """Return the classes of scatter models by name; plugins of other packages are imported first, with Mitsuba."""
+    """
+    Return the classes of scatter models by name.
+
+    If other packages have plugins, Mitsuba and these plugins are imported first.
+    """
     if plugins_of_others():
         ensure_variant()
     return KINDS
@@ -128,7 +132,9 @@ def given(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
 
 def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tuple[Placement, str, AbgFromRms | None]:
     """
-    Return a scatter model, its title, and the calculation of A, B and g from a roughness, or None.
+    Return a scatter model, its title, and the calculation of A, B and g from a roughness.
+
+    The calculation is None unless the model is `abg` and ``rms_nm`` is given.
 
     Parameters
     ----------
@@ -165,7 +171,14 @@ def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tup
 
 
 def _roughness_sheet(found: Mapping[str, Any], request: BsdfRequest) -> AbgFromRms:
-    """Return A, B and g of an ABg model that follow from an rms roughness, nm, and a correlation length, µm."""
+    """
+    Return A, B and g of an ABg model that follow from an rms roughness, nm, and a correlation length, µm.
+
+    Raises
+    ------
+    MistrayError
+        If a parameter that it replaces is given, or the correlation length is missing.
+    """
     for key in ("A", "B", "g", "reference_nm", "file"):
         if key in found:
             raise MistrayError(f"abg: --rms-nm gives A, B and g; leave {flag(key)} out")

@@ -76,7 +76,12 @@ def record(found: BsdfResult) -> dict[str, Any]:
 
 
 def figure(found: BsdfResult) -> Figure:
-    """Return the picture of the BSDF; for `abg` and `harvey_shack` it marks the |β - β0| at which the BSDF bends."""
+    """
+    Return the picture of the BSDF.
+
+    For `harvey_shack`, and for `abg` with g > 0 and no reference wavelength, it marks the |β - β0| at which the BSDF
+    bends.
+    """
     model, light, knee = found.model, found.light, None
     if isinstance(model, ABg) and model.g > 0 and model.reference_nm is None:
         knee = float(model.B ** (1 / model.g))
@@ -122,7 +127,7 @@ def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
 
 
 def _totals(found: list[dict[str, Any]]) -> str:
-    """Return a text table of total scatter, percent, loss of the specular beam, percent, and peak BSDF, 1/sr."""
+    """Return a table, as text, of total scatter (percent), loss of the specular beam (percent) and peak BSDF (1/sr)."""
     places = dict.fromkeys((row.get("rotation_deg"), row["incidence_deg"]) for row in found)
     heads, cells = ["incidence [deg]"], [[f"{angle:g}" for _, angle in places]]
     if "rotation_deg" in found[0]:

@@ -1,4 +1,4 @@
-"""Request of `mistray bsdf` apart from the model: light, materials, and a small detector to be hit by chance."""
+"""Request for `mistray bsdf` apart from the model: light, materials, and a small detector to be hit by chance."""
 
 from __future__ import annotations
 

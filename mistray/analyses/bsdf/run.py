@@ -30,7 +30,7 @@ class BsdfResult:
     model : Placement
         Scatter model that was evaluated.
     sheet : AbgFromRms or None
-        Calculation of A, B and g from a roughness.
+        Calculation of A, B and g from a roughness; None if no roughness was given.
     request : BsdfRequest
         Request that was evaluated.
     light : IncidentLight
@@ -42,7 +42,7 @@ class BsdfResult:
     curves : list of Scan
         BSDF, 1/sr, of one event.
     unaimed : Chance or None
-        Probability of hitting the detector of the request without aiming.
+        Probability of hitting the detector of the request without aiming; None if it has no detector.
     """
 
     title: str
@@ -61,6 +61,12 @@ def run_bsdf(name: str, parameters: Mapping[str, Any], request: BsdfRequest) -> 
     Evaluate a scatter model for a request.
 
     The name and the parameters are those of `mistray.analyses.bsdf.models.model_of`.
+
+    Raises
+    ------
+    MistrayError
+        If the model scatters nothing from the side of the light, or rotations are given for one that does not depend on
+        them.
     """
     (model, title, sheet), angles = model_of(name, parameters, request), request.angles_deg
     sides = [refractive_index(material, request.wavelength_nm) for material in (request.front, request.back)]

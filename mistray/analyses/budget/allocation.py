@@ -113,9 +113,9 @@ class ToleranceChoice:
     name : str
         Name of the parameter, see `relative_scatter`.
     value : float
-        Value at which the metrics and their derivatives were computed.
+        Value at which the metrics and their derivatives were computed, in the parameter's unit.
     best, worst : float
-        Smallest and largest value to choose from.
+        Smallest and largest value to choose from, in that unit.
     cost : PowerCost or StepCost
         Cost of a value.
     slope : float
@@ -150,6 +150,8 @@ class ToleranceChoice:
 class Model:
     """
     Metrics as sums over surfaces of their scatter, M_j = fixed_j + Σ_i parts_ji T_i(p_i)/T_i(p_i now).
+
+    T_i(p) is the scatter of surface i at the value p of its parameter, up to a constant factor (`relative_scatter`).
 
     Attributes
     ----------
@@ -214,7 +216,7 @@ def allocate(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndar
     Raises
     ------
     MistrayError
-        If no values within the ranges meet the limits, see `excess`.
+        If no values within the ranges meet the limits, see `excess`, or the search does not converge.
     """
     best = np.array([v.grades().min() for v in variables])
     if excess(variables, model, limits) > 1 + SLACK:
@@ -238,7 +240,14 @@ def excess(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarra
 
 
 def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> np.ndarray:
-    """Return the grades of the parameters, (variables,), that meet the limits on the metrics at the least cost."""
+    """
+    Return the grades of the parameters, (variables,), that meet the limits on the metrics at the least cost.
+
+    Raises
+    ------
+    MistrayError
+        If no grades meet the limits.
+    """
     lists = [v.grades() for v in variables]
     costs = np.concatenate([v.cost(grades) for v, grades in zip(variables, lists, strict=True)])
     ratios = [v.ratio(grades) for v, grades in zip(variables, lists, strict=True)]
@@ -269,6 +278,11 @@ def _descend(
     Return values of all parameters, (variables,), of least cost within the limits.
 
     Those of the indices `free` minimise the cost, the others stay at `start`.
+
+    Raises
+    ------
+    MistrayError
+        If the search does not converge.
     """
     chosen = [variables[k] for k in free]
     held = [k for k in range(len(variables)) if k not in free]

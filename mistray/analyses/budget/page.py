@@ -46,7 +46,11 @@ def text(result: Budget) -> str:
 
 
 def verdict(item: Met) -> str:
-    """Return one sentence that says if a requirement is met, and its distance from the limit in standard errors."""
+    """
+    Return a phrase on a requirement: that it is met, or how many times the limit the metric is.
+
+    Either gives the distance from the limit in standard errors, at most 99.
+    """
     far = min(abs(item.distance), MOST_DISTANCE)
     if item.met:
         return f"met by {number(far, 2)} standard errors"

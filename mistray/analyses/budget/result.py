@@ -59,7 +59,11 @@ class Met:
 
     @property
     def distance(self) -> float:
-        """Limit minus metric after the budget, in standard errors; negative if the limit is exceeded."""
+        """
+        Limit minus metric after the budget, in standard errors; negative if the limit is exceeded.
+
+        It is ±∞ if the metric has no error.
+        """
         room = self.limit - self.after.value
         return room / self.after.se if self.after.se > 0 else math.copysign(math.inf, room)
 
@@ -107,7 +111,7 @@ class Budget(Result, table=".page:numbers_table", figure=".figures:budget_figure
     seconds: float
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return if all requirements are met, metrics after, and total costs before and after, by label."""
+        """Return whether all requirements are met, metrics after, and total costs before and after, by label."""
         before, after = self.cost
         metrics = {f"{item.requirement} [{item.unit}]": item.after for item in self.requirements}
         verdict = "met" if self.holds else "NOT met"

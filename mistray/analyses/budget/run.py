@@ -114,7 +114,11 @@ class _Search:
         return result
 
     def derive(self, numbers: np.ndarray) -> tuple[Model, np.ndarray, np.ndarray]:
-        """Return the model of the metrics at given parameter values, metrics and standard errors, (metrics,) each."""
+        """
+        Return the model of the metrics at parameter values `numbers`, (variables,), in their units.
+
+        Also return the metrics and their standard errors, (metrics,) each, in the units of the metrics.
+        """
         assign(self.params, {key: np.array([p]) for key, p in zip(self.keys, numbers, strict=True)})
         values, errors, rows = [], [], []
         for metric in self.metrics:
@@ -128,7 +132,16 @@ class _Search:
         return Model.of(self.choices(numbers), np.array(values), np.array(rows)), np.array(values), np.array(errors)
 
     def run(self) -> tuple[tuple[Chosen, ...], int]:
-        """Choose component values until they stop changing or iterations run out; return them and gradients made."""
+        """
+        Choose component values until they stop changing or iterations run out.
+
+        Return the choices and the number of gradients of each metric.
+
+        Raises
+        ------
+        MistrayError
+            If no light reaches the detector, or the limits cannot be met.
+        """
         numbers, first, gradients = self.start, np.zeros(0), 0
         while True:
             model, values, errors = self.derive(numbers)

@@ -96,6 +96,11 @@ def coating_figure(
         Angles in the medium of incidence, degrees.
     front, back, from_front
         Arguments of `mistray.coatings.spectrum`.
+
+    Raises
+    ------
+    MistrayError
+        If there are fewer than two wavelengths.
     """
     lam = np.asarray(wavelengths_nm, dtype=np.float64)
     if len(lam) < 2:
@@ -143,6 +148,11 @@ def surfaces_figure(
         Two or more wavelengths, nm.
     angles_deg : sequence of float
         Angles in the material of lower index, degrees; the light comes from that side.
+
+    Raises
+    ------
+    MistrayError
+        If there are fewer than two wavelengths.
     """
     lam = np.asarray(wavelengths_nm, dtype=np.float64)
     if len(lam) < 2:

@@ -67,9 +67,9 @@ def figure(found: CoatingResult | SurfacesResult) -> Figure:
 
 def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
     """
-    Return a row for each layer of a stack: thickness, nm, n, k, and optical thickness in design wavelengths.
+    Return rows for the layers of a stack: material, thickness, nm, n, k, and optical thickness in waves.
 
-    The list is empty for other coatings.
+    Indices and waves are those at the design wavelength. There are no rows for other coatings.
     """
     if not isinstance(found.coating, Stack):
         return []
@@ -81,7 +81,11 @@ def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
 
 
 def band_rows(values: CoatingSpectrum) -> list[dict[str, Any]]:
-    """Return for each angle the mean over wavelengths of R, T and A, unpolarised, and the least and greatest R."""
+    """
+    Return rows by angle: unpolarised R, T and A, 0 … 1, averaged over the wavelengths, and the least and greatest R.
+
+    Each extreme has its wavelength, nm.
+    """
     rows = []
     for k, angle in enumerate(values.angle_deg):
         row = {"angle_deg": angle} | {f"{share}_mean": values.mean(share)[:, k].mean() for share in SHARES}
@@ -93,7 +97,11 @@ def band_rows(values: CoatingSpectrum) -> list[dict[str, Any]]:
 
 
 def _spectrum(values: CoatingSpectrum) -> list[dict[str, Any]]:
-    """Return a row for each angle (degrees) and wavelength (nm): R, T and A for s and p, and the phases in rad."""
+    """
+    Return a row for each angle (degrees) and wavelength (nm).
+
+    It holds R, T and A, 0 … 1, for s and p, and the phases of reflection and transmission, rad.
+    """
     return [
         {
             "angle_deg": angle,

@@ -1,4 +1,4 @@
-"""Request of `mistray coating`: a coating or a scene, its surroundings and the light."""
+"""Request for `mistray coating`: a coating or a scene, its surroundings and the light."""
 
 from __future__ import annotations
 

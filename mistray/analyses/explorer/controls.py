@@ -61,7 +61,7 @@ class Control:
     bodies : tuple of str
         For a coating: the material of the body that each surface bounds.
     parameter : Parameter or None
-        For a number: the scene parameter, the first if several move.
+        For a number: the scene parameter, the first if several move; None for other kinds.
     keys : tuple of str
         For a number: keys of the scene parameters that are all set to its value.
     """
@@ -144,7 +144,7 @@ def controls_of(
     Raises
     ------
     MistrayError
-        If a pattern matches no parameter that a trace can be differentiated by.
+        If a pattern matches no parameter with respect to which a trace can be differentiated.
     """
     found = [*_coatings(path, scene), *_numbers(scene, patterns)]
     if len(field_deg) > 1:
@@ -178,7 +178,11 @@ def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) ->
 
 
 def _coatings(path: Path, scene: Any) -> list[Control]:
-    """Return a choice of coatings for the clear surfaces of each part, and a slider for the thickness of all layers."""
+    """
+    Return a choice of coatings for the clear surfaces of each part, and a slider for the thickness of all layers.
+
+    Without clear surfaces there are no such controls.
+    """
     shapes = {str(shape.id()): shape for shape in solid_shapes(scene)}
     parts: dict[str, dict[str, str]] = {}
     file = SceneFile(path)

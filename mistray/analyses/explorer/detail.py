@@ -81,7 +81,7 @@ def path_detail(
 
 
 def _share(ways: Any, surface: str) -> float:
-    """Return the percentage of all stray power on paths that are reflected or scattered at a surface."""
+    """Return the percentage of all stray power on paths that a surface reflects or scatters; 0 without stray light."""
     stray = ways[ways.kind != DIRECT]
     total = stray.power_W.sum()
     there = [
@@ -100,9 +100,9 @@ def _remedies(
     row: int,
 ) -> list[dict[str, Any]]:
     """
-    Return, for each part at which a path turns, the coating that leaves the least stray light, best part first.
+    Return, for each part at which a path turns, the coating that leaves the least stray light.
 
-    The best part is first.
+    The best part is first. Each has the power of the path and of all stray light that is left, W.
     """
     here = {**state, **({"field": of.state["field"]} if "field" in state else {})}
     found = []

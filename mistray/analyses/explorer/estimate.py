@@ -101,7 +101,11 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
 
 
 def _of_first_order(of: Traced, state: Mapping[str, VALUES], moved: list[Control]) -> Estimate:
-    """Return the relative change of the stray power to first order in the moved controls, with its standard error."""
+    """
+    Return the relative change of the stray power to first order in the moved controls, with its standard error.
+
+    Controls whose derivative is unknown count as unmoved.
+    """
     slopes = [(c.name, of.slopes[c.name]) for c in moved if c.name in of.slopes]
     found = [(slope, float(state[k]) - float(of.state[k])) for k, slope in slopes if math.isfinite(slope.value)]
     change = sum(slope.value * step for slope, step in found)
@@ -195,7 +199,12 @@ def _quotient(was: Floats, becomes: Floats) -> Floats:
 
 
 def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
-    """Return the factor on each path's power, (paths,), and its standard error, from the factors of its rays."""
+    """
+    Return the factor on each path's power, (paths,), and its standard error, from the factors of its rays.
+
+    A path without sampled rays has the mean factor of the paths of its kind, or else of all stray paths, and the error
+    0.
+    """
     count, sample = len(of.ways), of.sample
     weight = np.bincount(sample.way, sample.weight, minlength=count)
     changed = np.bincount(sample.way, sample.weight * by_ray, minlength=count)

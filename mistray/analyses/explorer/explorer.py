@@ -64,8 +64,8 @@ class Explorer:
     Live model of a scene, its controls and its stray light, estimated at once and traced when there is time.
 
     `move` answers at once. `work` does the slow jobs one by one, in a thread that calls it repeatedly. It traces the
-    present state, compiles kernels for other coatings, finds derivatives by shapes, and then traces the field angles of
-    the grid.
+    present state, compiles kernels for other coatings, finds derivatives with respect to shapes, and then traces the
+    field angles of the grid.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ class Explorer:
 
     def work(self, seconds: float = 0.5) -> bool:
         """
-        Do the most urgent job, or wait for one.
+        Do the most urgent job, or wait for one; an error of the job is shown on the page.
 
         Parameters
         ----------
@@ -343,7 +343,7 @@ class Explorer:
         """
         Return estimated and traced stray power of a traced state, W, and their difference in percent.
 
-        None if it is dark.
+        None if it has no stray light.
         """
         made = self._guessed(before, found.state)
         stray = found.stray_W
@@ -373,7 +373,11 @@ class Explorer:
                 self._grid[field] = found
 
     def _find_slopes(self, state: dict[str, VALUES]) -> None:
-        """Compute derivatives of the stray power by the parameters that estimates follow to first order."""
+        """
+        Compute derivatives of the stray power with respect to the controls that estimates follow to first order.
+
+        They are relative to the power, per unit of each control. The present estimate is renewed with them.
+        """
         assert self._traced is not None
         self._begin("derivatives")
         turned, field = self._first_order(), self._field(state)
@@ -444,7 +448,14 @@ class Explorer:
         return {"wavelength_nm": float(state["wavelength"])} if "wavelength" in state else {}
 
     def _fields(self, given: Sequence[float] | None) -> list[float]:
-        """Return the field angles that the scene's light can have, degrees; empty if it has no field."""
+        """
+        Return the field angles that the scene's light can have, degrees; empty if it has no field.
+
+        Raises
+        ------
+        MistrayError
+            If the light cannot have a field angle that is given.
+        """
         emitters = [emitter for emitter in self._scene.emitters() if hasattr(emitter, "field_deg")]
         own = [float(emitter.field_deg) for emitter in emitters]
         wanted = list(dict.fromkeys(given if given is not None else [*own[:1], *FIELD_DEG]))
@@ -501,7 +512,11 @@ class Explorer:
         return self._traced is not None and not self._traced.slopes and "derivatives" not in self._impossible
 
     def _fields_missing(self) -> list[float]:
-        """Return the field angles, degrees, of the estimate's grid that have not been traced yet."""
+        """
+        Return the field angles, degrees, of the estimate's grid that have not been traced yet.
+
+        None without a field control.
+        """
         if "field" not in self.controls:
             return []
         return [field for field in self.fields if field not in self._grid and field not in self._impossible]
@@ -515,7 +530,7 @@ class Explorer:
         return at_field({**self._grid, float(of.state["field"]): of}, self._looks, self.controls, state)
 
     def _note(self) -> None:
-        """Wake the threads that wait for a new view; the caller must hold the lock."""
+        """Count a change of the view, and wake the threads that wait for one; the caller must hold the lock."""
         self.version += 1
         self._changed.notify_all()
 
@@ -535,7 +550,11 @@ class Explorer:
 
 
 def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES]]:
-    """Return control states with different kernels, to be compiled ahead: a bare part, a layered part, and both."""
+    """
+    Return control states with different kernels, to be compiled ahead: a bare part, a layered part, and both.
+
+    There are none without a control of coatings.
+    """
     names = [name for name, one in controls.items() if one.kind == COATING]
     if not names:
         return []

@@ -60,7 +60,7 @@ class Looks:
     Parameters
     ----------
     scene : mi.Scene
-        Scene as loaded; its numbers are read once.
+        Scene as loaded; its coatings and scatter models are read once.
     controls : mapping of str to Control
         Controls of the explorer, by name.
     """
@@ -179,7 +179,11 @@ def scaled(stack: Stack, factor: float) -> Stack:
 def _shares(
     coating: Any, wavelength_nm: float, sides: tuple[complex, complex], from_front: bool, cos_i: Floats
 ) -> tuple[Floats, Floats]:
-    """Return R and T, (n,) each, at cosines of incidence, (n,): means of s and p."""
+    """
+    Return R and T, (n,) each, 0 … 1, at cosines of incidence, (n,): means of s and p.
+
+    Light comes from the front if `from_front`, else from the back. Under total reflection T is 0.
+    """
     refraction, total = _tables(coating, wavelength_nm, sides)
     n_in, n_out = (n.real for n in (sides if from_front else sides[::-1]))
     sin2_out = np.zeros_like(cos_i) if coating.opaque else (n_in / n_out) ** 2 * (1 - cos_i * cos_i)
@@ -198,9 +202,11 @@ def _shares(
 @lru_cache(maxsize=1024)
 def _tables(coating: Any, wavelength_nm: float, sides: tuple[complex, complex]) -> tuple[Floats, Floats | None]:
     """
-    Return tables of R and T over the angle, as the kernel has them, but with fewer nodes: their error is below 1e-4.
+    Return tables of R and T over the angle for refraction, and a table for total reflection.
 
-    The kernel's own tables take ten times as long, and a slider asks for new ones at every step.
+    The second is None for an opaque surface and between equal indices. They are those of the kernel with fewer nodes,
+    with an error below 1e-4. The kernel's own tables take ten times as long, and a slider asks for new ones at every
+    step.
     """
     x = np.linspace(0.0, 1.0, NODES)
     front, back = (n.real for n in sides)
@@ -224,7 +230,11 @@ def _scattered(
     directions: tuple[Floats, Floats],
     event: tuple[str, Floats],
 ) -> Floats:
-    """Return the sum of the BSDFs of all scatter models of a surface, (n,), 1/sr."""
+    """
+    Return the sum of the BSDFs of all scatter models of a surface, (n,), 1/sr.
+
+    Light comes from the front if `from_front`, else from the back.
+    """
     total = np.zeros(len(directions[0]))
     for model, amount in look.models:
         lobes = model.lobes(wavelength_nm, *indices, from_front)

@@ -57,12 +57,12 @@ def view_data(found: Guess) -> dict[str, Any]:
 
 
 def _print(value: Estimate) -> str:
-    """Return a number with its standard error as in print."""
+    """Return a value with its standard error as typeset text."""
     return typeset(with_error(value))
 
 
 def remedy_data(found: Remedy | None) -> dict[str, Any] | None:
-    """Return the surface to change first and its share of the stray light in percent, or None."""
+    """Return the surface to change first, with its share of the stray light in percent; None if there is none."""
     if found is None:
         return None
     return {"surface": found.surface, "deed": found.deed, "percent": plain(found.percent.value)}

@@ -1,4 +1,4 @@
-"""Request of the live explorer: initial light, controls, and settings of its traces."""
+"""Request for the live explorer: initial light, controls, and settings of its traces."""
 
 from __future__ import annotations
 

@@ -156,5 +156,5 @@ class Saving:
 
 
 def _text(value: str) -> str:
-    """Return a text as a quoted TOML string, escaped as in JSON."""
+    """Return a value as a quoted TOML string, escaped as in JSON."""
     return json.dumps(value, ensure_ascii=False)

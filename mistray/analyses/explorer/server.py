@@ -137,7 +137,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 60
 
     def do_GET(self) -> None:
-        """Answer a GET request with a file of the page."""
+        """Answer a GET request with a file of the page; refuse it without the token, or if there is no such file."""
         name = self._name()
         if name is None:
             return
@@ -147,7 +147,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, asset(file).encode(), f"{kind}; charset=utf-8")
 
     def do_POST(self) -> None:
-        """Answer a POST request, a call from the page, with JSON."""
+        """Answer a POST request, a call from the page, with JSON; a call that cannot be answered gets an error."""
         name = self._name()
         if name is None:
             return

@@ -109,7 +109,7 @@ class Traced:
     maps : Maps
         Stray power on cells of the detector.
     remedy : Remedy or None
-        Surface that takes part in most of the stray light, detectors aside.
+        Surface that takes part in most of the stray light, detectors aside; None without stray light.
     slopes : dict
         Name of a control → d(stray power)/d(value) over the stray power, where it is known. It is not a number for a
         rim that the beam just fills: there the derivatives on its two sides differ.
@@ -166,7 +166,11 @@ def _ids(ways: pd.DataFrame, chosen: npt.NDArray[np.bool_]) -> list[int]:
 
 
 def _ratio(t: Trace, groups: Sequence[Sequence[int]]) -> Estimate:
-    """Return the ratio of the powers of two groups of paths, with a standard error that allows for shared rays."""
+    """
+    Return the ratio of the powers of two groups of paths, with a standard error that allows for shared rays.
+
+    It is 0 if the first group is empty, and NaN if the second is.
+    """
     if not all(groups):
         return Estimate(0.0, 0.0) if groups[1] else Estimate(float("nan"), float("nan"))
     light = t.paths.numbers(groups).light

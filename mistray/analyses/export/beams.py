@@ -48,12 +48,11 @@ class FieldBeam:
     field_deg : float
         Field angle, degrees.
     places : list of str
-        Places of its rays: "start", then the surfaces that they meet.
+        Places along its rays: "start", the surfaces that they meet, and "focus" where the light comes together.
     middle : (p, 3) float64
         Points of the middle ray at these places, mm.
     caps : (p, n, CAP, 3) float64
-        Points on each surface from the middle ray to the n rays at the rim, mm; all equal where the light
-        comes together.
+        Points on each surface from the middle ray to the n rays at the rim, mm; one point for all rays at a focus.
     smooth : bool
         Whether a smooth curve follows the rim; else it is a polygon, because the rim has corners.
     rim_error_mm : float
@@ -75,7 +74,7 @@ class FieldBeam:
 
     def write(self, file: StepFile) -> tuple[list[int], list[int]]:
         """
-        Write a solid between each two places, or a side face if rays cross there.
+        Write a solid between each two consecutive places, or only its side face where rays cross in between.
 
         Return the entity numbers of the solids and of the side faces.
         """
@@ -97,7 +96,11 @@ class FieldBeam:
         return solids, sides
 
     def _cap(self, file: StepFile, k: int, stretch: _Stretch, end: int, outwards: bool) -> int:
-        """Add the end face of a beam section at place `k` to the file, facing outwards or not. Return its number."""
+        """
+        Add the end face of a beam section at place `k` to the file, and return its entity number.
+
+        `end` is 0 where the section begins and 1 where it ends; `outwards`: whether the rim's normal leaves the solid.
+        """
         rings = self.caps[k]
         normal = polygon_normal(rings[:, -1])
         away = (rings - self.middle[k]) @ normal
@@ -125,7 +128,7 @@ class FieldBeam:
 
 class _Stretch:
     """
-    Section of a clear beam between two rims, (n, 3), mm, each; one of them may be a point.
+    Section of a clear beam between two rims, each of points (n, 3), mm; the points of one rim may all be equal.
 
     Its side is a ruled surface.
     """
@@ -143,7 +146,7 @@ class _Stretch:
         """
         Add the ruled side face of the beam section to the file, and return its entity number.
 
-        `outwards`: its rims run counter-clockwise about the light.
+        `outwards`: whether its rims run counter-clockwise about the direction of the light.
         """
         file, (first, last) = self.file, self.circles
         seam = file.edge(self.starts[0], self.starts[1], file.line(self.rims[0][0], self.rims[1][0]))
@@ -159,23 +162,28 @@ def _point(rim: Array) -> bool:
 
 def _face(file: StepFile, name: str, surface: int, loop: list[tuple[int, bool]], along: bool) -> int:
     """
-    Add a face to a STEP file, its border counter-clockwise about the normal if `along`, else reversed.
+    Add a face to a STEP file, and return its entity number.
 
-    Return its number.
+    `along`: whether the face has the normal of `surface`, and `loop` runs counter-clockwise about it; else both are
+    reversed.
     """
     edges = loop if along else [(edge, not forwards) for edge, forwards in loop[::-1]]
     return file.face(name, surface, along, [file.loop(edges)])
 
 
 def _sense(rim: Array, along: Array) -> int:
-    """Return the sense in which rim points (n, 3) turn about `along`: 1 counter-clockwise, -1 clockwise, 0 if mixed."""
+    """Return how rim points, (n, 3), turn about the vector `along`: 1 counter-clockwise, -1 clockwise, 0 both ways."""
     middle = rim.mean(axis=0)
     turns = np.cross(rim - middle, np.roll(rim, -1, axis=0) - middle) @ along
     return int(np.sign(turns[0])) if np.all(turns * turns[0] > 0) else 0
 
 
 def _round(points: Array, smooth: bool) -> tuple[Array, Array]:
-    """Return poles and knots of a closed curve through points (n, 3), mm: a periodic cubic spline or a polygon."""
+    """
+    Return poles, mm, and knots of a closed curve through points, (n, 3), mm.
+
+    The curve is a periodic cubic spline if `smooth`, else a polygon.
+    """
     closed = np.concatenate([points, points[:1]])
     u = np.linspace(0.0, 1.0, len(closed))
     if not smooth:
@@ -200,7 +208,7 @@ class BeamFinder:
     Raises
     ------
     MistrayError
-        If no light of the source reaches the detector over lenses or mirrors.
+        If no light of the source reaches the detector by way of lenses or mirrors.
     """
 
     def __init__(self, scene: Any, wavelength_nm: float | None = None) -> None:
@@ -219,18 +227,20 @@ class BeamFinder:
 
     @property
     def lit(self) -> dict[str, int]:
-        """Lit side of each mirror on the path, by shape id: -1 for the front, 1 for the back."""
+        """Side of each mirror on the design path that light comes from, by shape id: -1 the front, 1 the back."""
         ids = self.path.table.ids
         return {ids[step.surface]: -1 if step.from_front else 1 for step in self.path.steps if step.reflects}
 
     def beam(self, field_deg: float, azimuth_deg: float | None = None) -> FieldBeam:
         """
-        Return the clear beam of a field as far as the detector; `field_deg` and `azimuth_deg` are in degrees.
+        Return the clear beam of a field as far as the detector.
+
+        `field_deg` and `azimuth_deg` are in degrees; the azimuth is by default that of the scene.
 
         Raises
         ------
         MistrayError
-            If no light of the field reaches the detector.
+            If no light of the field reaches the detector, or rays at the rim are lost on the way.
         """
         bundle = field_bundle(self.scene, field_deg, azimuth_deg, self.aperture)
         region = lit_region(self.path, bundle, self.aperture)
@@ -253,14 +263,23 @@ class BeamFinder:
         return FieldBeam(field_deg, *_with_foci(places, points[:, 0], caps), smooth, error)
 
     def _at_rim(self, outermost: _Rim, bundle: PointBundle, turns: Array, between: Array) -> tuple[Array, Array]:
-        """Return points, mm, of middle ray and rim rays at `turns`, (p, 1 + n, 3), and of rim rays at `between`."""
+        """
+        Return points, mm, of the middle ray and the rim rays at angles `turns`, and of the rim rays at `between`.
+
+        Angles are in rad about the middle of the entrance. Shapes are (p, 1 + n, 3) and (p, m, 3), with p places along
+        the rays.
+        """
         others = outermost.at(between)
         rim = outermost.at(turns)
         points = self._follow(bundle, np.concatenate([rim.mean(axis=0)[None], rim, others]))
         return points[:, : len(rim) + 1], points[:, len(rim) + 1 :]
 
     def _follow(self, bundle: PointBundle, x: Array) -> Array:
-        """Return points, (p, n, 3), mm, of rays at the start and each surface, from entrance coordinates, (n, 2)."""
+        """
+        Return points, (p, n, 3), mm, of rays at the start and at each surface of the path.
+
+        `x`, (n, 2): coordinates of the rays in the entrance, mm, or slopes for a near object.
+        """
         o, d = bundle.rays(x)
         points = [o]
         for step in self.path.steps:
@@ -271,7 +290,11 @@ class BeamFinder:
         return np.stack(points)
 
     def _cap(self, k: int, middle: Array, rim: Array) -> Array:
-        """Return a grid of points on the surface at place `k`, from the middle ray to each rim ray, (n, CAP, 3), mm."""
+        """
+        Return points between the middle ray and each rim ray on the surface at place `k`, (n, CAP, 3), mm.
+
+        At the start, and on a shape that is not one of Mistray's, they lie on straight lines instead.
+        """
         share = np.arange(1, CAP + 1)[:, None] / CAP
         straight = middle + share * (rim - middle)[:, None]
         table, surface = self.path.table, self.path.steps[k - 1].surface
@@ -285,7 +308,7 @@ class BeamFinder:
 
 
 def _off(rim: Array, between: Array) -> float:
-    """Return the largest distance, mm, of the rays half-way between rim points from the curve through the points."""
+    """Return the largest distance, mm, of rays half-way between rim points from the cubic spline through them."""
     poles, knots = _round(rim, True)
     half = (np.arange(len(rim)) + 0.5) / len(rim)
     return float(np.linalg.norm(BSpline(knots, poles, 3)(half) - between, axis=1).max())
@@ -293,9 +316,10 @@ def _off(rim: Array, between: Array) -> float:
 
 def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[list[str], Array, Array]:
     """
-    Insert points where the beam is focused.
+    Make a section that is nearly a point into one, and insert a place where the beam is focused between surfaces.
 
-    Return place names, points of the middle ray, (p, 3), mm, and end faces.
+    Return the names of the places, (p,), points of the middle ray, (p, 3), mm, and points of the sections, (p, n, CAP,
+    3), mm.
     """
     spread = [float(np.ptp(cap[:, -1], axis=0).max()) for cap in caps]
     for k, cap in enumerate(caps):
@@ -319,7 +343,12 @@ def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[lis
 
 
 class _Rim:
-    """Rim of a field's light in the entrance plane: the convex hull of the outermost rays that reach the detector."""
+    """
+    Rim of a field's light in entrance coordinates: the convex hull of the outermost rays that reach the detector.
+
+    The coordinates are mm in the entrance plane for a far object, and slopes of the rays for a near one
+    (`PointBundle`).
+    """
 
     def __init__(self, path: DesignPath, bundle: PointBundle, region: Region) -> None:
         self._path, self._bundle = path, bundle
@@ -328,7 +357,11 @@ class _Rim:
         self._known: dict[float, float] = {}  # direction → distance
 
     def at(self, turns: Array) -> Array:
-        """Return entrance coordinates, (n, 2), mm, of rim rays in directions `turns`, (n,), rad, about the middle."""
+        """
+        Return rim points in the directions `turns`, (n,), rad, about the middle.
+
+        They are entrance coordinates, (n, 2): mm, or slopes of rays for a near object.
+        """
         new = np.setdiff1d(turns, list(self._known))
         self._known |= dict(zip(new.tolist(), self._outermost(_unit(new)).tolist(), strict=True))
         reached = np.array(list(self._known.values()))[:, None] * _unit(np.array(list(self._known)))
@@ -340,7 +373,7 @@ class _Rim:
         return np.asarray(self._middle + reach[:, None] * along)
 
     def refined(self, turns: Array) -> tuple[Array, Array]:
-        """Insert directions, rad, where the rim bends; return all directions and those half-way between them."""
+        """Insert directions, rad, where the rim bends; return all directions and those half-way between neighbours."""
         for _ in range(ROUNDS):
             between = turns + 0.5 * np.diff(turns, append=turns[0] + 2 * np.pi)
             middles = self.at(between)
@@ -352,7 +385,12 @@ class _Rim:
         return turns, turns + 0.5 * np.diff(turns, append=turns[0] + 2 * np.pi)
 
     def _outermost(self, along: Array) -> Array:
-        """Return the distance, (n,), mm, from the middle to the last ray that passes in each direction, (n, 2)."""
+        """
+        Return the distance, (n,), from the middle to the last ray that passes, in each direction `along`, (n, 2).
+
+        It is in mm in the entrance plane, or in slopes for a near object. Rays pass if they reach the plane of the
+        detector.
+        """
         inside, outside = np.zeros(len(along)), np.full(len(along), self._limit)
         rows = np.arange(len(along))
         for sections in SECTIONS:
@@ -373,7 +411,11 @@ def _unit(turns: Array) -> Array:
 
 
 def _aside(points: Array, corners: Array) -> Array:
-    """Return the distance, mm, of each point, (n, d), from the polygon side that begins at the corner of its index."""
+    """
+    Return the distance of each point, (n, d), from the polygon side that begins at the corner of its index, (n,).
+
+    It is in the unit of the coordinates: mm, or slopes for rays of a near object.
+    """
     side = np.roll(corners, -1, axis=0) - corners
     away = points - corners
     share = np.sum(away * side, axis=1) / np.maximum(np.sum(side * side, axis=1), 1e-300)

@@ -99,14 +99,18 @@ class StepBody:
 
     @property
     def error_mm(self) -> float:
-        """Return the largest distance of its B-splines from the surfaces, mm, once its faces are made."""
+        """
+        Return the largest distance of its B-splines from the surfaces, mm, once its faces are made.
+
+        It is 0 if the body has none.
+        """
         profiles = [profile.error_mm for _, own in self.turned for profile in own]
         return max([*profiles, *(patch.error_mm for patch in self.patches)], default=0.0)
 
 
 @dataclass
 class Found:
-    """Bodies found in a scene, notes on them, and why other shapes are left out."""
+    """Bodies found in a scene, notes on them, and the reason for each shape that is left out, by its id."""
 
     bodies: list[StepBody] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -251,7 +255,7 @@ def _add(
 
 
 def _lenses(axis: Axis, found: Found) -> set[str]:
-    """Add the lenses about an axis to the bodies in `found`; return the names of the surfaces they use."""
+    """Add the lenses about an axis to `found`, and notes on those not closed; return the ids of surfaces used."""
     faces = sorted((ring for ring in axis.rings if ring.refracts), key=lambda ring: float(ring.profile.points(3)[0, 1]))
     used: set[str] = set()
     for k, face in enumerate(faces):
@@ -296,7 +300,11 @@ def _lenses(axis: Axis, found: Found) -> set[str]:
 
 
 def _mirror(axis: Axis, ring: Ring, thickness: float, found: Found) -> StepBody | None:
-    """Return a mirror as a body with a substrate of given thickness, mm, behind it; None if that is impossible."""
+    """
+    Return a mirror as a body with a substrate of given thickness, mm, behind it; None if no volume closes.
+
+    If the light to the detector does not meet it, add a note to `found` and return None.
+    """
     if not ring.mirror_side:
         found.notes.append(f"{ring.name}: the light to the detector does not meet it; it stays a sheet")
         return None
@@ -345,7 +353,7 @@ def _components(numbers: npt.NDArray[np.int_]) -> Iterator[list[int]]:
     """
     Yield groups of profiles connected at their ends, as lists of indices.
 
-    `numbers` holds the ends' point numbers.
+    `numbers`, (n, 2): index of the point where each profile starts, and of that where it ends.
     """
     left = set(range(len(numbers)))
     while left:
@@ -360,7 +368,11 @@ def _components(numbers: npt.NDArray[np.int_]) -> Iterator[list[int]]:
 def _in_turn(
     chain: list[int], numbers: npt.NDArray[np.int_], profiles: list[Profile], free: list[int]
 ) -> list[Profile]:
-    """Return connected profiles in sequence, reversed where needed, beginning at a free end if there is one."""
+    """
+    Return connected profiles in sequence, reversed where needed.
+
+    It begins at the first free end, of the point indices `free`, or at the first profile if there is none.
+    """
     left = list(chain)
     here = free[0] if free else int(numbers[chain[0], 0])
     ordered = []
@@ -381,9 +393,10 @@ def _near(profiles: Sequence[Profile]) -> float:
 
 def _tidy(loop: Sequence[Profile]) -> list[Profile] | None:
     """
-    Return a chain of profiles as the closed border of a body to its left; None if it encloses no volume.
+    Return a chain of profiles as the closed border of a body to its left.
 
-    Ends that nearly coincide are joined by the lines between them, and lines of no length are left out.
+    Ends of lines are moved to join the next profile, and lines of no length are left out. None if a gap is left, the
+    border crosses itself, or it encloses no volume.
     """
     ring = loop[0].start[0] > 0
     joined = list(loop)

@@ -77,7 +77,12 @@ critical_rays = analysis("critical_rays", CriticalRaysRequest, run)
 
 
 def _outermost(starts: np.ndarray, along: np.ndarray, rim: int) -> dict[str, int]:
-    """Return the index of the ray nearest the beam's centre and those of `rim` rays at its rim, by ray name."""
+    """
+    Return the index of the ray nearest the beam's centre, and indices of rays at its rim, by name.
+
+    The rays start at `starts`, (n, 3), mm, along the vector `along`, (3,). The rim has `rim` directions; a ray that is
+    outermost in several has the name of the first.
+    """
     along = along / np.linalg.norm(along)
     across = np.array([1.0, 0.0, 0.0]) - along[0] * along
     if np.linalg.norm(across) < 1e-6:

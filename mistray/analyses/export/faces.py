@@ -84,7 +84,11 @@ class Turner:
         return file.face(profile.name, surface, along, [file.loop([edge for edge in loop if edge[0]])])
 
     def _surface(self, profile: Profile) -> tuple[int, int, bool]:
-        """Add surface and curve of a profile; return their numbers, and whether the normal leaves the body."""
+        """
+        Add the surface and the curve of a profile to the file.
+
+        Return their entity numbers, and whether the surface's normal points out of the body to the left of the profile.
+        """
         file, (r0, z0), (r1, z1) = self.file, profile.start, profile.end
         if profile.kind == "line":
             curve = file.line(self.place(profile.start), self.place(profile.end))
@@ -135,8 +139,8 @@ def polyhedron(polygons: Sequence[Array]) -> list[list[int]] | None:
     Returns
     -------
     list of list of int, or None
-        Corner numbers of each polygon, counted over all polygons; equal corners have the number of the first. The order
-        is counter-clockwise from outside. None if the polygons close no body.
+        Corner indices of each polygon, counted over all polygons; equal corners have the index of the first. The order
+        is counter-clockwise from outside. None if they enclose no volume.
     """
     points = np.concatenate(polygons)
     near = 1e-6 * float(np.ptp(points, axis=0).max())
@@ -296,7 +300,11 @@ class Patch:
         )
 
     def _loop(self, file: StepFile, figure: OutlineFigure, outer: bool) -> int:
-        """Add the border of a figure, counter-clockwise about the normal if it is outermost; return its number."""
+        """
+        Add the border of a figure to the file, and return its entity number.
+
+        It runs counter-clockwise about the normal if `outer`, and clockwise for a hole.
+        """
         pieces: list[Callable[[Array], Array]] = []
         if figure.kind in ("circle", "ellipse"):
             pieces.append(partial(round_border, figure))

@@ -46,9 +46,9 @@ class Profile:
     degree : int
         Degree of a B-spline.
     knots : (n + degree + 1,) float64
-        Knot vector of a B-spline.
+        Knot vector of a B-spline; None for lines and circles.
     weights : (n,) float64 or None
-        Weights of the poles of a rational B-spline.
+        Weights of the poles of a rational B-spline; None if it is not rational.
     error_mm : float
         Largest distance of a B-spline from the surface, mm, measured between the points that it goes through.
     """
@@ -141,7 +141,11 @@ def _conic(name: str, ends: Array, piece: SagSurface) -> Profile:
 
 
 def _even(shape: Any, piece: SagSurface, count: int) -> Array:
-    """Return `count` points (r, z), mm, along an asphere, for an ellipse at even angles about its centre."""
+    """
+    Return `count` points (r, z), mm, along an asphere.
+
+    They are at even angles about the centre if its base conic is an ellipse, else at even steps of r.
+    """
     product = (1 + piece.conic) * piece.curvature**2
     if product > 0:
         end = 1 / np.sqrt(product)
@@ -165,6 +169,11 @@ def _fitted(name: str, points: Any, even: bool) -> Profile:
         Returns (n, 2) points (r, z), mm, at n even steps of a parameter.
     even : bool
         Whether the profile begins on the axis and meets it at a right angle: r is odd there, and z even.
+
+    Raises
+    ------
+    MistrayError
+        If no B-spline through `MOST` points comes near enough.
     """
     size = float(np.ptp(points(FEWEST), axis=0).max())
     tolerance = min(TOLERANCE_MM, RELATIVE * size)

@@ -1,4 +1,4 @@
-"""Requests of an export: light of the critical rays, and contents of a STEP file."""
+"""Requests for an export: light of the critical rays, and contents of a STEP file."""
 
 from __future__ import annotations
 

@@ -100,7 +100,8 @@ def run(scene: mi.Scene, request: StepRequest, *, path: str | Path, name: str = 
     Raises
     ------
     MistrayError
-        If a number is out of range, a field has no light on the detector, or the file cannot be written.
+        If a value is out of range, a field has no light on the detector, no surface can be written in STEP, or the file
+        cannot be written.
 
     Examples
     --------

@@ -10,7 +10,7 @@ from mistray.toolkit.figures.palette import BLACK, BLUE
 
 
 def residual_figure(found: Fit, title: str = "") -> Figure:
-    """Draw the residuals (observed minus modelled) in standard errors, against the number of the datum."""
+    """Draw the residuals (observed minus modelled) in standard errors, against the index of the datum, from 1."""
     made, axes = Figure.of_panels(8.6, 3.6)
     pulls = found.residual / np.sqrt(np.diag(found.noise))
     axes.axhspan(-1, 1, color="#eeeeee", zorder=0)

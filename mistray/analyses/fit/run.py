@@ -178,7 +178,11 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def standard_error(self) -> np.ndarray:
-        """Standard errors, (k,), in the parameters' units, bounds ignored; infinite at 0 if `power` exceeds 1."""
+        """
+        Standard errors, (k,), in the parameters' units, bounds ignored; infinite at 0 if `power` exceeds 1.
+
+        They are infinite or NaN for parameters that the data do not determine.
+        """
         with np.errstate(divide="ignore"):
             return np.asarray(np.sqrt(np.diag(self.covariance)) / _stretch(self.value, self.power))
 
@@ -211,7 +215,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def degrees(self) -> int:
-        """Degrees of freedom of `chi_square`."""
+        """Degrees of freedom of `chi_square`: number of data minus `told`."""
         return len(self.residual) - self.told
 
     @property
@@ -396,7 +400,7 @@ def fit(
     Raises
     ------
     MistrayError
-        If shapes or values do not agree, or the fit does not settle.
+        If shapes or values do not agree, the model is not finite, or the fit does not settle.
 
     Examples
     --------
@@ -493,7 +497,12 @@ def _checked_data(
 
 
 def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the largest allowed steps down and up, (2, k), in the parameters' scales; none ends on a bound."""
+    """
+    Return the largest allowed steps down and up, (2, k), in the parameters' scales.
+
+    They end half a standard error before a bound. A logarithm changes by at most ln 3, and a parameter with a lower
+    bound to at most ten times its distance from it.
+    """
     error = 1 / np.sqrt(np.where(scale > 0, scale, np.inf))  # what no datum depends on does not move
     low, high = np.minimum(room[0] + OFF_BOUND * error, 0.0), np.maximum(room[1] - OFF_BOUND * error, 0.0)
     most = np.where(power == 0, LONGEST_LOG, np.where(np.isfinite(room[0]), LONGEST * -room[0], np.inf))
@@ -506,7 +515,8 @@ def _range(room: np.ndarray, power: np.ndarray) -> np.ndarray:
     """
     Return the width of each parameter's range in its scale, (k,), from the distances to its bounds, (2, k).
 
-    It may be infinite.
+    A logarithm, or a parameter with a lower bound alone, is taken to grow a million times. Without a lower bound the
+    width is infinite.
     """
     above = np.where(np.isfinite(room[0]) & (room[0] < 0), FARTHEST * -room[0], np.inf)
     finite = np.all(np.isfinite(room), axis=0)
@@ -533,7 +543,7 @@ def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.n
 
 
 def _squared(point: np.ndarray, aim: np.ndarray, power: np.ndarray, metric: np.ndarray) -> float:
-    """Return the squared distance, with weights `metric`, from a point in parameter units to a scaled one."""
+    """Return the squared distance from a point in parameter units to a scaled one, by the weights `metric`, (k, k)."""
     apart = _scaled(point, power) - aim
     return float(apart @ metric @ apart)
 
@@ -549,7 +559,7 @@ def _unscaled(x: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def _stretch(value: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the derivative, (k,), of each scaled parameter (a power or logarithm) by the parameter itself."""
+    """Return the derivative, (k,), of each scaled parameter (a power or logarithm) with respect to the parameter."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(power == 0, 1 / value, power * np.power(value, power - 1))
 

@@ -159,6 +159,11 @@ def linear_rgb(light: Array, white: Array | None = None) -> tuple[Array, npt.NDA
     ----------
     light, white
         Arguments of `develop`.
+
+    Raises
+    ------
+    MistrayError
+        If `white` is too saturated to be a white.
     """
     colour = cie.colour_science()
     space = colour.RGB_COLOURSPACES["sRGB"]

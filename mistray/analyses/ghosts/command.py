@@ -162,7 +162,11 @@ def run(options: Options) -> int:
 
 
 def _refuse(options: Options) -> None:
-    """Raise `MistrayError` for options given without another one that they need, or output without a destination."""
+    """
+    Raise `MistrayError` for options given without another one that they need, or output without a destination.
+
+    So it does for an alias that stands for all surfaces next to another one.
+    """
     from mistray.analyses.ghosts.request import ALL_SURFACES
 
     for words, needed, why in (
@@ -183,7 +187,11 @@ def _refuse(options: Options) -> None:
 
 
 def _seconds_of_trace(options: Options, request: GhostsRequest) -> float | None:
-    """Return the part of --seconds available to the trace, s, leaving time for the report; None without a limit."""
+    """
+    Return the part of --seconds available to the trace, s, leaving time for the report; None without a limit.
+
+    If files are written, it is only half of that, for their pictures.
+    """
     fields = request.field_deg or request.field_mm or [0.0]
     left = options.seconds_left(PAGE_S + FIELD_S * len(fields))
     if left is None or options.out is None:
@@ -192,7 +200,14 @@ def _seconds_of_trace(options: Options, request: GhostsRequest) -> float | None:
 
 
 def _write(report: GhostReport, shown: GhostTables, options: Options) -> list[Path]:
-    """Write all files and return their paths; if the disk is full, write as many tables as possible."""
+    """
+    Write all files and return their paths; if that fails, write as many tables as possible, and print the main one.
+
+    Raises
+    ------
+    MistrayError
+        If a file cannot be written; the message names the tables that are. An `UnfinishedError` passes unchanged.
+    """
     from mistray.analyses.ghosts.page.output import page
     from mistray.analyses.ghosts.tables.ghosts import WORST_SHOWN, main_table
 
@@ -210,7 +225,11 @@ def _write(report: GhostReport, shown: GhostTables, options: Options) -> list[Pa
 
 
 def _write_unfinished(error: UnfinishedError, shown: GhostTables, options: Options) -> None:
-    """After an interrupt, write a report of the finished fields, and of the unfinished one with the rays it has."""
+    """
+    After an interrupt, write a report of the finished fields, and of the unfinished one with the rays it has.
+
+    Do nothing without --out, or if no field has rays.
+    """
     from mistray.analyses.ghosts.page.output import page
     from mistray.analyses.ghosts.request import GhostTables
     from mistray.analyses.ghosts.result import GhostReport
@@ -225,7 +244,7 @@ def _write_unfinished(error: UnfinishedError, shown: GhostTables, options: Optio
 
 def _write_tables(report: Any, shown: GhostTables, options: Options) -> list[Path]:
     """
-    Write the finished tables and return their paths.
+    Write the finished tables as far as possible and return the paths of those that are written.
 
     Irradiance maps are left out, as they take as long as a trace.
     """

@@ -45,9 +45,9 @@ class FieldSummary:
     stray_to_nominal : Estimate
         ``stray_W`` over the direct power on axis.
     brightest : int or None
-        ``path_id`` of the stray path of the highest RMS irradiance.
+        ``path_id`` of the stray path of the highest RMS irradiance; None without stray paths.
     brightest_normalised : Estimate
-        Normalised RMS irradiance of that path.
+        Normalised RMS irradiance of that path; NaN without one.
     map : MapStatistics
         Statistics block of the whole irradiance map.
     asymmetry, asymmetry_expected : float

@@ -33,7 +33,7 @@ class FieldTraces:
     arguments : mapping
         Arguments of `mistray.trace` at every field.
     progress : callable or None
-        Called with (fields done, fields to do).
+        Called with (fields done, fields to do); None: nothing is called.
 
     Raises
     ------
@@ -46,7 +46,7 @@ class FieldTraces:
         Traces by field angle, degrees, in the order in which the fields were requested.
     nominal : Trace or None
         Trace of the field on axis, the reference of all others; without reflections and scatter if it was not
-        requested.
+        requested. None until it is traced.
     at_extra : bool
         Whether an additional trace is running: of the reference, or of a finished field with more rays.
     traced_again : list of float

@@ -108,7 +108,11 @@ def path_analysis(
 
 
 def mean_lengths(trace: Trace, path_ids: Sequence[int]) -> Mapping[int, tuple[float, float]]:
-    """Return the mean optical path length of each path, weighted by flux, and its standard error, mm."""
+    """
+    Return the mean optical path length of each path, weighted by flux, and its standard error, mm.
+
+    The error is infinite for a path of a single ray.
+    """
     found = {
         path_id: ([ray.opl_mm[-1] for ray in rays], [ray.flux_W[-1] for ray in rays])
         for path_id, rays in trace.sampled_rays(path_ids, RAYS).items()

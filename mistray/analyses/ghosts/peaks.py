@@ -1,4 +1,4 @@
-"""Irradiance of the brightest pixel of every path, and ranking by it."""
+"""Irradiance of the brightest pixel of every path, and ranking of paths by this irradiance."""
 
 from __future__ import annotations
 

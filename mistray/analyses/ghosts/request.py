@@ -1,4 +1,4 @@
-"""Requests of a ghost analysis: its arguments, and its optional tables and pictures."""
+"""Requests for a ghost analysis: its arguments, and its optional tables and pictures."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class Alias(Demand):
         return text if text in ALL_SURFACES else self._pair(text)
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return an alias of surfaces, a pair as a tuple, after a check."""
+        """Return an alias of surfaces, a pair as a tuple; raise `MistrayError` if the value is not an alias."""
         if isinstance(value, str) and value in ALL_SURFACES:
             return value
         if isinstance(value, tuple | list) and len(value) == 2 and all(isinstance(one, str) and one for one in value):
@@ -190,7 +190,7 @@ class GhostTables(Request):
 
     @property
     def aliases(self) -> Mapping[str, str] | str | None:
-        """Aliases in the form that `mistray.trace.PathTable.by_way` takes, or None."""
+        """Aliases in the form that `mistray.trace.PathTable.by_way` takes; None if none are requested."""
         words = [word for word in self.alias or () if isinstance(word, str)]
         return words[0] if words else dict(self.alias) if self.alias else None  # type: ignore[arg-type]  # pairs
 

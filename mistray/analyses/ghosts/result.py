@@ -67,7 +67,7 @@ class GhostReport(
     wavelengths_nm : list of float
         Wavelengths, nm, ascending.
     nominal : DirectImage
-        Direct image on axis (field 0), all light: the denominator of every normalised number.
+        Direct image on axis (field 0), all light: the denominator of every normalised value.
     nominal_trace : Trace
         Trace that the direct image on axis is from.
     arguments : dict
@@ -115,7 +115,11 @@ class GhostReport(
         self.nominal = direct_image(nominal_trace.paths)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of fields, and the most stray light of a field in W and over the direct image on axis."""
+        """
+        Return the number of fields, and the most stray light of a field in W and over the direct image on axis.
+
+        They are keyed by label; without a traced field there is only the number of fields, 0.
+        """
         stray = {field: t.paths.stray_W for field, t in self.items()}
         found: dict[str, KeyNumber] = {"fields": len(self)}
         if not stray:
@@ -142,7 +146,11 @@ class GhostReport(
         return len(self._traces)
 
     def of(self, traces: Mapping[float, Trace], not_traced: Sequence[float] = ()) -> GhostReport:
-        """Return a report for other traces, by field angle (degrees), that reuses results computed for this one."""
+        """
+        Return a report for other traces, by field angle (degrees), that reuses results computed for this one.
+
+        `not_traced` are the field angles for which there was no time, degrees.
+        """
         found = copy.copy(self)
         found._traces, found.not_traced = dict(traces), tuple(not_traced)
         return found
@@ -164,7 +172,7 @@ class GhostReport(
 
     @property
     def notes(self) -> list[Note]:
-        """Notes on the reliability of the numbers; `ghosts` raises them as warnings, see docs/warnings.md."""
+        """Notes on the reliability of the results; `ghosts` raises them as warnings, see docs/warnings.md."""
         return ghost_notes(self)
 
     def recorded(self, kind: type[T]) -> Iterator[tuple[float, T]]:
@@ -173,7 +181,11 @@ class GhostReport(
             yield from ((field, one) for one in t.recorders.values() if isinstance(one, kind))
 
     def rivals(self, field_deg: float) -> pd.DataFrame:
-        """Return the rows of `table` that may be the brightest path within two errors, by upper bound of irradiance."""
+        """
+        Return the rows of `table` that may be the brightest path within two errors, by upper bound of irradiance.
+
+        Powers are in W and irradiances in W/mm².
+        """
         table = self.table(field_deg)
         table = table[table.contested]
         return table.iloc[np.argsort(-bounds(table)[1], kind="stable")]
@@ -228,7 +240,11 @@ class GhostReport(
         return found
 
     def _ranked(self, field_deg: float, column: str) -> pd.DataFrame:
-        """Return the path table of a field for all light, with a rank column; the rank by peak needs maps."""
+        """
+        Return the path table of a field for all light, with a rank column; the rank by peak needs maps.
+
+        Columns are those of `table`, with powers in W and irradiances in W/mm².
+        """
         key, t = (field_deg, False), self[field_deg]
         if key not in self._tables:
             self._tables[key] = ranked(by_path(self._rows(t), t.paths), t.paths, self.nominal)
@@ -266,7 +282,11 @@ class GhostReport(
         return stray.head(count)
 
     def listed(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
-        """Return the rows of `top`, plus the strongest stray path by power if it is not among them."""
+        """
+        Return the rows of `top`, plus the strongest stray path by power if it is not among them.
+
+        Arguments, columns and units are those of `top` and `table`.
+        """
         top, strongest = self.top(field_deg, count, rank), self.top(field_deg, min(count, 1), "power")
         return pd.concat([top, strongest[~strongest.path_id.isin(top.path_id)]])
 
@@ -275,6 +295,8 @@ class GhostReport(
         Return rows of a field's table with the RMS irradiance at the Airy radius, see `mistray.analyses.ghosts.airy`.
 
         For paths with so small a radius that it matters, some rays are traced again to find their light cones.
+
+        The new columns are in mm and W/mm².
         """
         known, wanted = self._cones.setdefault(field_deg, {}), set(tight(rows).path_id)
         if wanted - known.keys():
@@ -318,7 +340,7 @@ class GhostReport(
 
     def stray_levels(self, field_deg: float, by: str = "scatter") -> pd.DataFrame:
         """
-        Return the stray light of a field by critical surface and by level of scatter or of splitting.
+        Return the stray light of a field, W, by critical surface and by level of scatter or of splitting.
 
         See `mistray.analyses.ghosts.stray_levels.stray_levels` for the columns and for `by`.
         """
@@ -334,12 +356,20 @@ class GhostReport(
         self.light_maps = {field: light_maps(t, several(selections)) for field, t in self.items()}
 
     def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
-        """Return the path table of a field with renamed surfaces, see `mistray.trace.PathTable.by_way`."""
+        """
+        Return the path table of a field with renamed surfaces, see `mistray.trace.PathTable.by_way`.
+
+        Powers are in W.
+        """
         t = self[field_deg]
         return self._once(("aliased", t, str(aliases)), lambda: t.paths.by_way(aliases))
 
     def path_analysis(self, field_deg: float, sort: str = "power_W", least_share: float = 0.0) -> pd.DataFrame:
-        """Return the paths of a field with lengths and objects, see `mistray.analyses.ghosts.path_analysis`."""
+        """
+        Return the paths of a field with lengths and objects, see `mistray.analyses.ghosts.path_analysis`.
+
+        Powers are in W, and optical path lengths in mm.
+        """
         t = self[field_deg]
         return self._once(("analysis", t, sort, least_share), lambda: path_analysis(t, sort, least_share))
 
@@ -358,6 +388,11 @@ class GhostReport(
         Return the irradiance map of a path of ``listed(field_deg, MAPPED_PATHS)`` with its standard error, W/mm².
 
         For other paths use ``report[field_deg].irradiance_of(path_ids)``.
+
+        Raises
+        ------
+        MistrayError
+            If the path is not among these.
         """
         try:
             return self._images(field_deg).paths[path_id]

@@ -124,7 +124,7 @@ def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float,
 
 
 def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
-    """Return a text for an error message on the fields that are finished and those that are not."""
+    """Return the sentence of an error message on the fields that are finished and those that are not."""
     left = ", ".join(f"{field:g}" for field in wanted if field is not None and field not in found.traces)
     return f"{len(found.traces)} of {len(wanted)} fields are finished" + (f", not {left} deg" if left else "")
 

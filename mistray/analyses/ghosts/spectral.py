@@ -41,7 +41,8 @@ class SpectralMaps:
         Returns
         -------
         int
-            Number of pixels, a common divisor of height and width; 1 if the pixels themselves hold enough.
+            Number of pixels, a common divisor of height and width; 1 if the pixels themselves hold enough, and the
+            largest one if none does.
         """
         height, width = self.stray.shape[1:]
         blocks = [b for b in range(1, min(height, width) + 1) if height % b == width % b == 0]

@@ -27,14 +27,14 @@ DEEDS = {"T": "passes", "R": "reflects", "I": "reflects"}  # all other letters: 
 @dataclass(frozen=True, kw_only=True)
 class WorstPath:
     """
-    Stray path at the field where it is worst; its numbers are those of ``report.table``.
+    Stray path at the field where it is worst; its values are those of ``report.table``.
 
     Attributes
     ----------
     label : str
         Name of the path in words.
     few_rays, contested : bool
-        Whether its numbers have no errors there, and whether it may be as bright as the worst path of all fields.
+        Whether its values have no errors there, and whether it may be as bright as the worst path of all fields.
     fields : tuple of float
         All fields where light takes this path, ascending, degrees.
     """
@@ -53,7 +53,7 @@ class WorstPath:
 
     @derived.column("its name, with a mark where the numbers are in doubt", head="path")
     def marked(self) -> str:
-        """Name of the path, with a mark where its numbers are in doubt."""
+        """Name of the path, with a mark where its values are in doubt."""
         return f"{self.label} {mark_of(self)}".rstrip()
 
 
@@ -149,10 +149,11 @@ def shares_of_kinds(report: GhostReport, field_deg: float) -> dict[str, Estimate
 
 def remedy(report: GhostReport) -> Remedy | None:
     """
-    Return the surface that takes part in most of the stray light, at the field that has the most, or None.
+    Return the surface that takes part in most of the stray light, at the field that has the most.
 
     A surface takes part in a path that is reflected or scattered there and the direct image is not, or that passes
-    where no direct image does. Detectors are left out: their reflectance is seldom a choice.
+    where no direct image does. Detectors are left out: their reflectance is seldom a choice. The result is None without
+    stray light, or if no surface takes part in it.
 
     Parameters
     ----------
@@ -197,7 +198,12 @@ def _design_events(report: GhostReport) -> set[str]:
 
 
 def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.DataFrame:
-    """Return one row for each event of a stray path at a surface: surface, event in words, path row, and power, W."""
+    """
+    Return a row for each event of a stray path at a surface: surface, event in words, row of the path, power, W.
+
+    Events that direct images have too, absorption, and events at detectors are left out. Without direct images all
+    transmission is left out.
+    """
     found = []
     for number, (text, power) in enumerate(zip(way_text(rows.events), rows.power_W, strict=True)):
         for word in event_words(text):

@@ -34,7 +34,8 @@ class ChiefRay:
         Point on the detector, mm, unit direction there, and the detector's unit normal on the side that light heads
         for.
     by_field : (2, 3) float64
-        Derivatives of the point along and across the growth of the field, mm per unit of tangent or per mm.
+        Derivatives of the point with respect to the field, in its direction and across it: mm per unit of the tangent
+        of a field angle, or per mm of object height.
     pupil_distance : float
         Distance from the exit pupil to the detector along the ray, mm; ``inf`` if chief rays of neighbouring fields are
         parallel to it.
@@ -56,7 +57,7 @@ class ChiefRay:
         """
         Return the distance, mm, from an exit pupil to the image point, negative if the pupil lies behind it.
 
-        Infinite for None.
+        It is infinite for None, a pupil at infinity.
         """
         if pupil is None:
             return np.inf
@@ -74,7 +75,8 @@ def chief_ray(path: DesignPath, bundle: PointBundle, region: Region, stop: Pupil
     Raises
     ------
     MistrayError
-        If no ray goes through the middle of the stop; `field` names the field in the message.
+        If no ray goes through the middle of the stop, or neighbouring chief rays are lost; `field` names the field in
+        the message.
     """
     x = stop.chief(path, bundle, region.middle, region.size)
     light = design_light(path, *bundle.rays(x))
@@ -111,7 +113,7 @@ def image_axes(path: DesignPath, chief: ChiefRay) -> Array:
     Return image axes as columns, (3, 3): x (sagittal) and y (tangential) in the detector's plane, z along the light.
 
     y is the direction in which the image moves as the field grows, or its opposite, whichever is closer to the y axis
-    of the detector. x and y have the handedness of the detector.
+    of the detector; that axis itself if the image does not move. x and y have the handedness of the detector.
     """
     opening = outline(path.table.shapes[path.table.detector])
     z = chief.normal
@@ -135,7 +137,8 @@ def foci_beside(
     """
     Return tangential and sagittal foci of rays near the chief ray, mm from the detector along its normal.
 
-    They are Coddington's foci, computed from differences of real rays; NaN if the light is afocal.
+    They are Coddington's foci, computed from differences of real rays; NaN if the light is afocal. `axes` are the
+    columns of `image_axes`, and `size` is the extent of the light in coordinates of the bundle.
     """
     h = PUPIL_STEP * size
     shifts = h * np.concatenate([np.eye(2), -np.eye(2)])

@@ -20,7 +20,7 @@ RAYS = 3000  # of a spot diagram
 
 
 def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Draw the tangential and sagittal MTF of each field against frequency, 1/mm, with the diffraction limit."""
+    """Draw the tangential and sagittal MTF of up to 8 fields against frequency, 1/mm, with the diffraction limit."""
     return _mtf(found.fields[:SHOWN], max(map(_last_frequency, found)), title)
 
 
@@ -47,7 +47,11 @@ def _mtf(images: Sequence[FieldImage], last: float, title: str) -> Figure:
 
 
 def psf_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Draw the point spread function of each field over its peak, linear above and logarithmic below; axes in µm."""
+    """
+    Draw the point spread functions of the first 8 fields over their peaks; axes in µm.
+
+    They are linear above and logarithmic below.
+    """
     images = found.fields[:SHOWN]
     made, panels = Figure.of_panels(1.2 + 2.6 * len(images), 5.6, 2, len(images), squeeze=False)
     for column, image in zip(panels.T, images, strict=True):
@@ -69,7 +73,11 @@ def psf_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def opd_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Draw the wavefront of each field in waves over direction cosines, without tilt, at the reference wavelength."""
+    """
+    Draw the wavefronts of the first 8 fields in waves over direction cosines.
+
+    They are at the reference wavelength, after removal of tilt.
+    """
     images = found.fields[:SHOWN]
     made, panels = Figure.of_panels(1.2 + 3.0 * len(images), 3.6, 1, len(images), squeeze=False)
     for axes, image in zip(panels[0], images, strict=True):
@@ -88,7 +96,7 @@ def opd_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def spot_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Draw the spot diagram of each field in µm, by wavelength, with the Airy disc."""
+    """Draw the spot diagrams of the first 8 fields in µm, by wavelength, with the Airy disc."""
     images = found.fields[:SHOWN]
     shared = {"squeeze": False, "sharex": True, "sharey": True}
     made, (panels,) = Figure.of_panels(1.2 + 2.6 * len(images), 3.4, 1, len(images), **shared)
@@ -113,7 +121,7 @@ def spot_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def energy_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Draw the encircled energy of each field in percent against the radius in µm."""
+    """Draw the encircled energy of the first 8 fields in percent against the radius in µm."""
     made, axes = Figure.of_panels(8.0, 4.4)
     most = min(
         max(2 * _half(image) for image in found.fields[:SHOWN]),
@@ -130,7 +138,11 @@ def energy_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def field_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Draw relative illumination (percent), distortion (percent) and foci against the field."""
+    """
+    Draw relative illumination (percent), distortion (percent) and foci (mm) against the field.
+
+    The field is an angle, degrees, or the height of a near object, mm.
+    """
     made, (light, bent, foci) = Figure.of_panels(10.0, 3.6, 1, 3)
     images = sorted(found, key=lambda image: image.field_mm if found.near else image.field_deg)
     x = [image.field_mm if found.near else image.field_deg for image in images]

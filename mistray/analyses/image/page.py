@@ -41,7 +41,11 @@ def frequencies_of(found: ImageQuality, shown: ImageTables) -> Sequence[float]:
 
 
 def quality_table(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> Table:
-    """Return the table of main results by field: spot, wavefront, Strehl ratio, MTF, illumination, distortion."""
+    """
+    Return the table of main results by field: spot, wavefront, Strehl ratio, MTF, illumination, distortion.
+
+    The MTF is that at the frequencies of `shown`, 1/mm.
+    """
     frequencies = frequencies_of(found, shown)
     heads = columns(
         "<field", "image x, y [mm]", "rms spot [µm]", "rms OPD [waves]", "Strehl",
@@ -77,7 +81,7 @@ def _number(value: float, form: str) -> str:
 
 
 def zernike_frame(found: ImageQuality) -> pd.DataFrame:
-    """Return a DataFrame of Noll's Zernike coefficients in waves, by field and wavelength."""
+    """Return a DataFrame of Noll's Zernike coefficients in waves, by field (degrees), wavelength (nm) and index."""
     rows = []
     for image in found:
         for line in image.lines:
@@ -106,13 +110,13 @@ def curve_frame(found: ImageQuality) -> pd.DataFrame:
 
 
 def text(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> str:
-    """Return the text that `mistray image` prints."""
+    """Return the text that `mistray image` prints, with the MTF at the frequencies of `shown`, 1/mm."""
     notes = [f"note: {note}" for note in found.notes]
     return "\n".join([heading(found), table_text(quality_table(found, shown)), *notes])
 
 
 def record(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> dict[str, Any]:
-    """Return the image quality as JSON-serialisable values."""
+    """Return the image quality as JSON-serialisable values, with the MTF at the frequencies of `shown`, 1/mm."""
     fields, frequencies = [], frequencies_of(found, shown)
     for image, row in zip(found, found.to_pandas([]).to_dict("records"), strict=True):
         fit = image.main.zernikes("noll", ZERNIKES)
@@ -133,7 +137,11 @@ def record(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> dict[str
 
 
 def page(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES, title: str = "scene", command: str = "") -> Report:
-    """Return the report page. `title` is the name of the optical system, `command` the command line that made it."""
+    """
+    Return the report page, with the MTF in its table at the frequencies of `shown`, 1/mm.
+
+    `title` is the name of the optical system, `command` the command line that made it.
+    """
     from mistray.analyses.image import figures as drawn
     from mistray.toolkit.figures.plots import as_png
 

@@ -43,7 +43,7 @@ class ImageFrame:
     axes : (3, 3) float64
         Unit vectors as columns: x (sagittal), y (tangential), z along the light.
     curvature : float
-        Curvature of the reference sphere, 1/mm.
+        Curvature of the reference sphere, 1/mm; 0 for a plane.
     """
 
     point: Array
@@ -175,7 +175,11 @@ def sample_pupil(
 
 
 def _near(wanted: Array, known: Array, margin: float) -> npt.NDArray[np.bool_]:
-    """Return a mask of points (n, 2) inside the convex hull of known points or within `margin` of it, (n,) bool."""
+    """
+    Return a mask of points (n, 2) inside the convex hull of known points or within `margin` of it, (n,) bool.
+
+    If the known points have no hull, all are marked.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -202,7 +206,7 @@ def _rays_to(
     x : (n, 2) float64
         Coordinates of the rays; NaN if none is found.
     slopes : (n, 2, 2) float64
-        Derivatives of the cosines with respect to the coordinates.
+        Derivatives of the cosines with respect to the coordinates; NaN where they are degenerate.
     """
     x = _guess(wanted, *known)
     h = STEP * size
@@ -249,8 +253,9 @@ def _shares(
     """
     Return the lit fraction of each pupil cell, (n,), and the offset of its lit part from the centre, (n, 2).
 
-    A few rays test every cell, because a vane narrower than a cell may lie between the middles. Cells that are cut, and
-    their neighbours, are divided further, so that a vane found in one cell is followed to its end.
+    Offsets are in coordinates of the bundle. A few rays test every cell, because a vane narrower than a cell may lie
+    between the middles. Cells that are cut, and their neighbours, are divided further, so that a vane found in one cell
+    is followed to its end.
     """
     n = len(lit)
     known = np.isfinite(slopes).all(axis=(1, 2))
@@ -258,7 +263,11 @@ def _shares(
     moved = np.random.default_rng(0).random((len(x), 2))
 
     def look(cells: npt.NDArray[np.intp], count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Return offsets of test rays from cell centres, (m, count, 2), and which of the rays pass, (m, count) bool."""
+        """
+        Return offsets of test rays from cell centres, (m, count, 2), and which of the rays pass, (m, count) bool.
+
+        Offsets are in coordinates of the bundle.
+        """
         at = step * ((_net(count) + moved[cells, None]) % 1 - 0.5)
         moves = np.swapaxes(np.linalg.solve(slopes[cells], np.swapaxes(at, 1, 2)), 1, 2)
         rays = bundle.rays((x[cells, None] + moves).reshape(-1, 2))
@@ -297,7 +306,12 @@ def _net(count: int) -> Array:
 def _at_stop(
     path: DesignPath, bundle: PointBundle, stop: PupilStop, x: Array, slopes: Array, h: float
 ) -> tuple[Array, Array]:
-    """Return stop coordinates of rays, (n, 2) in stop radii, and stop area per area of direction cosines, (n,)."""
+    """
+    Return stop coordinates of rays, (n, 2) in stop radii, and stop area per area of direction cosines, (n,).
+
+    The rays have entrance coordinates `x`, (n, 2), in which derivatives are taken over steps of ±`h`, and derivatives
+    `slopes` of their cosines with respect to `x`.
+    """
     shifts = np.concatenate([np.zeros((1, 2)), h * np.eye(2), -h * np.eye(2)])
     found = stop.coordinates(path, bundle, (x[:, None] + shifts).reshape(-1, 2)).reshape(len(x), 5, 2)
     by_x = np.stack([found[:, 1] - found[:, 3], found[:, 2] - found[:, 4]], axis=2) / (2 * h)

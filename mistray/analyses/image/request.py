@@ -1,4 +1,4 @@
-"""Requests of the analysis of image quality: its arguments, and those of its tables."""
+"""Requests for the analysis of image quality: its arguments, and those of its tables."""
 
 from __future__ import annotations
 

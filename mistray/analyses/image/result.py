@@ -63,7 +63,14 @@ class PointSpread(NamedTuple):
 
 
 def direction_of(azimuth: str | float) -> tuple[float, float]:
-    """Return the unit vector (x, y) for "sagittal" (x), "tangential" (y), or an angle in degrees from x towards y."""
+    """
+    Return the unit vector (x, y) for "sagittal" (x), "tangential" (y), or an angle in degrees from x towards y.
+
+    Raises
+    ------
+    MistrayError
+        If the name is another one.
+    """
     if isinstance(azimuth, str):
         if azimuth not in AZIMUTHS:
             raise MistrayError(f"azimuth is '{azimuth}'; give 'tangential', 'sagittal' or degrees from sagittal on")
@@ -153,7 +160,11 @@ class LineImage(Result):
 
     @cached_property
     def peak(self) -> tuple[float, Array]:
-        """Peak irradiance of the PSF for a flux of 1, 1/mm², and its position relative to the image point, (2,) mm."""
+        """
+        Peak irradiance of the PSF for a flux of 1, 1/mm², and its position relative to the image point, (2,) mm.
+
+        All are NaN if the grid does not resolve the wavefront.
+        """
         if not self.pupil.resolved:
             return math.nan, np.full(2, np.nan)
         at = self.centroid_mm.copy()
@@ -175,7 +186,11 @@ class LineImage(Result):
 
     @property
     def strehl(self) -> float:
-        """Strehl ratio: peak irradiance of the PSF over that of the same light without aberration."""
+        """
+        Strehl ratio: peak irradiance of the PSF over that of the same light without aberration.
+
+        It is NaN if the grid does not resolve the wavefront.
+        """
         return self.peak[0] / self.pupil.ideal_peak()
 
 
@@ -281,6 +296,11 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         ----------
         about : {"centroid", "chief"}
             Point from which distances are measured.
+
+        Raises
+        ------
+        MistrayError
+            If `about` is another word.
         """
         if about not in ("centroid", "chief"):
             raise MistrayError(f"about is '{about}'; give 'centroid' or 'chief'")
@@ -304,7 +324,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
 
     @property
     def strehl(self) -> float:
-        """Mean of the Strehl ratios at the wavelengths, weighted by their shares."""
+        """Mean of the Strehl ratios at the wavelengths, weighted by their shares; NaN if one is not resolved."""
         return float(self.shares @ [line.strehl for line in self.lines])
 
     def otf(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> npt.NDArray[np.complex128]:
@@ -336,11 +356,11 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         return np.asarray(np.abs(sum(parts)))
 
     def cut_off_per_mm(self, azimuth: str | float = "tangential") -> float:
-        """Return the largest spatial frequency, 1/mm, with any contrast at some wavelength, in a direction."""
+        """Return the largest spatial frequency, 1/mm, with any contrast at some wavelength, along `azimuth`."""
         return max(line.pupil.cut_off(direction_of(azimuth)) for line in self.lines)
 
     def f_number(self, azimuth: str | float = "tangential") -> float:
-        """Return the working F-number along a direction: 1/(λ cut-off) at the reference wavelength."""
+        """Return the working F-number along the direction `azimuth`: 1/(λ cut-off) at the reference wavelength λ."""
         pupil = self.main.pupil
         return 1 / (pupil.wavelength_mm * pupil.cut_off(direction_of(azimuth)))
 
@@ -365,6 +385,11 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
             Fourier transform of the pupil, or sum of wavelets with exact path lengths to points of the tangent plane.
         line : int, optional
             Index of a wavelength. Default: all, weighted by their shares.
+
+        Raises
+        ------
+        MistrayError
+            If the method is unknown, or a value is out of range or goes beyond the computed image.
         """
         PIXELS.check("pixels", pixels)
         if method not in PSF_METHODS:
@@ -428,7 +453,11 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         return min(WINDOW / line.pupil.frequency_step for line in self.lines)
 
     def encircled_radius_mm(self, share: float = ENERGY, about: str = "centroid") -> float:
-        """Return the radius of the circle that holds a share of the flux, mm; NaN above `largest_radius_mm`."""
+        """
+        Return the radius of the circle that holds a share of the flux, mm; NaN if it exceeds `largest_radius_mm`.
+
+        `share` is 0 … 1, and `about` the centre of the circle, as in `encircled_energy`.
+        """
         from scipy.optimize import brentq
 
         SHARE.check("share", share)
@@ -559,6 +588,9 @@ class ImageQuality(OfFields[FieldImage], Result, table=".page:quality_table", fi
     def to_pandas(self, frequencies_per_mm: float | Sequence[float] | None = None) -> pd.DataFrame:
         """
         Return a table with a row for each field, all wavelengths together.
+
+        Columns hold field, image point and spots (mm), wavefronts (waves), Strehl ratio, MTF, F-numbers, distortion and
+        illumination. Their names end in units.
 
         Parameters
         ----------

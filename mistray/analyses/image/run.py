@@ -228,7 +228,14 @@ def _sampled(
     system: _System, path: DesignPath, bundle: PointBundle, region: Region, frame: ImageFrame, chief: ChiefRay,
     grid: int | None, radius: float | None, name: str, notes: list[str],
 ) -> PupilSamples:  # fmt: skip
-    """Return the light of a field at one wavelength on a grid that resolves the wavefront, up to 512 cells across."""
+    """
+    Return the light of a field at one wavelength on a grid that resolves the wavefront, up to 512 cells across.
+
+    Raises
+    ------
+    MistrayError
+        If the light does not converge on the detector, or none reaches it.
+    """
     count = grid or FIRST_GRID
     while True:
         sampled = sample_pupil(path, bundle, region, frame, system.stop, chief.coordinates, count)

@@ -18,10 +18,12 @@ RAYS = 4000
 @dataclass(frozen=True)
 class Arriving:
     """
-    Share of the beam of an imported scene that reaches its detector, without reflections at glass.
+    Share of the beam of an imported scene file that reaches its detector, without reflections at glass.
 
     Attributes
     ----------
+    scene_file : Path
+        The scene file.
     share : float
         Share of the beam's flux that the detector absorbs, 0 … 1.
     lost : str

@@ -111,9 +111,9 @@ def _lens(options: Options, lens: Path) -> Found:
 
 def _mechanics(options: Options, source: Path) -> Found:
     """
-    Import the parts of a mechanics file as a scene; return scene file, record, text lines and meshes.
+    Import the parts of a mechanics file as a scene.
 
-    Return scene file, record for JSON, lines of text, and meshes.
+    Return the scene file, the record for JSON, lines of text, and the mesh files.
     """
     from mistray.analyses.import_lens.parts import parts_record, parts_text, read_parts
     from mistray.analyses.import_lens.read import check_options

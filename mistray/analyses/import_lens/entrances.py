@@ -31,7 +31,7 @@ class Entrances:
     Attributes
     ----------
     first : str
-        Id of the first surface of the design path; "" if there is no design path and nothing can be said.
+        Id of the first surface of the design path; "" without a design path, and all other members are 0 then.
     rays : int
         Number of rays from the detector that leave on that side.
     share, share_se : float

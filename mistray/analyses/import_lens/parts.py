@@ -103,7 +103,12 @@ def _is_painted(shape: Structure | MeshStructure) -> bool:
 
 
 def parts_text(record: Mapping[str, Any], output: Path, traceable: bool) -> str:
-    """Return a record of imported parts as text, with a command to run next."""
+    """
+    Return a record of imported parts as text.
+
+    Its last line has the `mistray ghosts` command if the scene is `traceable`, else how to include the parts in a
+    scene.
+    """
     lines = [
         f"{part['name']}: {part['analytic_surfaces']} analytic surfaces, {part['meshes']} meshes"
         + ("" if part["painted"] else ", black")

@@ -70,7 +70,8 @@ class Imported:
         """
         Return the imported lens with coatings, paint and scatter put on its surfaces by rules.
 
-        Notes on the detector that these settle are dropped, and notes on the limits of presets added.
+        Notes on the detector that these settle are dropped, and notes on the limits of presets added. Without rules it
+        is returned as it is.
         """
         if not rules:
             return self
@@ -107,7 +108,11 @@ class Imported:
 
 
 def _told(unread: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return lines of text on entries of a lens file that had no effect; many of one keyword share a line."""
+    """
+    Return lines of text on entries of a lens file that had no effect.
+
+    More than three with one keyword and reason share a line.
+    """
     from mistray.materials.mate import shown
 
     alike: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
@@ -130,7 +135,14 @@ def kind_of(path: Path) -> str | None:
 
 
 def read_lens(request: LensRequest) -> Imported:
-    """Read the lens file of a request, set its light, and return the lens."""
+    """
+    Read the lens file of a request, set its light, and return the lens.
+
+    Raises
+    ------
+    MistrayError
+        If the file is missing or cannot be read, or a batoid file comes without a wavelength.
+    """
     lens = Path(request.lens)
     kind = FORMATS[lens.suffix.lower()]
     if kind != "batoid":  # it has files of its own
@@ -202,7 +214,7 @@ def _record(built: Built) -> dict[str, Any]:
     """
     Return first-order data, lengths in mm, and notes of a sequential lens as JSON-serialisable values.
 
-    Infinite ones are null.
+    Infinite lengths are ``inf`` here, and become null in JSON.
     """
     lens, data = built.lens, built.first_order
     return {

@@ -1,4 +1,4 @@
-"""Requests of `mistray import`: the lens file to read, and the placement of mechanical parts about it."""
+"""Requests for `mistray import`: the lens file to read, and the placement of mechanical parts about it."""
 
 from __future__ import annotations
 

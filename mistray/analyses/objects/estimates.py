@@ -73,7 +73,7 @@ def product_estimates(
     views : iterable of (float, RayView)
         Source angle, degrees, NaN for a cone or a disc, and the objects that light from there meets.
     objects : mapping
-        Rows of the objects by their numbers.
+        Rows of the objects, by their index in `seen`.
 
     Returns
     -------
@@ -133,8 +133,7 @@ def estimate(
     """
     Return BSDF (1/sr), geometric configuration factor and product estimate of an object, W for 1 W/mm² across the beam.
 
-    The error comes from leaving out one batch of the rays of both views at a time (jackknife), so that rays that are
-    partners in many pairs count once.
+    All are 0 unless the object is both lit and seen.
     """
     lit, seen = illuminated.samples(number), view.hits
     if not lit.weight.sum() > 0 or not seen.weight.sum() > 0:
@@ -160,7 +159,11 @@ def estimate(
 
 
 def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
-    """Return sums of weights by index `place`, (count, 1 + BATCHES): of all rays, then without each batch, rescaled."""
+    """
+    Return sums of weights by index `place`, (count, 1 + BATCHES).
+
+    The first column is of all rays. The others leave one batch out each, and are scaled up to the number of all rays.
+    """
     by_batch = np.bincount(place * BATCHES + batch, weight, minlength=count * BATCHES).reshape(count, BATCHES)
     total = by_batch.sum(axis=1, keepdims=True)
     return np.concatenate([total, (total - by_batch) * (BATCHES / (BATCHES - 1))], axis=1)
@@ -212,7 +215,7 @@ class _Pairs:
 
 
 def _pairs(table: SurfaceTable, surface: int, lit: HitSamples, view: SeenObject, chance: np.ndarray) -> _Pairs:
-    """Return pairs of a ray that lights a surface, drawn with probability `chance`, and nearby rays that see it."""
+    """Return pairs of a ray that lights a surface, drawn in proportion to `chance`, and nearby rays that see it."""
     rng, seen = np.random.default_rng(surface), view.hits
     sums = np.cumsum(chance)
     chosen = np.searchsorted(sums, (np.arange(LIT) + rng.random()) / LIT * sums[-1], side="right")
@@ -263,7 +266,7 @@ def surface_bsdf(
     Returns
     -------
     (m, k) float64
-        BSDF, 1/sr; 0 where `leaving` points to the wrong side of the surface.
+        BSDF, 1/sr; 0 without scatter models, and where `leaving` points to the wrong side of the surface.
     """
     optics = table.optics
     models = tuple(optics.bsdfs[surface].scatter)

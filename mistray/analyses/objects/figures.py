@@ -104,7 +104,11 @@ def _draw(axes: Axes, surface: SectionLine, group: str, is_detector: bool) -> No
 def _names(
     axes: Axes, lines: Mapping[str, SectionLine], labels: list[str], low: Polyline, high: Polyline, room: float
 ) -> None:
-    """Label objects side by side above the system, each with a thin line to the upper end of its object."""
+    """
+    Label objects side by side above the system, each with a thin line to the upper end of its object.
+
+    Objects that lie in the lower half of the drawing have no label.
+    """
     anchors: dict[str, Polyline] = {}
     for name in labels:
         points = np.concatenate(lines[name].lines) if lines[name].lines else np.empty((0, 2))
@@ -121,7 +125,11 @@ def _names(
 
 
 def spread(wanted: Sequence[float], low: float, high: float, most: int) -> list[float]:
-    """Return label positions close to the ascending `wanted` ones, at least 1/`most` of the range apart."""
+    """
+    Return label positions close to the ascending `wanted` ones, from `low` to `high`.
+
+    Neighbours are at least 1/`most` of that range apart. More than `most` of them begin below `low`.
+    """
     apart = (high - low) / most
     places: list[float] = []
     for place in wanted:

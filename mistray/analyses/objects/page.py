@@ -77,7 +77,11 @@ def main_table(found: Objects) -> Table:
 
 
 def estimate_table(estimates: Sequence[ScatterEstimate], most: int | None = None) -> Table:
-    """Return the table of product estimates: all objects, or the `most` strongest at each source angle."""
+    """
+    Return the table of product estimates: all objects, or the `most` strongest at each source angle.
+
+    Estimates of 0 are left out.
+    """
     shown = [row for row in estimates if row.pst.value > 0]
     only = ("angle_deg", "id", "optic", "side", "stop", "flux_W", "bsdf_1_sr", "gcf", "pst", "percent")
     words = ("filter rows", "filter the estimates")
@@ -111,7 +115,7 @@ def heading(found: Objects) -> str:
 
 
 def text(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> str:
-    """Return the text that `mistray objects` prints."""
+    """Return the text that `mistray objects` prints, with at most as many rows in each table as `shown` says."""
     most = shown.rows
     parts = [
         heading(found),
@@ -135,7 +139,11 @@ def text(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> str:
 
 
 def csv_tables(found: Objects) -> dict[str, pd.DataFrame]:
-    """Return the tables of a result as DataFrames, by file name; empty lists keep their columns."""
+    """
+    Return the tables of a result as DataFrames, by file name.
+
+    Empty lists keep their columns; only the list "apart" is left out if it is empty.
+    """
     tables = {f"objects_{name}.csv": found.to_pandas(name) for name in LISTS if name != "apart" or found.apart}
     tables["objects_estimates.csv"] = found.estimates()
     tables["objects_straight_shots.csv"] = frame(StraightShot, found.straight_shots)
@@ -165,7 +173,11 @@ def record(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> dict[str, A
 
 
 def page(found: Objects, shown: ObjectsTables = DEFAULT_TABLES, title: str = "scene", command: str = "") -> Report:
-    """Return the report with all rows; `title` names the optical system, `command` is the command line."""
+    """
+    Return the report with all rows, whatever `shown` says; `title` names the optical system.
+
+    `command` is the command line quoted in it.
+    """
     from mistray.analyses.objects.figures import objects_layout
     from mistray.toolkit.figures.plots import as_png
 
@@ -241,7 +253,11 @@ def objects_text(found: Objects, estimates: pd.DataFrame, count: int = DEFAULT_T
 
 
 def _finding(found: Objects) -> str:
-    """Return two sentences: how many objects are critical, illuminated and both, and the strongest estimate."""
+    """
+    Return a sentence on how many objects are critical, illuminated and both, and one on the strongest estimate.
+
+    Without an estimate above 0 the second is left out.
+    """
     counts = (
         f"The detector sees {len(found.critical)} objects that are no optics, light from outside reaches "
         f"{len(found.illuminated)}, and {len(found.common)} are both."

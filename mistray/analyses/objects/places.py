@@ -117,7 +117,12 @@ class Places:
     # ---- the gap of a ray
 
     def _index_steps(self) -> None:
-        """Assign design steps to surfaces of the design path, and to transparent ones beside them such as bevels."""
+        """
+        Assign to each surface the design steps at which light meets it.
+
+        A transparent surface off the path, such as a bevel, has the steps of the design surfaces of its part with the
+        same media.
+        """
         assert self.path is not None
         table, steps = self.table, self.path.steps
         words = table.optics.host_words
@@ -183,7 +188,7 @@ class Places:
         return np.asarray(np.einsum("ij,ij->i", point - start[gap], direction[gap]))
 
     def between(self, gap: int) -> str:
-        """Return the name of a gap: the design surfaces that it lies between."""
+        """Return the name of a gap: the design surfaces that it lies between; "" without a design path."""
         if self.path is None:
             return ""
         names = [self.table.ids[step.surface] for step in self.path.steps]
@@ -228,8 +233,9 @@ class Places:
         """
         Find the aperture stop by fans of rays parallel to the base ray, of which the outermost just arrives.
 
-        The stop is whatever ends the next ray outside it: a surface in the way, or the rim of a design surface
-        that the ray misses. The fan whose beam is narrowest decides.
+        The stop is whatever ends the next ray outside it: a surface in the way, or the rim of a design surface that the
+        ray misses. The fan whose beam is narrowest decides. The result is None if in every fan no ray arrives or the
+        outermost does, or if that next ray just misses the detector.
         """
         assert self.path is not None
         size, first = self._size(), self.path.steps[0]
@@ -251,7 +257,7 @@ class Places:
 
     def _limit(self, ends: _FanEnds, ray: int) -> ApertureStop | None:
         """
-        Return the aperture stop as the part that blocks ray number `ray`, the first one outside the beam.
+        Return the aperture stop as the part that blocks the ray of index `ray`, the first one outside the beam.
 
         The result is None if it just misses the detector.
         """

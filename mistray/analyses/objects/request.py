@@ -1,4 +1,4 @@
-"""Requests of the search for objects: light from outside, view of the detector, rays, and table lengths."""
+"""Requests for the search for objects: light from outside, view of the detector, rays, and table lengths."""
 
 from __future__ import annotations
 

@@ -112,7 +112,11 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @functools.cached_property
     def optics(self) -> list[CommonObject]:
-        """Surfaces of the design path in its order, common by design; surfaces not met have 0 rays."""
+        """
+        Surfaces of the design path in its order, common by design; surfaces not met have 0 rays.
+
+        The list is empty without a design path.
+        """
         steps = self.places.path.steps if self.places.path is not None else ()
         met = (SIDES * step.surface + (self._opaque(step.surface) and not step.from_front) for step in steps)
         return [self._both(number) for number in dict.fromkeys(met)]
@@ -122,7 +126,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @functools.cached_property
     def _meeting(self) -> dict[int, bool]:
-        """Whether lit and seen areas overlap (True or False), by number of each critical and illuminated object."""
+        """Whether lit and seen areas overlap (True or False), by index of each critical and illuminated object."""
         (seen, lit), threshold = self._rows, self.facts["threshold"]
         found = [k for k, row in seen.items() if not row.optic and min(row.power, lit[k].power) > threshold]
         found.sort(key=lambda k: (_gap(k, [self.seen]), -seen[k].power * lit[k].power))
@@ -134,7 +138,11 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @functools.cached_property
     def numbers(self) -> dict[tuple[str, str], int]:
-        """Numbers of all objects by id and side; both sides of a transmitting surface are one object."""
+        """
+        Index of each object in the arrays of `RayView`, by id and side.
+
+        Both sides of a transmitting surface are one object.
+        """
         return {
             (name, side): SIDES * surface + back
             for surface, name in enumerate(self.table.ids)
@@ -146,7 +154,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @functools.cached_property
     def _rows(self) -> tuple[dict[int, SceneObject], dict[int, SceneObject]]:
-        """Rows of all objects by number: first as seen by the detector, then as lit from outside."""
+        """Rows of all objects by their index: first as seen by the detector, then as lit from outside."""
         seen, lit = (
             {number: self._row(name, side, number, views) for (name, side), number in self.numbers.items()}
             for views in ([self.seen], self.lit)
@@ -247,14 +255,30 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
         return frame(ScatterEstimate, self.products)
 
     def illumination(self, id: str, side: str = "front") -> list[Estimate]:
-        """Return the flux on an object for 1 W/mm² across the beam, W, at each source angle or for the whole source."""
+        """
+        Return the flux on an object for 1 W/mm² across the beam, W, at each source angle or for the whole source.
+
+        Raises
+        ------
+        MistrayError
+            If no object has this id and side.
+        """
         number = self.numbers.get((id, side), self.numbers.get((id, "both")))
         if number is None:
             raise MistrayError(f"'{id}' has no side '{side}', or there is no such shape; see Objects.illuminated")
         return [Estimate(*view.area(number)) for view in self.lit]
 
     def to_pandas(self, which: str = "common") -> pd.DataFrame:
-        """Return one of the lists, such as "critical" or "common", as a frame with a column for each attribute."""
+        """
+        Return the list called `which`, such as "critical" or "common", as a frame with a column for each attribute.
+
+        Powers are fractions of the launched flux.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such list.
+        """
         if which not in LISTS:
             raise MistrayError(f"to_pandas: there is no list '{which}'; use {', '.join(LISTS)}")
         return frame(LISTS[which], getattr(self, which))

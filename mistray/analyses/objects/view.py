@@ -116,7 +116,7 @@ class Trails:
         self._ends: list[tuple[int, int]] = [(0, -1)]
 
     def longer(self, trail: np.ndarray, surface: np.ndarray) -> np.ndarray:
-        """Return the numbers of surface sequences after one more surface each; all arrays are (m,) int."""
+        """Return the indices of surface sequences after one more surface each; all arrays are (m,) int."""
         steps, inverse = np.unique(trail * self._count + surface, return_inverse=True)
         for step in map(int, steps):
             if step not in self._numbers:
@@ -125,7 +125,7 @@ class Trails:
         return np.array([self._numbers[int(step)] for step in steps], dtype=np.int64)[inverse]
 
     def surfaces(self, number: int) -> tuple[int, ...]:
-        """Return the surface numbers of the sequence with a given number, in the order in which rays met them."""
+        """Return the indices of the surfaces in the sequence of index `number`, in the order in which rays met them."""
         found: list[int] = []
         while number:
             number, surface = self._ends[number]
@@ -137,7 +137,7 @@ class RayView:
     """
     Trace of rays from a source, with the flux and hits on the objects that they meet.
 
-    An *object* is a surface, or one side of it if it is opaque. Its number is 2 s for the front of surface s (and for
+    An *object* is a surface, or one side of it if it is opaque. Its index is 2 s for the front of surface s (and for
     both sides of one that transmits), 2 s + 1 for its back.
 
     Parameters
@@ -244,7 +244,7 @@ class RayView:
             kept.rays += n
 
     def objects(self, hits: Hits) -> np.ndarray:
-        """Return the number of the object, a surface and side, that each ray hits, (m,) int."""
+        """Return the index of the object, a surface or one side of it, that each ray hits, (m,) int."""
         back = self._opaque[hits.surface] & ~hits.from_front
         return SIDES * hits.surface + back
 

@@ -69,7 +69,7 @@ def run(options: Options) -> int:
         with options.bar(BAR, "starts", max(searched, 1)) as bar:
 
             def shown(step: Step, start: Start) -> None:
-                """Print a line for a step, and below it a progress bar over the steps."""
+                """Print a line for a step, and below it a progress bar over the steps; do nothing without a bar."""
                 if bar is None:
                     return
                 bar.write(step_text(step, start), file=sys.stderr)

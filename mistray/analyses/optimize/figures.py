@@ -69,7 +69,7 @@ def search_figure(result: Optimization, title: str = "") -> Figure:
 
 
 def comparison_figure(found: Comparison, title: str = "") -> Figure:
-    """Draw the ratio of each term after to before as a bar with its standard error."""
+    """Draw the ratio of each term before to after as a bar with its standard error."""
     ratios = {row.term: Estimate(row.ratio, row.ratio_se) for row in found.rows if row.whole}
     return bars(ratios, [BLUE] * len(ratios), "before / after [1]").headed(title, f"on {len(found.seeds)} seeds")
 
@@ -140,7 +140,7 @@ def _best_search(result: Optimization) -> list[Step]:
 
 
 def _style(number: int) -> dict[str, Any]:
-    """Return colour, line style and width of curve number `number`, as Matplotlib arguments."""
+    """Return colour, line style and width of the curve of index `number`, as Matplotlib arguments."""
     return {
         "color": COLOURS[number % len(COLOURS)],
         "ls": STYLES[number // len(COLOURS) % len(STYLES)],

@@ -118,7 +118,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
 
 
 def _findings(result: Optimization) -> list[str]:
-    """Return a sentence on each term: its value before and after, and if it meets its limit."""
+    """Return a sentence on each term: its value before and after, and the ratio or whether it meets its limit."""
     texts: list[str] = []
     for term in result.study.terms:
         row = result.comparison.of(term.name)

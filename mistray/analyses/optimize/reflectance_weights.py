@@ -1,4 +1,4 @@
-"""Derivatives of a metric by the reflectance of each coated surface, at each wavelength and angle of incidence.
+"""Derivatives of a metric with respect to the reflectance of each coated surface, by wavelength and angle of incidence.
 
 To first order, lossless coatings change a metric by Σ w ΔR alone, w being these weights, surface by surface. A ghost
 that has the detector as one of its mirrors is even linear in R of the other. Weights of one gradient therefore let
@@ -62,6 +62,11 @@ class ReflectanceWeights:
         -------
         callable
             Function of thicknesses, nm, (n, L), that returns Σ w R in the unit of the metric, (n,).
+
+        Raises
+        ------
+        MistrayError
+            If a surface has no layers.
         """
         by_glass: dict[tuple[str, str], np.ndarray] = {}
         for name in surfaces:
@@ -94,7 +99,9 @@ class ReflectanceWeights:
 
 def reflectance_weights(metric: Metric) -> ReflectanceWeights:
     """
-    Return the derivatives of a metric by the reflectances of surfaces with layers, from one trace in reverse mode.
+    Return the derivatives of a metric with respect to the reflectances of surfaces with layers.
+
+    They come from one trace in reverse mode.
 
     Raises
     ------
@@ -133,7 +140,11 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
 
 
 def _spread(by_node: np.ndarray) -> np.ndarray:
-    """Return derivatives by R at even cosines, 0 … 1, shared linearly among the fewer cosines `COSINES`."""
+    """
+    Return derivatives with respect to R at the cosines `COSINES`, from those at more cosines, even from 0 to 1.
+
+    Each is shared linearly between the two nearest of `COSINES`.
+    """
     place = np.linspace(0.0, 1.0, len(by_node)) * (len(COSINES) - 1)
     low = np.minimum(place.astype(int), len(COSINES) - 2)
     share = place - low

@@ -1,4 +1,4 @@
-"""Request of an optimisation: settings besides those of its study."""
+"""Request for an optimisation: settings besides those of its study."""
 
 from __future__ import annotations
 

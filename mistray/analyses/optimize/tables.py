@@ -62,7 +62,7 @@ def variable_rows(result: Optimization) -> list[VariableRow]:
 
 
 def terms_table(result: Optimization) -> str:
-    """Return the table of terms before and after, with their goals and if these are met, as text."""
+    """Return the table of terms before and after, with their goals and whether these are met, as text."""
     rows = [result.comparison.of(term.name) for term in result.study.terms]
     goals = [
         [goal_text(term, row.before), kept_text(term, row)] for term, row in zip(result.study.terms, rows, strict=True)
@@ -239,7 +239,12 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
 
 
 def variables_frame(result: Optimization) -> pd.DataFrame:
-    """Return a DataFrame with a row for each parameter that a variable moves: its value before and after."""
+    """
+    Return a DataFrame with a row for each parameter that a variable moves: its value before and after.
+
+    Column ``unit`` holds the unit of the variable; the other columns are variable, parameter, low, high, before and
+    after.
+    """
     rows = []
     for v, x in zip(result.variables.variables, result.best.x, strict=True):
         moved = [(place.label, place.start, after) for place, after, _ in v.moved(x)]
@@ -251,7 +256,12 @@ def variables_frame(result: Optimization) -> pd.DataFrame:
 
 
 def history_frame(result: Optimization) -> pd.DataFrame:
-    """Return a DataFrame with a row for each step of each search: merit, gradient norm, time, s, terms, variables."""
+    """
+    Return a DataFrame with a row for each step of each search.
+
+    Columns: start, step, evaluations, merit with error and gradient norm (dimensionless), seconds (s), and each term
+    and variable in its unit.
+    """
     rows = []
     for step in result.steps:
         numbers = ("start", "step", "evaluations", "merit", "merit_se", "gradient_norm", "seconds")

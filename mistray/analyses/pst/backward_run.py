@@ -176,6 +176,13 @@ class BackwardRun:
             Plan of the forward rays; None: there are none.
         progress : callable, optional
             Called with a `PstProgress` after every pass.
+
+        Raises
+        ------
+        UnfinishedError
+            If all workers are lost; the finished passes are saved, and it has the PST so far.
+        KeyboardInterrupt
+            After the pass in which an interrupt came, once the state is saved.
         """
         needed, up_to_deg = self._needed
         trace = self._trace

@@ -31,6 +31,8 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
     """
     Return a table of the stray paths at a field angle, degrees, averaged over azimuths; the strongest is first.
 
+    At most `n` paths are returned, all by default.
+
     Returns
     -------
     DataFrame
@@ -80,9 +82,10 @@ def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
 
 def cause_frame(pst: Pst) -> pd.DataFrame:
     """
-    Return the percentage of the stray light that each cause brings at each field angle.
+    Return the percentage of the stray light that is due to each cause at each field angle.
 
-    Rows are field angles, degrees (index). Columns are causes, the one with the largest percentage first.
+    Rows are field angles, degrees (index). Columns are causes, the one with the largest percentage first. There are
+    none without a table of paths or without stray paths.
     """
     listed = pst.path_rows
     if listed is None or (listed.kind == DIRECT).all():
@@ -239,7 +242,7 @@ class MainCause:
         Percentage of that stray light that it causes. The errors of its paths are added in quadrature, as if their
         rays were independent.
     field_deg : float
-        Field angle from which this cause brings most light under this sky, degrees.
+        Field angle from which this cause contributes most light under this sky, degrees.
     stray, left : Estimate
         PST of all stray light at this angle, and of the part from all other causes.
     """
@@ -288,7 +291,7 @@ def main_cause(pst: Pst) -> MainCause | None:
 
 def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]:
     """
-    Return the ranges of field angle over which one and the same cause brings most of the stray light.
+    Return the ranges of field angle over which one and the same cause contributes most of the stray light.
 
     Parameters
     ----------

@@ -10,7 +10,14 @@ from mistray.recorders.directions import DirectionGrid
 
 
 def grid_of(request: PstRequest, axes: np.ndarray | None = None) -> DirectionGrid:
-    """Return the cells of field angle and azimuth of a request; columns of `axes` are the axes of their frame."""
+    """
+    Return the cells of field angle and azimuth of a request; columns of `axes` are the axes of their frame.
+
+    Raises
+    ------
+    MistrayError
+        If no angle is within the limit up to which an error is requested.
+    """
     grid = DirectionGrid.of(request.field_deg, request.azimuths_deg, request.cell_deg, request.azimuth_cell_deg, axes)
     if not cells_up_to(grid, request.error_up_to_deg).any():
         raise MistrayError(f"error_up_to_deg is {request.error_up_to_deg:g}; no angle is as small as that")

@@ -51,8 +51,8 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
     """
     Draw the PST against field angle with bands of one standard error, and below it the relative standard errors.
 
-    Curves show all light, all stray light, and each class. Angles without any light are marked by an open
-    triangle at the bottom.
+    Curves show all light, all stray light, and each class. Angles without any light are marked by an open triangle at
+    the bottom. The curve of all stray light has no band.
     """
     figure, (above, below) = Figure.of_panels(10.4, 6.6, 2, sharex=True, height_ratios=(3.4, 1))
     angles = pst.field_deg
@@ -152,6 +152,11 @@ def pst_map(pst: Pst, title: str = "") -> Figure:
 
     A point of the map is the direction in which light travels, for a viewer looking at the source. At the top it
     travels towards +y, on the left towards -x.
+
+    Raises
+    ------
+    MistrayError
+        If the PST has a single azimuth.
     """
     if pst.grid.shape[1] < 2:
         raise MistrayError("a map of the PST needs two azimuths or more; give azimuths_deg")
@@ -215,7 +220,11 @@ def _pst_range(pst: Pst) -> Range | None:
 
 
 def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
-    """Draw the PST curve of light class `group` with a band of one standard error; a gap where it has no light."""
+    """
+    Draw the PST curve of light class `group`, with gaps where it has no light, or nothing if it has none at all.
+
+    All classes but "stray" have a band of one standard error.
+    """
     value, se = pst.curve(group)
     if not (value > 0).any():
         return
@@ -259,7 +268,7 @@ def _errors(axes: Axes, pst: Pst) -> None:
 
 
 def _decades(axes: Axes) -> None:
-    """Put a tick at each decade of a logarithmic y axis, or at each second one if there are many."""
+    """Put a tick at each decade of a logarithmic y axis, and remove the labels of minor ticks."""
     low, high = np.log10(axes.get_ylim())
     axes.yaxis.set_major_locator(LogLocator(base=10.0, numticks=int(high - low) + 3))
     axes.yaxis.set_minor_formatter(NullFormatter())
@@ -272,7 +281,11 @@ def _ends(pst: Pst) -> tuple[float, float]:
 
 
 def _polar_map(axes: Any, pst: Pst, value: np.ndarray) -> None:
-    """Draw one polar map of PST over field angle and azimuth with its colour bar, on its own log10 scale."""
+    """
+    Draw one polar map of PST over field angle and azimuth with its colour bar, on its own log10 scale.
+
+    Without light a text takes the place of the colour bar.
+    """
     limits = log_range([value], MOST_DECADES)
     axes.set_theta_zero_location("N")
     axes.set_facecolor("#e6e6e6")

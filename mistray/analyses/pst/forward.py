@@ -77,15 +77,15 @@ def forward_pst(
         cells together), seconds, segments, settings, seed, relative_error, error_up_to_deg, entrance, rays_of_cell and
         beam_area_mm2 (n, m); ``unseen``: cells (angle, azimuth) in which no light was found, whose PST of 0 is an upper
         limit only by the number of their rays; ``unfinished``: cells whose error is larger than requested;
-        ``not_traced``: cells for which a time budget was too short, whose numbers are NaN;
-        ``notes``: these facts in words, and other notes on the reliability.
+        ``not_traced``: cells for which a time budget was too short, whose values are NaN; ``notes``: these facts in
+        words, and other notes on the reliability.
 
     Raises
     ------
     MistrayError
         If an argument is out of range, the scene has no detector, or where `mistray.trace` raises.
     UnfinishedError
-        If workers of `mistray.distribute` are lost; ``partial`` has the sums of finished cells by their numbers.
+        If workers of `mistray.distribute` are lost; ``partial`` has the sums of finished cells by their indices.
     """
     # Arguments and defaults
     require_scene(scene, "forward_pst")
@@ -126,7 +126,7 @@ class CellRounds:
     light : AllCells
         Forward rays, with their sums so far.
     progress : callable or None
-        Called with a `PstProgress` after each pass.
+        Called with a `PstProgress` after each pass; None: nothing is called.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class CellRounds:
         return replace(self.light.total, paths=self.light.paths)
 
     def add(self, cell: int, found: WaveSums) -> None:
-        """Add the sums of a cell that a worker has traced to those of all cells."""
+        """Add the sums of a cell that a worker has traced, mark it as finished, and report progress."""
         self.light.total = self.light.total + found
         self._open[cell] = False
         self._judge()
@@ -217,7 +217,11 @@ class CellRounds:
             self._report()
 
     def _report(self) -> None:
-        """Call `progress` with the rays traced, the largest relative error of a cell and the time left, s."""
+        """
+        Call `progress` with the rays traced, the largest relative error of a cell and the time left, s.
+
+        Do nothing without `progress`.
+        """
         if self.progress is None:
             return
         rays = self.light.rays

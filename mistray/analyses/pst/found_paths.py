@@ -27,7 +27,7 @@ def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tu
     Return event lists of backward rays in forward order, the absorption in the detector appended, and their lengths.
 
     `events`, (w, k) uint32, and `lengths`, (w,), become (w, k + 1), padded with 0, and (w,). `detector` is the surface
-    number of the detector.
+    index of the detector.
     """
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
@@ -110,7 +110,12 @@ class FoundPaths:
         return describe_events(Events.of(trace.table, trace.design, self.events[paths], self.lengths[paths]))
 
     def one_sided(self) -> list[dict[str, Any]]:
-        """Return the strongest paths found by rays of one direction only, forward or backward, one dict each."""
+        """
+        Return the strongest paths found by rays of one direction only, forward or backward, one dict each.
+
+        There are at most `ONE_SIDED_LISTED`, each with several rays and more than 0.1 % of the light of its cell. Keys:
+        angle_deg, azimuth_deg, events, seen ("forward" or "backward"), rays, pst_normal.
+        """
         grid = self.trace.grid
         light = np.bincount(self.cell, self.value, int(np.prod(grid.shape)))
         alone = (self.hits.min(axis=0) == 0) & (self.hits.max(axis=0) >= FEWEST_HITS)

@@ -21,8 +21,8 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     """
     Compute a PST again with one more scatter event, and with one more reflection; return the PST to be used.
 
-    Both have the seed of the first and together as many rays as it had, whatever the time: equal seeds find equal
-    numbers. Within a time budget they also have together as much time, except that a pass is never interrupted. The
+    Both have the seed of the first and together as many rays as it had, whatever the time: equal seeds give equal
+    results. Within a time budget they also have together as much time, except that a pass is never interrupted. The
     stray light is compared angle by angle. If a time budget is too short for one of them, a note reports it.
 
     Parameters

@@ -208,7 +208,11 @@ def pst_facts(pst: Pst) -> dict[str, Any]:
 
 
 def pst_verdict(pst: Pst) -> list[str]:
-    """Return sentences on the PST and stray light by angle, its main cause, and the stray light without that cause."""
+    """
+    Return sentences on the PST and stray light by angle, its main cause, and the stray light without that cause.
+
+    Without light one sentence says so, and without a main cause the sentences on it are left out.
+    """
     found = None if pst.is_dark else main_cause(pst)
     return [_finding(pst), *([] if found is None else _change(found))]
 
@@ -246,7 +250,11 @@ def pst_verdict_record(pst: Pst) -> dict[str, Any]:
 
 
 def _finding(pst: Pst) -> str:
-    """Return a sentence on the PST at the first angle, the edge of the field, and the stray PST beyond it."""
+    """
+    Return a sentence on the PST at the first angle, the edge of the field, and the stray PST beyond it.
+
+    Without an edge the stray PST is that of all angles. Without light the sentence says so.
+    """
     if pst.is_dark:
         return "No light was seen at any angle."
     angles, stray = pst.field_deg, pst.estimates("stray")

@@ -2,8 +2,8 @@
 Pilot of a PST: short forward and backward traces that learn where light gets in and how many rays it takes.
 
 Its rays contribute to no result, so that the mean of a run is that of either direction alone, whatever the pilot finds.
-With the density q of all rays, forward and backward, the variance of a cell is ∫ f²/q. Each sample yields f/q; the MIS
-weight of forward rays in its path determines how q changes with their number.
+With the light f along a path and the density q of all rays, forward and backward, the variance of a cell is ∫ f²/q.
+Each sample yields f/q; the MIS weight of forward rays in its path determines how q changes with their number.
 """
 
 from __future__ import annotations
@@ -245,7 +245,11 @@ class Pilot:
         return plan
 
     def _costs_forward(self, forward: Sequence[Samples]) -> np.ndarray:
-        """Return the cost of forward rays, (2, c), in ray segments: for scattered light and for unscattered light."""
+        """
+        Return the cost of forward rays, (2, c), in ray segments: for scattered light and for unscattered light.
+
+        The second row is 0 if all forward rays serve both kinds of light.
+        """
         if self._sharing.unscattered is None:
             return np.array([np.sum([one.segments for one in forward], axis=0), np.zeros(len(self._light))])
         parts = [np.sum([one.segments for one in part], axis=0) for part in (forward[::2], forward[1::2])]
@@ -255,7 +259,8 @@ class Pilot:
         """
         Return the number of extra rays for unscattered light per other forward ray, (c,), for the next round.
 
-        A variance a/m + b/n at the cost m + c n is least at n/m = √(b/(a c)).
+        The result is None if there are no such rays. With m rays for scattered light, n extra ones and their relative
+        cost c, the variance is a/m + b/n. At a given cost m + c n it is least for n/m = √(b/(a c)).
         """
         now = self._sharing.unscattered
         if now is None:
@@ -289,7 +294,7 @@ class Pilot:
         upper bound is the larger of √(E[F²]/E[F₀²]) (A. Rath et al., EARS: efficiency-aware Russian roulette and
         splitting, ACM Trans. Graph. 41, 81 (2022), with the same cost for all rays) and the lower confidence bound of
         E[F]/E[F₀]. The inverse lower bound is no less than the upper confidence bound of E[F]/E[F₀], since rare strong
-        rays may not have been found.
+        rays may not have been found. Both are 0 if no ray has brought light.
 
         Parameters
         ----------
@@ -374,7 +379,7 @@ class Pilot:
         total = of_class.sum(axis=0)
         share = np.divide(of_class, total, out=np.ones_like(of_class), where=total > 0)
         factor = 1 - CLASS_SHARE + CLASS_SHARE / (present[cell] * np.maximum(share[kind, cell], 1e-6))
-        # Part of ∫ f²/q that depends on the density of start rays: derivative by its logarithm, times that density
+        # Part of ∫ f²/q that the density of start rays decides: derivative with respect to its logarithm, times it
         resolved = np.square(weights) * (samples.forward * samples.density) * rays
         found = MapSamples(cell, samples.points, weights, resolved).times(factor)
         self._kept = [*self._kept, (found.after_roulette(SAMPLES_OF_CELL, rng), float(rays))][-REMEMBERED:]
@@ -415,9 +420,9 @@ def _relative_variances(
     """
     Estimate the light of the cells and its relative variance.
 
-    With a density q of all rays the variance is ∫ f²/q. Each sample yields f/q, and the weight s of forward rays in
-    its path. With a factor k of the forward rays q becomes q (1 - s + k s). Samples of one ray in a cell are
-    correlated, which multiplies the variance of each direction by a factor of its own.
+    With the light f along a path and the density q of all rays, the variance is ∫ f²/q. Each sample yields f/q, and the
+    weight s of forward rays in its path. With a factor k of the forward rays q becomes q (1 - s + k s). Samples of one
+    ray in a cell are correlated, which multiplies the variance of each direction by a factor of its own.
 
     Parameters
     ----------

@@ -49,6 +49,8 @@ class Plan:
         """
         Return the number of backward rays that reach a relative error, together with their forward rays.
 
+        It is 0 if no cell that counts has light.
+
         Parameters
         ----------
         relative_error : float

@@ -1,4 +1,4 @@
-"""Requests of a point source transmittance (PST): directions, light, rays, and choice of pictures."""
+"""Requests for a point source transmittance (PST): directions, light, rays, and choice of pictures."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class PstRequest(Request):
 
 @dataclass(frozen=True)
 class FirstLevelRequest(PstRequest):
-    """Request of a first-level analysis: one point source transmittance (PST) for each set of limits on its paths."""
+    """Request for a first-level analysis: one point source transmittance (PST) for each set of limits on its paths."""
 
     _: KW_ONLY
     limits: Mapping[str, Mapping[str, Any]] | None = field(
@@ -140,7 +140,11 @@ class PstShown(Request):
     map_pixels: int = field(PIXELS, 64, "pixels along their longer side", needs="map_field_deg")
 
     def maps_at(self, request: PstRequest) -> list[tuple[float, float]]:
-        """Return the field angle and azimuth, degrees, of each irradiance map of the detector."""
+        """
+        Return the field angle and azimuth, degrees, of each irradiance map of the detector.
+
+        A negative field angle becomes a positive one at the opposite azimuth.
+        """
         azimuth = (request.azimuths_deg or (0.0,))[0] if self.map_azimuth_deg is None else self.map_azimuth_deg
         angles = dict.fromkeys(self.map_field_deg or ())
         return [(angle, azimuth) if angle >= 0 else (-angle, azimuth + 180) for angle in angles]

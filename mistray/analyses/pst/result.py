@@ -76,7 +76,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         Fraction of the scattered light of a cell that its strongest single ray carries; if it is large, so are the
         errors of the errors.
     path_rows : DataFrame, optional
-        Paths by cell: columns cell (number of the field angle), azimuth_cell, events, path, order, kind, ghost_1,
+        Paths by cell: columns cell (index of the field angle), azimuth_cell, events, path, order, kind, ghost_1,
         ghost_2, scatter_1, scatters, structure_bounces, tir, rays, pst_normal, pst_normal_se.
     maps : (2, n, m, h, w) float64, optional
         PST_normal of each pixel of the detector and its standard error.
@@ -119,7 +119,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
     next_orders: tuple[NextOrder, ...] = field(default=(), repr=False, compare=False)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of field angles, the PST at the first and the stray PST at the last, by label."""
+        """Return the number of field angles, PST at the first, stray PST at the last, and the convention, by label."""
         first, last = self.field_deg[0], self.field_deg[-1]
         return {
             "angles": len(self.field_deg),
@@ -152,7 +152,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         request : GradientRequest
             Settings of the gradient.
         groups : (n, m) int, optional
-            Numbers of groups of cells, see `mistray.gradients.pst_gradient.PstRays.gradient`.
+            Index of the group of each cell, see `mistray.gradients.pst_gradient.PstRays.gradient`.
 
         Yields
         ------
@@ -198,7 +198,11 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         return self.estimate(self.samples(classes), self.weight)
 
     def curve(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
-        """Return the PST over field angle, averaged over azimuths, and its standard error, (n,) each."""
+        """
+        Return the PST over field angle, averaged over azimuths, and its standard error, (n,) each.
+
+        For `classes` see `samples`.
+        """
         samples, weight = self.samples(classes), self.weight
         if weight.ndim == 1:
             # Cells share their start rays: the mean is formed in every batch
@@ -207,7 +211,11 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         return value.mean(axis=1), np.sqrt(np.sum(se**2, axis=1)) / value.shape[1]
 
     def estimates(self, classes: str | Sequence[str] = "total") -> list[Estimate]:
-        """Return the values of `curve` as estimates with standard errors, one for each field angle."""
+        """
+        Return the values of `curve` as estimates with standard errors, one per field angle.
+
+        For `classes` see `samples`.
+        """
         return [Estimate(float(value), float(se)) for value, se in zip(*self.curve(classes), strict=True)]
 
     def columns(self, found: Callable[[str], tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -217,7 +225,11 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
     @staticmethod
     def estimate(samples: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the weighted mean over batches (last axis), and its standard error from the spread of batches."""
+        """
+        Return the weighted mean over batches (last axis), and its standard error from the spread of batches.
+
+        The weights of the batches add up to 1; empty batches have none.
+        """
         value = np.sum(weight * samples, axis=-1)
         # Empty batches have no weight
         used = np.maximum(np.count_nonzero(weight, axis=-1), 2)
@@ -278,6 +290,11 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
             Columns of `path_rows` without the cells, with ``pst``, ``pst_se`` (in the convention of this result),
             ``percent_of_stray`` (of all light at this angle but the direct image; NaN for the direct image) and
             ``percent_of_all``.
+
+        Raises
+        ------
+        MistrayError
+            If the PST was computed without paths, or no cell contains the direction.
         """
         if self.path_rows is None:
             raise MistrayError("this PST was computed without paths; ask for them with paths=True")
@@ -296,7 +313,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
     @cached_property
     def _listed(self) -> tuple[pd.DataFrame, dict[tuple[int, int], np.ndarray]]:
-        """Path tables of all cells in one DataFrame, and the row numbers of each cell."""
+        """Path tables of all cells in one DataFrame, and the row indices of each cell."""
         rows = self.path_rows
         assert rows is not None  # `paths` has checked it
         rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
@@ -353,6 +370,11 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         -------
         value, se : (h, w) float64
             Irradiance and its standard error, W/mm², row 0 at the smallest y.
+
+        Raises
+        ------
+        MistrayError
+            If the PST was computed without maps, or no cell contains the direction.
         """
         if self.maps is None:
             raise MistrayError("this PST was computed without maps; ask for them with map_pixels=64, say")
@@ -428,7 +450,14 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
 
 def _numbers(classes: str | Sequence[str]) -> list[int]:
-    """Return the indices within `CLASSES` of a group ("total" or "stray"), of one class of light, or of several."""
+    """
+    Return the indices within `CLASSES` of a group ("total" or "stray"), of one class of light, or of several.
+
+    Raises
+    ------
+    MistrayError
+        If a class does not exist.
+    """
     names = GROUPS.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
     unknown = [name for name in names if name not in CLASSES]
     if unknown:

@@ -49,7 +49,7 @@ def quotient(
     above, below : tuple of (n, m) float and str
         Coefficients and light of the two sums.
     floor : float
-        Lower limit of the lower sum, at or below which the quotient is unknown.
+        Lower limit of the lower sum, at or below which the quotient is unknown (NaN).
     """
     upper, lower = (k[..., None] * pst.samples(light) for k, light in (above, below))
     base = _summed(lower, pst.weight).value

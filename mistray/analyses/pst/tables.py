@@ -39,7 +39,7 @@ def shown_classes(pst: Pst) -> tuple[str, ...]:
 
 
 def name_of(group: str) -> str:
-    """Return the name of a class of light with blanks instead of underscores."""
+    """Return the name of a class of light with spaces instead of underscores."""
     return group.replace("_", " ")
 
 
@@ -62,7 +62,11 @@ def curve_frame(pst: Pst) -> pd.DataFrame:
 
 
 def cell_frame(pst: Pst) -> pd.DataFrame:
-    """Return the table of `Pst.to_pandas` with a column for the largest share of a single ray in each cell."""
+    """
+    Return the table of `Pst.to_pandas` with a column for the largest share, 0 … 1, of a single ray in each cell.
+
+    That share is NaN if it is unknown.
+    """
     share = pst.largest_share
     return pst.to_pandas().assign(largest_share=np.nan if share is None else share.ravel())
 
@@ -111,7 +115,11 @@ def curve_text(pst: Pst) -> str:
 
 
 def top_paths_text(pst: Pst, count: int) -> str:
-    """Return the strongest stray paths of each angle side by side, with their percentages, as text."""
+    """
+    Return the strongest stray paths of each angle side by side, with their percentages, as text.
+
+    If there are none, a sentence says so.
+    """
     tops = {angle: stray_paths(pst, angle, count) for angle in pst.field_deg}
     shown = max((len(top) for top in tops.values()), default=0)
     if not shown:
@@ -166,7 +174,7 @@ def paths_table(pst: Pst, count: int) -> Table:
 
 
 def causes_text(causes: Sequence[tuple[str, float]]) -> str:
-    """Return causes of stray light and their shares as text, such as "barrel_1 83 %, ghosts 12 %"."""
+    """Return causes of stray light and their shares as text, such as "barrel_1 83 %, ghosts 12 %"; a dash for none."""
     return ", ".join(f"{name} {percent_text(0.01 * share)}" for name, share in causes) or ABSENT
 
 
@@ -247,7 +255,7 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
     -------
     dict
         convention, definition, method, facts, grid, field_edge_deg, curve (rows of `curve_frame`, each with its
-        ``paths`` and ``causes``), cells (rows of `cell_frame`, if there are azimuths), breaks, next_orders and
+        ``paths`` and ``causes``), cells (rows of `cell_frame`, if there are several azimuths), breaks, next_orders and
         warnings.
     """
     curve = curve_frame(pst).drop(columns=["convention", "method"]).to_dict("records")

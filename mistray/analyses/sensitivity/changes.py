@@ -60,9 +60,9 @@ class Ranges:
 
     def after(self, number: int, gain: float) -> float:
         """
-        Return the value of parameter `number`, in its unit, that lowers ln(metric) by `gain`, or its better bound.
+        Return the value of the parameter of index `number`, in its unit, that lowers ln(metric) by `gain`.
 
-        The value is in the parameter's unit.
+        If no value in the range does, return the bound at which the metric is lower.
         """
         slope, most = float(self.slope[number]), -float(self.gain[number])
         if gain >= most * (1 - ROUNDING):
@@ -72,9 +72,9 @@ class Ranges:
     @property
     def gain(self) -> np.ndarray:
         """
-        Change of ln(metric) when each parameter is at its better bound, ≤ 0, (n,).
+        Change of ln(metric), ≤ 0, (n,), with each parameter alone at the bound that lowers the metric.
 
-        The value is 0 if the slope is not significant.
+        It is 0 where the slope is not significant.
         """
         room = np.where(self.slope > 0, self.value - self.low, self.high - self.value)
         known = np.abs(self.slope) > SIGNIFICANT * self.slope_se
@@ -83,7 +83,12 @@ class Ranges:
 
 
 def single_changes(ranges: Ranges, factor: float) -> tuple[ParameterChange, ...]:
-    """Return for each parameter the value that alone lowers the metric by `factor`, or its better bound."""
+    """
+    Return for each parameter the value that alone lowers the metric by `factor`.
+
+    Where the range does not allow that, return the bound that lowers it most, and the present value if the slope is not
+    significant.
+    """
     goal = math.log(factor)
     found = []
     for number, gain in enumerate(ranges.gain):
@@ -112,7 +117,7 @@ def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Parame
     Returns
     -------
     tuple of ParameterChange
-        The largest first; the product of their factors is that of all together.
+        The largest first; the product of their factors is that of all together. Empty if no slope is significant.
     """
     goal = math.log(factor)
     gain = -ranges.gain

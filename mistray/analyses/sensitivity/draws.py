@@ -41,7 +41,7 @@ class Draws:
     predicted : (draws,) float64
         Logarithm of this ratio by the linear model.
     nominal : float
-        Metric of the nominal system.
+        Metric of the nominal system, in its unit.
     rejected : int
         Number of systems drawn again because surfaces crossed each other.
     requested : int
@@ -78,7 +78,11 @@ class Draws:
 
     @property
     def unexplained(self) -> float:
-        """Share of the variance of ln(metric) that the linear model does not explain, 0 … 1."""
+        """
+        Share of the variance of ln(metric) that the linear model does not explain.
+
+        It is 0 if the model is exact, and above 1 if the model is worse than a constant.
+        """
         residual = self.logs - self.predicted
         variance = float(self.logs.var())
         return float(residual.var() / variance) if variance > 0 else 0.0
@@ -119,7 +123,7 @@ def draw_systems(
     rows : sequence of SensitivityRow
         Parameters with their derivatives.
     groups : sequence of (str, sequence of int)
-        Numbers of the rows that are drawn together.
+        Name of each group, and indices of its rows, which are drawn together.
     count : int
         Number of systems, at least 2.
     seed : int
@@ -228,7 +232,7 @@ class _SystemsTask:
         return mi.traverse(self.metric.scene)
 
     def do(self, made: Any, part: int) -> float:
-        """Trace the system of index `part`, and return its metric."""
+        """Trace the system of index `part`, restore the nominal parameters, and return the metric of the system."""
         try:
             _put(self.metric.scene, made, self.systems[part])
             return _checked(part, self.metric.value)

@@ -34,7 +34,11 @@ FADED = 0.35  # its opacity
 
 
 def ranking_figure(result: Sensitivity, title: str = "", count: int = BARS) -> Figure:
-    """Draw the change of the metric per tolerance as bars, percent, and the shares of the variance beside them."""
+    """
+    Draw the change of the metric per tolerance as bars, percent, and the shares of the variance beside them.
+
+    The `count` largest are drawn, without those of no effect.
+    """
     rows = {row.label: row for row in result.rows}
     shown = [item for item in result.spread.contributions[:count] if item.change.value != 0]
     shown = shown or list(result.spread.contributions[:1])

@@ -43,9 +43,9 @@ class Finished:
     Attributes
     ----------
     taken : Taken or None
-        Gradient, if it has been taken.
+        Gradient; None if it has not been taken.
     check : TracedChange or None
-        Traced check of the proposed changes, if it has all of its seeds.
+        Traced check of the proposed changes; None until it has all of its seeds.
     systems : list of float
         Metrics of the first perturbed systems.
     """
@@ -64,7 +64,7 @@ class Finished:
             self.save()
 
     def add(self, value: float) -> None:
-        """Store the metric of one more perturbed system."""
+        """Store the metric of one more perturbed system; write the file if that was last done 5 s ago."""
         self.systems.append(value)
         if time.perf_counter() - self._saved > SAVED_S:
             self.save()
@@ -141,7 +141,11 @@ def numbers_hash(params: Any) -> str:
 
 
 def signature_of(metric: Metric, params: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the facts in which a saved run must agree: metric, numbers of its scene, and the arguments in `facts`."""
+    """
+    Return the facts in which a saved run must agree.
+
+    These are the metric, the values of all parameters of its scene, and the arguments in `facts`.
+    """
     about = {name: getattr(metric, name) for name in ("name", "field_deg", "wavelength_nm", "weights")}
     return {"metric": about, "settings": dict(metric.settings or {}), **facts, "scene": numbers_hash(params)}
 

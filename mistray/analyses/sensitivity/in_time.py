@@ -72,7 +72,7 @@ def gradient_in_time(
     looks : int
         Number of further traces of the metric.
     before : Taken or None
-        Gradient of a saved run, which is kept if there is no time for many more rays.
+        Gradient of a saved run, which is kept if there is no time for many more rays; None for a new run.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def _next(tried: tuple[float, float] | None, first: float, left: float) -> float
     Parameters
     ----------
     tried : (float, float) or None
-        Last factor, and the time that it takes, s.
+        Last factor, and the time that it takes, s; None before the first.
     first : float
         Factor above which the time grows with the rays; fewer rays mostly load kernels.
     left : float

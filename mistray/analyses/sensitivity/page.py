@@ -79,7 +79,11 @@ def ranking_table(result: Sensitivity) -> Table:
 
 
 def change_text(row: SensitivityRow) -> str:
-    """Return as text the value that lowers the metric by the requested factor, else the bound and its factor."""
+    """
+    Return as text the value that lowers the metric by the requested factor, else the bound and its factor.
+
+    Return "held" for a parameter that is not free, and a dash if no value lowers the metric.
+    """
     if not row.free:
         return "held"
     if row.reached:
@@ -106,7 +110,7 @@ def together_lines(result: Sensitivity) -> list[str]:
 
 
 def changes_table(result: Sensitivity) -> Table:
-    """Return the table of the few changes that together lower the metric, one parameter per row."""
+    """Return the table of the changes that together lower the metric, one parameter per row."""
     rows = [
         [row.label, number(row.value), number(change.value), row.unit, number(change.factor, 3)]
         for row, change in result.together.changes

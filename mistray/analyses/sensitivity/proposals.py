@@ -150,7 +150,11 @@ def traced_change(
 
 
 def _quotient(pairs: np.ndarray) -> Estimate:
-    """Return the ratio of the means of both columns, (n, 2), with the standard error of a ratio of means."""
+    """
+    Return the ratio of the means of both columns, (n, 2), with the standard error of a ratio of means.
+
+    If the second mean is 0, the ratio is infinite and its error NaN.
+    """
     above, below = pairs.T
     if not below.mean() > 0:
         return Estimate(math.inf, math.nan)

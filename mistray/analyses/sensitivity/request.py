@@ -1,4 +1,4 @@
-"""Requests of a sensitivity analysis: metric, parameters, and length of the printed lists."""
+"""Requests for a sensitivity analysis: metric, parameters, and length of the printed lists."""
 
 from __future__ import annotations
 

@@ -38,7 +38,8 @@ class Together:
         The factor from traces of the changed scene with other seeds; None if they were not requested, or there was no
         time for them.
     image : Estimate or None
-        Power of the direct image over that before, at the sources' own field, from traces as well.
+        Power of the direct image over that before, at the sources' own field, from traces as well; None without a
+        direct image or without traces.
     gaps : tuple of Gap
         Surfaces that meet before and are apart after, see `mistray.metrics.changes.gaps`.
     entering : mapping of str to tuple of Entering

@@ -44,7 +44,7 @@ class Line:
     keys : tuple of str
         Keys of all parameters of the line that can be differentiated.
     silent : tuple of str
-        Keys that change along but have no derivative: indices beside opaque surfaces.
+        Keys that change along but have no derivative: indices next to opaque surfaces.
     slopes : mapping of str to float
         For a body that is displaced or tilted: change of each parameter of its surfaces per change of the line, to
         first order. Empty if all of `keys` change by the same amount.
@@ -101,7 +101,7 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
 
     Indices of one material are one line, on whatever side of whatever surface: one melt, or the air around. This is
     necessary because a trace takes a surface whose material differs from that of the ray for a gap. Surfaces of one
-    part that are no optics move as a whole along each direction. If the part has no optics, they tilt as a whole too.
+    part that are not optics move as a whole along each direction. If the part has no optics, they tilt as a whole too.
     These are barrels, stops and lens edges; moved alone they would leave gaps.
 
     Parameters
@@ -176,7 +176,7 @@ def motion_lines(body: Body, known: Mapping[str, Parameter]) -> list[Line]:
 
 
 def _material(params: Any, key: str) -> str | None:
-    """Return the material that an index shift belongs to, or None for other keys."""
+    """Return the material that an index shift belongs to; None for other keys."""
     owner, name = params.properties[key][2], key.rsplit(".", 1)[-1]
     if name not in SHIFTS or not hasattr(owner, "coating"):
         return None
@@ -192,7 +192,11 @@ def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
 def shifted_values(
     values: Mapping[str, np.ndarray], lines: Sequence[Line], numbers: Sequence[float]
 ) -> dict[str, np.ndarray]:
-    """Return parameter values as in `whole_values` after the lines take other values; slopes convert for bodies."""
+    """
+    Return parameter values as in `whole_values`, with each line at its value in `numbers`, in its unit.
+
+    For a line that moves a body, `Line.slopes` convert its change to changes of the single parameters.
+    """
     result = {key: value.copy() for key, value in values.items()}
     for line, number in zip(lines, numbers, strict=True):
         change = number - float(np.ravel(line.parameter.value)[line.entry])
@@ -242,6 +246,11 @@ class LineNumbers:
             Lines of the table.
         tolerances : mapping of str to float
             Tolerance of each parameter by key, in its unit.
+
+        Raises
+        ------
+        MistrayError
+            If a derivative is not finite.
         """
 
         def summed(values: Mapping[str, np.ndarray]) -> list[np.ndarray]:

@@ -78,9 +78,9 @@ def run(
     Raises
     ------
     MistrayError
-        If a key is unknown, nothing is left to differentiate by, an argument is out of range, or the metric is 0 or not
-        finite. Also if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such
-        parameters are left out. If the state is of another run.
+        If a key is unknown, no parameter has a derivative, an argument is out of range, the state is of another run, or
+        the metric is 0 or not finite. Also if a beam just fills a rim that one of `keys` or of `together` moves.
+        Without `keys` such parameters are left out.
 
     Examples
     --------
@@ -128,7 +128,11 @@ def run(
     wavelengths, _ = spectrum_of(metric.scene, metric.wavelength_nm, metric.weights)
 
     def scatters() -> None:
-        """Evaluate every scatter model of the scene as a trace would, so that invalid values raise `MistrayError`."""
+        """
+        Evaluate every scatter model of the scene as a trace would, so that invalid values raise `MistrayError`.
+
+        Do nothing if no parameter is one of a scatter model.
+        """
         for wavelength in wavelengths if any(one.kind == "scatter" for one in known.values()) else ():
             ScatterTables(SurfaceTable(metric.scene, float(wavelength)), {})
 
@@ -179,7 +183,11 @@ sensitivity = analysis("sensitivity", SensitivityRequest, run, ("params", "keys"
 def _checked(
     proposal: Together, metric: Metric, params: Mapping[str, Any], advance: Steps, finished: Finished
 ) -> tuple[Together, int]:
-    """Trace proposed changes as far as time allows; return them with their traced effect, and the number of seeds."""
+    """
+    Trace proposed changes as far as time allows; return them with their traced effect, and the number of seeds.
+
+    Without time for two seeds they are returned as they are, with 0 seeds.
+    """
     lines = [row.line for row, _ in proposal.changes]
     values = shifted_values(whole_values(params, lines), lines, [change.value for _, change in proposal.changes])
     found = finished.check or traced_change(metric, params, values, advance)
@@ -192,7 +200,14 @@ def _checked(
 
 
 def _with_derivative(found: Gradient, lines: list[Line]) -> tuple[list[Line], list[str]]:
-    """Return the table lines whose parameters have a derivative, and notes on the others."""
+    """
+    Return the table lines whose parameters have a derivative, and notes on the others.
+
+    Raises
+    ------
+    MistrayError
+        If none has a derivative.
+    """
     without = [line for line in lines if found.full.keys() & set(line.moved)]
     if len(without) == len(lines):
         found.require(found.full)
@@ -223,7 +238,14 @@ def _tolerances(known: Mapping[str, Parameter], given: Mapping[str, float]) -> d
 def _groups(
     known: Mapping[str, Parameter], lines: Sequence[Line], patterns: Sequence[str]
 ) -> list[tuple[str, list[int]]]:
-    """Return the name and line indices of each group of parameters that vary together, from patterns of keys."""
+    """
+    Return the name and line indices of each group of parameters that vary together, from patterns of keys.
+
+    Raises
+    ------
+    MistrayError
+        If a group is empty or holds parameters of several kinds, or a parameter is in two groups.
+    """
     taken: dict[int, str] = {}
     groups = []
     for pattern in patterns:

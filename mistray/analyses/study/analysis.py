@@ -49,7 +49,7 @@ def stray_light_analysis(
     first : FirstOrder, optional
         First-order data of the system; without it the PST on axis is not compared with its closed form.
     transmittance : float
-        Transmittance of the design path at normal incidence, 0 … 1.
+        Transmittance of the design path at normal incidence, 0 … 1; NaN if unknown.
     design : sequence of str
         Ids of the surfaces of the design path.
     images : Transfer or str
@@ -119,7 +119,11 @@ def _warnings(pst: Pst) -> tuple[str, ...]:
 
 
 def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
-    """Return a DataFrame of the PST by class of light with standard errors and the main cause, one row per angle."""
+    """
+    Return a DataFrame of the PST (dimensionless) by class of light, one row per field angle (degrees).
+
+    It has the standard errors, the main cause of stray light, and its percentage of the stray light.
+    """
     columns: dict[str, object] = {"angle_deg": pst.field_deg, **pst.columns(pst.curve)}
     strongest = [
         (str(row.idxmax()), float(row.max())) if not row.empty and row.max() > 0 else ("-", math.nan)
@@ -131,7 +135,7 @@ def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
 
 
 def top_paths(pst: Pst, count: int = TOP_PATHS) -> pd.DataFrame:
-    """Return a DataFrame of the strongest stray paths at each angle, with PST and percentage of the stray light."""
+    """Return a DataFrame of the `count` strongest stray paths at each angle: PST, and percentage of the stray light."""
     columns = ["rank", "path", "kind", "first_scatter", "rays", "pst", "pst_se", "percent_of_stray"]
     tables = []
     for angle in pst.field_deg:
@@ -178,7 +182,11 @@ def _ghost_words(row: Any, design: Sequence[str]) -> str:
 
 
 def _instead(path: Sequence[str], design: Sequence[str]) -> str:
-    """Return in words how a path differs from the design path, such as "L3_bevel_2 instead of L3_rear"."""
+    """
+    Return the difference of a path from the design path in words, such as "L3_bevel_2 instead of L3_rear".
+
+    Without a design path, return the ids of the path.
+    """
     if not design:
         return " ".join(path)
     beside = ", ".join(name for name in path if name not in design)
@@ -189,7 +197,12 @@ def _instead(path: Sequence[str], design: Sequence[str]) -> str:
 
 
 def break_frame(bends: Sequence[Break]) -> pd.DataFrame:
-    """Return a DataFrame of the breaks of the curve: slopes (decades per degree), error of their change, and causes."""
+    """
+    Return a DataFrame of the breaks of the curve, a row each.
+
+    Columns: angle_deg, slopes before and after the break and their change (decades per degree), its standard error, and
+    the causes before and after.
+    """
     columns = ["slope_before_per_deg", "slope_after_per_deg", "change_per_deg", "change_se_per_deg", "before", "after"]
     rows = [
         (b.field_deg, b.slope_before, b.slope_after, b.change, b.change_se, *map(_causes_in_words, (b.before, b.after)))
@@ -203,7 +216,11 @@ def _causes_in_words(causes: Sequence[tuple[str, float]]) -> str:
 
 
 def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame:
-    """Return a DataFrame with a row per field: field_deg, paths, direct and stray power (W), ratios, worst path."""
+    """
+    Return a DataFrame with a row per field: field_deg, paths, direct and stray power (W), ratios, worst path.
+
+    `design` are the surfaces of the design path, from which paths without reflection differ.
+    """
     rows = []
     for field in report:
         s = report.summary(field)
@@ -222,7 +239,12 @@ def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame
 
 
 def worst_ghosts(report: GhostReport, design: Sequence[str] = (), count: int = TOP_PATHS) -> pd.DataFrame:
-    """Return a DataFrame of the worst paths of each field by RMS irradiance, and the strongest by power."""
+    """
+    Return a DataFrame of the `count` worst paths of each field by RMS irradiance, and of the strongest one.
+
+    Columns: field_deg, rank, path, kind, rays, and with standard errors power_W, rms_radius_mm, rms_irradiance_W_mm2
+    and normalised (dimensionless).
+    """
     names = {"rank_rms_irradiance": "rank"} | {
         f"normalised_rms_irradiance{se}": f"normalised{se}" for se in ("", "_se")
     }

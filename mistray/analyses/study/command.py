@@ -81,7 +81,11 @@ def run(options: Options) -> int:
 
 @contextlib.contextmanager
 def bar(options: Options) -> Iterator[Callable[[int, str, float], None] | None]:
-    """Show a progress bar of the study's steps on a terminal; yield the callback that moves it, or None."""
+    """
+    Show a progress bar of the study's steps on a terminal.
+
+    Yield the callback (step, its name, share done 0 … 1) that moves the bar; None if no bar is shown.
+    """
     with options.bar("{desc}: {percentage:3.0f}% |{bar}| {elapsed}", what="study") as shown:
 
         def draw(step: int, what: str, share: float) -> None:

@@ -46,7 +46,8 @@ class FirstOrder:
     focal_lengths_mm : (float, float)
         Focal lengths in the two sections along the base ray, mm.
     back_focus_mm : float
-        Distance from the last surface before the detector to the paraxial focus, along the base ray, mm.
+        Distance from the last surface before the detector to the paraxial focus, along the base ray, mm; ``inf`` if
+        afocal.
     defocus_mm : float
         Distance from the paraxial focus to the detector, along the base ray, mm; NaN if afocal.
     pupil_diameter_mm : float
@@ -56,7 +57,7 @@ class FirstOrder:
         Free area of the entrance pupil on axis, mm²: cross-section of the light that reaches the detector by the design
         path. An obstruction about the axis is subtracted.
     stop : str
-        Id of the surface that blocks the light just outside the pupil.
+        Id of the surface that blocks the light just outside the pupil; "-" if there is none.
     f_number : float
         Working F-number of the image, 1/(2 n sin u); ``inf`` if afocal. n is the index before the detector, and u the
         angle there between the light from the edge of the pupil and the base ray.
@@ -109,7 +110,11 @@ def first_order(scene: Any, path: DesignPath) -> FirstOrder:
 
 
 def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
-    """Return focal lengths, mm, in two sections, and the mean distance of the foci behind the last surface, mm."""
+    """
+    Return focal lengths, mm, in two sections, and the mean distance of the foci behind the last surface, mm.
+
+    Each is ``inf`` where the light leaves collimated.
+    """
     first = path.steps[0]
     frame = across(first.before)
     points = np.array([step.point for step in path.steps])
@@ -133,7 +138,11 @@ def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
 
 
 def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
-    """Return diameter (mm) and unobstructed area (mm²) of the entrance pupil, and the surface at its edge."""
+    """
+    Return diameter (mm) and unobstructed area (mm²) of the entrance pupil, and the surface at its edge.
+
+    Without any light they are NaN, 0 and "-". The id of the surface is "-" also if rays at the edge leave the scene.
+    """
     target = outline(path.table.shapes[path.steps[0].surface])
     source = scene_sources(scene, field_deg=0.0)[0]
     largest = 1.02 * (float(np.linalg.norm(target.u) + np.linalg.norm(target.v)) + _off_axis(target.centre, source))
@@ -200,7 +209,11 @@ def _off_axis(centre: np.ndarray, source: SceneSource) -> float:
 
 
 def _field(scene: Any, path: DesignPath) -> dict[str, float]:
-    """Return the field angles, degrees, of the base rays that meet the edges of the detector."""
+    """
+    Return the field angles, degrees, whose base rays meet the detector's edges "x" and "y" and its corner "diagonal".
+
+    NaN for each that no field below 89° meets.
+    """
     detector = outline(path.table.shapes[path.table.detector])
     half = np.stack([detector.u, detector.v], axis=1)
     size = np.linalg.norm(half, axis=0)
@@ -232,7 +245,11 @@ def _field(scene: Any, path: DesignPath) -> dict[str, float]:
 
 
 def _angle(shift: Any, wanted: float) -> float:
-    """Return the field angle, degrees, at which the function `shift`, mm, reaches `wanted`, mm; NaN if nowhere."""
+    """
+    Return the field angle, degrees, at which the image is shifted by `wanted`, mm; NaN if there is none below 89°.
+
+    `shift`: function from field angle, degrees, to the displacement of the base ray on the detector, (1, 2), mm.
+    """
     low, high = 0.0, math.nan
     for angle in (1.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, LARGEST_FIELD_DEG):
         away = float(np.linalg.norm(shift(angle)))

@@ -76,7 +76,11 @@ def images_with_stray_light(
 
 
 def transfer_tables(found: Transfer) -> dict[str, pd.DataFrame]:
-    """Return DataFrames of results, energy balances, transfer functions and rings for all fields, by table name."""
+    """
+    Return DataFrames of results, energy balances, transfer functions and rings for all fields, by table name.
+
+    Frequencies are in 1/mm, radii in mm, irradiances in 1/mm², and shares 0 … 1.
+    """
     return {
         "image_with_stray_light": found.to_pandas(),
         "books": found.books(),
@@ -86,12 +90,16 @@ def transfer_tables(found: Transfer) -> dict[str, pd.DataFrame]:
 
 
 def transfer_facts(found: Transfer) -> list[Fact]:
-    """Return the veiling floor of each field as a fact."""
+    """Return the veiling floor of each field, 0 … 1, as a fact."""
     return [Fact(f"veiling floor at {one.name}", one.veiling_floor) for one in found]
 
 
 def transfer_findings(found: Transfer) -> list[str]:
-    """Return one sentence on the contrast lost to stray light, at the field where the loss is largest."""
+    """
+    Return one sentence on the contrast lost to stray light, at the field where the loss is largest.
+
+    If there is no loss, the sentence says so.
+    """
     worst = min(found, key=lambda one: one.veiling_floor.value)
     floor = worst.veiling_floor
     lost, se = 100 * (1 - floor.value), 100 * floor.se

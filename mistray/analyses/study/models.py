@@ -131,7 +131,11 @@ def path_surfaces(path: DesignPath) -> pd.DataFrame:
 
 
 def mechanical_model(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
-    """Return step 2, the mechanics: all surfaces besides optics, with extents in mm; for meshes those of their box."""
+    """
+    Return step 2, the mechanics: all surfaces that are not optics, with extents in z and r, mm.
+
+    For shapes with a profile r is the radius about their own axis. For others it is the range of their bounding box.
+    """
     rows = []
     for i in table.listed:
         kind = role(table, path, i)
@@ -163,7 +167,12 @@ def mechanical_model(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
 
 
 def _extent(shape: Any) -> tuple[tuple[float, float], tuple[float, float], str]:
-    """Return ranges of z and of the distance from the z axis, mm, and the kind of the shape in words."""
+    """
+    Return ranges of z and r, mm, and the kind of the shape in words.
+
+    For a shape with a profile, r is the radius about its own axis, and z the height of its axis points. A tilted one is
+    named so. For any other shape they bound its box, with r the distance from the world's z axis.
+    """
     if not hasattr(shape, "profile"):
         low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
         nearest = np.hypot(*np.maximum(np.maximum(low[:2], -high[:2]), 0.0))

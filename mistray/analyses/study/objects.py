@@ -20,7 +20,12 @@ SOURCE_ANGLES_DEG = (30.0, 40.0, 60.0, 80.0)  # source angles beside the fields 
 
 
 def source_angles(field_deg: Sequence[float], largest_deg: float) -> list[float]:
-    """Return source angles, degrees, for illuminated objects: the fields, and some up to the largest of the PST."""
+    """
+    Return source angles, degrees, for illuminated objects, sorted.
+
+    They are the absolute field angles, and those of `SOURCE_ANGLES_DEG` beyond the fields up to `largest_deg`, the
+    largest angle of the PST.
+    """
     beyond = [angle for angle in SOURCE_ANGLES_DEG if angle <= largest_deg and angle > max(field_deg, default=0.0)]
     return sorted({abs(float(field)) for field in field_deg} | set(beyond))
 
@@ -101,7 +106,7 @@ def _common(found: Objects) -> StudyStep:
 
 
 def _estimate_findings(common: pd.DataFrame, estimates: pd.DataFrame) -> list[str]:
-    """Return sentences on the common objects and the largest scatter estimates at each source angle."""
+    """Return sentences on the common objects, and on the two largest scatter estimates (PST) at each angle."""
     places = ", ".join(f"{count} {place} the stop" for place, count in common.stop.value_counts().items() if place)
     places = places.replace("stop the stop", "at the stop")
     found = [

@@ -71,14 +71,18 @@ _GHOST_TERMS = ("RMS radius", "RMS irradiance", "normalised", "stray light", "st
 
 
 def fact_text(fact: Fact) -> str:
-    """Return the value of a fact with its unit as text."""
+    """Return the value of a fact as text, followed by its unit if it has a value and a unit."""
     text = value_text(fact.value)
     apart = "" if fact.unit == "°" else " "
     return f"{text}{apart}{fact.unit}" if fact.unit and text != ABSENT else text
 
 
 def step_warnings(study: Study, step: StudyStep) -> list[str]:
-    """Return the warnings of a step, including those of the ghost analysis and the PST in step 8."""
+    """
+    Return the warnings of a step, including those of the ghost analysis and the PST in step 8.
+
+    Those of the ghost analysis that name ``max_scatters`` are left out.
+    """
     found = list(step.warnings)
     if step.key == "analysis":
         # That scatter is not followed is meant so in the ghost analysis
@@ -268,7 +272,11 @@ def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> Secti
 
 
 def _ghosts(report: GhostReport) -> list[PagePart]:
-    """Return page parts for the ghosts: the path explorer of every field, and the energy ledger."""
+    """
+    Return page parts for the ghosts: the path explorer of every field, and the energy ledger.
+
+    If the time is up, a note stands in place of the explorer of a field.
+    """
     parts: list[PagePart] = [page_data(report)]
     for number, field in enumerate(report):
         parts.append(NotePart(f"Paths of the ghosts, field {field:g}°", "h3", field_anchor(field)))

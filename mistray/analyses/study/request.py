@@ -1,4 +1,4 @@
-"""Request of a stray-light study: its angles, light and rays."""
+"""Request for a stray-light study: its angles, light and rays."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ class Study(Mapping[str, StudyStep], Result, table=".page:findings_table", figur
     images: Transfer | None
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of findings and of warnings, and the key numbers of the PST, by label."""
+        """Return the number of findings and of warnings, and the key numbers of the PST that have a unit, by label."""
         counts = {"findings": len(self.findings), "warnings": len(self.warnings)}
         return counts | {name: value for name, value in self.pst.key_numbers().items() if "[" in name}
 

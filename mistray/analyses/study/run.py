@@ -88,7 +88,7 @@ def run(
     Raises
     ------
     MistrayError
-        If an argument is out of range, or the scene has no source or no detector.
+        If an argument is out of range, the scene has no source or no detector, or a source is polarised.
 
     Examples
     --------
@@ -190,7 +190,7 @@ study = analysis("study", StudyRequest, run)
 
 
 def _angles_and_light(report: GhostReport, curve: Pst) -> dict[str, Any]:
-    """Return the angles (degrees), wavelengths (nm) and weights at which ghosts and PST were traced."""
+    """Return the angles, azimuth (degrees), wavelengths (nm) and weights at which ghosts and PST were traced."""
     return {
         "pst_field_deg": [float(angle) for angle in curve.field_deg],
         "field_deg": [float(field) for field in report],
@@ -216,7 +216,11 @@ def _checked(scene: mi.Scene, chosen: Settings) -> Settings:
 
 
 def _fields(numbers: FirstOrder | None) -> list[float]:
-    """Return default field angles of the ghost analysis, degrees: fractions of the half field, rounded."""
+    """
+    Return default field angles of the ghost analysis, degrees: fractions of the half field, rounded.
+
+    Without a half field they are 0°, 10° and 20°.
+    """
     half = numbers.field_deg["y"] if numbers is not None else math.nan
     if not math.isfinite(half):
         return list(FEW_FIELDS_DEG)

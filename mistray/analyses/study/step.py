@@ -33,7 +33,7 @@ def gathered(column: str, tables: Iterable[tuple[float, pd.DataFrame]]) -> pd.Da
     """
     Return one table from tables at several angles, degrees, with the angle in the first column `column`.
 
-    Empty ones are left out.
+    Empty tables are left out; if all are empty, the first is returned with that column.
     """
     parts = [table.assign(**{column: float(angle)})[[column, *table]] for angle, table in tables]
     return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)

@@ -146,7 +146,12 @@ def importance_sampling(
 
 
 def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float, ...]:
-    """Return distance, half width, half height (mm) and half angle (degrees) of a ray target seen from a vertex."""
+    """
+    Return distance, half width, half height (mm) and half angle (degrees) of a ray target seen from a vertex.
+
+    The distance is negative for a virtual target and ``inf`` for a far one, which has no half sizes. Only the half
+    angle of a cone is known; NaN stands for the rest.
+    """
     if isinstance(target, TargetCone):
         return math.nan, math.nan, math.nan, math.degrees(target.half_angle)
     distance = float(np.linalg.norm(target.centre - vertex))
@@ -158,7 +163,13 @@ def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float
 
 
 def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame, far_away: float) -> pd.DataFrame:
-    """Return paraxial images of the detector seen from surfaces of the path, and the traced targets, as DataFrame."""
+    """
+    Return paraxial images of the detector seen from surfaces of the path, beside the traced targets, as DataFrame.
+
+    It has no rows without a design path.
+
+    Distances and half sizes are in mm, and half angles in degrees.
+    """
     rows = []
     images = DetectorImages(path).paraxial if path is not None else []
     for image, step in zip(images[1:], path.steps if path is not None else (), strict=False):
@@ -179,7 +190,7 @@ def _sampling_facts(check: SamplingCheck, probe: Trace) -> tuple[Fact, ...]:
 
 
 def _aimed(check: SamplingCheck) -> pd.DataFrame:
-    """Return the number of aimed rays by surface and the percentage that arrives, as DataFrame, by number."""
+    """Return the number of aimed rays by surface and the percentage that arrives, as DataFrame, most rays first."""
     rows = [(row.surface, row.aimed, 100 * row.share_landed, row.low) for row in check.rows]
     frame = pd.DataFrame(rows, columns=["surface", "aimed", "landed_percent", "low"])
     return frame.sort_values("aimed", ascending=False, kind="stable", ignore_index=True)

@@ -110,7 +110,11 @@ class SceneContents:
         self.hashes = [file_fingerprint(path) for path in self._files]
 
     def unchanged(self) -> bool:
-        """True if the scene's files are unchanged; contents are read again only if a time stamp or size differs."""
+        """
+        True if the scene's files are unchanged; False if they are changed or cannot be read.
+
+        Contents are read again only if a time stamp or size differs.
+        """
         try:
             return _stamps(self._files) == self._stamps or SceneContents(self._scene).hashes == self.hashes
         except (MistrayError, OSError):  # gone, or half written by an editor

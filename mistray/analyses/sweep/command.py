@@ -202,7 +202,7 @@ def _configurations(options: Options) -> list[Configuration]:
 
 
 def _entries(options: Options) -> int:
-    """Return the number of rows in the cache; 0 without a cache."""
+    """Return the number of entries of the cache; 0 if there is no cache or it cannot be read."""
     from mistray.cache import open_cache
 
     cache = open_cache(False if options.no_cache else None)

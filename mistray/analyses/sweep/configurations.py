@@ -32,9 +32,8 @@ class Configuration:
         Name of the configuration.
     values : mapping of str to float or sequence of float
         Parameters and their values in their units: keys of ``mi.traverse(scene)``, names of groups such as
-        ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.groups`, or patterns of both with ``*``, ``?``
-        and ``[…]``. One number stands for all entries of a parameter. If two name the same
-        key, the later one holds.
+        ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.groups`, or patterns of both with ``*``, ``?`` and ``[…]``.
+        A single value stands for all entries of a parameter. If two name the same key, the later one holds.
     paint, coat : mapping
         Paint and coatings as in `mistray.coat`, by names or patterns of surfaces or parts; for `sweep_pst`.
     block : sequence of Structure

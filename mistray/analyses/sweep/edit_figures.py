@@ -76,7 +76,11 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
 
 
 def edit_ranking_figure(found: EditRanking, title: str = "") -> Figure:
-    """Draw the change of the PST by one step of the first edits as bars, percent, at the angle of the largest one."""
+    """
+    Draw the change of the PST by one step of the first `BARS` edits as bars, percent.
+
+    The field angle is that at which the largest of these changes occurs.
+    """
     edits = found.edits[:BARS]
     sizes = [max((abs(edit.change[k].value) for edit in edits), default=0.0) for k in range(len(found.field_deg))]
     at = int(np.argmax(sizes))

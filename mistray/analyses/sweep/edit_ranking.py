@@ -114,9 +114,10 @@ class EditRanking(Result, table=".edit_tables:edit_ranking_table", figure=".edit
     left_out : tuple of str
         Effects that the derivatives do not contain, and changes of more than 1 % that Stokes vectors would make.
     edge_width : tuple of float or None
-        Relative width of the zones at rims at each field angle, see `mistray.optimize.Gradient`.
+        Relative width of the zones at rims at each field angle, see `mistray.optimize.Gradient`; None where no ray near
+        a rim counts.
     traced : Pst or None
-        PST that is differentiated, with the facts of its trace.
+        PST that is differentiated, with the facts of its trace; None if it is not kept.
 
     Examples
     --------
@@ -178,11 +179,12 @@ def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Prog
     """
     Rank possible edits (moves, blocks, paint, coatings) by the first-order effect of one step of each on the PST.
 
-    It takes one PST and, for each field angle, one reverse-mode run that gives the derivatives by all parameters.
+    It takes one PST and, for each field angle, one reverse-mode run that gives the derivatives with respect to all
+    parameters.
 
     ====== ========================================================================================================
     move   places and tilts of parts as a whole
-    block  radii and ends of opaque surfaces that are no part of a lens
+    block  radii and ends of opaque surfaces that are not part of a lens
     paint  values of scatter models: of paint, polish, dust; the ideal R of opaque surfaces
     coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
     ====== ========================================================================================================
@@ -287,7 +289,11 @@ def _order(edit: Edit) -> tuple[bool, bool, float, float]:
 
 
 def _with_gaps(scene: Any, params: Any, known: Mapping[str, Parameter], edits: Sequence[Edit]) -> list[Edit]:
-    """Return the edits with the gaps between surfaces that one step of each opens."""
+    """
+    Return the edits with the gaps between surfaces that one step of each opens.
+
+    The step is taken in the direction that lowers the PST. Only moves and blocks can open a gap.
+    """
     contacts = Contacts(scene)
     found = []
     for edit in edits:
@@ -346,7 +352,14 @@ def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping
 
 
 def _step(parameter: Parameter, step: float | str) -> float:
-    """Return a step in the unit of a parameter, from a number or a percentage such as "5 %"."""
+    """
+    Return a step in the unit of a parameter, from a number or a percentage such as "5 %".
+
+    Raises
+    ------
+    MistrayError
+        If the step is not a number above 0, or is a percentage of 0.
+    """
     what = f"step of '{parameter.key}'"
     text = str(step).strip()
     try:

@@ -56,6 +56,8 @@ def edit_ranking_table(found: EditRanking, count: int = 20) -> Table:
     """
     Return the table of edits with the effect of one step at each field angle, percent.
 
+    Edits that change nothing are left out.
+
     Parameters
     ----------
     found : EditRanking
@@ -78,7 +80,7 @@ def edit_ranking_table(found: EditRanking, count: int = 20) -> Table:
 
 
 def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
-    """Return the PST that is ranked, the table of `edit_ranking_table`, and remarks on it, as text."""
+    """Return the PST that is ranked, the first `count` rows of `edit_ranking_table`, and remarks on it, as text."""
     parts = [ranked_light(found), "", table_text(edit_ranking_table(found, count))]
     return "\n".join([*parts, *ranking_notes(found, count)])
 

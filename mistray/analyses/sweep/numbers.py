@@ -52,11 +52,11 @@ def numbers_of(t: Trace) -> Numbers:
         ``rays`` (start rays), ``paths``, ``launched_W``, ``detected_W``, ``direct_W``, ``stray_W`` (all but the direct
         image) and the power of every kind of `KIND_COLUMNS`; ``ghost_to_signal`` (stray_W over direct_W; NaN out of
         field), ``direct_rms_radius_mm``, ``direct_rms_irradiance_W_mm2``; ``worst_path``, the stray path of the highest
-        RMS irradiance in words, with its ``worst_events``, ``worst_power_W``, ``worst_rms_radius_mm`` and
-        ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. All but the launched power, the cut power and the
-        closure have a standard error, ``_se`` before the unit. ``polarization``, ``polarization_reason`` and
-        ``polarization_change`` (NaN if it was not measured) are those of the trace. ``first_light`` is the light of
-        each first surface, see `FirstLight`.
+        RMS irradiance in words (None without stray paths), with its ``worst_events``, ``worst_power_W``,
+        ``worst_rms_radius_mm`` and ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. All but the launched
+        power, the cut power and the closure have a standard error, ``_se`` before the unit. ``polarization``,
+        ``polarization_reason`` and ``polarization_change`` (NaN if it was not measured) are those of the trace.
+        ``first_light`` is the light of each first surface, see `FirstLight`.
     """
     rows = t.paths.by_way()
     kinds, path_ids = rows.kind.to_numpy(object), rows.path_ids.to_numpy(object)
@@ -88,7 +88,7 @@ def numbers_of(t: Trace) -> Numbers:
 
 def read_numbers(content: bytes) -> Numbers:
     """
-    Read a cached row, JSON of `numbers_of`.
+    Return a cached row, read from JSON of `numbers_of`.
 
     Raises
     ------

@@ -57,7 +57,14 @@ class Original:
 
 
 def move(scene: mi.Scene, one: Configuration) -> Resolved:
-    """Set the values of a configuration in a loaded scene; return it with names resolved to parameter keys."""
+    """
+    Set the values of a configuration in a loaded scene; return it with names resolved to parameter keys.
+
+    Raises
+    ------
+    MistrayError
+        If a value is impossible, or surfaces overlap then.
+    """
     params = mi.traverse(scene)
     (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
     assign(params, resolved.values)

@@ -188,7 +188,7 @@ class PstSweep(Result, table=".edit_tables:pst_sweep_table", figure=".edit_figur
         -------
         DataFrame
             Columns configuration, angle_deg, before, before_se, after, after_se, ratio, ratio_se; entering (surfaces by
-            which light enters that did not before, separated by blanks), entering_percent, entering_percent_se (their
+            which light enters that did not before, separated by spaces), entering_percent, entering_percent_se (their
             percentage of the light after), gain (see `Changed.gain`), gap_mm (the widest gap that the configuration
             opens; NaN without any).
         """
@@ -216,7 +216,7 @@ def run(
     Parameters
     ----------
     scene : str, Path or mi.Scene
-        Scene XML file, the name of a shipped scene, or a scene from `mistray.load` with its numbers as they are now,
+        Scene XML file, the name of a shipped scene, or a scene from `mistray.load` with its values as they are now,
         which stays as it is.
     request : EditsRequest
     configurations : mapping of str to mapping, or sequence of Configuration

@@ -23,8 +23,8 @@ def read_configurations(source: str | Path) -> list[Configuration]:
     Raises
     ------
     MistrayError
-        If the file is missing or not TOML, a key is unknown or missing, a value is not a number, or two configurations
-        have the same name.
+        If the file is missing or not TOML, a key is unknown or missing, a value is not a number, or there is no
+        configuration.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Requests of sweeps: over fields and wavelengths, of PSTs before and after edits, and of a ranking of edits."""
+"""Requests for sweeps: over fields and wavelengths, of PSTs before and after edits, and for a ranking of edits."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Step(Demand):
     also = ({"type": "number"}, {"type": "string", "minLength": 1})
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the step; raise `MistrayError` if it is neither a number nor a text."""
+        """Return the step; raise `MistrayError` if it is neither a finite number nor a string that is not empty."""
         return value if isinstance(value, str) and value else FINITE.check(name, value, owner)
 
 
@@ -50,7 +50,7 @@ class SweepRequest(Request):
 
 @dataclass(frozen=True)
 class EditsRequest(PstRequest):
-    """Request of a comparison of point source transmittances (PSTs) before and after edits."""
+    """Request for a comparison of point source transmittances (PSTs) before and after edits."""
 
     field_deg: tuple[float, ...] = field(
         Each(PST_FIELD_DEG),
@@ -69,7 +69,7 @@ class EditsRequest(PstRequest):
 
 @dataclass(frozen=True)
 class RankingRequest(Request):
-    """Request of a ranking of edits by the effect of one step of each on the PST."""
+    """Request for a ranking of edits by the effect of one step of each on the PST."""
 
     field_deg: tuple[float, ...] = field(
         Each(PST_FIELD_DEG), MISSING, "field angles of the PST, degrees", option="--pst-field-deg"

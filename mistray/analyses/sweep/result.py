@@ -229,7 +229,14 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
         return ghosts(self._scene(name), self.field_deg, wavelength, contested_rays=0, **self.arguments)
 
     def _scene(self, name: str) -> Any:
-        """Return the scene in a configuration, loaded on first use and kept for later traces."""
+        """
+        Return the scene in a configuration, loaded on first use and kept for later traces.
+
+        Raises
+        ------
+        MistrayError
+            If the sweep was given a loaded scene and the configuration changes it.
+        """
         if name in self._scenes:
             return self._scenes[name]
         one = next(one for one in self.configurations if one.name == name)
@@ -255,7 +262,7 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
         )
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of rows, and the least and most stray power in a row, W, by label."""
+        """Return the numbers of rows, configurations and cached rows, and least and most stray power, W, by label."""
         found: dict[str, KeyNumber] = {"rows": len(self), "configurations": len(self.configurations)}
         stray = [estimate_of(row, "stray_W") for row in self.rows]
         if stray:
@@ -264,7 +271,14 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
 
 
 def estimate_of(row: Numbers, name: str) -> Estimate:
-    """Return a quantity of a row with its standard error; see `Sweep.estimate`."""
+    """
+    Return a quantity of a row with its standard error; see `Sweep.estimate`.
+
+    Raises
+    ------
+    MistrayError
+        If the row has no such column with an error.
+    """
     if name not in row or error_of(name, list(row)) is None:
         known = ", ".join(key.replace("_se", "", 1) for key in row if re.search(r"_se(_|$)", key))
         raise MistrayError(f"a sweep has no number '{name}' with an error; choose from {known}")

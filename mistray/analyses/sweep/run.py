@@ -43,8 +43,8 @@ def run(
     Trace a scene at every field and wavelength, in every configuration.
 
     Each combination is a separate trace, with all the rays and at its wavelength alone, so that a row does not depend
-    on the other rows. The scene is loaded once and its numbers are data to the kernels. These are compiled for the
-    first row and serve all others, unless a configuration adds another kind of effect, such as a reflectance or a
+    on the other rows. The scene is loaded once and its parameter values are data to the kernels. These are compiled for
+    the first row and serve all others, unless a configuration adds another kind of effect, such as a reflectance or a
     decentre that was absent before.
 
     Parameters
@@ -182,7 +182,16 @@ def _traced(scene: Any, cell: Cell, arguments: Mapping[str, Any], progress: Any)
 
 @contextlib.contextmanager
 def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
-    """Apply a configuration to a scene within a block, and restore the scene afterwards."""
+    """
+    Apply a configuration to a scene within a block, and restore the scene afterwards.
+
+    A configuration without values leaves the scene as it is.
+
+    Raises
+    ------
+    MistrayError
+        If the configuration is impossible, or surfaces overlap in it.
+    """
     if not configuration.values:
         yield
         return
@@ -194,7 +203,14 @@ def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
 
 
 def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> tuple[Cache | None, list[str]]:
-    """Return the cache of a sweep, or None with the reasons if there should be one but is not."""
+    """
+    Return the cache of a sweep; or None, with reasons if the results of a scene file cannot be cached.
+
+    Raises
+    ------
+    MistrayError
+        If a cache is requested that is impossible.
+    """
     if wanted is False:
         return None, []
     reason = None
@@ -220,7 +236,16 @@ def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> l
 def _angles(
     scene: Any, field_deg: Sequence[float] | None, azimuth_deg: float | None, wavelength_nm: float
 ) -> list[float]:
-    """Return the field angles of a sweep, degrees: the given ones without duplicates, or that of the scene's source."""
+    """
+    Return the field angles of a sweep, degrees: the given ones without duplicates, or that of the scene's source.
+
+    It is 0 if the source has no field angle.
+
+    Raises
+    ------
+    MistrayError
+        If the sources have several field angles and none is given, or the light cannot have one.
+    """
     if field_deg is None:
         own = {float(emitter.field_deg) for emitter in source_emitters(scene)}
         if len(own) > 1:

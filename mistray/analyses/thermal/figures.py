@@ -18,7 +18,11 @@ COLD_COLOUR = ORANGE
 
 
 def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
-    """Draw the irradiance, W/mm², by surface and medium as bars, with lines for the total and the imaged scene."""
+    """
+    Draw the irradiance, W/mm², by surface and medium as bars, with lines for the total and the imaged scene.
+
+    Up to 12 emitters are shown, without those below 1e-8 of the largest.
+    """
     least = FAINTEST * max((e.irradiance_W_mm2.value for e in report.emitters), default=0.0)
     lit = [e for e in report.emitters if e.irradiance_W_mm2.value > least][:SHOWN]
     made, axes = Figure.of_panels(8.6, 1.4 + 0.32 * max(len(lit), 3))
@@ -45,7 +49,11 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
 
 
 def narcissus_figure(report: ThermalReport, title: str = "") -> Figure:
-    """Draw the narcissus-induced temperature difference by surface, mK, against distance from the middle, mm."""
+    """
+    Draw the narcissus-induced temperature difference, mK, of up to 6 surfaces.
+
+    The abscissa is the distance from the middle of the detector, mm.
+    """
     made, axes = Figure.of_panels(8.6, 4.2)
     edges = np.array(report.zones_mm)
     middles = 0.5 * (edges[1:] + edges[:-1])

@@ -61,7 +61,7 @@ class NarcissusReturn:
 
     @derived.column("Difference over the field: middle zone less outermost, K", head="middle - edge [K]")
     def over_field_K(self) -> Estimate:
-        """Difference of `with_shield_K` between middle and outermost zone, K, which the image shows."""
+        """Difference of `with_shield_K` between middle and outermost zone, K, seen in the image; NaN without zones."""
         if not self.by_zone_K:
             return UNKNOWN
         middle, edge = self.by_zone_K[0], self.by_zone_K[-1]
@@ -88,10 +88,10 @@ class Returned:
     emission : dict of str to Estimate
         Surface id or `TOTAL` → emission, as in `NarcissusReturn`; only surfaces that send light back.
     cold : dict of str to (ZONES, BATCHES) float64
-        Surface id or `TOTAL` → irradiance missing because cold objects are seen by it, W/mm², by zone and batch
-        of rays.
+        Surface id or `TOTAL` → irradiance missing because it shows cold objects to the detector, W/mm², by zone and
+        batch of rays.
     scene : (ZONES, BATCHES) float64
-        Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
+        Derivative of the irradiance of the imaged scene with respect to its temperature, W/(mm² K).
     zones_mm : (ZONES + 1,) float64
         Distances from the middle of the detector that bound the zones, mm.
     """
@@ -130,7 +130,7 @@ def returns(
     missing : mapping of str to float
         Surface id → irradiance that is missing because it is colder than the housing, W/mm², for an emission of 1.
     per_kelvin : float
-        Change of the scene's irradiance by its temperature, W/(mm² K), for a share of 1.
+        Derivative of the scene's irradiance with respect to its temperature, W/(mm² K), for a share of 1.
     """
     table = SurfaceTable(scene, 1e3 * wavelength_um, detector)
     path = find_design_path(table, scene)
@@ -158,7 +158,7 @@ def returns(
 
 
 def _zones(o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the zone number of each start point `o`, (n, 3), mm, and the zone borders, mm from the middle."""
+    """Return the zone index of each start point `o`, (n, 3), mm, and the zone borders, mm from the middle."""
     distance = np.linalg.norm(o - o.mean(axis=0), axis=1)
     edges = np.quantile(distance, np.linspace(0, 1, ZONES + 1))
     edges[0] = 0.0

@@ -22,7 +22,11 @@ IMAGE, OTHER = "scene, image", "scene, ghosts and scatter"
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """One source of light on the detector: photon irradiance, share of the photon noise, NETD, K, by it alone."""
+    """
+    One source of light on the detector: photon irradiance, 1/(s mm²), share of the photon noise, and NETD, K.
+
+    The NETD is that of a detector with the noise of this light only.
+    """
 
     name: str = column(
         "A part, a medium in brackets, or the scene: its image, and what comes by ghosts and scatter", head="photons of"
@@ -44,7 +48,7 @@ class Netd:
     noise : DetectorNoise
         Pixel and its noise.
     per_kelvin_W_mm2 : Estimate
-        Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
+        Derivative of the irradiance of the imaged scene with respect to its temperature, W/(mm² K).
     by_detectivity_K : Estimate
         NETD by the detectivity, K; NaN without a detectivity, or if no scene is seen.
     by_photons_K : Estimate
@@ -107,7 +111,7 @@ def netd_budget(
         """
         Return the NETD, K, caused by the photon noise of light given by wavelength and batch of rays.
 
-        Its batches have the rays of those of the signal.
+        Without light it is 0. The batches have the same rays as those of the signal, and the error allows for that.
         """
         flux = total(by_wave).value
         if flux <= 0:

@@ -1,4 +1,4 @@
-"""Request of the analysis of thermal emission: temperatures, band, noise and rays."""
+"""Request for the analysis of thermal emission: temperatures, band, noise and rays."""
 
 from __future__ import annotations
 

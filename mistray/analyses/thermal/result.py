@@ -84,7 +84,7 @@ class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_f
         Distances from the middle of the detector that bound the zones of `NarcissusReturn.by_zone_K`, mm; empty like
         `returned`.
     netd : Netd or None
-        Noise-equivalent temperature difference, if the noise of the detector is given.
+        Noise-equivalent temperature difference; None unless the noise of the detector is given.
     facts : dict
         Plain values: rays, seconds, settings.
     notes : list of Note
@@ -154,7 +154,11 @@ class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_f
 
     @property
     def noise_sources(self) -> list[NoiseSource]:
-        """Contributions of all light sources to the photon noise; empty without a quantum efficiency."""
+        """
+        Contributions of all light sources to the photon noise.
+
+        The list is empty without a quantum efficiency, or if no scene is seen.
+        """
         return self.netd.sources if self.netd else []
 
     @property

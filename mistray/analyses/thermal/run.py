@@ -147,7 +147,11 @@ def _with_returns(
     rules: Mapping[str, float],
     rays: int,
 ) -> ThermalReport:
-    """Return the report with the narcissus that one reflection makes of a cold detector, by surface and zone."""
+    """
+    Return the report with the narcissus that one reflection makes of a cold detector, by surface and zone.
+
+    The report stays as it is if the detector is not colder than the system, or does not see itself.
+    """
     if report.detector_K >= report.temperature_K or not report.self_view.value:
         return report
     waves = report.wavelengths_um
@@ -198,7 +202,11 @@ def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, fl
 
 
 def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen]) -> Emitter:
-    """Return the irradiance by a surface or medium at `kelvin`; `weights` are its spectral weights times π, W/mm²."""
+    """
+    Return the row of a surface or medium at the temperature `kelvin`, K.
+
+    `weights` are its spectral weights times π, W/mm², one for each traced wavelength.
+    """
     kind, name = key
     by_batch = [emission(one, key) for one in seen]
     # Of what is at 0 K the emission is the plain mean over the wavelengths
@@ -280,7 +288,11 @@ def _nitd(
     housing_K: float,
     rise: Sequence[np.ndarray],
 ) -> Estimate:
-    """Return the narcissus-induced temperature difference, K, by ghosts and scatter that show cold surfaces."""
+    """
+    Return the narcissus-induced temperature difference, K, by ghosts and scatter that show cold surfaces.
+
+    It is NaN if nothing is colder than the housing, or no scene is seen.
+    """
     cold = {key: k for key, k in kelvin.items() if k < housing_K}
     other = {key: k for key, k in cold.items() if key != ("surface", seen[0].detector)}
     if not cold:

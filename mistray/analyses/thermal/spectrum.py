@@ -63,7 +63,8 @@ def band_weights(
     Returns
     -------
     (m,) float64
-        Weights, W/(mm² sr), not negative; their sum is the radiance of a blackbody in the band.
+        Weights, W/(mm² sr), not negative; their sum is the radiance of a blackbody in the band. With `derivative` they
+        are per K, and with `photons` in photons/s instead of W.
     """
     quadrature = planck.derivative_nodes if derivative else planck.band_nodes
     nodes = np.asarray(wavelengths_um, dtype=np.float64)
@@ -107,6 +108,8 @@ def traced_wavelengths(
     The middle of the band suffices if nothing depends on the wavelength. Otherwise its ends and middle are taken,
     and then, one by one, nodes of the tables of materials and coatings and an even grid between them. The next lies
     where an absorbed, reflected or transmitted share is farthest from the line between its neighbours.
+
+    The integrals are those with the spectra of blackbodies at `temperatures_K`.
 
     Raises
     ------

@@ -15,7 +15,11 @@ Key = tuple[str, str]  # kind and name of what emits
 
 
 def emission(one: Seen, key: Key) -> np.ndarray:
-    """Return the emission of a surface or medium, as the detector sees it, in each batch of a trace, (batches,)."""
+    """
+    Return the emission of a surface or medium, as the detector sees it, in each batch of a trace, (batches,).
+
+    It is 0 for one that the detector does not see.
+    """
     kind, name = key
     nothing = np.zeros_like(one.escaped[2])
     if kind == "medium":
@@ -24,7 +28,11 @@ def emission(one: Seen, key: Key) -> np.ndarray:
 
 
 def imaged_share(one: Seen) -> np.ndarray:
-    """Return the fraction of the detector's view that is the imaged scene, in each batch of a trace, (batches,)."""
+    """
+    Return the fraction of the detector's view that is the imaged scene, in each batch of a trace, (batches,).
+
+    Without a known image it is the fraction that escapes.
+    """
     return (one.image or one.escaped)[2]
 
 
@@ -58,7 +66,7 @@ def with_band_error(value: Estimate, bound: float) -> Estimate:
     """
     Return an estimate with the relative error of band sampling added, uniform within ±`bound`.
 
-    An infinite `bound` adds nothing.
+    A `bound` that is infinite or NaN adds nothing.
     """
     more = bound / math.sqrt(3) if math.isfinite(bound) else 0.0  # a note says if it is not known
     return Estimate(value.value, math.hypot(value.se, more * value.value))
@@ -72,9 +80,9 @@ def per_kelvin(
     photons: bool = False,
 ) -> list[np.ndarray]:
     """
-    Return the derivative of the imaged scene's irradiance by its temperature, W/(mm² K), by wavelength and batch.
+    Return the derivative of the imaged scene's irradiance with respect to its temperature, W/(mm² K).
 
-    With `photons` it is photons/(s mm² K).
+    There is an array over batches for each wavelength. With `photons` the unit is photons/(s mm² K).
     """
     weights = np.pi * band_weights(scene_K, band, waves, derivative=True, photons=photons)
     return [weight * imaged_share(one) for weight, one in zip(weights, image, strict=True)]

@@ -68,7 +68,7 @@ def first_figure(found: Transfer, title: str = "") -> Figure:
 
 
 def spread_figure(found: FieldTransfer, title: str = "") -> Figure:
-    """Draw irradiance about the image by class, encircled energy, and light outside, with and without stray light."""
+    """Draw irradiance in 1/mm² by class, encircled energy and the share outside over distance in mm."""
     figure, (left, middle, right) = Figure.of_panels(12.6, 4.2, 1, 3)
     edges, area = found.edges_mm, np.pi * np.diff(found.edges_mm**2)
     total = sum(part.value for part in found.ring_shares.values()) / area

@@ -137,10 +137,18 @@ class ImageSpread(PassingLight):
         return light[kind * size : (kind + 1) * size]
 
     def rings(self, kind: int, wavelength_nm: float | None = None) -> Sampled:
-        """Return the flux of a light class in the innermost disc and each ring, W, (n,); at one wavelength or all."""
+        """
+        Return the flux of a light class in the innermost disc and each ring, W, (n,).
+
+        It is that at `wavelength_nm`, or at all wavelengths by default.
+        """
         return self._of(kind, wavelength_nm)[: self._rings]
 
     def waves(self, kind: int, wavelength_nm: float | None = None) -> tuple[Sampled, Sampled]:
-        """Return real and imaginary part of a light class's Fourier sums, W, (m,) each; at one wavelength or in all."""
+        """
+        Return real and imaginary part of a light class's Fourier sums, W, (m,) each.
+
+        They are those at `wavelength_nm`, or at all wavelengths by default.
+        """
         found = self._of(kind, wavelength_nm)[self._rings :]
         return found[0::2], found[1::2]

@@ -43,13 +43,15 @@ def field_table(found: Transfer) -> Table:
 
 
 def curve_table(found: FieldTransfer) -> Table:
-    """Return the table of a field's transfer functions, with a row for each frequency."""
+    """Return the table of a field's transfer functions, dimensionless, with a row for each frequency, 1/mm."""
     return frame_table("", found.to_pandas())
 
 
 def transfer_parts(found: Transfer, title: str = "") -> list[PagePart]:
     """
     Return pictures of all fields, remarks, and definitions of terms, as page parts.
+
+    A note replaces the pictures of a field if the time is up or its wavefront is not resolved.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Requests of transfer functions: of images of points with their stray light, and of single surfaces."""
+"""Requests for transfer functions: of images of points with their stray light, and of single surfaces."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Curve(Demand):
 
 @dataclass(frozen=True)
 class TransferRequest(Request):
-    """Request of images of points with their stray light: fields, light, detector and frequencies."""
+    """Request for images of points with their stray light: fields, light, detector and frequencies."""
 
     field_deg: tuple[float, ...] | None = field_of(ImageRequest, "field_deg", None)
     _: KW_ONLY
@@ -80,7 +80,7 @@ class TransferRequest(Request):
 
 @dataclass(frozen=True)
 class SurfaceTransferRequest(Request):
-    """Request of a surface transfer function: light at a rough surface."""
+    """Request for a surface transfer function: light at a rough surface."""
 
     wavelength_nm: float = field(WAVELENGTH_NM, MISSING, "vacuum wavelength, nm")
     event: str = field(Words(("reflection", "transmission")), "reflection", "event whose light makes the image")
@@ -99,7 +99,7 @@ class SurfaceTransferRequest(Request):
 
 @dataclass(frozen=True)
 class BsdfTransferRequest(SurfaceTransferRequest):
-    """Request of a surface transfer function from a BSDF: light at a surface with scatter models and coating."""
+    """Request for a surface transfer function from a BSDF: light at a surface with scatter models and coating."""
 
     share: float = field(
         SHARE, 1.0, "R or T of the coating, with which models relative to the incident light are compared"

@@ -114,7 +114,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
 
     @cached_property
     def shares(self) -> dict[str, Estimate]:
-        """Share of the light on the detector by class."""
+        """Share of the light on the detector, 0 … 1, by class."""
         return {name: _estimate(self._power(k).over(self._detected)) for k, name in enumerate(CLASSES)}
 
     @property
@@ -140,7 +140,11 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return AZIMUTHS.index(azimuth)
 
     def _waves(self, kind: int, azimuth: str, line: float | None = None) -> _Complex:
-        """Return Fourier sums of a light class about the origin, W, (m,), complex with batch deviations for errors."""
+        """
+        Return Fourier sums of a light class about the origin, W, (m,), complex with batch deviations for errors.
+
+        `line` is a wavelength, nm; by default the sums are over all wavelengths.
+        """
         n, m = self._number(azimuth), len(self.frequencies_per_mm)
         part = slice(n * m, (n + 1) * m)
         real, imaginary = (found[part] for found in self.spread.waves(kind, line))
@@ -155,11 +159,15 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return [line.pupil.otf(f * x, f * y) * moved for line in self.image.lines]
 
     def lens(self, azimuth: str = "tangential") -> Array:
-        """Return the MTF of the direct image alone, (m,), computed without Monte Carlo noise."""
+        """Return the MTF of the direct image alone, (m,), along `azimuth`, computed without Monte Carlo noise."""
         return self.image.mtf(self.frequencies_per_mm, azimuth)
 
     def detector(self, azimuth: str = "tangential") -> Array:
-        """Return the transfer function of the detector, (m,), negative in places beyond 1/pixel; 1 without `pixels`."""
+        """
+        Return the transfer function of the detector along `azimuth`, (m,).
+
+        It is negative in places beyond 1/pixel, and 1 without `pixels`.
+        """
         if self.pixels is None:
             return np.ones(len(self.frequencies_per_mm))
         nu = self.frequencies_per_mm[:, None] * self.axes[self._number(azimuth)]
@@ -167,15 +175,20 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
 
     def stf(self, azimuth: str = "tangential") -> TransferCurve:
         """
-        Return the scatter transfer function |STF|, (m,): direct and scattered light about the image, over their sum.
+        Return the scatter transfer function |STF| along `azimuth`, (m,), with errors.
 
-        It is 1 at zero frequency, and 1 - TIS of the light on the detector where scatter is not resolved.
+        It is that of direct and scattered light about the image, over their sum: 1 at zero frequency, and 1 - TIS of
+        the light on the detector where scatter is not resolved.
         """
         light = self._direct()
         return (self._waves(SCATTER, azimuth) + light).over(light + self._power(SCATTER)).modulus()
 
     def ghosts(self, azimuth: str = "tangential") -> TransferCurve:
-        """Return the ghost transfer function, (m,), like `stf` with ghosts: 1 at zero frequency, then a floor."""
+        """
+        Return the ghost transfer function along `azimuth`, (m,), with errors.
+
+        It is like `stf` with ghosts in place of scatter: 1 at zero frequency, then a floor.
+        """
         light = self._direct()
         return (self._waves(GHOSTS, azimuth) + light).over(light + self._power(GHOSTS)).modulus()
 
@@ -194,24 +207,25 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return TransferCurve(found.value * factor, found.se * factor)
 
     def without_stray(self, azimuth: str = "tangential") -> Array:
-        """Return the MTF of lens and detector, (m,)."""
+        """Return the MTF of lens and detector along `azimuth`, (m,)."""
         return self.lens(azimuth) * np.abs(self.detector(azimuth))
 
     def in_doubt(self, azimuth: str = "tangential") -> float:
         """
-        Return the largest share of contrast that scattered light would gain if the lens did not multiply it.
+        Return the largest share of contrast, 0 … 1, that scatter would gain if the lens did not multiply it.
 
         Scatter so narrow that it lies within the direct image is multiplied by the lens, although its rays include that
-        blur already. The truth lies between.
+        blur already. The truth lies between. The contrast is that along `azimuth`.
         """
         waves = self._waves(SCATTER, azimuth).over(self._detected)
         return float(np.max(np.abs(waves.value) * (1 - self.lens(azimuth)), initial=0.0))
 
     def frequency_at(self, contrast: float = 0.5, azimuth: str = "tangential", stray: bool = True) -> float:
         """
-        Return the first frequency at which the MTF falls to a contrast, 1/mm, with or without stray light.
+        Return the first frequency at which the MTF along `azimuth` falls to a contrast, 1/mm.
 
-        It is interpolated linearly; NaN if the MTF does not fall so far within `frequencies_per_mm`.
+        The MTF is that with `stray` light, or without. The frequency is interpolated linearly; NaN if the MTF does not
+        fall so far within `frequencies_per_mm`.
         """
         SHARE.check("contrast", contrast)
         curve = self.composite(azimuth).value if stray else self.without_stray(azimuth)
@@ -297,6 +311,11 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
             Radii of the circles, mm, from 0 to the last of `edges_mm`. Between two edges the irradiance is constant.
         stray : bool
             Whether to include stray light; without it the fraction is one of the direct image.
+
+        Raises
+        ------
+        MistrayError
+            If a radius is below 0 or beyond the last edge.
         """
         radii = np.atleast_1d(np.asarray(radii_mm, dtype=np.float64))
         if not np.all((radii >= 0) & (radii <= self.edges_mm[-1])):
@@ -341,7 +360,11 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return pd.DataFrame(columns)
 
     def row(self, contrast: float = 0.5) -> dict[str, Any]:
-        """Return the results of the field as plain values: shares, floor, glare, frequencies (1/mm) at a contrast."""
+        """
+        Return the results of the field as plain values: shares, floor, glare, frequencies (1/mm) at a contrast.
+
+        Shares and floor are 0 … 1; the glare is stray over direct light.
+        """
         found: dict[str, Any] = {"field_deg": self.image.field_deg}
         if not np.isnan(self.image.field_mm):
             found["field_mm"] = self.image.field_mm
@@ -390,11 +413,16 @@ class Transfer(OfFields[FieldTransfer], Result, table=".page:field_table", figur
         return found
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a DataFrame with a row of results for each field, see `FieldTransfer.row`."""
+        """
+        Return a DataFrame with a row of results for each field.
+
+        The columns are those of `FieldTransfer.row`: shares and veiling floor (0 … 1), glare (stray over direct light),
+        and frequencies (1/mm).
+        """
         return pd.DataFrame([one.row() for one in self])
 
     def books(self) -> pd.DataFrame:
-        """Return the fractions of the launched light by destination, with standard errors, a row per field."""
+        """Return the fractions, 0 … 1, of the launched light by destination, with standard errors, a row per field."""
         return pd.DataFrame([flat({"field_deg": one.image.field_deg, **one.books}) for one in self])
 
 

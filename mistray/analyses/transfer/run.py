@@ -151,7 +151,14 @@ def _field(
     pixels: PixelResponse | None,
     settings: dict[str, Any],
 ) -> tuple[FieldTransfer, Trace]:
-    """Compute the image of a field with its stray light, and return it with its trace."""
+    """
+    Compute the image of a field with its stray light, and return it with its trace.
+
+    Raises
+    ------
+    MistrayError
+        If no direct light of the field meets the detector.
+    """
     frame = _detector_axes(table)
     centroid = image.centroid_mm
     axes = np.array([[image.axes[:, :2] @ direction_of(azimuth) @ side for side in frame] for azimuth in AZIMUTHS])
@@ -210,7 +217,7 @@ def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
 
 
 def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: float) -> tuple[str, ...]:
-    """Return remarks on the reliability of a field's results."""
+    """Return remarks on the reliability of a field's results; empty if there is none."""
     notes = []
     direct = spread.rings(DIRECT)
     if resolution * finest > COARSE:

@@ -233,7 +233,11 @@ def product(transfers: Sequence[SurfaceTransfer], lags_um: Sequence[Array]) -> A
 
 @dataclass(frozen=True, eq=False)
 class _Rings:
-    """Light scattered onto rings of direction cosines, with a total flux of 1."""
+    """
+    Light scattered onto rings about the specular direction, with a total flux of 1: inner and outer radii, and flux.
+
+    Radii are direction cosines, or for a roughness spectrum frequencies over the highest one.
+    """
 
     inner: Array
     outer: Array
@@ -267,7 +271,7 @@ class _AtLag:
     specular : float
         Share of the light that is not scattered.
     variance : float, optional
-        Variance of the phase whose spectrum the rings are, rad².
+        Variance of the phase whose spectrum the rings are, rad²; None if the rings are scattered light.
     """
 
     rings: _Rings | None = None
@@ -276,7 +280,7 @@ class _AtLag:
     variance: float | None = None
 
     def __call__(self, lag: Array) -> Array:
-        """Return the values at lags, µm, of any shape."""
+        """Return the values at lags, µm, of any shape; they are 1 if nothing is scattered."""
         if self.rings is None:
             return np.ones_like(lag, dtype=np.float64)
         found = self.rings.transform(self.highest * np.asarray(lag))

@@ -95,7 +95,11 @@ class DeclaredRow:
         return self.given[name]
 
     def allowed(self, se: float, published: float, published_se: float) -> float:
-        """Return the largest difference between both numbers that still agrees, from their standard errors."""
+        """
+        Return the largest difference between mistray's and the published number that still counts as agreement.
+
+        The numbers and their standard errors are in the unit of the quantity.
+        """
         return ERRORS * float((se**2 + published_se**2) ** 0.5) + self.tolerance + self.relative * abs(published)
 
 
@@ -132,7 +136,8 @@ def read_reference(path: str | Path) -> ReferenceFile:
     Raises
     ------
     MistrayError
-        If the file is missing, is not valid TOML, or has an unknown key or a value that is not allowed.
+        If the file is missing, is not valid TOML, has an unknown key or a value that is not allowed, or has no row or
+        two of one name.
     """
     section = TomlSection.of(path, "numbers")
     section.known((*keys_of(ReferenceFile), "row"))

@@ -47,7 +47,11 @@ def differences_figure(found: Validation, title: str = "") -> Figure:
 
 
 def _place(row: ComparedRow) -> float:
-    """Return the difference over the allowed one; light that one side does not have is infinitely far."""
+    """
+    Return the difference of a row over the allowed one.
+
+    It is ∞ where only mistray finds light, and -∞ where only the source does.
+    """
     if math.isnan(row.of_allowed):
         return math.inf if math.isnan(row.published.value) else -math.inf
     return row.of_allowed

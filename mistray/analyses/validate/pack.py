@@ -27,7 +27,7 @@ class PeerError(Exception):
 
 @contextmanager
 def others() -> Iterator[None]:
-    """Mark a block that runs code of others only: what it raises is a `PeerError`, and no error of ours."""
+    """Run a block of another program's code, and turn any exception that it raises into a `PeerError`."""
     try:
         yield
     except Exception as error:  # code of others

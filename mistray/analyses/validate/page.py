@@ -40,7 +40,11 @@ COUNTS = ("pack", "title", "count", "agree", "known", "differ", "left_out", "sec
 
 
 def _number(value: Estimate, allowed: float) -> Value:
-    """Return a table cell of a number, with its standard error or, if it has none, as printed by its source."""
+    """
+    Return a table cell of a number: with its standard error if it has one, else as its source prints it.
+
+    A number without error that needs more than 6 digits has as many as the allowed difference asks for, 4 to 10.
+    """
     if value.se > 0 and math.isfinite(value.se):
         return value
     if float(f"{value.value:.{PRINTED}g}") == value.value:

@@ -1,4 +1,4 @@
-"""Request of a validation: rows of reference numbers to compare, or a user's file, and the start rays per trace."""
+"""Request for a validation: rows of reference numbers to compare, or a user's file, and the start rays per trace."""
 
 from __future__ import annotations
 

@@ -98,6 +98,6 @@ class Validation(Result, table=".page:rows_table", figure=".figures:differences_
         return [row for row in self.rows if row.pack == pack]
 
     def key_numbers(self) -> Mapping[str, KeyNumber]:
-        """Return the count of rows, and of those that agree and differ."""
+        """Return the count of rows, and the count of rows for each verdict that occurs."""
         found = {verdict: self.count(verdict) for verdict in VERDICTS}
         return {"rows": len(self.rows), **{verdict: str(count) for verdict, count in found.items() if count}}

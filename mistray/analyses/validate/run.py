@@ -43,7 +43,14 @@ class OwnPack(Pack):
 
     @property
     def file(self) -> ReferenceFile:
-        """Reference numbers of the user's file."""
+        """
+        Reference numbers of the user's file.
+
+        Raises
+        ------
+        MistrayError
+            If the file cannot be read, or lacks a scene, a quantity or a published number.
+        """
         found = read_reference(self.path)
         require_own(found, self.path)
         return found
@@ -92,7 +99,16 @@ Chosen = list[tuple[Pack, ReferenceFile, Sequence[DeclaredRow]]]
 
 
 def _chosen(packs: Sequence[Pack], patterns: Sequence[str] | None) -> Chosen:
-    """Return packs of reference numbers, each with the rows whose names fit the patterns; all without patterns."""
+    """
+    Return packs of reference numbers, each with the rows whose names fit the patterns, or with all if there are none.
+
+    Packs without such a row are left out.
+
+    Raises
+    ------
+    MistrayError
+        If no row fits a pattern.
+    """
     found: Chosen = []
     used = set()
     for pack in packs:
@@ -142,7 +158,11 @@ class _NoAnswer:
 
 
 def _asked(pack: Pack, row: DeclaredRow, ours: Finder) -> Estimate | _NoAnswer | None:
-    """Return the number of the other program for a row; None if it has no such light."""
+    """
+    Return the number of the other program for a row; None if it has no such light.
+
+    If the program is not installed, fails, or gives no finite number, return a `_NoAnswer`.
+    """
     peer = pack.peer
     assert peer is not None  # a row without a published number has one
     if not peer.installed:
@@ -181,7 +201,7 @@ def judged(pack: str, row: DeclaredRow, unit: str, published: Estimate | None, f
 
 
 def _lost(row: DeclaredRow, published: Estimate | None, found: Estimate | None) -> str:
-    """Return which side has no light of a row."""
+    """Return a sentence that says on which side a row has no light: in mistray, in the other program, or in both."""
     way = f"by the path {' → '.join(row.path)}" if row.path else "of this kind"
     side = "on either side" if published is found else "in the other program" if published is None else "in ours"
     return f"there is no light {way} {side}; check its surfaces, the field and the rays"

@@ -63,7 +63,11 @@ class SceneNumbers:
         self._found_hits: dict[Trace, pd.DataFrame] = {}
 
     def __call__(self, row: DeclaredRow) -> Estimate | None:
-        """Return mistray's number for a row and its standard error; None if no light takes the row's path."""
+        """
+        Return mistray's number for a row and its standard error, in the unit of the quantity.
+
+        It is None if no light takes the row's path.
+        """
         if row.quantity == "pst":
             return self._pst(row)
         t = self._trace(row)
@@ -103,7 +107,11 @@ class SceneNumbers:
         return self._traces[key]
 
     def _hits(self, t: Trace, path: int) -> pd.DataFrame:
-        """Return the hits of a path; those of all paths whose extent the file asks for are found at once."""
+        """
+        Return the hits of a path on the detector, mm, as a table of rays.
+
+        Those of all paths whose extent the file asks for are found at once.
+        """
         if t not in self._found_hits:
             named = [named_path(t, row.path) for row in self._file.rows if row.quantity.startswith("diameter")]
             choice = " | ".join(dict.fromkeys(f"path_id == {one.path_id}" for one in named if one is not None))
@@ -170,7 +178,7 @@ def extent(hits: np.ndarray) -> Estimate:
     Returns
     -------
     Estimate
-        Extent in mm; its error is NaN for fewer than 256 hits.
+        Extent and its standard error, mm; both are NaN for fewer than 256 hits.
     """
     if len(hits) < SUBSETS * LEAST_HITS:
         return UNKNOWN

@@ -67,7 +67,11 @@ class FluxScale(LogScale):
 def light_scales(
     surfaces: Sequence[OpenSurface], flux: Mapping[str, SurfaceFlux], walls: Sequence[SurfaceMap]
 ) -> dict[str, LogScale]:
-    """Return colour scales of incident and absorbed flux, W, and recorded irradiance, W/mm²; empty without a trace."""
+    """
+    Return the colour scales of incident and absorbed flux, W, and of recorded irradiance, W/mm², by name.
+
+    There are none without a trace, and none of irradiance without wall maps.
+    """
     scales: dict[str, LogScale] = {}
     if flux:
         scales = {key: FluxScale(surfaces, flux, what) for key, what in COLOURINGS.items()}
@@ -124,7 +128,7 @@ def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
 
 
 def shown_box(surfaces: Sequence[OpenSurface], lines: Sequence[RayLine], cut: CutPlane | None) -> Box:
-    """Return the two corners, mm, of the shown volume: surfaces, rays in the removed half, and starts of beams."""
+    """Return two corners, mm, of the shown volume: surfaces, and for rays the removed half and starts of beams."""
     points = np.concatenate([surface.vertices for surface in surfaces]).astype(np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())

@@ -34,7 +34,11 @@ SILENT = {"legend": "legend2", "showlegend": False, "hoverinfo": "skip"}  # what
 
 
 def surface_mesh(go: Any, surface: OpenSurface, flux: SurfaceFlux | None) -> Any:
-    """Return a surface, mm, as ``mesh3d`` of plotly; its hover text gives role, materials and flux (W)."""
+    """
+    Return a surface, mm, as ``mesh3d`` of plotly.
+
+    Its hover text gives part, role and materials, and the flux (W) if there was a trace.
+    """
     head = f"<b>{escape(surface.name)}</b>, part {escape(surface.part)}<br>{ROLES[surface.role]}"
     lines = [f"{head} {escape(surface.materials)}".rstrip()]
     if flux is not None:
@@ -109,7 +113,8 @@ def glass_faces(go: Any, scene: Any, surfaces: Sequence[OpenSurface], cut: CutPl
     """
     Return the faces that the cut makes through pieces of glass, as ``mesh3d`` of plotly's `graph_objects` (`go`).
 
-    There are faces in the plane x = 0, and in every plane through the z axis if all glass is of revolution about z.
+    There are faces in the plane x = 0, and in every plane through the z axis if all glass is of revolution about z. For
+    other planes, and without a cut, the list is empty.
     """
     if cut is None or cut.offset_mm != 0:
         return []

@@ -15,7 +15,11 @@ SHOWN = ("path_id", "label", "kind", "events", "wavelength_nm", "power_W", "powe
 
 
 def record(traced: Sequence[Trace], chosen: RayChoice) -> dict[str, Any]:
-    """Return the drawn rows of the path table as JSON-serialisable values; powers in W, wavelengths in nm."""
+    """
+    Return the drawn rows of the path table as JSON-serialisable values; powers in W, wavelengths in nm.
+
+    Without a trace the list of paths is empty.
+    """
     if not traced:
         return {"paths": []}
     fields = [one.settings["field_deg"] for one in traced]

@@ -73,7 +73,7 @@ def read_rays(path: str | Path) -> list[RayLine]:
     Raises
     ------
     MistrayError
-        If the ending is another one, or the file is missing or is no such file.
+        If the ending is another one, or the file is missing or not in the form that `write_rays` gives it.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Requests of the 3-D view: the light traced for it, and the picture."""
+"""Requests for the 3-D view: the light traced for it, and the picture."""
 
 from __future__ import annotations
 

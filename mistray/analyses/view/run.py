@@ -69,7 +69,8 @@ def run(
     Raises
     ------
     MistrayError
-        If plotly is missing, a value is out of range or needs a trace, or the trace is of another scene.
+        If plotly is missing, a value is out of range or needs a trace, the trace is of another scene, or the cut leaves
+        nothing.
 
     Examples
     --------

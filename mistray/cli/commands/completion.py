@@ -148,7 +148,7 @@ def _bash_values(values: Sequence[Value]) -> str:
 
 
 def _zsh_specs(command: Described) -> list[str]:
-    """Return the specifications that `_arguments` of zsh takes, one text for each option and argument."""
+    """Return the specifications that `_arguments` of zsh takes, one string for each option and argument."""
     specs = [_zsh_option(value, flag) for value in command.options for flag in value.flags]
     return specs + [_zsh_value(value, f"{number}:") for number, value in enumerate(command.positional, start=1)]
 
@@ -171,7 +171,7 @@ def _zsh_value(value: Value, start: str) -> str:
 
 
 def _zsh_text(text: str) -> str:
-    """Return a text escaped for use between brackets or colons in a specification for zsh."""
+    """Return `text` escaped for use between brackets or colons in a specification for zsh."""
     for character in "\\[]:":
         text = text.replace(character, f"\\{character}")
     return text
@@ -187,6 +187,6 @@ def _fish_value(value: Value, exclusive: str) -> str:
 
 
 def _fish_text(text: str) -> str:
-    """Return a text quoted for fish, with backslashes and quotes escaped."""
+    """Return `text` quoted for fish, with backslashes and quotes escaped."""
     escaped = text.replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"

@@ -51,7 +51,11 @@ FIELDS_AS_TICKS = 10
 
 
 def common_range(report: GhostReport, stray: bool = False) -> Range | None:
-    """Return one log10 range, as powers of ten of W/mm², for the maps of all fields; None if all are dark."""
+    """
+    Return one log10 range, as powers of ten of W/mm², for the maps of all fields; None if all are dark.
+
+    The maps are of all light, or with `stray` of stray light alone.
+    """
     maps = [report.stray_map(field)[0] if stray else report[field].irradiance for field in report]
     return log_range(maps, DECADES)
 
@@ -195,7 +199,11 @@ def _error_bars(
     label: str | None,
     joined: bool = True,
 ) -> None:
-    """Draw points with error bars of one standard error on a logarithmic axis; values not above 0 are left out."""
+    """
+    Draw points with error bars of one standard error on a logarithmic axis.
+
+    Lines connect the points if `joined`. Values not above 0 are left out; if no other is left, nothing is drawn.
+    """
     y = np.array(values, dtype=np.float64)
     good = np.isfinite(y) & (y > 0)
     if not good.any():

@@ -97,7 +97,7 @@ def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
 
 def _apart(groups: Sequence[np.ndarray]) -> list[list[int]]:
     """
-    Return groups of path groups, by index, to be mapped together: no trace has a path twice, and traces are few.
+    Return the groups of path ids that one trace maps together, as lists of their indices.
 
     No trace has a path twice, and there are few traces.
     """

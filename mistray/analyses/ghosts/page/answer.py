@@ -42,7 +42,11 @@ Sentence = str | Markup
 
 
 def answer(report: GhostReport, shown: GhostReport) -> list[PagePart]:
-    """Return the verdict and the picture of the worst paths as page parts; `shown` holds the fields that are drawn."""
+    """
+    Return the verdict and the picture of the worst paths as page parts; `shown` holds the fields that are drawn.
+
+    Without a stray path in these fields there is no picture.
+    """
     worst = worst_of_all_fields(shown, PATHS_DRAWN) if shown else []
     parts: list[PagePart] = [Items(verdict(report), "verdict")]
     if worst:
@@ -60,7 +64,11 @@ def draw_answer(report: GhostReport, worst: Sequence[WorstPath]) -> Drawing:
 
 
 def worst_table(report: GhostReport, shown: GhostReport) -> list[PagePart]:
-    """Return the table of the worst paths of all fields, with links to the fields in `shown`, as page parts."""
+    """
+    Return the table of the worst paths of all fields, with links to the fields in `shown`, as page parts.
+
+    Without a stray path a note takes its place.
+    """
     worst = worst_of_all_fields(report)
     if not worst:
         return [NotePart("No stray path reaches the detector.")]
@@ -86,7 +94,11 @@ def field_anchor(field_deg: float) -> str:
 
 
 def verdict(report: GhostReport) -> list[Sentence]:
-    """Return sentences on the amount, kinds and angles of the stray light, the surface to change first and the gain."""
+    """
+    Return sentences on the amount, kinds and angles of the stray light, the surface to change first and the gain.
+
+    Without a stray path a single sentence says so.
+    """
     field = most_stray(report)
     if field is None:
         return ["No stray path reaches the detector."]

@@ -191,7 +191,11 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> F
 
 
 def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
-    """Return the rows of a field's path table that the report shows, ranked, worst first."""
+    """
+    Return the rows of a field's path table that the report shows, ranked, worst first.
+
+    They have the columns of `GhostReport.with_airy`, with powers in W and irradiances in W/mm².
+    """
     column = rank_column(report.rank)
     paths = report.with_airy(field_deg, report.table(field_deg)).sort_values(column)
     first = (paths[["rank_power", "rank_rms_irradiance"]] <= STRONGEST_SHOWN).any(axis=1)
@@ -212,7 +216,11 @@ def _numbers(paths: pd.DataFrame, wave: bool) -> list[str]:
 
 
 def _paths(rows: pd.DataFrame, shown: pd.DataFrame, wavelength: bool, name: str = "") -> Table:
-    """Return the table of path rows; its numeric columns are those with values for the paths in `shown`."""
+    """
+    Return the table of path rows; its numeric columns are those with values for the paths in `shown`.
+
+    With `wavelength` each row is one wavelength, and has a column for it, nm.
+    """
     only = ["path_id", "label", "kind", *["wavelength_nm"] * wavelength, "rays", *_numbers(shown, wavelength)]
     return table(PathColumns, marked(rows), name, only)
 

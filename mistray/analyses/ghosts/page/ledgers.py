@@ -31,7 +31,7 @@ COATINGS = (
 
 
 def energy_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
-    """Return the energy ledger of all fields, W, and on request one more for each wavelength, as page parts."""
+    """Return the energy ledger of all fields, W, and with `per_wavelength` one more per wavelength, as page parts."""
     fields = list(report)
     parts: list[PagePart] = [
         NotePart(ENERGY),
@@ -67,7 +67,11 @@ def _energy_table(name: str, fields: Sequence[float], energies: Sequence[Energy]
 
 
 def surface_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
-    """Return the flux on every surface, incident and absorbed, W, on request by wavelength too, as page parts."""
+    """
+    Return the flux on every surface, incident and absorbed, W, as page parts.
+
+    With `per_wavelength` there is another table of the flux at each wavelength.
+    """
     parts: list[PagePart] = [NotePart(SURFACES), _surfaces("t-surfaces", report, False)]
     if per_wavelength:
         parts += [NotePart("At each wavelength", "h3"), _surfaces("t-surfaces-wavelengths", report, True)]

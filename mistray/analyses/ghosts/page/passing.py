@@ -44,7 +44,11 @@ def passing_section(report: GhostReport) -> Section | None:
 
 
 def passing_maps(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Return the irradiance on probes, W/mm², and on request the illuminance, lx, by file name without suffix."""
+    """
+    Return the irradiance on probes, W/mm², by file name without suffix.
+
+    If the report is photometric, the illuminance, lx, is there as well.
+    """
     maps = {}
     for field, probe in report.recorded(Probe):
         name = plain_name(probe.name)

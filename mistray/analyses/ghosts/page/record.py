@@ -22,7 +22,7 @@ from mistray.trace.reliability import sampling_check
 
 
 def text(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> str:
-    """Return the text that `mistray ghosts` prints."""
+    """Return the text that `mistray ghosts` prints, with the tables that `shown` asks for."""
     parts = [main_table(report, WORST_SHOWN, shown.per_wavelength)]
     if shown.levels:
         parts.append(level_text(report))
@@ -36,7 +36,11 @@ def text(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> str:
 
 
 def record(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> dict[str, Any]:
-    """Return the whole analysis as JSON-serialisable values; on request fields also have values at each wavelength."""
+    """
+    Return the whole analysis as JSON-serialisable values.
+
+    The members of `shown` decide what the fields also hold, such as values at each wavelength.
+    """
     rows = _rows(summary_frame(report))
     found = {
         "verdict": verdict_record(report),

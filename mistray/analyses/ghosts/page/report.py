@@ -128,7 +128,11 @@ def ghosts_report(
     per_wavelength: bool,
     shown: GhostReport | None = None,
 ) -> Report:
-    """Return the report, see `write_html`; fields in `shown`, by default all, get maps and a section."""
+    """
+    Return the report, see `write_html`; fields in `shown`, by default all, get maps and a section.
+
+    With `per_wavelength` tables at each wavelength are added.
+    """
     shown = report if shown is None else shown
     for field in shown:
         mapped_paths(report, field)  # first of all: the maps of the summaries come from the same run of the rays
@@ -176,7 +180,7 @@ def _traced(report: GhostReport) -> str:
 
 
 def _undrawn(report: GhostReport, shown: GhostReport) -> list[str]:
-    """Return a warning that names the fields without pictures, if there are any."""
+    """Return a list with a warning that names the fields without pictures; empty if all have them."""
     missing = [f"{field:g}" for field in report if field not in shown]
     if not missing:
         return []
@@ -184,7 +188,7 @@ def _undrawn(report: GhostReport, shown: GhostReport) -> list[str]:
 
 
 def _summary(report: GhostReport, shown: GhostReport, per_wavelength: bool) -> list[PagePart]:
-    """Return the statistics of every field, on request at each wavelength too, as page parts."""
+    """Return the statistics of every field as page parts; with `per_wavelength` those at each wavelength are added."""
     nominal = report.nominal
     text = (
         f"Nominal image (on axis, direct): {with_error(nominal.power_W)} W absorbed, "
@@ -204,7 +208,11 @@ def _peak(shown: GhostReport, field_deg: float) -> Estimate:
 
 
 def _pictures(report: GhostReport, shown: GhostReport, pictures: Mapping[str, bytes]) -> list[PagePart]:
-    """Return the pictures of the stray light of all fields and of the levels against field angle, as page parts."""
+    """
+    Return the pictures of the stray light of all fields and of the levels against field angle, as page parts.
+
+    If no field was drawn, only the levels are there.
+    """
     if not shown:
         return [_levels(report)]
     own = pictures.get("overview.png") or as_png(montage(shown), of_maps=True)

@@ -28,7 +28,11 @@ AIMED = (
 
 
 def scatter_ledger(report: GhostReport) -> list[PagePart]:
-    """Return scattered light by the first surface that scatters it, W, and the sampling of fields, as page parts."""
+    """
+    Return scattered light by the first surface that scatters it, W, and the sampling of fields, as page parts.
+
+    A table of the aimed rays is added if there are any.
+    """
     checks = {field: sampling_check(t) for field, t in report.items()}
     sampling = [NotePart("Sampling", "h3"), NotePart(SAMPLING), sampling_table(checks)]
     aimed = [NotePart(AIMED), _aiming(checks)] if any(check.rows for check in checks.values()) else []

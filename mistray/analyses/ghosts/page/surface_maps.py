@@ -41,7 +41,11 @@ def surface_maps_section(report: GhostReport) -> Section | None:
 
 
 def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Return irradiance, W/mm², on request illuminance, lx, on recorded surfaces, by file name without suffix."""
+    """
+    Return irradiance maps of recorded surfaces, W/mm², by file name without suffix.
+
+    If the report is photometric, illuminance maps, lx, are there as well.
+    """
     files = {}
     for field, recorder in report.recorded(SurfaceMaps):
         lux = recorder.illuminance if report.photometric else {}
@@ -56,7 +60,7 @@ def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
 
 
 def surface_map_figures(report: GhostReport) -> dict[str, Drawing]:
-    """Return drawings of the nine brightest surfaces of each field, by file name."""
+    """Return drawings of up to nine surfaces of each field, the brightest ones, by file name."""
     own = {field: [one for one in brightest(report, field)[:DRAWN] if one.power[0] > 0] for field in report}
     return {f"surface_maps_{field:g}deg.png": _draw(lit) for field, lit in own.items() if lit}
 

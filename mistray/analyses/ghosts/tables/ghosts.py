@@ -105,7 +105,11 @@ def is_partly_reflected(paths: pd.DataFrame) -> bool:
 
 
 def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
-    """Return the worst stray paths of every field as text, on request each with its spectrum below it."""
+    """
+    Return the `count` worst stray paths of every field as text, W and W/mm².
+
+    With `per_wavelength` each is followed by its values at each of its wavelengths.
+    """
     numbers = [*TEXT_NUMBERS, *(["peak_W_mm2"] if report.rank == "peak" else [])]
     if listed_paths(report, count).airy_radius_mm.isna().all():
         numbers = [name for name in numbers if not name.startswith("airy")]
@@ -135,7 +139,11 @@ def listed_paths(report: GhostReport, count: int) -> pd.DataFrame:
 
 
 def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
-    """Return the table of a field's stray paths without the `count` worst ones."""
+    """
+    Return the table of a field's stray paths without the `count` worst ones.
+
+    Columns are those of `GhostReport.table`.
+    """
     paths = report.table(field_deg)
     return paths[(paths.kind != DIRECT) & ~paths.path_id.isin(report.listed(field_deg, count).path_id)]
 

@@ -23,12 +23,22 @@ from mistray.trace import Trace
 
 
 def path_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Return a DataFrame of the paths of all fields, with columns of `GhostReport.with_airy`, ``path_ids`` as text."""
+    """
+    Return a DataFrame of the paths of all fields, a row for each path, with ``path_ids`` as text.
+
+    Columns are those of `GhostReport.with_airy`, with powers in W and irradiances in W/mm². With `per_wavelength` each
+    path has a row for each of its wavelengths.
+    """
     return _of_fields(report, lambda field: report.with_airy(field, report.table(field, per_wavelength)))
 
 
 def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Return the energy ledger of all fields: entry, name, power_W, power_se_W (NaN: exact or unknown), share."""
+    """
+    Return the energy ledger of all fields as a DataFrame: entry, name, power_W, power_se_W, share of the launch.
+
+    An error of NaN means that the power is exact or its error unknown. With `per_wavelength` each wavelength (column
+    wavelength_nm) has a ledger.
+    """
     ledgers = _by_wavelength(report, per_wavelength, lambda t: t.energy, lambda t, line: t.energy_at(line))
     rows = []
     for where, energy in ledgers:
@@ -50,14 +60,23 @@ def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFr
 
 
 def surface_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Return a DataFrame of the flux at all surfaces, W, in all fields: columns of ``Trace.surfaces``."""
+    """
+    Return a DataFrame of the flux at all surfaces, W, in all fields: columns of ``Trace.surfaces``.
+
+    With `per_wavelength` it has rows for each wavelength (column wavelength_nm).
+    """
     parts = _by_wavelength(report, per_wavelength, lambda t: t.surfaces, lambda t, line: t.surfaces_at(line))
     tables = [surfaces.to_pandas().assign(**where) for where, surfaces in parts]
     return _first(pd.concat(tables, ignore_index=True), *parts[0][0])
 
 
 def scatter_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Return scattered light of all fields by its first scattering surface, see `GhostReport.scatter_surfaces`."""
+    """
+    Return a DataFrame of the scattered light of all fields, power in W, by the first surface that scatters it.
+
+    Columns are field_deg and those of `GhostReport.scatter_surfaces`. With `per_wavelength` it has rows for each
+    wavelength (column wavelength_nm).
+    """
     lines = report.wavelengths_nm if per_wavelength else [None]
     parts = []
     for field in report:
@@ -68,20 +87,28 @@ def scatter_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataF
 
 
 def aiming_table(report: GhostReport) -> pd.DataFrame:
-    """Return a DataFrame of the aimed rays by field and surface: numbers aimed and landed, and landed / aimed."""
+    """Return a DataFrame of the aimed rays by field and surface: number aimed, number landed, and landed / aimed."""
     aimed = [(field, row) for field, t in report.items() for row in t.aiming]
     rows = [{"field_deg": field, "surface": row.id, **row_of(row, "aimed", "landed")} for field, row in aimed]
     return pd.DataFrame([row | {"landed_share": row["landed"] / row["aimed"]} for row in rows])
 
 
 def level_frame(report: GhostReport) -> pd.DataFrame:
-    """Return a DataFrame of `GhostReport.stray_levels` of all fields, by scatter and by split level (column ``by``)."""
+    """
+    Return a DataFrame of the stray light of all fields, W, by scatter and by split level (column ``by``).
+
+    Columns are those of `GhostReport.stray_levels`, without path ids.
+    """
     parts = [report.stray_levels(field, by).assign(field_deg=field, by=by) for field in report for by in LEVELS]
     return _first(pd.concat(parts, ignore_index=True).drop(columns="path_ids"), "field_deg", "by")
 
 
 def summary_frame(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Return the main table with all digits, a row per field (and wavelength); NaN for untraced fields."""
+    """
+    Return the main table with all digits as a DataFrame, a row per field; NaN for untraced fields.
+
+    With `per_wavelength` it has a row for each field and wavelength. Powers are in W.
+    """
     lines = report.wavelengths_nm if per_wavelength else [None]
     rows = summary_rows(report, lines)
     missing = [{"field_deg": field} | ({} if line is None else {"wavelength_nm": line})
@@ -95,7 +122,11 @@ def summary_rows(report: GhostReport, wavelengths_nm: Sequence[float | None]) ->
 
 
 def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, pd.DataFrame]:
-    """Return the tables that `write_csv` writes, as DataFrames by file name."""
+    """
+    Return the tables that `write_csv` writes, as DataFrames by file name.
+
+    With `per_wavelength` also those of wavelengths.
+    """
     makers: dict[str, Callable[..., pd.DataFrame]] = {
         "summary": summary_frame,
         "paths": path_table,
@@ -162,9 +193,10 @@ def _by_wavelength(
     report: GhostReport, per_wavelength: bool, of_all: Callable[[Trace], Any], of_one: Callable[[Trace, float], Any]
 ) -> list[tuple[dict[str, float], Any]]:
     """
-    Return pairs of identifying columns (field, wavelength) and result, for each field or each field and wavelength.
+    Return pairs of identifying columns and a result, made from a trace by `of_all` or `of_one`.
 
-    `of_all` and `of_one` make the result from a trace.
+    There is one for each field (degrees), made by `of_all`; or, with `per_wavelength`, one for each field and
+    wavelength (nm), made by `of_one`.
     """
     if not per_wavelength:
         return [({"field_deg": field}, of_all(t)) for field, t in report.items()]
@@ -206,7 +238,7 @@ def _of_fields(report: GhostReport, table_of: Callable[[float], pd.DataFrame]) -
 
 
 def with_text_ids(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of paths in which any ``path_ids`` are text, separated by blanks."""
+    """Return a table of paths in which any ``path_ids`` are text, separated by spaces."""
     if "path_ids" not in table:
         return table
     return table.assign(path_ids=[" ".join(map(str, path_ids)) for path_ids in table.path_ids])

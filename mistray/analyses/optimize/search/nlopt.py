@@ -43,6 +43,8 @@ def nlopt_search(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: A
     ------
     MistrayError
         If NLopt is not installed.
+    BaseException
+        Whatever `function` or `after` raises, such as the end of the search or Ctrl-C.
     """
     nlopt = installed()
     search = nlopt.opt(getattr(nlopt, optimizer.algorithm), len(y0))

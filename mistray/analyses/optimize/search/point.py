@@ -44,7 +44,7 @@ class Pieces:
 
     @property
     def multipliers(self) -> np.ndarray:
-        """Return the derivatives of the penalties by the residuals of the limits, (m,), dimensionless."""
+        """Return the derivatives of the penalties with respect to the residuals of the limits, (m,), dimensionless."""
         counted = np.where(self.one_sided, np.maximum(self.residuals, 0.0), self.residuals)
         return np.asarray(2 * self.weights * counted)
 

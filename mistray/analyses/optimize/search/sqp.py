@@ -105,7 +105,7 @@ def _lowest(pieces: Pieces, curvature: np.ndarray, low: np.ndarray, high: np.nda
 
 def _learnt(curvature: np.ndarray, step: np.ndarray, before: Pieces, behind: Pieces) -> np.ndarray:
     """
-    Return the updated curvature of the Lagrangian, (n, n), after a step, by a damped BFGS update.
+    Return the curvature of the Lagrangian, (n, n), after a step, by a damped BFGS update.
 
     Its multipliers are those that best balance the gradient of the smooth part with those of the residuals. The
     multipliers of the squares, 2 w r, would be too large where a single trial lies off the walls.

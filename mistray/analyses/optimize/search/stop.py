@@ -9,7 +9,7 @@ import numpy as np
 
 def stop_reason(merits: Sequence[float], tolerance: float, patience: int, noisy: bool) -> str | None:
     """
-    Return why a search is over, or None while its last steps still lower the merit by enough.
+    Return why a search is over; None while its last steps still lower the merit by enough, or are too few to tell.
 
     Parameters
     ----------

@@ -146,7 +146,7 @@ class Comparison(Result, table="..tables:rows_table", figure="..figures:comparis
     Attributes
     ----------
     seeds : tuple of int
-        Seeds of the random numbers of the traces.
+        Seeds of the random numbers of the traces; empty in a comparison from the seed of the search (`of_search`).
     rows : tuple of ComparisonRow
         Rows of each term: the whole, each field, each wavelength, each field at each wavelength.
     entering : mapping of str to tuple of Entering
@@ -286,7 +286,7 @@ def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
     """
     Return the comparison of two steps of a search, from its own seed, before verification.
 
-    Standard errors are NaN.
+    Standard errors are NaN, and units are empty.
     """
     rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:
@@ -326,7 +326,8 @@ def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
     """
     True if a term has become worse in a row by more than `far` standard errors.
 
-    It has grown, left its tolerance, or broken a limit that held before.
+    By its goal, it has grown (by more than `WORTH_TELLING` too), left its tolerance, or broken a limit that held
+    before.
     """
     margin = far * row.ratio_se
     if term.goal == "minimise":
@@ -359,6 +360,11 @@ def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
 def compare(before: Levels, after: Levels) -> Comparison:
     """
     Compare two designs measured with the same study and seeds: mean, ratio and standard error of each value.
+
+    Raises
+    ------
+    MistrayError
+        If the seeds or the terms of both differ.
 
     Examples
     --------

@@ -51,7 +51,7 @@ class Merit:
     ----------
     start : dict or None
         Name of a term → its value at the first point evaluated, to which the merit refers. Set by the first evaluation,
-        or by the caller.
+        or by the caller; None before.
     edge_widths : dict
         Width of the zones at rims, over their radii, of each gradient: `WHOLE` or the name of a term. It is set by the
         first evaluation that meets rims and kept, so that the slopes of a search are consistent.
@@ -84,13 +84,14 @@ class Merit:
         y : (n,) float64
             Variables as shares of the way from the low to the high bound, 0 … 1.
         number : int
-            Number of the evaluation in its search; decides the seed if seeds are fresh.
+            Index of the evaluation in its search, from 0; decides the seed if seeds are fresh.
 
         Returns
         -------
         dict
-            merit, merit_se, slope (n,) by y, terms, slopes, traced_seconds (s), left_out, edge_widths. `slopes` are the
-            derivatives of the terms by y for a method that uses them, otherwise empty.
+            merit, merit_se, slope (derivatives of the merit with respect to y, (n,)), terms, slopes, traced_seconds
+            (s), left_out, edge_widths. `slopes` are the derivatives of the terms with respect to y for "sqp", otherwise
+            empty.
 
         Raises
         ------
@@ -207,7 +208,7 @@ class Merit:
             self.edge_widths[name] = found.edge_width
 
     def pieces(self, at: Evaluation) -> Pieces | None:
-        """Return the smooth part and the penalties of the merit, if the terms were differentiated one by one."""
+        """Return the smooth part and the penalties of the merit; None if the terms were differentiated together."""
         if not at.slopes:
             return None
         return pieces(self.study.terms, at.terms, at.slopes, self.start or at.terms)

@@ -73,14 +73,14 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
     steps : tuple of Step
         All steps of all searches.
     ended : dict
-        Number of a start → why its search ended. Starts that were only evaluated are not in it.
+        Index of a start → why its search ended. Starts that were only evaluated are not in it.
     best : Step
         Step of the searches that is the result.
     comparison : Comparison
         The given design and the result on independent seeds, with the further event on each path that matters; on the
         seeds of the search if `unverified`.
     next_orders : tuple of NextOrder
-        The terms of the result beside those with one more event on each path, where that was measured.
+        The terms of the result compared with those with one more event on each path, where that was measured.
     unverified : str
         The error that ended the comparison; empty if there was none.
     gaps : tuple of Gap
@@ -91,7 +91,7 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
         Width of the zones at rims over their radii, for the gradient of "merit", or of each term if the method needs
         them one by one. Gradients that meet no rims are missing.
     search_seconds, traced_seconds, verification_seconds : float
-        Time of the searches, of the traces and derivatives in them, and of the comparison.
+        Time of the searches, of the traces and derivatives in them, and of the comparison, s.
 
     Examples
     --------
@@ -201,8 +201,8 @@ def run(
     progress : callable, optional
         Called after each step with the `Step` and the `Start` of its search.
     seconds : float, optional
-        Time for the searches and the comparison, s; the comparison then has fewer seeds, at least 2. Searches ended by
-        it can be resumed from the checkpoint.
+        Time for the searches and the comparison, s; the comparison then has fewer seeds, at least 2. Searches that it
+        ends can be resumed from the checkpoint.
 
     Returns
     -------

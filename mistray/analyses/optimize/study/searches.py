@@ -42,11 +42,7 @@ class Problem(Protocol):
         """
 
     def pieces(self, at: Evaluation) -> Pieces | None:
-        """
-        Return the smooth part and the penalties of an evaluated merit; None if the search needs only the merit.
-
-        The result is None if the method needs only the merit.
-        """
+        """Return the smooth part and the penalties of an evaluated merit; None if the method needs only the merit."""
 
     def broken(self, values: dict[str, float]) -> tuple[str, ...]:
         """Return the names of the terms whose values break their limits."""
@@ -85,7 +81,7 @@ class Searches:
     steps : list of Step
         Steps in the order in which the searches make them.
     ended : dict
-        Number of a start → reason for the end of its search. Starts that were only evaluated are not in it.
+        Index of a start → reason for the end of its search. Starts that were only evaluated are not in it.
     """
 
     def __init__(
@@ -113,7 +109,7 @@ class Searches:
             problem.edge_widths = state.edge_widths
 
     def run(self) -> None:
-        """Evaluate all starts, then search from those with the lowest merit."""
+        """Evaluate all starts for which there is time, then search from those with the lowest merit."""
         while len(self.state.evaluations) < len(self.state.starts):
             self.state.evaluations.append([])
         first = []
@@ -131,8 +127,9 @@ class Searches:
         """
         Return the step that is the result of the optimisation.
 
-        With fixed seeds it is the step of the least merit. With fresh seeds the least merit is the luckiest. The result
-        is then the last step of the search with the least mean over its last `patience` merits.
+        With fixed seeds, or before any search has ended, it is the step of the least merit. With fresh seeds the least
+        merit is the luckiest. The result is then the last step of the search with the least mean over its last
+        `patience` merits.
         """
         if self.optimizer.seeds == "fixed" or not self.ended:
             return min(self.steps, key=lambda step: step.merit)
@@ -144,7 +141,14 @@ class Searches:
         return [step for step in self.steps if step.start == winner][-1]
 
     def _at(self, start: int, number: int, y: np.ndarray) -> Evaluation:
-        """Return evaluation `number` of the search from a start: a saved one if it exists, else a new one."""
+        """
+        Return evaluation `number` of the search from a start: a saved one if it exists, else a new one.
+
+        Raises
+        ------
+        Ended
+            If a point other than the start has no merit. An error at the start itself is raised unchanged.
+        """
         kept = self.state.evaluations[start]
         if number < len(kept):
             if not np.array_equal(kept[number].y, y):
@@ -176,13 +180,17 @@ class Searches:
 
     @property
     def each(self) -> float:
-        """Return the mean time of an evaluation, s, slightly overestimated because the first ones compile kernels."""
+        """
+        Return the mean time of an evaluation, s, slightly overestimated because the first ones compile kernels.
+
+        Before the first evaluation of this run it is that of the continued one, or 0.
+        """
         if self._made:
             return (time.perf_counter() - self._started) / self._made
         return self.state.seconds / max(sum(map(len, self.state.evaluations)), 1)
 
     def _note(self, start: int, step: int, at: Evaluation, new: bool) -> None:
-        """Store a step, and report it to `progress` unless it was already made before an interruption."""
+        """Store a step, and report it to `progress` if it is `new`, not one made before an interruption."""
         self.steps.append(
             Step(
                 start=start,
@@ -201,7 +209,7 @@ class Searches:
             self.progress(self.steps[-1], self.state.starts[start])
 
     def _search(self, start: int) -> None:
-        """Minimise the merit from start number `start`, and store the reason why the search ended."""
+        """Minimise the merit from the start of index `start`, and store the reason why the search ended."""
         kept = self.state.evaluations[start]
         asked = 0
         merits = [kept[0].merit]

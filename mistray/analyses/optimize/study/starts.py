@@ -37,7 +37,7 @@ class Proxy:
     media : list of ((w, 1) complex128, (w, 1) complex128)
         Complex indices of the rarer and the denser medium, for each glass.
     orders : list of (L,) int
-        Numbers of the layers in the design, in that order, for each glass.
+        Indices of the layers in the design, in that order, for each glass.
     wavelength_nm, weights : (w, 1) float64
         Wavelengths, nm, and weights that sum to 1.
     """

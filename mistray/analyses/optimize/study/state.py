@@ -80,7 +80,7 @@ class Step:
     Attributes
     ----------
     start : int
-        Number of the start that the search began with.
+        Index of the start that the search began with.
     step : int
         Number of the step; 0 is the start itself.
     evaluations : int

@@ -99,7 +99,7 @@ def of_pst(term: Term) -> bool:
 
 
 def own_arguments(kind: Any) -> dict[str, bool]:
-    """Return the arguments of a kind of term that are no trace settings, mapped to True if required."""
+    """Return the arguments of a kind of term that are not trace settings, mapped to True if required."""
     if kind in OF_LAYERS:
         return {"coatings": False}
     return arguments_of_metric(kind if callable(kind) else FACTORIES[kind])
@@ -109,7 +109,7 @@ def traced_arguments(kind: Any) -> tuple[str, ...]:
     """
     Return the names of the trace settings that a kind of term accepts.
 
-    The seed is left out, as the optimizer sets it.
+    The seed is left out, as the optimizer sets it. A kind on coating layers accepts none.
     """
     if kind in OF_LAYERS:
         return ()
@@ -119,7 +119,11 @@ def traced_arguments(kind: Any) -> tuple[str, ...]:
 
 
 def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int | None) -> dict[str, Any]:
-    """Return the trace settings that restrict a term to one field, degrees, or to wavelength number `line`."""
+    """
+    Return the trace settings that restrict a term to one field, degrees, and to the wavelength of index `line`.
+
+    None stands for all fields or all wavelengths. A single wavelength gets its share of the rays.
+    """
     changes: dict[str, Any] = {} if field_deg is None else {"field_deg": (field_deg,)}
     if line is not None:
         lines = traced["wavelength_nm"]
@@ -165,7 +169,7 @@ def layer_value(
     term: Term, coatings: Sequence[CoatingGroup], keys: Mapping[str, str], parameters: Mapping[str, np.ndarray]
 ) -> tuple[float, dict[str, np.ndarray]]:
     """
-    Return the value of a coating-layer term, in its unit, and its derivatives by the thicknesses.
+    Return the value of a coating-layer term, in its unit, and its derivatives with respect to the thicknesses.
 
     Parameters
     ----------
@@ -204,7 +208,7 @@ def check_worst(term: Term) -> None:
 
 def check_term(term: Term) -> None:
     """
-    Check a term as far as is possible without a scene.
+    Check a term as far as is possible without a scene; a term on layers needs no check.
 
     Raises
     ------

@@ -135,7 +135,7 @@ class Variable:
         return x * math.log(self.high / self.low) if self.scale == "log" else self.high - self.low
 
     def moved(self, x: float) -> Iterator[tuple[VariablePlace, float, float]]:
-        """Yield each parameter entry with its value at x, and the derivative of that value by x."""
+        """Yield each parameter entry with its value at x, and the derivative of that value with respect to x."""
         for place in self.places:
             if self.scale == "log":
                 yield place, place.start * x / self.start, place.start / self.start
@@ -235,7 +235,7 @@ class Variables:
         Parameters
         ----------
         gradient : mapping
-            Key of a parameter → derivatives by its entries, (entries,); a missing key counts as 0.
+            Key of a parameter → derivatives with respect to its entries, (entries,); a missing key counts as 0.
         x : (n,) float
             Values of the variables.
 
@@ -283,7 +283,7 @@ def find_variables(
     ------
     MistrayError
         If a key does not exist, a start lies outside its bounds, bounds exceed the range of the parameter, two
-        variables move the same parameter, or there is no variable.
+        variables have one name or move the same parameter, or there is no variable.
     """
     found: list[Variable] = []
     for group in study.coatings:
@@ -339,7 +339,15 @@ def _of_group(
     rigid: Mapping[str, Body],
     where: str,
 ) -> list[Variable]:
-    """Return the variables of one section ``[[variable]]``: one, or one for each parameter."""
+    """
+    Return the variables of one section ``[[variable]]``: one, or one for each parameter.
+
+    Raises
+    ------
+    MistrayError
+        If a key is unknown, a pivot is given for something else than a tilt, units differ, or the scale is "log" for a
+        body.
+    """
     places: dict[tuple[str, int], tuple[VariablePlace, Parameter]] = {}
     motions: list[Motion] = []
     for moved in group.parameters:
@@ -366,7 +374,14 @@ def _of_group(
 def _variable(
     members: Sequence[tuple[VariablePlace, Parameter] | Motion], group: VariableGroup, where: str
 ) -> Variable:
-    """Return one variable that changes the given entries and bodies together, within the bounds of its section."""
+    """
+    Return one variable that changes the given entries and bodies together, within the bounds of its section.
+
+    Raises
+    ------
+    MistrayError
+        If a start lies outside its bounds, or bounds exceed the range of a parameter.
+    """
     places = [item for item in members if not isinstance(item, Motion)]
     motions = tuple(item for item in members if isinstance(item, Motion))
     if places:
@@ -383,7 +398,7 @@ def _variable(
 
 
 def _motion(moved: Moved, rigid: Mapping[str, Body], where: str) -> Motion | None:
-    """Return the displacement or tilt that a name such as "L6.tilt_x" stands for; None if it is no such name."""
+    """Return the displacement or tilt that a name such as "L6.tilt_x" stands for; None for other names."""
     part, _, name = moved.key.rpartition(".")
     if part not in rigid or name not in POSE:
         return None
@@ -412,7 +427,14 @@ def _places(
 def _bounds(
     members: Sequence[tuple[VariablePlace, Parameter]], group: VariableGroup, where: str
 ) -> tuple[float, float]:
-    """Return the bounds of x at which each parameter, divided by its factor, stays within the group's bounds."""
+    """
+    Return the bounds of x at which each parameter, divided by its factor, stays within the group's bounds.
+
+    Raises
+    ------
+    MistrayError
+        If the bounds exceed the range of a parameter, a start lies outside them, or no common range is left.
+    """
     slack = ROUNDING * (group.high - group.low)
     for place, parameter in members:
         ends = sorted((place.factor * group.low, place.factor * group.high))

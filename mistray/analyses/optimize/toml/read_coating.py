@@ -15,7 +15,14 @@ FORM = f'a list of shape ids, or "{ALL}"'
 
 
 def read_coating(section: TomlSection, number: int) -> CoatingGroup:
-    """Return the coating in a section ``[[coating]]``; without a name it is called ``coating_`` and its number."""
+    """
+    Return the coating in a section ``[[coating]]``; without a name it is called ``coating_`` and its number.
+
+    Raises
+    ------
+    MistrayError
+        If a key is unknown, a value is impossible, or a layer of the start design lies outside its bounds.
+    """
     section.known(keys_of(CoatingKeys))
     surfaces = None if section.content.get("surfaces") == ALL else section.texts("surfaces", FORM)
     if surfaces is not None and len(set(surfaces)) < len(surfaces):

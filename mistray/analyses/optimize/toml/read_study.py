@@ -81,6 +81,11 @@ def read_optimizer(section: TomlSection, limits: bool, coatings: bool) -> Optimi
         Whether a term has a limit or is kept: the method is then "sqp" unless the section says otherwise.
     coatings : bool
         Whether the study has coatings: the search then has four starts unless the section says otherwise.
+
+    Raises
+    ------
+    MistrayError
+        If a key is unknown or does not belong to the method, a value is impossible, or NLopt is not installed.
     """
     method = section.content.get("method", "sqp" if limits else Optimizer.method)
     starts = STARTS if coatings else Optimizer.starts

@@ -27,7 +27,14 @@ SPACED = {"field_deg": FIELD_DEG, "wavelength_nm": WAVELENGTH_NM}
 
 
 def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
-    """Return the trace settings of a term at given keys of a section, checked as far as for any kind of term."""
+    """
+    Return the trace settings of a term at given keys of a section, checked as far as for any kind of term.
+
+    Raises
+    ------
+    MistrayError
+        If a value is impossible, or weights do not agree with wavelengths.
+    """
     found: dict[str, Any] = {}
     for key in keys:
         value = section.content[key]
@@ -60,6 +67,11 @@ def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
         Section of the TOML file.
     trace : mapping
         Settings of traces that the term has unless its section says otherwise.
+
+    Raises
+    ------
+    MistrayError
+        If the kind or a key is unknown, a key is missing, or a value is impossible.
     """
     kind = section.content.get("kind")
     if kind is None:

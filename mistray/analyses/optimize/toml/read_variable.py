@@ -13,7 +13,14 @@ ENTRY = re.compile(r"(?P<key>.*)\[(?P<entry>\d+)\]")
 
 
 def read_variable(section: TomlSection) -> VariableGroup:
-    """Return the variables in a section ``[[variable]]``: one, or one for each of its parameters."""
+    """
+    Return the variables in a section ``[[variable]]``: one, or one for each of its parameters.
+
+    Raises
+    ------
+    MistrayError
+        If the parameters are missing, a key is unknown, or a value is impossible.
+    """
     section.known(keys_of(VariableGroup))
     given = section.content.get("parameters")
     items = given if isinstance(given, list) else [given]

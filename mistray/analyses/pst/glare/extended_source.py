@@ -23,7 +23,7 @@ from mistray.recorders.directions import DirectionGrid
 SUN_DEG = 0.53
 """Angular diameter of the sun from the Earth, degrees (0.524 … 0.542 over the year)."""
 SUN_W_MM2 = 1.361e-3
-"""Irradiance of the sun outside of the atmosphere, all wavelengths, W/mm² (G. Kopp and J. Lean, Geophys. Res. Lett. 38,
+"""Irradiance of the sun outside the atmosphere, all wavelengths, W/mm² (G. Kopp and J. Lean, Geophys. Res. Lett. 38,
 L01706, 2011: 1360.8 W/m²)."""
 INTERPOLATIONS = ("cells", "linear", "log")
 PANEL_DEG = 1.0  # widest panel of the quadrature in field angle
@@ -82,6 +82,11 @@ class SkyRadiance:
         Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr), see `ExtendedSource.around`.
 
         A radiance given as a function is integrated by the midpoint rule.
+
+        Raises
+        ------
+        MistrayError
+            If a radiance given as a function is negative, not finite or of the wrong shape.
         """
         if not callable(self.radiance):
             return np.full(len(theta), 2 * half * self.radiance)
@@ -180,6 +185,11 @@ def sun(
     -------
     Disc
         Disc of radiance L = E / (π sin²(diameter/2)), W/(mm² sr).
+
+    Raises
+    ------
+    MistrayError
+        If the diameter is not between 0 and 180 degrees.
     """
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"sun: diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
@@ -230,13 +240,13 @@ def cover(
         the middles of the cells, gaps included. "log": the logarithm is linear, if both values are positive. In
         azimuth the PST is constant over a cell and 0 between cells.
     curve : (n, m) float64, optional
-        PST_normal, required for "log": the coefficients are then the derivatives of the integral by the PST of the
-        cells. Because the integral is homogeneous in the PST, they give its value as well.
+        PST_normal, required for "log": the coefficients are then the derivatives of the integral with respect to the
+        PST of the cells. Because the integral is homogeneous in the PST, they give its value as well.
 
     Raises
     ------
     MistrayError
-        If no cell contains any of the source.
+        If no cell contains any of the source, the source is dark, or the interpolation is unknown.
     """
     if interpolation not in INTERPOLATIONS:
         raise MistrayError(f"interpolation is '{interpolation}'; use 'cells', 'linear' or 'log'")
@@ -283,7 +293,7 @@ def cover(
 
 def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the derivatives of the interpolation a^(1-t) b^t by a and by b, with t = `share`.
+    Return the derivatives of the interpolation a^(1-t) b^t with respect to a and to b, with t = `share`.
 
     Unless both are positive, it is linear.
     """

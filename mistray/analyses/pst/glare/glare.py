@@ -68,8 +68,8 @@ def veiling_glare_index(
     Raises
     ------
     MistrayError
-        If the patch is not within the source, or no cell contains any of it. Also if it is off the axis while one cell
-        covers all azimuths and the detector is a point or a pixel.
+        If the patch is not within the source, no cell contains any of it, or the PST has no maps for "map". Also if it
+        is off the axis while one cell covers all azimuths and the detector is a point or a pixel.
     """
     place = place or ("mean" if pst.maps is None else "map")
     if place == "map" and pst.maps is None:
@@ -130,6 +130,12 @@ def glare_cells(
         Cover with the factors in E_white, of all light.
     light : str
         Light that counts in E_black.
+
+    Raises
+    ------
+    MistrayError
+        If the place is unknown, the patch is not within the source, or it is off the axis while one cell covers all
+        azimuths.
     """
     if place not in PLACES:
         raise MistrayError(f"place is '{place}'; use 'map', 'point' or 'mean'")
@@ -164,7 +170,12 @@ def _at_pixel(
     """
     Return E_black / E_white at one detector pixel, and by name the position of that pixel, mm.
 
-    `black` and `white` are factors of the PST's cells.
+    `black` and `white` are factors of the PST's cells. The ratio is NaN if no white light meets the pixel.
+
+    Raises
+    ------
+    MistrayError
+        If the pixel is off the detector, or no light from the middle of the patch meets the detector.
     """
     assert pst.maps is not None
     height, width = pst.maps.shape[-2:]

@@ -63,7 +63,7 @@ def rejection_ratio(
 
 def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", classes: Light = "total") -> MetricCurve:
     """
-    Return irradiance on the detector over that at the entrance, by field angle.
+    Return irradiance on the detector over that at the entrance, dimensionless, by field angle.
 
     It is called NDI (as for Euclid) or PSNIT (NASA).
 
@@ -77,6 +77,11 @@ def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", cl
         Plane of the irradiance at the entrance; both are in use, and the definition in the result names it.
     classes : str or sequence of str
         Light that counts, see `Pst.samples`.
+
+    Raises
+    ------
+    MistrayError
+        If the name is another one.
     """
     if name not in ("ndi", "psnit"):
         raise MistrayError(f"name is '{name}'; use 'ndi' or 'psnit'")
@@ -88,13 +93,23 @@ def image_throughput(pst: Pst) -> StrayMetric:
     """
     Return the irradiance of the direct image per radiance of a uniform scene, sr: ∫ PST_n dΩ of direct light.
 
-    For an ideal system it is T π / (4 F² + 1). It is the mean over the detector, so that it includes vignetting.
+    For an ideal system of transmittance T and F-number F it is T π / (4 F² + 1). It is the mean over the detector, so
+    that it includes vignetting.
     """
     return StrayMetric.of("throughput", weighted_sum(pst.to("normal"), _solid_angles(pst), "direct"), "sr")
 
 
 def ideal_throughput(f_number: float, transmittance: float = 1.0) -> float:
-    """Return T π / (4 F² + 1), sr: on-axis irradiance per scene radiance, for an aplanatic lens in air."""
+    """
+    Return T π / (4 F² + 1), sr: on-axis irradiance per scene radiance, for an aplanatic lens in air.
+
+    F is the F-number, and T the transmittance, 0 … 1.
+
+    Raises
+    ------
+    MistrayError
+        If the F-number is not above 0, or the transmittance not in its range.
+    """
     if not f_number > 0 or not 0 < transmittance <= 1:
         raise MistrayError(
             f"f_number is {f_number:g} and transmittance {transmittance:g}; the first must be positive and the second "
@@ -156,7 +171,9 @@ def stray_to_signal(
     pst: Pst, source: ExtendedSource, scene_radiance: float, *, interpolation: str = "cells"
 ) -> StrayMetric:
     """
-    Return stray light over signal: irradiance from a stray source over that of the image of a uniform scene.
+    Return stray light over signal, dimensionless: irradiance from a stray source over that of the scene's image.
+
+    The scene is uniform, with the radiance `scene_radiance`.
 
     Parameters
     ----------
@@ -168,6 +185,11 @@ def stray_to_signal(
         Radiance of the scene in the field of view, W/(mm² sr).
     interpolation : {"cells", "linear", "log"}
         Interpolation of the stray PST, see `mistray.analyses.pst.glare.extended_source.cover`.
+
+    Raises
+    ------
+    MistrayError
+        If the radiance is not above 0, no direct light is in the cells, or no cell contains the source.
     """
     if not scene_radiance > 0:
         raise MistrayError(f"scene_radiance is {scene_radiance:g} W/(mm² sr); it must be positive")
@@ -183,7 +205,8 @@ def normalised_stray_light(pst: Pst, diameter_deg: float) -> MetricCurve:
     """
     Return stray light of a disc-shaped source over the irradiance within its direct image, by field angle.
 
-    E_⊥ = L π sin²(d/2); the image of the source is as bright as that of a uniform scene, L ∫ PST_direct dΩ.
+    A source of radiance L and diameter d gives E_⊥ = L π sin²(d/2). Its image is as bright as that of a uniform scene,
+    L ∫ PST_direct dΩ. The ratio is dimensionless.
 
     Parameters
     ----------
@@ -191,6 +214,11 @@ def normalised_stray_light(pst: Pst, diameter_deg: float) -> MetricCurve:
         PST whose cells cover the field of view.
     diameter_deg : float
         Angular diameter of the source, degrees; the PST is taken as constant over it.
+
+    Raises
+    ------
+    MistrayError
+        If the diameter is not between 0 and 180 degrees, or no direct light is in the cells.
     """
     ratios, facts = _by_image(pst, diameter_deg)
     return _curve(pst, "normalised_stray_light", ratios, facts=facts)
@@ -210,6 +238,11 @@ def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> 
         Angular diameter of the source, degrees.
     decibels : bool
         Whether to return 10 log10 of it, dB.
+
+    Raises
+    ------
+    MistrayError
+        If the diameter is not between 0 and 180 degrees, or no direct light is in the cells.
     """
     ratios, facts = _by_image(pst, diameter_deg)
     values = [Estimate(1 / r.value, r.se / r.value**2) if r.value > 0 else Estimate(np.inf, np.nan) for r in ratios]
@@ -232,7 +265,16 @@ def contrast_factor(stray_to_signal_ratio: Estimate) -> StrayMetric:
 
 
 def ab_zero_point(wavelength_nm: float, bandwidth_nm: float) -> float:
-    """Return the irradiance of a source of AB magnitude 0 in a narrow band, W/mm²: f_ν c Δλ / λ²."""
+    """
+    Return the irradiance of a source of AB magnitude 0 in a narrow band, W/mm²: f_ν c Δλ / λ².
+
+    f_ν is `AB_W_M2_HZ`, c the speed of light, λ the wavelength of the band and Δλ its width.
+
+    Raises
+    ------
+    MistrayError
+        If the wavelength is not above 0, or the bandwidth is not between 0 and the wavelength.
+    """
     if not wavelength_nm > 0 or not 0 < bandwidth_nm < wavelength_nm:
         raise MistrayError(
             f"band of {bandwidth_nm:g} nm about {wavelength_nm:g} nm; both must be positive and the band narrower than "
@@ -245,12 +287,19 @@ def surface_magnitude(radiance: Estimate, zero_point_W_mm2: float) -> StrayMetri
     """
     Return the surface brightness of a radiance in magnitudes per square arcsecond: -2.5 log10(L · arcsec² / E_0).
 
+    L is the radiance, and E_0 the irradiance of magnitude 0. Without radiance the magnitude is infinite.
+
     Parameters
     ----------
     radiance : Estimate
         Radiance, W/(mm² sr), for example ``equivalent_stray_radiance(…).estimate``.
     zero_point_W_mm2 : float
         Irradiance of a source of magnitude 0 in the same band, W/mm², see `ab_zero_point`.
+
+    Raises
+    ------
+    MistrayError
+        If the zero point is not above 0.
     """
     if not zero_point_W_mm2 > 0:
         raise MistrayError(f"zero_point_W_mm2 is {zero_point_W_mm2:g}; it must be positive")
@@ -272,7 +321,16 @@ def _of_source(
     words: dict[str, str],
     facts: Mapping[str, float],
 ) -> StrayMetric:
-    """Return a stray-light metric of an extended source; `over` computes it from PST and radiance per cell."""
+    """
+    Return a stray-light metric of an extended source, in `unit`.
+
+    `over` computes it from the PST and the factor on each of its cells.
+
+    Raises
+    ------
+    MistrayError
+        If no direct light is in the cells, or no cell contains the source.
+    """
     normal = pst.to("normal")
     curve = normal.map("stray")[0] if interpolation == "log" else None
     seen = cover(pst.grid, source, interpolation, curve)
@@ -294,7 +352,14 @@ def _of_source(
 
 
 def _by_image(pst: Pst, diameter_deg: float) -> tuple[list[Estimate], dict[str, float]]:
-    """Return stray over direct irradiance of a disc-shaped source, by field angle, and the facts of the result."""
+    """
+    Return stray over direct irradiance of a disc-shaped source, by field angle, and the facts of the result.
+
+    Raises
+    ------
+    MistrayError
+        If the diameter is not between 0 and 180 degrees, or no direct light is in the cells.
+    """
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
     normal = pst.to("normal")

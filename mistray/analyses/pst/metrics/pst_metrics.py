@@ -135,6 +135,11 @@ def pst_band(
     **traced
         Keywords of `pst_bin`; without `pst_field_deg` cells of at most 2° fill the band.
 
+    Raises
+    ------
+    MistrayError
+        If the band is empty or not within 0 … 90 degrees, or a word is unknown.
+
     Examples
     --------
     >>> angles = [10, 20, 30, 40]
@@ -185,6 +190,11 @@ def pst_mask(
         Exponent p ≥ 1 of the smooth maximum, see `smooth_maximum`.
     **traced
         Keywords of `pst_bin`.
+
+    Raises
+    ------
+    MistrayError
+        If angles and limits do not agree in number, or `pst_field_deg` is given.
 
     Examples
     --------
@@ -253,7 +263,14 @@ def veiling_glare(
 
 
 def _filled(low_deg: float, high_deg: float, traced: dict[str, Any]) -> dict[str, Any]:
-    """Return PST settings whose cells, at most 2° wide, fill a band of field angles, unless angles are given."""
+    """
+    Return PST settings whose cells, at most 2° wide, fill a band of field angles, unless angles are given.
+
+    Raises
+    ------
+    MistrayError
+        If a width of cells is given without angles.
+    """
     if PST_FIELD in traced:
         return traced
     if "cell_deg" in traced:

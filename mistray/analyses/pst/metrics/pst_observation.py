@@ -92,7 +92,7 @@ class PstObservation:
         return self._cells[classes]
 
     def weighted(self, coefficients: np.ndarray, light: Light = "stray") -> mi.Float64:
-        """Return the sum over the cells of coefficients, (n, m), times PST_normal, differentiable."""
+        """Return the sum over the cells of coefficients, (n, m), times PST_normal of `light`, differentiable."""
         return dr.sum(self.cells(light) * upload(mi.Float64, np.asarray(coefficients, dtype=np.float64)))
 
     @known_arguments
@@ -129,7 +129,11 @@ class PstObservation:
         return self.weighted(weights / grid.mean_cosine[i] if convention == "projected" else weights, light)
 
     def curve(self, light: Light = "stray", convention: str = "normal") -> mi.Float64:
-        """Return the PST at each field angle, averaged over azimuths, (n,), differentiable."""
+        """
+        Return the PST at each field angle, averaged over azimuths, (n,), differentiable.
+
+        `light` and `convention` are those of `cells`.
+        """
         m = self.pst.grid.shape[1]
         return dr.block_sum(self.cells(light, convention), m) / m
 
@@ -181,10 +185,10 @@ class PstObservation:
 
     def seen(self, source: ExtendedSource, light: Light, interpolation: str = "cells") -> np.ndarray:
         """
-        Return derivatives of the irradiance from an extended source by the PST_normal of the cells, (n, m), W/mm².
+        Return the factor of PST_normal of each cell in the irradiance from an extended source, (n, m), W/mm².
 
-        The integral is homogeneous of degree 1 in the PST, so that the sum of these times the PST is the integral
-        itself.
+        It is the derivative of that irradiance. The integral is homogeneous of degree 1 in the PST, so that the sum of
+        the factors times the PST is the integral itself.
         """
         curve = None
         if interpolation == "log":
@@ -244,7 +248,11 @@ class PstObservation:
         return total
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Yield the gradients of the metric by the tracer's parameter tables, for each relevant wavelength."""
+        """
+        Yield the gradients of the metric with respect to the tracer's parameter tables, for each relevant wavelength.
+
+        There are none if the metric does not depend on the PST.
+        """
         derivative = self.derivative
         if not np.any(derivative):
             return iter(())
@@ -256,7 +264,7 @@ class PstObservation:
         return Sampled.of(parts, self.pst.weight)
 
     def clear(self) -> None:
-        """Set to zero the derivatives by PST cells that an earlier metric has left."""
+        """Set to zero the derivatives with respect to PST cells that an earlier metric has left."""
         for cells in self._cells.values():
             dr.clear_grad(cells)
 

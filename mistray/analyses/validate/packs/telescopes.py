@@ -48,7 +48,12 @@ class BothPrograms:
         return sorted(found, key=lambda names: -self.theirs[names].flux)
 
     def number(self, quantity: str, bundles: Mapping[Names, Bundle]) -> Estimate | None:
-        """Return a quantity of one program; it has no error, as both trace the same rays. None: no such light."""
+        """
+        Return a quantity of one program, without error, as both trace the same rays; None if it has no such light.
+
+        It is the RMS spot radius of the image, µm, the number of shared ghosts, their flux in ‰ of the image, or the
+        RMS radius of the sharpest ghost, mm.
+        """
         ghosts = {names: bundles[names] for names in self.shared if names in bundles}
         image = next((one for one in bundles.values() if one.order == 0), None)
         if image is None or (not ghosts and quantity != "spot_um"):
@@ -98,7 +103,11 @@ def asked(row: DeclaredRow, ours: Finder) -> Estimate | None:
 
 
 def _traced(file: str, wavelength_nm: float, field_deg: float, rays: int, seed: int) -> BothPrograms:
-    """Trace a telescope with mistray and with batoid from the same start rays."""
+    """
+    Trace a telescope at a wavelength, nm, and a field angle, degrees, with mistray and batoid from the same start rays.
+
+    Return the light on the detector by path, from both.
+    """
     with others():
         import batoid
 
