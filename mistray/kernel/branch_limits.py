@@ -53,7 +53,11 @@ class BranchLimits:
         self._record(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """Return the throughput absorbed at hits, 0 if absorption is not allowed, and a mask of hits to count."""
+        """
+        Return the throughput absorbed at hits, and a mask of hits to count.
+
+        Absorption that `ray_control` forbids, or that is below its threshold, is recorded as cut: 0, and not to count.
+        """
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
             return mi.Float(0), mi.Bool(False)
@@ -152,9 +156,9 @@ class BranchLimits:
 
     def run_after(self, run: mi.UInt32, surface: mi.UInt32, by_medium: mi.Bool) -> mi.UInt32:
         """
-        Return the count of consecutive hits of a surface, packed with its number, after one more hit.
+        Return the count of consecutive hits of a surface, packed with the surface's index, after one more hit.
 
-        Scatter in a medium resets it.
+        Scatter in a medium resets it. Where `max_consecutive` sets no limit, `run` is returned as it is.
         """
         if self._consecutive is None:
             return run

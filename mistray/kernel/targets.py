@@ -1,8 +1,8 @@
 """
 Importance targets of scattered rays: flat regions, ellipsoids and cones, grouped by the place where light is scattered.
 
-A flat target of area A has the pdf r²/(A |cos θ|) per sr, where r is the distance of the point of the target and θ the
-angle between the direction and the target's normal, see `mistray.kernel.device_targets`.
+A flat target of area A, mm², has the pdf r²/(A |cos θ|) per sr. Here r is the distance of the point of the target, mm,
+and θ the angle between the direction and the target's normal, see `mistray.kernel.device_targets`.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Target:
         return np.asarray(self.centre + a[:, None] * self.u + b[:, None] * self.v)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """Return a mask of points (n, 3), mm, in the target's plane that lie on the target, (n,); False for NaN."""
+        """Return a mask, (n,), of points (n, 3), mm, in the target's plane that lie on the target; False for NaN."""
         # Coordinates a, b by the pseudoinverse, since u and v need not be at right angles
         a, b = np.linalg.pinv(np.stack([self.u, self.v], axis=1)) @ (points - self.centre).T
         with np.errstate(invalid="ignore"):
@@ -153,6 +153,11 @@ class Ellipsoid:
         Half axes as rows, mm; at right angles to each other.
     reverse, share
         See `Target`.
+
+    Raises
+    ------
+    MistrayError
+        For numbers that are not finite, or half axes that are 0 or not at right angles.
     """
 
     centre: np.ndarray
@@ -206,6 +211,11 @@ class TargetCone:
         Half-angle, rad, above 0 and at most π.
     reverse, share
         See `Target`.
+
+    Raises
+    ------
+    MistrayError
+        For an unknown `about`, an axis that is not finite, a direction of length 0, or a half-angle out of range.
     """
 
     about: str
@@ -283,7 +293,7 @@ class Inside:
     Attributes
     ----------
     surface : int
-        Number of the surface.
+        Index of the surface.
     at_back : bool
         Whether the medium is at the back of the surface.
     """
@@ -293,10 +303,10 @@ class Inside:
 
 
 Side = tuple[int, bool]
-"""Number of a surface, and whether the light leaves it to the back."""
+"""Index of a surface, and whether the light leaves it to the back."""
 
 Place = Side | Inside
-"""Place of scatter: a side of a surface, or a medium beside a surface."""
+"""Place of scatter: a side of a surface, or a medium next to a surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +319,12 @@ class AimSet:
     targets : tuple of Target, Ellipsoid or TargetCone
         Targets, whose shares add up to 1; they may overlap.
     rays : int
-        Number of aimed rays at every hit, at least 1.
+        Number of aimed rays at every hit, or on every ray segment in a medium; at least 1.
+
+    Raises
+    ------
+    MistrayError
+        If the shares do not add up to 1, or there is no ray.
     """
 
     targets: tuple[AnyTarget, ...]
