@@ -39,7 +39,8 @@ class DirectionGrid:
     Raises
     ------
     MistrayError
-        From `of`: for angles outside -90 … 90°, angles that do not ascend, or cells that overlap.
+        From `of`: for angles or widths out of range, angles that do not ascend, an azimuth given twice, or cells that
+        overlap.
     """
 
     field_deg: np.ndarray
@@ -181,7 +182,7 @@ class DirectionGrid:
 
     @classmethod
     def from_facts(cls, facts: dict[str, Any]) -> DirectionGrid:
-        """Create a grid from the numbers that `facts` has returned."""
+        """Create a grid from the dictionary that `facts` has returned."""
         keys = ("angles_deg", "edges_deg", "azimuths_deg", "rotation")
         angles, edges, azimuths, rotation = (np.asarray(facts[key], dtype=np.float64) for key in keys)
         return cls(angles, edges, azimuths, float(facts["azimuth_cell_deg"]), rotation)

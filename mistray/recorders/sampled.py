@@ -109,7 +109,7 @@ class Sampled:
         return Sampled(self.value.reshape(shape), self.apart.reshape(*shape, self.apart.shape[-1]))
 
     def total(self, axis: int = 0) -> Sampled:
-        """Return the sum over an axis of the estimates, with its noise; the axis may not be counted from the end."""
+        """Return the sum over an axis of the estimates, with its noise; `axis` must not be negative."""
         return Sampled(self.value.sum(axis=axis), self.apart.sum(axis=axis))
 
     @property
@@ -132,9 +132,9 @@ def _alike(*numbers: Sampled) -> list[Sampled]:
 
 def batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """
-    Return the standard error of a sum over batches (last axis).
+    Return the standard error of a sum over batches, the last axis of `by_batch`, in its unit.
 
-    `rays` is the number of start rays per batch, (b,).
+    `rays` is the number of start rays of each batch, (b,).
     """
     return Sampled.of(by_batch, rays).se
 

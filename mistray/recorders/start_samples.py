@@ -30,10 +30,10 @@ WAYS = 256  # approaches to a surface that are told apart by hashing; more of th
 
 def window_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
     """
-    Return the row of a surface and approach in importance tables of (surfaces · `WAYS`,) entries.
+    Return the row of a surface and approach in importance tables of (surfaces · `WAYS`,) entries, by hashing.
 
-    The approach is the event before, or `NO_EVENT`, and the number of scatter events. So the two faces of a stop are
-    distinguished, and reflection from transmission.
+    The approach is the event before, or `NO_EVENT`, and the number of scatter events before the hit. So the two faces
+    of a stop are distinguished, and reflection from transmission.
     """
     return surface * WAYS + mixed_word(before + scatters * 0x9E3779B1) % WAYS
 
@@ -46,7 +46,7 @@ class Samples:
     Attributes
     ----------
     lane, cell, kind, path_class : (s,) int
-        Start ray, cell of directions, class of light and path class, see
+        Indices of the start ray, the cell of directions, the class of light and the path class, see
         `mistray.recorders.path_key.path_class_of`.
     points : (s, 4) float64
         Start points of forward rays in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
@@ -55,7 +55,7 @@ class Samples:
     forward, connected : (s,) float64
         MIS weights of its path, see `mistray.recorders.direction_recorder.MisWeights`.
     density : (s,) float64
-        Density of forward start rays at the point.
+        Density of forward start rays at the point, relative to its mean.
     ends : (s, 4) float64
         Start points of backward rays in the unit cube of the detector, see
         `mistray.sampling.detector_start.DetectorStart.place`.
@@ -64,8 +64,8 @@ class Samples:
     segments : (c,) float64
         Number of ray segments by the cell of their start rays; in a backward trace one number for all cells.
     importance : (4, n, WAYS) float64, optional
-        Sums by surface and approach, see `window_row`, of a backward trace: throughput that arrives, its squares, the
-        contribution that follows from it, and the squares of that. Weight windows follow from them.
+        Sums by surface and approach, see `window_row`: throughput that arrives, its squares, the contribution that
+        follows from it, and the squares of that. Weight windows follow from them. None: of a forward trace.
     """
 
     lane: np.ndarray
@@ -255,7 +255,7 @@ class ArrivalSamples(_StartSamples):
     cells, design, mis
         See `mistray.recorders.direction_recorder.ArrivalRecorder`.
     scattered_only : bool
-        Leave out light that nothing has scattered.
+        Whether light that nothing has scattered is left out.
     """
 
     incident = True
@@ -267,7 +267,11 @@ class ArrivalSamples(_StartSamples):
         self._scattered_only = scattered_only
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Keep samples of rays that meet the detector: start point, MIS-weighted throughput and start density."""
+        """
+        Keep samples of rays that meet the detector: start point, MIS-weighted throughput and start density.
+
+        With `scattered_only`, rays that nothing has scattered are left out.
+        """
         start, met = visit.start, visit.detected
         assert start.cell is not None
         assert start.place is not None

@@ -80,7 +80,7 @@ class FluxSplit(SurfaceLight):
     Raises
     ------
     MistrayError
-        During the trace, if a pattern names no surface.
+        If the name is blank; during the trace, if a pattern names no surface or an earlier trace was of other surfaces.
 
     Examples
     --------
@@ -147,7 +147,17 @@ class FluxSplit(SurfaceLight):
         ]
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a table with one row per surface: surface, part, and for each share flux and standard error, W."""
+        """
+        Return a table with one row per surface: id, part, and for each share of `SplitRow` its flux and error.
+
+        The columns are ``surface``, ``part``, and for each share ``…_W``, the flux, and ``…_se_W``, its standard error,
+        both in W.
+
+        Raises
+        ------
+        MistrayError
+            Before the first trace.
+        """
         import pandas as pd
 
         value, se = self.image
