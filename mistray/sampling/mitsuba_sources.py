@@ -87,7 +87,7 @@ class AreaLight:
 
 
 def _value(params: Any, key: str, owner: str) -> float:
-    """Return a numeric parameter of one of Mitsuba's own emitters; a colour is reduced to its luminance."""
+    """Return a parameter of one of Mitsuba's own emitters, a colour as its luminance; `MistrayError` for a texture."""
     found = np.array(params.get(f"{key}.value", np.nan), dtype=np.float64).ravel()
     value = float(LUMINANCE @ found) if len(found) == len(LUMINANCE) else float(found[0])
     if len(found) not in (1, len(LUMINANCE)) or not np.isfinite(value):
@@ -121,7 +121,7 @@ def _constant(params: Any, owner: str) -> dict[str, Any]:
 
 
 def _directional(params: Any, owner: str) -> dict[str, Any]:
-    """Return parameters of a ``distant_disc`` that replaces ``directional``; its disc is practically a point."""
+    """Return parameters of a ``distant_disc``, practically a point, for ``directional``; irradiance in W/mm²."""
     irradiance = _value(params, "irradiance", owner)
     return {
         "type": "distant_disc",
@@ -142,7 +142,9 @@ KNOWN: Mapping[str, Callable[[Any, str], dict[str, Any]]] = {
 
 def mitsuba_source(emitter: mi.Emitter, number: int) -> Any:
     """
-    Return a source that emits the same light as one of Mitsuba's own emitters, the given `number` in the scene.
+    Return a source that emits the same light as one of Mitsuba's own emitters.
+
+    Messages call an emitter without an id by its `number` in the scene.
 
     Raises
     ------

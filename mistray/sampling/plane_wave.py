@@ -39,6 +39,11 @@ class Entrance:
         Centre, mm.
     radius : float
         Radius, mm, > 0.
+
+    Raises
+    ------
+    MistrayError
+        If the centre is not three finite numbers, or the radius not positive.
     """
 
     centre: tuple[float, float, float]
@@ -71,7 +76,7 @@ class PlaneWave:
     centre : (3,) float64
         Point of the scene that the cross-section is measured from, mm.
     middle, half : (2,) float64
-        Middle and half size of the cross-section along azimuth and field angle, mm.
+        Middle and half size of the cross-section along azimuth and field angle, mm; the radius twice for a disc.
     is_round : bool
         Whether a disc of radius ``half[0]`` replaces the rectangle.
     distance : float
@@ -150,7 +155,7 @@ class PlaneWaves:
     grid : DirectionGrid
         Cells of directions.
     entrance : Entrance, optional
-        Disc that the waves cover instead of the scene.
+        Disc that the waves cover instead of the scene; None: they cover the scene.
     """
 
     def __init__(self, points: np.ndarray, grid: DirectionGrid, entrance: Entrance | None = None) -> None:
@@ -208,7 +213,7 @@ class PlaneWaves:
 
 
 def hull_points(*tables: SurfaceTable) -> np.ndarray:
-    """Return (p, 3) float64 points whose convex hull holds all surfaces, mm; polygons are drawn around the rims."""
+    """Return points, (p, 3) float64, mm, whose convex hull holds all surfaces; a polygon stands for a round rim."""
     turn = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     # Polygon around the unit circle, so that it holds the rim
     polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / RIM_POINTS)

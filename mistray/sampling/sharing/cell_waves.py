@@ -28,7 +28,7 @@ class CellWaves:
     centre : (3,) float64
         Origin of positions on the device, mm.
     entrance : Entrance, optional
-        Disc that the waves cover instead of the scene.
+        Disc that the waves cover instead of the scene; None: they cover the scene.
 
     Attributes
     ----------

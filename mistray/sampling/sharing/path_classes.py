@@ -1,5 +1,5 @@
 """
-MIS weights that are constant over path classes, for derivatives by parameters that move paths.
+MIS weights that are constant over path classes, for derivatives with respect to parameters that move paths.
 
 The weight of the balance heuristic differs from path to path, and changes as a path moves. A weight that all paths of a
 class have in common is a constant. Each direction then estimates the derivative of its part by itself, however the
@@ -66,7 +66,7 @@ class PathClassVariances:
         cells : int
             Number of cells.
         place : tuple of (s,) int
-            Cell, class of light and path class.
+            Indices of the cell, the class of light and the path class.
         weight, forward : (s,) float64
             f/q and s, between 0 and 1.
         """
@@ -120,7 +120,7 @@ class PathClassWeights:
         self._design = design
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """Return the MIS weights, 0 … 1, of paths of backward rays that leave within a cell of directions."""
+        """Return the MIS weights, 0 … 1, of paths of backward rays that leave within a cell of directions, by class."""
         path_class = path_class_of(departure.event, departure.length, departure.start, active)
         return self._of(class_of_light(departure, self._design), path_class, cell, active)
 

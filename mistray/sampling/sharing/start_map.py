@@ -52,7 +52,7 @@ class MapSamples(NamedTuple):
     Attributes
     ----------
     cell : (s,) int
-        Number of each sample's cell of directions.
+        Index of each sample's cell of directions.
     points : (s, 4) float64
         Points in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
     weights : (s,) float64
@@ -131,7 +131,11 @@ def _of_each(cell: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
 
 
 def _threshold(weights: np.ndarray, count: int) -> float:
-    """Return the weight below which Russian roulette thins samples, so that about `count` of them survive."""
+    """
+    Return the weight below which Russian roulette thins samples, so that about `count` of them survive.
+
+    It is 0 if there are no more than `count` samples.
+    """
     if len(weights) <= count:
         return 0.0
     order = np.sort(weights)[::-1]
@@ -152,7 +156,7 @@ class StartMap:
     axis : (n,) int32
         Dimension that a node halves, `LEAF` where none.
     child : (n,) int32
-        Number of the node's low half; the high one follows.
+        Index of the node that is the low half; the high half has the next index.
     low : (n,) float64
         Fraction of the node's rays in the low half.
     root : (c,) int32

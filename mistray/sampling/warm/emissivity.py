@@ -70,7 +70,7 @@ def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
 
 
 def medium_of(table: SurfaceTable, surface: int, side: int) -> int:
-    """Return the medium number on a side (0 front, 1 back) of a surface; 0 if no surface transmits light into it."""
+    """Return the position in `Optics.media` of the medium on a side (0 front, 1 back) of a surface; 0 if not there."""
     optics = table.optics
     if number := int(optics.declared[surface, side]):
         return number
