@@ -55,11 +55,11 @@ class AllCells:
     unit : (n, m) float64
         PST_normal of each cell if the mean weight of its start rays is 1.
     rounds : list of tuple
-        Round number and start rays of each cell, (c,), for each call of `sums`.
+        Index of the round, and number of start rays of each cell, (c,), for each call of `sums`.
     total : WaveSums
         Sums of all rays so far, see `go_on`.
     after_pass : callable or None
-        Called with the number of start rays of each pass that `sums` has traced.
+        Called with the number of start rays of each pass that `sums` has traced; None: nothing is called.
     """
 
     total: WaveSums
@@ -88,7 +88,7 @@ class AllCells:
         rays : (c,) int
             Number of start rays of each cell, multiples of `BATCHES`.
         number : int
-            Number of this search, which selects its random numbers.
+            Index of this search, which selects its random numbers.
         """
         found = []
         for band in range(len(self._trace.bands)):
@@ -117,7 +117,7 @@ class AllCells:
         rays : (c,) int
             Number of start rays of each cell. Multiples of `BATCHES` are traced; start weights make up for rounding.
         number : int, optional
-            Number of the round, which selects its random numbers; by default the next one.
+            Index of the round, which selects its random numbers; by default the next one.
         """
         missing = np.maximum(rays - self.rays, 0)
         if missing.any():
@@ -173,7 +173,11 @@ class AllCells:
 
     @property
     def lanes(self) -> float:
-        """Number of start rays over all wavelengths such that the share of each wavelength fits in one launch."""
+        """
+        Number of start rays over all wavelengths such that the share of each wavelength fits in one launch.
+
+        Before the first launch it is `BATCHES`.
+        """
         parts = [self._trace.bands[band].share / one.lanes for band, one in self._launches.items()]
         return 1 / max(parts) if parts else BATCHES
 
@@ -185,9 +189,9 @@ class AllCells:
     @property
     def paths(self) -> PathsByCell:
         """
-        Paths recorded so far with their flux sums by cell, events in the order of the light.
+        Paths recorded so far with their throughput sums by cell, events in the order of the light.
 
-        Empty without a table of paths.
+        Without a table of paths there are none.
         """
         return self.total.paths if self._paths is None else self.total.paths + self._paths.read()
 
@@ -206,7 +210,11 @@ class AllCells:
         return self._recorder(mis, derivative=derivative)
 
     def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int], scatter: bool = True) -> Iterator[StartRays]:
-        """Yield the start rays of a wavelength, pass by pass; each round and wavelength has its own random numbers."""
+        """
+        Yield the start rays of a wavelength, pass by pass; each round and wavelength has its own random numbers.
+
+        Without `scatter` they are the additional rays for unscattered light.
+        """
         # Rays of each cell
         trace = self._trace
         balance = trace.balance(band)
@@ -235,7 +243,7 @@ class AllCells:
                 )
 
     def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:
-        """Trace ray trees of start rays at wavelength number `band` into a recorder, with or without scatter."""
+        """Trace ray trees of start rays at the wavelength of index `band` into a recorder, with or without scatter."""
         trace = self._trace
         scene, settings = trace.forward_scene(band), trace.settings
         if not scatter:

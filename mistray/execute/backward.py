@@ -61,7 +61,7 @@ SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
 
 
 class Pass(NamedTuple):
-    """One wavelength of a pass: numbers of wavelength and pass, and number of rays of the pass over all wavelengths."""
+    """One wavelength of a pass: indices of wavelength and pass, and number of rays of the pass over all wavelengths."""
 
     band: int
     done: int
@@ -238,7 +238,7 @@ class BackwardTrace(GridTrace):
         rays : int
             Number of rays, traced in passes of at most `PASS_LANES` to bound memory.
         number : int
-            Number of this search, below `SEARCHES`, which selects its random numbers.
+            Index of this search, below `SEARCHES`, which selects its random numbers.
         values : (c,) float64, optional
             See `DepartureSamples`; None: the importance in `Samples.importance` is not estimated.
         """
@@ -262,7 +262,7 @@ class BackwardTrace(GridTrace):
         return found
 
     def trace_shared(self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder) -> None:
-        """Trace ray trees of wavelength `number` into recorders, with MIS against forward rays if there are any."""
+        """Trace ray trees of the wavelength with index `number` into recorders, with MIS if there are forward rays."""
         scene = self.split_scene(number)
         if self.forward:
             competing = CompetingTrace(self.forward[number].scattering, self._forward_probabilities, self.connects)
@@ -270,7 +270,11 @@ class BackwardTrace(GridTrace):
         trace_whole(scene, start, self.settings, recorders)
 
     def split_scene(self, number: int) -> KernelScene:
-        """Return the kernel's scene for backward rays of wavelength `number`, with weight windows from any pilot."""
+        """
+        Return the kernel's scene for backward rays of the wavelength with index `number`, with weight windows.
+
+        It has none without forward rays, or if a medium scatters.
+        """
         band = self.bands[number]
         # Light that a medium scatters branches with the probability of the surface behind it, whose weight window does
         # not account for the importance of the medium
@@ -298,7 +302,8 @@ class BackwardTrace(GridTrace):
         """
         Return the MIS weights of forward rays, backward rays and connections at a wavelength; None: no forward rays.
 
-        With `same_rays`, the additional forward rays for unscattered light are left out of the weights.
+        Connections count if their light vertices are given. With `same_rays`, the additional forward rays for
+        unscattered light are left out of the weights.
         """
         if not self.forward:
             return None
@@ -395,11 +400,7 @@ class BackwardTrace(GridTrace):
         return self.starts[number].pass_rays(seed, lanes, one.share * rays / lanes, self.map_size).evaluated()
 
     def paths(self) -> PathsByCell | None:
-        """
-        Return the paths so far with sums by cell, events in order from the detector.
-
-        The result is None without a table of paths.
-        """
+        """Return the paths so far with sums by cell, events in order from the detector; None if none are kept."""
         return None if self._path_sums is None else self.sums.paths + self._path_sums.read()
 
     @property

@@ -87,7 +87,8 @@ class CellSums(Sums):
         """
         Return the sums of light by cell as they were when a run saved their `arrays`.
 
-        This object, still without rays, gives shapes and missing arrays.
+        This object, still without rays, gives the shapes. Arrays that were not saved are those of this object, which
+        are 0. `seconds` is the time that these sums took, s.
         """
         own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
         # Arrays that are missing are at zero
@@ -129,7 +130,7 @@ class BackwardSums(CellSums):
     Attributes
     ----------
     elsewhere : (BATCHES,) float64
-        Sum of the throughputs of rays that leave the scene outside of all cells.
+        Sum of the throughputs of rays that leave the scene outside all cells, in units of a start ray's flux.
     surfaces, media, channels : (…, BATCHES) float64
         See `mistray.recorders.tallies`.
     """

@@ -60,9 +60,9 @@ class WavelengthChoice:
 
     def notes(self, instead: str = "their light is traced at the nearest") -> list[Note]:
         """
-        Return a note that lists the omitted wavelengths, nm, and ends with the text `instead`.
+        Return a note that lists the omitted wavelengths, nm, and ends with the words `instead`.
 
-        The result is [] if all are traced.
+        The list is empty if all wavelengths are traced.
         """
         if not self.left_out_nm:
             return []
@@ -73,9 +73,10 @@ class WavelengthChoice:
 
 def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces: int = 1) -> int:
     """
-    Return how many of the wavelengths can be traced within the time budget; all of them without a budget.
+    Return the number of wavelengths that can be traced within the time budget; at least `FEWEST`, if there are as many.
 
-    The overhead of a wavelength is measured by two traces of few rays, of which the first compiles the kernel.
+    All can be without a budget. The overhead of a wavelength is measured by two traces of few rays, of which the first
+    compiles the kernel.
 
     Parameters
     ----------
@@ -115,7 +116,8 @@ def chosen_wavelengths(scene: Any, light: Light, timed: Callable[..., Any], trac
     Returns
     -------
     WavelengthChoice or None
-        None if all are traced, as where none are given and the sources differ in theirs.
+        None if all wavelengths are traced: without a time budget, if the time is enough for all, or if no wavelengths
+        are given and the sources have different ones.
     """
     own = {(tuple(emitter.wavelengths_nm), tuple(emitter.weights)) for emitter in source_emitters(scene)}
     if not is_limited() or (light.wavelength_nm is None and light.weights is None and len(own) != 1):

@@ -58,7 +58,7 @@ _current: ContextVar[Workers | None] = ContextVar("workers", default=None)
 
 
 def current_workers() -> Workers | None:
-    """Return the workers of the enclosing `working_with` block; None outside of one."""
+    """Return the workers of the enclosing `working_with` block; None outside such a block."""
     return _current.get()
 
 

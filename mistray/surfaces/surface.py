@@ -96,11 +96,11 @@ class TracedSurface(ABC):
     wall : bool
         Whether the surface is mechanical and few rays meet it; all others are optical.
     index : int
-        Number of the surface in the scene.
+        Index of the surface in the scene.
     frame : int
-        Number of the orientation that it shares with other surfaces; 0 is unrotated.
+        Index of the orientation that the surface shares with others; 0 is unrotated.
     axis : int
-        Number of the axis (orientation and lateral position) that it shares with other surfaces.
+        Index of the axis (orientation and lateral position) that the surface shares with others.
     z : float
         Position of the vertex along the axis, mm.
     overlap : float
@@ -148,7 +148,7 @@ class TracedSurface(ABC):
     @abstractmethod
     def columns(self) -> dict[str, float]:
         """
-        Numbers of the surface in the `GEOMETRY` columns of derivatives, by name; others are 0.
+        Values of the surface in the `GEOMETRY` columns of derivatives, by name; those of other columns are 0.
 
         See `mistray.surfaces.gradient_columns`.
         """

@@ -47,7 +47,7 @@ def first_zero(
     active : mi.Bool
         Whether the lane has a ray.
     intervals : int
-        Number of intervals that the stretch is searched in.
+        Number of intervals in which the stretch is searched.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def first_zero(
         t = dr.minimum(s + dr.select(clear > stride, clear, stride), length)
         ft, gt = f(t)
         crossed = sign(ft) != sign(fs)
-        # f turns round inside of the interval: does its extremum reach beyond zero?
+        # f turns round inside the interval: does its extremum reach beyond zero?
         dips = ~crossed & (gs * fs < 0) & (gt * ft > 0)
         turn = dr.clip(s + (t - s) * gs / dr.select(dips, gs - gt, 1), s, t)
         fm, _ = f(turn)

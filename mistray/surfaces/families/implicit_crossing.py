@@ -35,7 +35,7 @@ class ImplicitNumbers:
     Attributes
     ----------
     values : dict
-        Numbers of the family's formula, by name.
+        Values of the parameters of the family's formula, by name.
     z : mi.Float
         Position of the origin of its frame along the axis, mm.
     z_low, z_high : mi.Float
@@ -90,7 +90,7 @@ def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) 
     family : type
         Has `residual`, `gradient` and `coordinate`, see `mistray.plugins.shapes.implicit.Implicit`.
     n : ImplicitNumbers
-        Numbers of the surface.
+        Parameters of the surface.
     own : mi.Bool
         Whether the ray starts on the surface.
     """
