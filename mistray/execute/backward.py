@@ -213,7 +213,7 @@ class BackwardTrace(GridTrace):
         return replace(self.pass_sums(part), paths=self.paths() or PathsByCell())
 
     def _read(self, number: int, sky: DirectionRecorder, tallies: Tallies, rays: float) -> BackwardSums:
-        """Return the recorders' sums over `rays` start rays of wavelength `number`, in units of a start ray's flux."""
+        """Return the recorders' sums over `rays` start rays of wavelength index `number`, in units of a start ray's."""
         table, names = self.bands[number].table, self.table.optics.media
         found = tallies.read()
         # Media are in the order of the first wavelength: another one may number them otherwise
@@ -361,7 +361,7 @@ class BackwardTrace(GridTrace):
         return KernelScene(band.table, band.scattering, self.intersector, self._probabilities, backward=True)
 
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
-        """Trace ray trees of wavelength `number` into recorders, with weight windows, without MIS of forward rays."""
+        """Trace ray trees of wavelength index `number` into recorders, with weight windows, without MIS weights."""
         trace_whole(self.split_scene(number), start, self.settings, recorders)
 
     @contextlib.contextmanager
@@ -389,7 +389,7 @@ class BackwardTrace(GridTrace):
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
         """
-        Return Lambertian start rays at the detector for wavelength `number` in a pass of `rays` rays.
+        Return Lambertian start rays at the detector for the wavelength with index `number`, in a pass of `rays` rays.
 
         `rays` counts all wavelengths; `done` is the number of earlier passes.
         """

@@ -1,8 +1,8 @@
 """
 Pickling of scenes and of objects built from them, for results that go to another process or are kept by the user.
 
-A scene is pickled as the source that it was loaded from, with its numbers. Tables of surfaces and runs are made of it
-again, and must be what the kernel has read; the sums of runs are kept. What cannot be made again is a `Missing`.
+A scene is pickled as the source that it was loaded from, with its parameters. Tables of surfaces and runs are made of
+it again, and must be what the kernel has read; the sums of runs are kept. What cannot be made again is a `Missing`.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ class StoredScene:
 
     def load(self) -> mi.Scene:
         """
-        Load a new scene from the source and set the stored numbers.
+        Load a new scene from the source and set the stored parameters.
 
         Raise `MistrayError` if that is impossible here.
         """
@@ -51,7 +51,7 @@ def put_numbers(scene: mi.Scene, numbers: Mapping[str, np.ndarray]) -> bool:
     Returns
     -------
     bool
-        True if any number differed.
+        True if any parameter differed.
 
     Raises
     ------

@@ -21,7 +21,7 @@ at random; reflection and refraction keep étendue, and leave them as they are:
   probabilities, and both directions leave them out.
 
 Both directions must come to the same ratio for the same path: only then do their MIS weights add to 1. A third
-technique connects backward rays to light vertices; the two numbers for its density are partial MIS weights as those of
+technique connects backward rays to light vertices; the two values for its density are partial MIS weights as those of
 T. Davidovič et al. (Progressive light transport simulation on the GPU, 2014), see `PdfRatios.connection_ratios`.
 """
 

@@ -2,7 +2,7 @@
 
 A branch carries (q, u, v) = (Q, U, V)/I with respect to axes that follow from its direction d alone: the first is the
 projection of the world's x axis onto the plane normal to d (of the y axis where d is within 26° of ±x), the second
-d × first. A node stores only these three numbers. At a surface the Stokes vector is rotated into the plane of
+d × first. A node stores only these three values. At a surface the Stokes vector is rotated into the plane of
 incidence, with axes s = d × normal and d × s. There it is multiplied by the Mueller matrix of the coating, and then
 rotated back.
 

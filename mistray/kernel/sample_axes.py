@@ -8,7 +8,7 @@ An interface says where the axis comes from.
 - "meridian" is the tangent in the plane through the local z axis, away from it on a plane, rotated by `rotation_deg`
   about the normal from front to back, right-handed: a sample that was turned on a lathe.
 
-A row of four numbers holds either: x, y, z of a vector in the frame of the surface and 0, or cosine and sine of the
+A row of four values holds either: x, y, z of a vector in the frame of the surface and 0, or cosine and sine of the
 rotation, 0 and 1.
 """
 

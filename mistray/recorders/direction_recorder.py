@@ -121,7 +121,7 @@ class SkyRecorder(Recorder):
     Parameters
     ----------
     shape : tuple of int
-        Numbers of angles and of azimuths of the cells.
+        Number of field angles, and number of azimuths, of the cells.
     design : DesignKeys
         Sequences of the direct image.
     mis : MisWeighting, optional

@@ -119,7 +119,7 @@ class DirectionGrid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of field angles and of azimuths of the grid, (n, m)."""
+        """Number of field angles and number of azimuths of the grid, n and m."""
         return len(self.field_deg), len(self.azimuths_deg)
 
     @property

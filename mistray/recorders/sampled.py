@@ -50,7 +50,7 @@ class Sampled:
         by_batch : (…, b) float64
             Sums of the batches.
         rays : (b,) float64
-            Numbers of start rays of the batches.
+            Number of start rays of each batch.
         """
         # apart_b = (x_b - x n_b/n) √(B/(B - 1)), B being the number of batches with rays
         value = by_batch.sum(axis=-1)
@@ -62,7 +62,7 @@ class Sampled:
 
     @property
     def se(self) -> Numbers:
-        """Standard error of each number, (…), in the unit of `value`."""
+        """Standard error of each estimate, (…), in the unit of `value`."""
         return np.asarray(np.sqrt(np.sum(np.square(self.apart), axis=-1)))
 
     @property
@@ -172,7 +172,7 @@ def error_rays(
     rays, light, squares, fourths : (…) float64
         Number of rays, and sums of their weights and of the second and fourth powers of the weights.
     pool : callable
-        Function that sums numbers (…) over all sums of the same kind as each, (…).
+        Function that adds up values, (…), over all sums of the same kind as each, (…).
 
     Returns
     -------

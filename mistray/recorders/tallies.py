@@ -54,7 +54,7 @@ class Tallies(Recorder):
     """
     Recorder of the sums of the energy ledger by batch: for each surface, medium and loss channel, in float64.
 
-    Media scatter as well: the numbers of their aimed rays and of those that land follow the sums of the surfaces.
+    Media scatter as well: counts of their aimed rays, and of those that land, follow the sums of the surfaces.
 
     `largest` is the largest flux of a scattered ray at the detector, as the bits of a float32.
     """

@@ -331,7 +331,7 @@ class DetectorStart:
         """
         Return the points of the unit cube of the map of starts for rays that leave the detector at p, mm, along d.
 
-        Two numbers are for the direction in a frame that turns with the azimuth of p, two for that azimuth and the
+        Two coordinates are for the direction in a frame that turns with the azimuth of p, two for that azimuth and the
         squared radius, or for x and y of a rectangle. In them the Lambertian density is uniform. The first is -1 on the
         side away from the light, which has no map.
         """

@@ -119,9 +119,10 @@ def wave_rays(
     Parameters
     ----------
     numbers : sequence of mi.Float
-        `PlaneWave.numbers` of each ray's wave.
+        Parameters of each ray's wave, see `PlaneWave.numbers`.
     rotation, centre
-        Common to all waves, see `PlaneWave`; the centre in the coordinates of the kernel.
+        Axes of the grid and centre, mm, which all waves share, see `PlaneWave`; the centre is relative to the device's
+        origin.
     sample : mi.Point2f
         Positions in the cross-section, in the unit square.
     u, v : mi.Float

@@ -33,7 +33,7 @@ ROW = (
 @dataclass
 class Numbers:
     """
-    Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers. Bounds include the overlap with neighbours.
+    Shape and bounds of a plane, conic, asphere or cone as Dr.Jit variables. Bounds include the overlap with neighbours.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ class FamilyTable:
     Device table of surfaces that are defined by an implicit function F = 0, a formula of their family.
 
     Without such surfaces the table is False and adds nothing to a kernel. Such a surface has `family` and `values`. Its
-    family has `numbers`, the names of the values, and the functions `residual`, `gradient` and `coordinate`.
+    family has `numbers`, the names of the parameters, and the functions `residual`, `gradient` and `coordinate`.
 
     Parameters
     ----------

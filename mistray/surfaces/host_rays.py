@@ -46,7 +46,7 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     surface : int
-        Number of the surface.
+        Index of the surface.
     o, d : (n, 3) float64
         Points on the lines, mm, and their unit directions.
 
@@ -168,7 +168,7 @@ class _Boxes:
     Attributes
     ----------
     members : (m,) int
-        Numbers of the surfaces.
+        Indices of the surfaces.
     frame : (3, 3) float64
         Axes of the orientation as columns.
     middle, corners : (m, 3) float64

@@ -1,7 +1,7 @@
 """Nearest hit of rays with many freeform surfaces of one sort, such as segments of a mirror or lenslets of an array.
 
 A ray comes near few of them. Bounding spheres of all members are tested one after the other, at a few instructions
-each. The code that searches a crossing exists once, in a loop over the members that the ray comes near. Numbers that
+each. The code that searches a crossing exists once, in a loop over the members that the ray comes near. Parameters that
 all members share are loaded once for all lanes; the others are gathered.
 """
 

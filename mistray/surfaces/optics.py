@@ -164,7 +164,7 @@ def angle_table(
     opaque : bool
         Whether light that enters is absorbed. Cosines are then those on the side of incidence, and T is 0.
     stokes : bool
-        Whether each channel has four numbers instead of one.
+        Whether each channel has four values, for Stokes vectors, instead of one.
     """
     # Layers are identified by the names of their materials, and the data in a file may have changed
     indices = coating.indices(wavelength_nm) if isinstance(coating, Stack) else ()
@@ -336,7 +336,7 @@ class Optics:
     places : mi.UInt32
         First row and last interval of the refraction part and of the total-reflection part of each table, (s, 4).
     table : mi.Float
-        Rows of `row_floats` numbers, of all tables.
+        Rows of `row_floats` values, of all tables.
     kinds : set of int
         Kinds of coatings that occur in the scene.
     media : list of str
@@ -392,7 +392,7 @@ class Optics:
         declared = np.zeros((count, 2), dtype=np.int64)
 
         def number(n: complex, spec: str) -> int:
-            """Return a medium's position in `media`; media of equal index and scatter share one, such as 1.5 and 1.50."""
+            """Return a medium's position in `media`, which media of equal index and scatter share, as 1.5 and 1.50."""
             cloud = bulk_scatter(spec)
             key = (round(n.real, 9), float(f"{n.imag:.9g}"), cloud.per_mm, cloud.g)
             if key not in numbers:

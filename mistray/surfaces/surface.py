@@ -83,7 +83,7 @@ class Bounds(NamedTuple):
 @dataclass(kw_only=True)
 class TracedSurface(ABC):
     """
-    Analytic surface: static properties that determine the kernel's code, and its numbers in float64.
+    Analytic surface: static properties that determine the kernel's code, and parameters in float64.
 
     Points, directions and distances of methods are in the frame of the surface's vertex, mm, float64 on the host.
 
