@@ -162,7 +162,11 @@ class AllCells:
 
     @property
     def _kinds(self) -> list[tuple[bool, bool]]:
-        """Kinds of rays to trace, as pairs of flags: rays may scatter; their unscattered light is left out."""
+        """
+        Kinds of rays to trace, as pairs of flags: rays may scatter; their unscattered light is left out.
+
+        There is one kind, which carries all light, unless unscattered light has rays of its own.
+        """
         return [(True, False)] if self.unscattered is None else [(True, True), (False, False)]
 
     @property

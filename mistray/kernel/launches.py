@@ -227,7 +227,7 @@ class Spread:
 
     def first(self, rays: int) -> np.ndarray:
         """
-        Return the first `rays` numbers of the permutation, (n,), ascending.
+        Return the first `rays` numbers of the permutation, (n,), ascending, but at least all of the first group.
 
         `next` must have returned that many in total.
         """

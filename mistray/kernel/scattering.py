@@ -98,7 +98,7 @@ class Scattering(ScatterShares):
 
     @property
     def arrays(self) -> list[Any]:
-        """Device arrays of the scatter models. Targets are left out, as they change only the variance."""
+        """Device arrays of the scatter models, none if no surface scatters; without targets, which change no result."""
         tables = self.tables
         if not tables.any:
             return []

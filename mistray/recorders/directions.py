@@ -76,6 +76,11 @@ class DirectionGrid:
             one.
         rotation : (3, 3) float64, optional
             Columns: axes of the frame that the angles are measured in; by default those of the world.
+
+        Raises
+        ------
+        MistrayError
+            For angles or widths out of range, angles that do not ascend, an azimuth given twice, or cells that overlap.
         """
         # Field angles and the borders of their cells
         given = np.array(PST_FIELD_DEG.check_each("field_deg", field_deg))

@@ -83,7 +83,7 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
     scene : mi.Scene
         Loaded scene.
     settings : Settings
-        Uses `aim` (only "auto" has targets here) and `aimed_rays`.
+        Uses `aim` and `aimed_rays`; no ray is aimed unless `aim` is "auto" and `aimed_rays` is above 0.
     axis : (3,) float64
         Unit direction of light at field angle 0.
     """

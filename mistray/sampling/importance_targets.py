@@ -63,7 +63,7 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
     scene : mi.Scene
         Loaded scene.
     settings : Settings
-        Uses `aim` and `aimed_rays`.
+        Uses `aim` ("none": no targets, "targets": only those of the scene) and `aimed_rays` (0: no automatic ones).
 
     Returns
     -------

@@ -102,7 +102,7 @@ def _point(params: Any, owner: str) -> dict[str, Any]:
 
 
 def _spot(params: Any, owner: str) -> dict[str, Any]:
-    """Return the parameters of a ``point_source`` that replaces Mitsuba's ``spot``, with equal intensities, W/sr."""
+    """Return parameters of a ``point_source`` with the intensity, W/sr, of a ``spot``; `MistrayError` for a texture."""
     cutoff, beam = (float(np.array(params[key]).ravel()[0]) for key in ("cutoff_angle", "beam_width"))
     if not np.allclose(np.array(params["texture.value"]), 1.0):
         raise MistrayError(f"{owner}: it has a texture; leave it out")

@@ -216,7 +216,11 @@ def _cone(shape: Any) -> TargetCone:
 
 
 def _triangles(name: str, vertices: np.ndarray, faces: np.ndarray, scale: float) -> list[Target]:
-    """Return the triangles of a mesh as targets, scaled about the centroid of its area, with shares by area."""
+    """
+    Return the triangles of a mesh as targets, scaled about the centroid of its area, with shares by area.
+
+    Raise `MistrayError` for too many triangles, or one without area.
+    """
     corners = vertices.astype(np.float64)[faces]
     if len(corners) > MOST_TRIANGLES:
         raise MistrayError(

@@ -101,7 +101,7 @@ def first_hit(
     p : (n, 3) float64
         Points of the hits, mm; the origins without a hit.
     normal : (n, 3) float64
-        Unit normals, from front to back.
+        Unit normals, from front to back; without meaning where nothing is hit.
     """
     best = np.full(len(o), np.inf)
     surface = np.full(len(o), -1)

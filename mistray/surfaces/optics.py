@@ -267,7 +267,11 @@ def unpolarized_shares(
 
 
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """Sample a function at uniform nodes of 0 … 1, enough for linear interpolation; return values and its error."""
+    """
+    Sample a function at uniform nodes of 0 … 1, enough for linear interpolation; return values and error.
+
+    A constant is sampled at both ends alone.
+    """
     intervals = FIRST_INTERVALS
     # All of the first levels in one call, which costs as much as a thousand values
     known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))

@@ -119,7 +119,11 @@ class PassingLight(Recorder):
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values of the image's pixels and their standard errors, (rows, columns) each, in `unit`; subclass's own."""
+        """
+        Values of the pixels of the image and their standard errors, (rows, columns) each, in `unit`.
+
+        Each subclass defines its own.
+        """
         # Subclasses divide the flux by areas or solid angles
         raise NotImplementedError
 

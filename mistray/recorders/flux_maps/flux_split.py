@@ -109,7 +109,11 @@ class FluxSplit(SurfaceLight):
         self._place, self._rims = upload(mi.UInt32, place), table.wall_rims
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the incident flux of hits, and its absorbed, specular and scattered parts, to the sums by surface."""
+        """
+        Add the incident flux of hits, and its absorbed, specular and scattered parts, to the sums by surface.
+
+        At the rims of walls all light is absorbed.
+        """
         it, budget = visit.interaction, visit.shares
         place = dr.gather(mi.UInt32, self._place, visit.surface, visit.active)
         active = visit.active & (place > 0)

@@ -245,7 +245,12 @@ class _Rules:
         return tuple(self._step(code) for code in order)
 
     def _step(self, code: int) -> Hashable:
-        """Return the kind of event at a step, with the two media or the coating that alternatives must share."""
+        """
+        Return the kind of event at a step, with what alternatives of the step must have in common.
+
+        These are the media on both sides. For a reflection at an opaque surface it is the coating, or that all are
+        mirrors.
+        """
         what, place = kind_of(code), place_of(code)
         if what == REFLECTED and self._opaque[place]:
             # Undeclared mirrors are alternatives only where they have the same coating
