@@ -164,7 +164,7 @@ class WaveTrace(GridTrace):
     scene, grid, settings, light, map_pixels, paths
         See `GridTrace`.
     entrance : Entrance, optional
-        Disc to which the start rays are limited.
+        Disc to which the start rays are limited; None: they fill the hull.
     points : (p, 3) float64, optional
         Hull of the illuminated volume, from `hull_points`; by default that of the scene.
     """

@@ -73,7 +73,7 @@ class ScatterBudget:
     Attributes
     ----------
     transmission, reflection : Shares
-        Shares of either event.
+        Specular and scattered fractions for either event.
     scattered : mi.Float
         Scattered fraction of the incident flux, the sum of both events.
     absorbed : mi.Float
@@ -84,8 +84,7 @@ class ScatterBudget:
     aimed_t, aimed_r : mi.UInt32
         Number of aimed rays in transmission and in reflection.
     random_rays : mi.UInt32
-        Number of random rays that the surface requests; 0: the number of the settings.
-
+        Number of random rays that the surface requests; 0: as many as the settings say.
     """
 
     transmission: Shares
@@ -101,7 +100,7 @@ class ScatterBudget:
         self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32, connection: Connection | None = None
     ) -> ScatteredRay:
         """
-        Return the event and the sampling technique of scattered ray number `number` of a node.
+        Return the event and the sampling technique of the scattered ray with index `number` of a node.
 
         The first `random_rays` are drawn at random, then come the aimed ones of transmission and of reflection, and
         then those of `connection`, if there is one.

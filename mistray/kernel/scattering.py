@@ -98,7 +98,11 @@ class Scattering(ScatterShares):
 
     @property
     def arrays(self) -> list[Any]:
-        """Device arrays of the scatter models, none if no surface scatters; without targets, which change no result."""
+        """
+        Device arrays of the scatter models; none if no surface scatters.
+
+        Importance targets are left out, as they change only the variance.
+        """
         tables = self.tables
         if not tables.any:
             return []

@@ -176,7 +176,7 @@ class SceneSource(ABC):
         """
 
     def count(self, rays: int) -> int:
-        """Return the number of rays actually started when `rays` are requested."""
+        """Return the number of rays actually started when `rays` are requested, which is the same by default."""
         return rays
 
     def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -205,13 +205,15 @@ def _roots(
     t0: mi.Float, a: mi.Float, b: mi.Float, g: mi.Float, own: mi.Bool
 ) -> tuple[mi.Float, mi.Float, mi.Float, mi.Bool]:
     """
-    Return the two distances, mm, at which a ray crosses a quadric, (b² - a g)/a, and whether it crosses at all.
+    Return two distances, mm, at which a ray crosses a quadric, the ratio (b² - a g)/a, and whether it crosses at all.
 
-    The distances are from the ray's origin. `a`, `b` and `g` are the coefficients of a u² + 2 b u + g = 0 for the
-    distance u from the ray's point at `t0`, the one closest to the vertex or the axis. From a distant origin, the
-    difference of two squares would round away what is small: a ray from 1 m away met a wall of 26 mm radius 1.5 µm
-    behind it, and the end of a vane inside instead. See E. Haines et al., Precision improvements for ray/sphere
-    intersection, Ray Tracing Gems (2019), chapter 7. A ray that leaves the surface, `own`, starts at one root.
+    The distances are from the ray's origin; for a ray that starts on the surface, `own`, the first is 0. `a`, `b` and
+    `g` are the coefficients of a u² + 2 b u + g = 0, where u is the distance, mm, from the ray's point at `t0`, the one
+    closest to the vertex or the axis.
+
+    From a distant origin, the difference of two squares would round away what is small. A ray from 1 m away met a wall
+    of 26 mm radius 1.5 µm behind it, and the end of a vane inside instead. See E. Haines et al., Precision improvements
+    for ray/sphere intersection, Ray Tracing Gems (2019), chapter 7.
     """
     discriminant = dr.fma(b, b, -a * g)
     q = -(b + dr.mulsign(dr.sqrt(larger(discriminant, 0)), b))

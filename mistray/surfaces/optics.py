@@ -396,7 +396,7 @@ class Optics:
         declared = np.zeros((count, 2), dtype=np.int64)
 
         def number(n: complex, spec: str) -> int:
-            """Return a medium's position in `media`, which media of equal index and scatter share, as 1.5 and 1.50."""
+            """Return the position of a medium in `media`; media of equal refractive index and scatter have the same."""
             cloud = bulk_scatter(spec)
             key = (round(n.real, 9), float(f"{n.imag:.9g}"), cloud.per_mm, cloud.g)
             if key not in numbers:

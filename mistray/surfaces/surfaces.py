@@ -206,7 +206,7 @@ class SurfaceTable:
 
     @property
     def event_ids(self) -> list[str]:
-        """Names of all surfaces and media in which events occur: ids of surfaces, then media in brackets."""
+        """Names of all surfaces and media in which events occur: ids of surfaces, then media in parentheses."""
         return [*self.ids, *map(medium_id, self.optics.media)]
 
     @property
