@@ -31,7 +31,7 @@ class BranchLimits:
     cut : callable
         Function that records cut flux, see `mistray.recorders.recorder.Recorder.cut`.
     batch : mi.UInt32
-        Batch number of each start ray.
+        Index of the batch of each start ray.
     """
 
     def __init__(self, settings: Settings, cut: Cut, batch: mi.UInt32) -> None:
@@ -56,7 +56,8 @@ class BranchLimits:
         """
         Return the throughput absorbed at hits, and a mask of hits to count.
 
-        Absorption that `ray_control` forbids, or that is below its threshold, is recorded as cut: 0, and not to count.
+        Absorption that `ray_control` forbids, or that is below its threshold, is recorded as cut. Then the throughput
+        is 0, and the hit does not count.
         """
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
@@ -123,7 +124,8 @@ class BranchLimits:
         child : mi.Float
             Flux of the branch before these limits.
         scatter, by_medium, reflect : mi.Bool
-            Whether the surface scattered it, whether the medium did, and whether it stays on the side of incidence.
+            Whether the surface scattered the branch, whether the medium did, and whether it stays on the side of
+            incidence.
         active, contributes : mi.Bool
             Lanes that have a branch, and lanes whose flux enters the energy ledger.
         """

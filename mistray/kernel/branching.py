@@ -62,7 +62,8 @@ class Node:
     rng : mi.PCG32
         Random number generator of each lane.
     row : mi.UInt32 or None
-        Row of its weight window, see `mistray.recorders.start_samples.window_row`; None: there are no windows.
+        Row of the weight window of each node, see `mistray.recorders.start_samples.window_row`; None: there are no
+        windows.
     """
 
     start: StartRays
@@ -91,7 +92,7 @@ class Children:
     Attributes
     ----------
     transmitted, reflected, scattered, in_scattered : mi.Float
-        Throughput of each event, summed over its rays; the last is scattered by the medium before the node.
+        Throughput of each event, summed over its rays; `in_scattered` is scattered by the medium before the node.
     counted : mi.Bool
         Whether a reflection counts towards `max_reflections`.
     transmits : mi.Bool
@@ -208,7 +209,7 @@ class Branching:
     lose : callable
         ``lose(channel, flux, active, memory)``, see `mistray.recorders.recorder.Recorder.lose`.
     batch : mi.UInt32
-        Batch number of each start ray.
+        Index of the batch of each start ray.
     """
 
     def __init__(

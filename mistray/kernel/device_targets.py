@@ -181,9 +181,10 @@ class DeviceTargets:
 
 def _sphere(rows: list[mi.Vector4f], p: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
     """
-    Transform lines of sight so that an ellipsoid becomes the unit sphere.
+    Scale space so that an ellipsoid becomes the unit sphere, and return how that sphere is seen from a point p (mm).
 
-    Return point p there, the direction to the centre, and 1 - cos of its half-angle.
+    The result is the point relative to the centre, the unit direction to the centre, and 1 - cos of the half-angle in
+    which the sphere is seen: 2 from within.
     """
     start = mi.Vector3f(*(dr.dot(p - rows[0].xyz, v.xyz) for v in rows[1:4]))
     square = dr.squared_norm(start)
@@ -231,7 +232,7 @@ def _vectors(target: AnyTarget, origin: np.ndarray) -> tuple[Any, ...]:
     """
     Return the six parts of a target's row, see `_rows`, without share, sign and sum of shares.
 
-    Lengths in mm from `origin`.
+    Positions are relative to `origin`; lengths are in mm.
     """
     nothing = np.zeros(3)
     if isinstance(target, TargetCone):

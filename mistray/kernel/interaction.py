@@ -70,7 +70,7 @@ class Interaction:
     eta : mi.Float
         Refractive index on the side of incidence over that on the other side; without meaning at an opaque surface.
     word : mi.UInt32
-        Description of the surface (flags of `mistray.surfaces.surfaces`).
+        Kind, flags and media of the surface as bits, see `mistray.surfaces.optics`.
     medium_in, medium_out : mi.UInt32
         Positions in `Optics.media` of the materials on the side of incidence and on the other; 0: any material may be
         there, as next to an opaque surface.
@@ -79,7 +79,7 @@ class Interaction:
     from_front : mi.Bool
         Whether the light comes from the front.
     place : Place
-        Place of R and T in the coating's table.
+        Position of the angle of incidence in the coating's table.
     polarized : Polarized or None
         Stokes vector and Mueller matrices; None: unpolarised.
     """
@@ -308,7 +308,8 @@ class _Incidence:
     opaque, from_front, tir : mi.Bool
         Whether the surface is opaque, the light comes from its front, and total reflection occurs.
     n_i, n_t, eta : mi.Float
-        Real indices on the side of the light and on the other side, and n_i/n_t.
+        Real refractive indices on the side of the light and on the other side, and n_i/n_t; without meaning at an
+        opaque surface.
     cos_i, cos_t, sin2_t : mi.Float
         Cosines of the angles of incidence and refraction, and sin² of the latter, which exceeds 1 in total reflection.
     """
@@ -359,7 +360,11 @@ def _place(table: SurfaceTable, s: mi.UInt32, at: _Incidence, active: mi.Bool) -
 def _unpolarized(
     table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
-    """Return R and T for unpolarised light; T is 0 at opaque surfaces and in total reflection, where R is R + T."""
+    """
+    Return R and T for unpolarised light.
+
+    T is 0 at opaque surfaces, and in total reflection, in which the T of an ideal coating is added to R.
+    """
     kinds = table.optics.kinds
     # Ideal coatings have R and T of their own
     R, T = optics.z, optics.w

@@ -165,7 +165,7 @@ def launches_of(table: SurfaceTable, settings: Settings, *writes: Hashable) -> L
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     settings : Settings
-        The number of rays and their seed do not matter.
+        Settings of the trace, of which the number of rays and the seed do not matter.
     *writes : hashable
         Outputs of the kernel, which tell kernels of the same scene apart.
     """

@@ -43,7 +43,7 @@ class LightVertexRecorder(Recorder):
 
     @property
     def count(self) -> int:
-        """Number of light vertices found so far, those beyond `room`, which are not stored, included."""
+        """Number of light vertices found so far, including those beyond `room`, which are not stored."""
         return int(self._count[0])
 
     def visit(self, visit: Visit, memory: Memory) -> None:
@@ -100,7 +100,7 @@ class LightVertices:
     starts_per_connection : (c,) float64
         Number of start rays of each cell per connection, see `mistray.sampling.sharing.mis_weights.Sharing`.
     lanes : (c,) int
-        Number of start rays of each cell.
+        Number of forward start rays of each cell.
     extent : float
         Extent of the scene, mm.
     """

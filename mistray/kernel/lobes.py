@@ -1,9 +1,9 @@
 """
 Radial tables of scatter lobes on the device, evaluated and sampled by the kernel and by the plugins.
 
-A lobe has the density 2π r f(r) / total over the radius r. The cells between the nodes are chosen by the alias method
-(M. Pharr et al., Physically based rendering, 4th edition, section A.1); within a cell f ∝ r^m, so that the power m + 2
-of r is uniform.
+A lobe of profile f has the density 2π r f(r) / total over the radius r, which is tabulated at nodes. The cells between
+the nodes are chosen by the alias method (M. Pharr et al., Physically based rendering, 4th edition, section A.1). Within
+a cell f ∝ r^m, so that the power m + 2 of r is uniform.
 """
 
 from __future__ import annotations

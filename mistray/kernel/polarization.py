@@ -6,12 +6,13 @@ d × first. A node stores only these three values. At a surface the Stokes vecto
 incidence, with axes s = d × normal and d × s. There it is multiplied by the Mueller matrix of the coating, and then
 rotated back.
 
-With Q = |E₁|² - |E₂|² and U + iV = 2 E₁ E₂*, the Mueller matrix of a coating of amplitudes j_s, j_p is
+Let E₁ and E₂ be the components of the field along these axes, I = |E₁|² + |E₂|², Q = |E₁|² - |E₂|² and
+U + iV = 2 E₁ E₂*. Then the Mueller matrix of a coating with the amplitude coefficients j_s and j_p is
 
     I' = (S + P)/2 I + (S - P)/2 Q,   Q' = (S - P)/2 I + (S + P)/2 Q,   (U + iV)' = j_s j_p* (U + iV)
 
-where S and P are the shares of the flux and |j_s j_p*|² = S P. Source: M. Born and E. Wolf, *Principles of Optics*,
-7th ed., sections 1.4.2 and 10.9.3; E. Collett, *Field Guide to Polarization* (2005).
+where S and P are the shares of flux of s and p light and |j_s j_p*|² = S P. Source: M. Born and E. Wolf, *Principles of
+Optics*, 7th ed., sections 1.4.2 and 10.9.3; E. Collett, *Field Guide to Polarization* (2005).
 """
 
 from __future__ import annotations

@@ -221,11 +221,11 @@ class PackedLobes:
         Coefficients c0, c1 and c2, total of the radial profile, limit of 1/cos θi, and log2 of the smallest distance r
         of the ratio table, see `mistray.scatter.lobe.Lobe`.
     words : (n, 2) uint32
-        Flags with the number of the radial table, and index of the ratio table in `ratios`.
+        Flags with the index of the radial table in `tables`, and index of the ratio table in `ratios`.
     tables : list of RadialTable
         Radial profiles, each once.
     table_numbers : list of int
-        Number of the table of each lobe.
+        Index in `tables` of the radial table of each lobe.
     ratios : (m,) float64
         Ratio tables, each after a head of `RATIO_HEAD` values; first those that change with the models' parameters.
     moving : int

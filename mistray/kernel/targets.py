@@ -332,7 +332,7 @@ class AimSet:
 
     @classmethod
     def of(cls, targets: Sequence[AnyTarget], rays: int, weights: Sequence[float] | None = None) -> AimSet:
-        """Return a set of targets with `rays` aimed rays per hit, shared in proportion to `weights` or equally."""
+        """Return targets that share `rays` aimed rays per hit in proportion to `weights`; equally by default."""
         # By default each target gets as many rays as the others, whatever its size
         parts = np.ones(len(targets)) if weights is None else np.asarray(weights, dtype=np.float64)
         shares = (parts / parts.sum()).tolist()

@@ -71,7 +71,8 @@ class AsphereSearch:
             """
             Return the index and mask bit of the next asphere to search, and a mask of rays that have one left.
 
-            It is the nearest not yet searched that a ray enters before its best hit, mm.
+            The next asphere is the nearest one not yet searched that a ray enters before its best hit, at the distance
+            `best`, mm.
             """
             nearest, number, bit = mi.Float(best), mi.UInt32(0), mi.UInt32(0)
             for k, (piece, entry) in enumerate(zip(self.pieces, entries, strict=True)):

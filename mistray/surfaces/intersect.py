@@ -1,9 +1,9 @@
 """Exact nearest hit of rays with the analytic surfaces of a scene, in the caller's kernel.
 
 The search is unrolled over the surfaces. Many surfaces lie in a tree, see `mistray.surfaces.shell_tree`; freeforms of
-one sort lie in a mosaic, see `mistray.surfaces.mosaic_search`. Each number of an unrolled surface is an opaque scalar.
-So all scenes of equal structure have the same code, without recompilation when a parameter changes, and a number is
-loaded once for all lanes.
+one sort lie in a mosaic, see `mistray.surfaces.mosaic_search`. Each parameter of an unrolled surface is an opaque
+scalar. So all scenes of equal structure have the same code, without recompilation when a parameter changes, and a
+parameter is loaded once for all lanes.
 """
 
 from __future__ import annotations

@@ -68,7 +68,8 @@ class AngleTable:
         unpolarised light (mean of s and p). c = 4 in Stokes mode: values for s and p, and real and imaginary part of
         the product of the amplitude of s with the conjugate amplitude of p.
     total : (b, 3, c) float64
-        Values in the same order, for light from the denser side, at uniform nodes of w.
+        Values in the same order, for light from the denser side, at uniform nodes of w; zeros where there is no
+        critical angle.
     refraction_error, total_error : float
         Upper bounds of the interpolation error of either part.
     """
@@ -588,7 +589,7 @@ class Optics:
         """
         Return the exact R and T of a surface in unpolarised light, (m,) each, at cosines of incidence, (m,).
 
-        T of an opaque surface is 0.
+        T of an opaque surface is 0. So is R for light out of a metal, in which none travels.
         """
         opaque = bool(self.host_words[surface] & OPAQUE)
         coating, sides = self.bsdfs[surface].coating, self.complex_indices[surface]

@@ -211,7 +211,11 @@ def _halves(middles: np.ndarray) -> list[np.ndarray]:
 
 
 def _meets(rays: np.ndarray, shell: np.ndarray) -> np.ndarray:
-    """Return a mask of rays (6, n) that enter a shell about the z axis, neither missing it nor passing its hole."""
+    """
+    Return a mask of rays that enter a shell about the z axis, neither missing it nor passing its hole.
+
+    `rays`, (6, n), are points, mm, and directions; `shell` is a row of `ShellTree.bounds`.
+    """
     x, y, z, dx, dy, dz = rays
     low, high, inner2, outer2 = shell
     with np.errstate(all="ignore"):

@@ -165,7 +165,7 @@ class TracedSurface(ABC):
 
     @property
     def quadric(self) -> tuple[float, float, float, float]:
-        """Coefficients a, b, e, g of F = a (x² + y²) + b z² + e z + g; zeros if F is no quadric."""
+        """Coefficients a, b, e, g of F = a (x² + y²) + b z² + e z + g, see `SurfaceRow`; zeros for any other F."""
         return 0.0, 0.0, 0.0, 0.0
 
     @property
@@ -173,7 +173,7 @@ class TracedSurface(ABC):
         """
         Half width and half height (mm) of a rectangular aperture, else inner radius squared (mm²) and 0.
 
-        The overlap with neighbours is included.
+        The overlap with neighbours is included. Other surfaces have 0 and 0.
         """
         return 0.0, 0.0
 
@@ -266,11 +266,15 @@ class TracedSurface(ABC):
         """Least and greatest value, mm, of the coordinate that defines the rims; for a rectangle, of the radius."""
 
     def rim_place(self, q: np.ndarray) -> np.ndarray:
-        """Return the coordinate that defines the rims (radius or z), (n,), mm, of points (n, 3); not for rectangles."""
+        """Return the coordinate that defines the rims (radius or z), (n,), of points (n, 3), mm; not for rectangles."""
         return q[:, 2] if self.rim_coordinate == ENDS else np.hypot(q[:, 0], q[:, 1])
 
     def rim_depths(self, q: np.ndarray) -> dict[int, np.ndarray]:
-        """Return the distances, (n,), mm, by which points (n, 3) lie inside each rim; negative outside."""
+        """
+        Return the distances, (n,), mm, by which points (n, 3), mm, lie inside each rim; negative outside.
+
+        They are listed by position in `RIM_COLUMNS`. Rims of size 0 are left out.
+        """
         if self.rim_coordinate == RECTANGLE:
             sides = {HALF_WIDTH: q[:, 0], HALF_HEIGHT: q[:, 1]}
             return {rim: self.rim_sizes[rim] - np.abs(along) for rim, along in sides.items()}

@@ -116,7 +116,11 @@ class Freeform(TracedSurface):
 
     @property
     def opening(self) -> Opening:
-        """Clear aperture of the freeform as a flat figure: the bounding box of its outline, or its outer circle."""
+        """
+        Clear aperture of the freeform as a flat figure: the bounding box of its outline.
+
+        If the outline is a circle from which other figures are only cut, it is that circle.
+        """
         if self._round:
             return Opening(0.0, (self.size, self.size))
         return Opening(0.0, self.half, rectangular=True)

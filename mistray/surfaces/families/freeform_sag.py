@@ -282,6 +282,10 @@ def _quadric(n: Mapping[str, Any]) -> tuple[float, float, float]:
 
 
 def quadric_sag(x: Any, y: Any, cx: float, cy: float, a: float) -> Any:
-    """Return the sag of a quadric at points (x, y) in the frame of its vertex, mm."""
+    """
+    Return the sag of a quadric at points (x, y) in the frame of its vertex, mm.
+
+    `cx` and `cy` are its curvatures, `a` is the factor of z², all in 1/mm.
+    """
     c = cx * x * x + cy * y * y
     return c / (1 + np.sqrt(1 - a * c))

@@ -39,7 +39,7 @@ class ImplicitNumbers:
     z : mi.Float
         Position of the origin of its frame along the axis, mm.
     z_low, z_high : mi.Float
-        Bounds along the axis from there, mm.
+        Bounds along the axis, from that origin, mm.
     outer2 : mi.Float
         Square of the largest radius, mm².
     low, high : mi.Float
