@@ -39,7 +39,7 @@ SUMS, SAMPLES, OWN = 0, 1, 4
 
 class AllCells:
     """
-    Forward trace of plane waves of 1 W/mm², one from each cell of a grid; every ray carries the number of its cell.
+    Forward trace of plane waves of 1 W/mm², one from each cell of a grid; every ray carries the index of its cell.
 
     Parameters
     ----------

@@ -70,12 +70,13 @@ class Pass(NamedTuple):
 
 class BackwardTrace(GridTrace):
     """
-    Trace of Lambertian rays from the detector back to a grid of directions; passes can be added without limit.
+    Trace of Lambertian rays from the detector back to a grid of directions, to which any number of passes can be added.
 
     A ray leaves the detector like light from a Lambertian surface and follows, in reverse, the way of light that would
-    be detected there. Let w be the weight of the rays that leave within a cell of directions. Light of radiance L from
-    the cell has the irradiance E = π L mean(w) on the detector; for a distant source that is
-    PST_normal = π/ΔΩ mean(w). For a detector in a medium of index n the weights include the factor n².
+    be detected there. Let w be the weight of the rays that leave within a cell of directions, of the solid angle ΔΩ,
+    sr. Light of radiance L, W/mm²/sr, from the cell has the irradiance E = π L mean(w), W/mm², on the detector. For a
+    distant source this gives PST_normal = π/ΔΩ mean(w). For a detector in a medium of refractive index n the weights
+    include the factor n².
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ class MapPlace(NamedTuple):
     run : int
         Index of the run.
     part : Part
-        Part of its start rays.
+        Part of the start rays of that run.
     detector : int
         Index of the detector's surface.
     keys, words : bytes

@@ -34,7 +34,7 @@ class CellSums(Sums):
     largest : (n, m) float64
         Largest contribution of a scattered ray.
     maps : (2, n, m, pixels) float64 or None
-        Contributions by pixel of the detector, and the sums of their squares.
+        Contributions by pixel of the detector, and the sums of their squares; None: there are no maps.
     paths : PathsByCell
         Paths that are not in the memory of the device: of rays of another process, or of an earlier run.
     passes : int

@@ -133,7 +133,7 @@ def _made_run(
 
 
 def reduced_array(array: Any) -> tuple[Any, ...]:
-    """Return what an array of Dr.Jit is made of again, in the active variant."""
+    """Return function and arguments from which pickle makes a Dr.Jit array again, in the active variant."""
     return _made_array, (type(array).__name__, np.array(array))
 
 

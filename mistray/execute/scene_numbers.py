@@ -40,7 +40,11 @@ class StoredScene:
 
 
 def read_numbers(scene: mi.Scene) -> dict[str, np.ndarray]:
-    """Return a scene's numeric parameters, no scalars, by key of ``mi.traverse``: flat arrays and (4, 4) matrices."""
+    """
+    Return a scene's arrays of numbers, by key of ``mi.traverse``: flat arrays and (4, 4) matrices.
+
+    Parameters that are plain Python numbers are left out.
+    """
     return {key: _on_host(value) for key, value in _numbers(mi.traverse(scene))}
 
 

@@ -2,8 +2,8 @@
 The view of a detector: shares of surfaces, media and the sky in a backward trace from it.
 
 By Kirchhoff's law the absorptance of a surface for backward rays is its emissivity for light to the detector. A surface
-of blackbody radiance L irradiates the detector with π L · emission, where emission is the mean of weight times
-absorptance over Lambertian rays.
+of blackbody radiance L, W/mm²/sr, irradiates the detector with π L · emission, W/mm². Here emission is the mean of
+weight times absorptance over Lambertian rays.
 """
 
 from __future__ import annotations

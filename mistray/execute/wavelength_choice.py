@@ -39,7 +39,11 @@ class WavelengthChoice:
 
     @classmethod
     def of(cls, wavelengths_nm: Sequence[float], weights: Sequence[float], most: int) -> WavelengthChoice:
-        """Return at most `most` of the wavelengths (nm), but at least two, spread evenly and with both ends."""
+        """
+        Return a choice of at most `most` of the wavelengths, nm, but at least two, spread evenly and with both ends.
+
+        The weight of each omitted wavelength is added to that of the chosen one nearest to it.
+        """
         # Coarse steps first, which keeps both ends
         nm, shares = np.asarray(wavelengths_nm, dtype=float), np.asarray(weights, dtype=float)
         kept = np.sort(coarse_first(np.argsort(nm, kind="stable").tolist())[: max(most, 2)])

@@ -2,7 +2,7 @@
 
 Backward rays contribute where they leave the scene, forward rays where they meet the detector. Paths that both find are
 weighted by the balance heuristic (E. Veach, Robust Monte Carlo methods for light transport simulation, 1997, section
-9.2), for which recorders ask by the protocol `MisWeighting`.
+9.2), which recorders obtain through the protocol `MisWeighting`.
 """
 
 from __future__ import annotations
@@ -297,7 +297,7 @@ class DirectionRecorder(SkyRecorder):
         return SkyContribution(class_of_light(departure, self._design), cell, weight, active)
 
     def read(self) -> dict[str, Any]:
-        """Return throughput sums in units of a start ray's flux; ``elsewhere``, (BATCHES,), is outside all cells."""
+        """Return throughput sums in units of a start ray's; ``elsewhere``, (BATCHES,), is the sum outside all cells."""
         return super().read() | {"elsewhere": np.array(self.elsewhere)}
 
 

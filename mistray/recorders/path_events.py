@@ -62,7 +62,7 @@ def way(events: np.ndarray) -> np.ndarray:
 
 
 def way_text(events: Iterable[str]) -> list[str]:
-    """Return event lists as text, with aimed scatter written by the letter of random scatter."""
+    """Return event lists as strings, with aimed scatter written by the letter of random scatter."""
     return [_AIMED_LETTER.sub(lambda found: _WAY_LETTERS[found[0]], text) for text in events]
 
 
@@ -226,7 +226,7 @@ class Events:
 
     @property
     def text(self) -> list[str]:
-        """Event list of each path as text, "L1_front:T … detector:A"."""
+        """Event list of each path as a string, such as "L1_front:T … detector:A"."""
         # Few different codes make up many events: each is formatted once
         codes = np.unique(self.codes).tolist()
         words = {code: event_text(code, self.ids) for code in codes}

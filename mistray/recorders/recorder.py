@@ -64,7 +64,7 @@ class Visit:
     scatters : bool
         Whether anything in the scene scatters.
     slot : mi.UInt32 or None
-        Slot of the path in the ledger, once a ledger has found it.
+        Slot of the path in the ledger; None: no ledger has looked it up yet.
     pdf_ratio : mi.Float or None
         pdf_rev/pdf_own of the path: backward rays that find it for each of these forward rays, see
         `mistray.kernel.pdf_ratios`; None: there are no MIS weights.
@@ -207,7 +207,7 @@ class Departure:
     active : mi.Bool
         Lanes whose rays leave.
     nodes : tuple of dr.Local, optional
-        Nodes before the last.
+        Nodes before the last, see `mistray.kernel.pending_nodes`.
     node : sequence of mi.Float, optional
         The last node: point, mm, direction of arrival and throughput; None: the rays come straight from their start.
     pdf_ratio : mi.Float or None

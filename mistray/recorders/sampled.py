@@ -2,7 +2,7 @@
 
 Start rays are stratified within a batch, and batches are independent. So the error of a sum over the start rays follows
 from the spread of its batches, however often one start ray branches and however two sums are correlated. To first order
-every number that is computed from sums has an error of the same kind (delta method). Numbers of one trace keep their
+every value that is computed from sums has an error of the same kind (delta method). Values of one trace keep their
 correlation, so that the error of a quotient of two of them is right.
 """
 

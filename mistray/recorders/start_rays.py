@@ -67,23 +67,24 @@ class StartRays:
         Position in `Optics.media` of the material that they start in; 0 or None: unknown.
     depth, reflections, scatters : mi.UInt32, optional
         Events before, counted reflections and scatter events (packed as in `mistray.kernel.ray_tree`), for rays that
-        go on from within a tree.
+        continue from within a tree; None: 0.
     key, path_class : mi.UInt64, mi.UInt32, optional
         Key of these events, and the sum of their hashes for the path class, see
-        `mistray.recorders.path_key.mixed_events`.
+        `mistray.recorders.path_key.mixed_events`; None: there are no events before.
     reference : mi.Float, optional
-        Reference throughput: the throughput with which such a ray left the source or was scattered last.
+        Throughput with which such a ray left the source or was scattered last; None: `w`.
     aimed_from : mi.UInt32, optional
-        Index of the surface that sent such a ray to a target, `NO_SURFACE` if none did.
+        Index of the surface that sent such a ray to a target; `NO_SURFACE` or None: none did.
     run : mi.UInt32, optional
-        Hits of one surface in a row before, packed as in `mistray.kernel.branch_limits`.
+        Hits of one surface in a row before, packed as in `mistray.kernel.branch_limits`; None: there were none.
     at : mi.UInt32, optional
         Index of the surface that a ray has just arrived at, with its origin on it; `NO_SURFACE` or None: it is between
         surfaces.
     scale : mi.Float, optional
         Throughput with which the ray left the source: the unit of `Settings.flux_threshold`; None: 1.
     place : list of mi.Float, optional
-        Point of the start ray in the unit cube of its cell, see `mistray.sampling.plane_wave.wave_rays`.
+        Point of the start ray in the unit cube of its cell, see `mistray.sampling.plane_wave.wave_rays`; None: of a
+        trace without cells.
     stokes : mi.Vector3f, optional
         (q, u, v) of polarised light with respect to the axes of `mistray.kernel.polarization`; None: unpolarised.
     """

@@ -98,7 +98,7 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
 
 @share(SEARCH_SHARE)
 def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
-    """Return the targets of aimed backward rays, and each surface's fraction of Lambertian rays that reach the sky."""
+    """Return the `BackwardTargets` of a scene by probe rays; `axis` is the unit direction of light at field angle 0."""
     # Opening of the system
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)

@@ -83,7 +83,7 @@ class Beam(SceneSource):
         return [self.through(*line) for line in lines]
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> Beam:
-        """Return this beam with its probe rays aimed at an aperture; its start rays do not change."""
+        """Return a copy of the beam whose probe rays are aimed at an aperture; start rays do not change."""
         return replace(self, aperture=aperture)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:

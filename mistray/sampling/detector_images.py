@@ -42,7 +42,7 @@ BETTER = 2.0  # least ratio of the rays that land by a target in another plane t
 @dataclass(frozen=True)
 class Fitted:
     """
-    Importance target that was fitted to traced rays, and the fraction of rays aimed at it that land.
+    Importance target that was fitted to traced rays, and the fraction of the rays to it that reach the detector.
 
     Attributes
     ----------

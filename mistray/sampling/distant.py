@@ -24,10 +24,10 @@ class DistantRays(PluginRays):
     Distant source, such as the sun or the sky, whose directions are the same everywhere in the scene.
 
     The rays of a direction fill a disc across it, which covers the sphere around the scene. The rays through a sphere
-    around the first aperture are a stratum of their own. That sphere may stick out of the one around the scene, as
-    around a lens at the end of a short system. Rays that are drawn there carry no light.
+    around the first aperture are a stratum of their own. That sphere may extend beyond the one around the scene, as at
+    a lens at the end of a short system. Rays sampled outside the sphere around the scene carry no light.
 
-    The radius of its aperture is below √½ of that of the scene.
+    The sphere around the aperture has less than √½ of the radius of the sphere around the scene.
     """
 
     aims: ClassVar[bool] = True
@@ -50,7 +50,7 @@ class DistantRays(PluginRays):
 
     @property
     def middle(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ray along the source's axis through its disc's middle: origin, mm, and direction, (1, 3) float64 each."""
+        """Ray along the axis through the middle of the disc: origin, mm, and unit direction, (1, 3) float64 each."""
         return self.through(np.zeros(1), np.zeros(1))
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:

@@ -104,7 +104,7 @@ def cosine_power(square: Any, exponent: Any, edge: Any) -> Any:
     Parameters
     ----------
     square : array
-        Share u of the flux within θ, 0 … 1.
+        Share u, 0 … 1, uniform for random directions; see `polar`.
     exponent : array
         n ≥ 0; 0 is the same intensity in all directions, 1 a Lambertian surface.
     edge : array

@@ -80,7 +80,7 @@ class AreaLight:
         return mi.Vector3f(found.p), from_local(local, mi.Vector3f(found.n))
 
     def density(self, place: mi.Point2f, d: mi.Vector3d, n: Mapping[str, mi.Float]) -> mi.Float64:
-        """Return the pdf cos θ/π, 1/sr, of emission in direction d from points of the shape."""
+        """Return the pdf cos θ/π, 1/sr, of emission in direction d from points of the shape; 0 to its inside."""
         # Lambertian: cos θ/π; the same place gives the point that `rays_from` starts at
         normal = mi.Vector3d(self.shape.sample_position(0.0, place).n)
         return dr.maximum(dr.dot(d, normal), 0) / dr.pi

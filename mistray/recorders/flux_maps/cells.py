@@ -135,7 +135,7 @@ class PassingLight(Recorder):
         Raises
         ------
         MistrayError
-            Before its first trace.
+            If nothing has been traced yet.
         """
         if self._flux is None:
             raise MistrayError(f"'{self.name}' has recorded nothing yet; give it to trace(…, recorders=[…])")

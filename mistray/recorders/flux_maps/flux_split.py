@@ -142,7 +142,7 @@ class FluxSplit(SurfaceLight):
         Raises
         ------
         MistrayError
-            Before its first trace.
+            If nothing has been traced yet.
         """
         value, se = self.image
         return [

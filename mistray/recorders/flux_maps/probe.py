@@ -196,7 +196,7 @@ def frame_of(normal: np.ndarray, up: np.ndarray, owner: str) -> np.ndarray:
     Raises
     ------
     MistrayError
-        If one is 0, or both are parallel.
+        If a direction is 0, or both are parallel.
     """
     for what, vector in (("normal", normal), ("up", up)):
         if not np.linalg.norm(vector) > 0:

@@ -297,7 +297,7 @@ class SurfaceMaps(SurfaceLight):
         Raises
         ------
         MistrayError
-            Before its first trace.
+            If nothing has been traced yet.
         """
         return self.maps_of(self.flux)
 

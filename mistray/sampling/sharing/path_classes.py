@@ -120,12 +120,12 @@ class PathClassWeights:
         self._design = design
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """Return the MIS weights, 0 … 1, of paths of backward rays that leave within a cell of directions, by class."""
+        """Return the MIS weights, 0 … 1, that backward rays which leave within a cell have by class of their path."""
         path_class = path_class_of(departure.event, departure.length, departure.start, active)
         return self._of(class_of_light(departure, self._design), path_class, cell, active)
 
     def forward(self, visit: Visit) -> MisWeights:
-        """Return the MIS weights, 0 … 1, of paths of forward rays that meet the detector."""
+        """Return the MIS weights, 0 … 1, that forward rays at the detector have by class of their path."""
         assert visit.start.cell is not None
         path_class = path_class_of(visit.event, visit.depth, visit.start, visit.detected)
         return self._of(class_of_light(visit, self._design), path_class, visit.start.cell, visit.detected)

@@ -104,7 +104,7 @@ class MapSamples(NamedTuple):
         Parameters
         ----------
         shape : tuple of int
-            Numbers of field angles and azimuths of the grid; azimuths are periodic.
+            Number of field angles and number of azimuths of the grid; azimuths are periodic.
         """
         rng = np.random.default_rng(len(self.cell))
         total = np.bincount(self.cell, self.weights, shape[0] * shape[1]).astype(np.float64)
@@ -154,7 +154,7 @@ class StartMap:
     Attributes
     ----------
     axis : (n,) int32
-        Dimension that a node halves, `LEAF` where none.
+        Dimension along which a node is halved; `LEAF`: it is not.
     child : (n,) int32
         Index of the node that is the low half; the high half has the next index.
     low : (n,) float64

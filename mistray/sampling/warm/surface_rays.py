@@ -35,7 +35,7 @@ class WarmRays(SceneSource):
     medium : int
         Position in `Optics.media` of the material there.
     law : IntensityTable
-        ε(θ) cos θ against the angle from the normal.
+        ε(θ) cos θ, dimensionless, against the angle θ from the normal.
     """
 
     table: SurfaceTable
