@@ -137,17 +137,17 @@ class Run:
         Parts that are traced; None: all passes.
     ledger : Ledger or None
         Table of the paths that reach the detectors, on the device; None if none was kept.
-        scattering : Scattering
-            Scatter of the surfaces and media at the wavelength.
-        intersector : Intersector
-            Search for the hits of rays on the surfaces.
-        settings : Settings
-            Settings of the trace.
-        seed : int
-            Seed of the random numbers of this run.
-        executed : RunSums or None
-            Sums of the trace; None: the run has not been executed.
-        """
+    scattering : Scattering
+        Scatter of the surfaces and media at the wavelength.
+    intersector : Intersector
+        Search for the hits of rays on the surfaces.
+    settings : Settings
+        Settings of the trace.
+    seed : int
+        Seed of the random numbers of this run.
+    executed : RunSums or None
+        Sums of the trace; None: the run has not been executed.
+    """
 
     source: SceneSource
     table: SurfaceTable

@@ -206,14 +206,14 @@ class Spread:
 
     def next(self, done: int, rays: int) -> np.ndarray:
         """
-        Return about `rays` numbers of the permutation after its first `done`, in ascending order.
+        Return the next values of the permutation after its first `done`, about `rays` of them, in ascending order.
 
         While `done` is within the first group, all of that group is returned, whatever `rays` is.
 
         Returns
         -------
         (n,) int64
-            Numbers of the permutation.
+            Values of the permutation; none if it is at its end.
         """
         if done < len(self._first):
             return self._first

@@ -80,8 +80,8 @@ class PathClassVariances:
         """
         Return the MIS weights of forward rays, by class and cell, that minimise the variance of the sum of both parts.
 
-        Each part is weighted by its inverse variance; path classes of few samples take the weight of their class of
-        light.
+        Each part is weighted by its inverse variance. The fewer samples a path class has, the closer its weight is to
+        that of its class of light; without samples of this, the weight is `UNKNOWN`.
 
         Returns
         -------
