@@ -128,7 +128,7 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Return two bools: whether any ray from points (n, 3), mm, leaves against its normal, and any along it."""
+        """Return whether any ray from points (n, 3), mm, to the target leaves against its normal, and any along it."""
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
@@ -182,7 +182,7 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Return two bools: whether any ray from points (n, 3), mm, leaves against its normal, and any along it."""
+        """Return whether any ray from points (n, 3), mm, to the target leaves against its normal, and any along it."""
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes

@@ -165,7 +165,8 @@ def _common(name: str, values: np.ndarray) -> float | None:
     """
     Return the value of a kernel parameter that all members share within rounding; None if they differ.
 
-    Bounds within a factor `ALIKE` are shared, too: then it is the largest of them.
+    Bounds within a factor `ALIKE` are shared as well, and the largest of them is returned. So are sizes of apertures
+    (``clip_…``) that differ by at most `LENGTH_MM`.
     """
     most, least = float(values.max()), float(values.min())
     if name in BOUNDS and most <= ALIKE * least:

@@ -340,7 +340,7 @@ def quadric_crossings(quadric: Sequence[Any], sheet: Any, o: np.ndarray, d: np.n
     """
     Return the distances, (n, 2), mm, at which lines cross a sheet of a quadric, without cancellation.
 
-    They are not finite for none; see `Bounds` for the sheet.
+    They are NaN or infinite where a line does not cross the sheet, for which see `Bounds`.
     """
     (a, b, e, g), (x, y, z), (dx, dy, dz) = quadric, o.T, d.T
     A = a * (dx**2 + dy**2) + b * dz**2
