@@ -181,7 +181,10 @@ def body_targets(
     rng: np.random.Generator,
 ) -> list[Target]:
     """
-    Return the importance targets of the light that a body of a scattering medium scatters.
+    Return the importance targets of the light that a body of a scattering medium scatters, at most `MOST_TARGETS`.
+
+    For a body on the design path they are the images of the detector through which enough rays land on it. If
+    there are none, and for any other body, they are the sights as they appear from within.
 
     Parameters
     ----------
@@ -192,7 +195,7 @@ def body_targets(
     images : DetectorImages, optional
         Images of the detector by the surfaces of the design path; None: there is no path.
     sights : sequence of Sight
-        Sights of a body that is not on the path, the most important first.
+        Surfaces and openings to aim at, the most important first.
     rng : np.random.Generator
         Random number generator.
     """

@@ -172,7 +172,7 @@ class _Boxes:
     frame : (3, 3) float64
         Axes of the orientation as columns.
     middle, corners : (m, 3) float64
-        Middles of the boxes, and their half sides, mm.
+        Middles of the boxes, and their half sides, mm, along the axes of the orientation.
     """
 
     members: np.ndarray
