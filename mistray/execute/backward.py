@@ -7,7 +7,8 @@ cell of directions, and ΔΩ the solid angle of the cell. Then
     PST_normal = π/ΔΩ · mean(w),
 
 that is, the irradiance on the detector per irradiance of a plane wave across its own direction. The mean is over all
-start rays, and w includes n² of the medium before the detector. `BackwardTrace.unit` is π/ΔΩ.
+start rays, and w includes the factor n², with the refractive index n of the medium before the detector.
+`BackwardTrace.unit` is π/ΔΩ.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class Entrance:
     Raises
     ------
     MistrayError
-        If the centre is not three finite numbers, or the radius not positive.
+        If the centre is not three finite numbers, or the radius is not positive and finite.
     """
 
     centre: tuple[float, float, float]

@@ -65,7 +65,11 @@ class Freeform(TracedSurface):
     def of(
         cls, local: LocalSag, outline: Outline, half: tuple[float, float], wall: bool = False, way: int = 0
     ) -> Freeform:
-        """Create the freeform from a sag and an outline, both in a frame about the middle of the outline."""
+        """
+        Create the freeform from a sag and an outline, both in a frame about the middle of the outline.
+
+        The arguments are attributes of the same names; `z_range`, `slope` and `outermost` follow from them.
+        """
         x, y = outline.sample(GRID)
         z, across, along = local.sag.evaluate(x, y, local.numbers)
         steepest = float(np.max(np.hypot(across, along)))
