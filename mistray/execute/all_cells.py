@@ -39,7 +39,7 @@ SUMS, SAMPLES, OWN = 0, 1, 4
 
 class AllCells:
     """
-    Forward trace of plane waves of 1 W/mm², one from each cell of a grid; every ray carries the number of its cell.
+    Forward trace of plane waves of 1 W/mm², one from each cell of a grid; every ray carries the index of its cell.
 
     Parameters
     ----------
@@ -55,11 +55,11 @@ class AllCells:
     unit : (n, m) float64
         PST_normal of each cell if the mean weight of its start rays is 1.
     rounds : list of tuple
-        Round number and start rays of each cell, (c,), for each call of `sums`.
+        Index of the round, and number of start rays of each cell, (c,), for each call of `sums`.
     total : WaveSums
         Sums of all rays so far, see `go_on`.
     after_pass : callable or None
-        Called with the number of start rays of each pass that `sums` has traced.
+        Called with the number of start rays of each pass that `sums` has traced; None: nothing is called.
     """
 
     total: WaveSums
@@ -88,7 +88,7 @@ class AllCells:
         rays : (c,) int
             Number of start rays of each cell, multiples of `BATCHES`.
         number : int
-            Number of this search, which selects its random numbers.
+            Index of this search, which selects its random numbers.
         values : (c,) float64, optional
             Value of a unit of contribution in each cell; None: `Samples.importance` is 0.
         """
@@ -123,7 +123,7 @@ class AllCells:
         rays : (c,) int
             Number of start rays of each cell. Multiples of `BATCHES` are traced; start weights make up for rounding.
         number : int, optional
-            Number of the round, which selects its random numbers; by default the next one.
+            Index of the round, which selects its random numbers; by default the next one.
         """
         missing = np.maximum(rays - self.rays, 0)
         if missing.any():
@@ -168,7 +168,11 @@ class AllCells:
 
     @property
     def _kinds(self) -> list[tuple[bool, bool]]:
-        """Kinds of rays to trace, as pairs of flags: rays may scatter; their unscattered light is left out."""
+        """
+        Kinds of rays to trace, as pairs of flags: rays may scatter; their unscattered light is left out.
+
+        There is one kind, which carries all light, unless unscattered light has rays of its own.
+        """
         return [(True, False)] if self.unscattered is None else [(True, True), (False, False)]
 
     @property
@@ -179,7 +183,11 @@ class AllCells:
 
     @property
     def lanes(self) -> float:
-        """Number of start rays over all wavelengths such that the share of each wavelength fits in one launch."""
+        """
+        Number of start rays over all wavelengths such that the share of each wavelength fits in one launch.
+
+        Before the first launch it is `BATCHES`.
+        """
         parts = [self._trace.bands[band].share / one.lanes for band, one in self._launches.items()]
         return 1 / max(parts) if parts else BATCHES
 
@@ -191,9 +199,9 @@ class AllCells:
     @property
     def paths(self) -> PathsByCell:
         """
-        Paths recorded so far with their flux sums by cell, events in the order of the light.
+        Paths recorded so far with their throughput sums by cell, events in the order of the light.
 
-        Empty without a table of paths.
+        Without a table of paths there are none.
         """
         return self.total.paths if self._paths is None else self.total.paths + self._paths.read()
 
@@ -212,7 +220,11 @@ class AllCells:
         return self._recorder(mis, derivative=derivative)
 
     def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int], scatter: bool = True) -> Iterator[StartRays]:
-        """Yield the start rays of a wavelength, pass by pass; each round and wavelength has its own random numbers."""
+        """
+        Yield the start rays of a wavelength, pass by pass; each round and wavelength has its own random numbers.
+
+        Without `scatter` they are the additional rays for unscattered light.
+        """
         # Rays of each cell
         trace = self._trace
         balance = trace.balance(band)
@@ -241,7 +253,7 @@ class AllCells:
                 )
 
     def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:
-        """Trace ray trees of start rays at wavelength number `band` into a recorder, with or without scatter."""
+        """Trace ray trees of start rays at the wavelength of index `band` into a recorder, with or without scatter."""
         trace = self._trace
         scene, settings = trace.forward_scene(band), trace.settings
         if not scatter:

@@ -7,7 +7,8 @@ cell of directions, and ΔΩ the solid angle of the cell. Then
     PST_normal = π/ΔΩ · mean(w),
 
 that is, the irradiance on the detector per irradiance of a plane wave across its own direction. The mean is over all
-start rays, and w includes n² of the medium before the detector. `BackwardTrace.unit` is π/ΔΩ.
+start rays, and w includes the factor n², with the refractive index n of the medium before the detector.
+`BackwardTrace.unit` is π/ΔΩ.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
 
 
 class Pass(NamedTuple):
-    """One wavelength of a pass: numbers of wavelength and pass, and number of rays of the pass over all wavelengths."""
+    """One wavelength of a pass: indices of wavelength and pass, and number of rays of the pass over all wavelengths."""
 
     band: int
     done: int
@@ -72,12 +73,13 @@ class Pass(NamedTuple):
 
 class BackwardTrace(GridTrace):
     """
-    Trace of Lambertian rays from the detector back to a grid of directions; passes can be added without limit.
+    Trace of Lambertian rays from the detector back to a grid of directions, to which any number of passes can be added.
 
     A ray leaves the detector like light from a Lambertian surface and follows, in reverse, the way of light that would
-    be detected there. Let w be the weight of the rays that leave within a cell of directions. Light of radiance L from
-    the cell has the irradiance E = π L mean(w) on the detector; for a distant source that is
-    PST_normal = π/ΔΩ mean(w). For a detector in a medium of index n the weights include the factor n².
+    be detected there. Let w be the weight of the rays that leave within a cell of directions, of the solid angle ΔΩ,
+    sr. Light of radiance L, W/mm²/sr, from the cell has the irradiance E = π L mean(w), W/mm², on the detector. For a
+    distant source this gives PST_normal = π/ΔΩ mean(w). For a detector in a medium of refractive index n the weights
+    include the factor n².
 
     Parameters
     ----------
@@ -228,7 +230,7 @@ class BackwardTrace(GridTrace):
         return replace(self.pass_sums(part), paths=self.paths() or PathsByCell())
 
     def _read(self, number: int, sky: DirectionRecorder, tallies: Tallies, rays: float) -> BackwardSums:
-        """Return the recorders' sums over `rays` start rays of wavelength `number`, in units of a start ray's flux."""
+        """Return the recorders' sums over `rays` start rays of wavelength index `number`, in units of a start ray's."""
         table, names = self.bands[number].table, self.table.optics.media
         found = tallies.read()
         # Media are in the order of the first wavelength: another one may number them otherwise
@@ -253,7 +255,7 @@ class BackwardTrace(GridTrace):
         rays : int
             Number of rays, traced in passes of at most `PASS_LANES` to bound memory.
         number : int
-            Number of this search, below `SEARCHES`, which selects its random numbers.
+            Index of this search, below `SEARCHES`, which selects its random numbers.
         values : (c,) float64, optional
             Value of a unit of contribution in each cell, see `DepartureSamples`; None: `Samples.importance` is 0.
         """
@@ -276,7 +278,7 @@ class BackwardTrace(GridTrace):
         return found
 
     def trace_shared(self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder) -> None:
-        """Trace ray trees of wavelength `number` into recorders, with MIS against forward rays if there are any."""
+        """Trace ray trees of the wavelength with index `number` into recorders, with MIS if there are forward rays."""
         scene = self.split_scene(number)
         if self.forward:
             competing = CompetingTrace(self.forward[number].scattering, self._forward_probabilities, self.connects)
@@ -284,7 +286,11 @@ class BackwardTrace(GridTrace):
         trace_whole(scene, start, self.settings, recorders)
 
     def split_scene(self, number: int) -> KernelScene:
-        """Return the kernel's scene for backward rays of wavelength `number`, with weight windows from any pilot."""
+        """
+        Return the kernel's scene for backward rays of the wavelength with index `number`, with weight windows.
+
+        It has none without forward rays, or if a medium scatters.
+        """
         band = self.bands[number]
         # Light that a medium scatters branches with the probability of the surface behind it, whose weight window does
         # not account for the importance of the medium
@@ -312,7 +318,8 @@ class BackwardTrace(GridTrace):
         """
         Return the MIS weights of forward rays, backward rays and connections at a wavelength; None: no forward rays.
 
-        With `same_rays`, the additional forward rays for unscattered light are left out of the weights.
+        Connections count if their light vertices are given. With `same_rays`, the additional forward rays for
+        unscattered light are left out of the weights.
         """
         if not self.forward:
             return None
@@ -371,7 +378,7 @@ class BackwardTrace(GridTrace):
         return KernelScene(band.table, band.scattering, self.intersector, self._probabilities, backward=True)
 
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
-        """Trace ray trees of wavelength `number` into recorders, with weight windows, without MIS of forward rays."""
+        """Trace ray trees of wavelength index `number` into recorders, with weight windows, without MIS weights."""
         trace_whole(self.split_scene(number), start, self.settings, recorders)
 
     @contextlib.contextmanager
@@ -399,7 +406,7 @@ class BackwardTrace(GridTrace):
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
         """
-        Return Lambertian start rays at the detector for wavelength `number` in a pass of `rays` rays.
+        Return Lambertian start rays at the detector for the wavelength with index `number`, in a pass of `rays` rays.
 
         `rays` counts all wavelengths; `done` is the number of earlier passes.
         """
@@ -410,11 +417,7 @@ class BackwardTrace(GridTrace):
         return self.starts[number].pass_rays(seed, lanes, one.share * rays / lanes, self.map_size).evaluated()
 
     def paths(self) -> PathsByCell | None:
-        """
-        Return the paths so far with sums by cell, events in order from the detector.
-
-        The result is None without a table of paths.
-        """
+        """Return the paths so far with sums by cell, events in order from the detector; None if none are kept."""
         return None if self._path_sums is None else self.sums.paths + self._path_sums.read()
 
     @property

@@ -36,7 +36,7 @@ Progress = Callable[[int, int], None]
 
 
 class RunPart(NamedTuple):
-    """Work unit for one worker: the number of a run, and a part of its start rays."""
+    """Work unit for one worker: the index of a run, and a part of its start rays."""
 
     run: int
     part: Part
@@ -49,11 +49,11 @@ class MapPlace(NamedTuple):
     Attributes
     ----------
     run : int
-        Number of the run.
+        Index of the run.
     part : Part
-        Part of its start rays.
+        Part of the start rays of that run.
     detector : int
-        Number of the detector's surface.
+        Index of the detector's surface.
     keys, words : bytes
         Keys of the paths, uint64, and image word of each, uint32, see `mistray.recorders.film.image_word`.
     images : int
@@ -151,7 +151,14 @@ def split(runs: Sequence[Run], workers: int) -> list[RunPart]:
 def filled(
     run: Run, keys: np.ndarray, events: np.ndarray, lengths: np.ndarray, least: int = FIRST_CAPACITY
 ) -> tuple[Ledger, np.ndarray]:
-    """Return a ledger of at least `least` slots that holds given paths with zero sums, and the slot of each, (p,)."""
+    """
+    Return a ledger of at least `least` slots that holds given paths with zero sums, and the slot of each, (p,).
+
+    Raises
+    ------
+    MistrayError
+        If there are more paths than the largest ledger holds.
+    """
     settings = run.settings
     capacity = max(least, 1 << math.ceil(math.log2(max(len(keys), 1) / LOAD)))
     if capacity > LAST_CAPACITY:
@@ -178,7 +185,8 @@ def _with_sums(run: Run, parts: Sequence[Part], sums: RunSums | None, whole: boo
     """
     Return a run with the sums of its traced parts.
 
-    If parts are missing and not `whole`, they are scaled to all the flux.
+    Unless the parts are the `whole` run, the flux of a start ray is raised so that they stand for it. Without sums the
+    run has no parts.
     """
     if sums is None:
         return replace(run, parts=())

@@ -34,7 +34,7 @@ class CellSums(Sums):
     largest : (n, m) float64
         Largest contribution of a scattered ray.
     maps : (2, n, m, pixels) float64 or None
-        Contributions by pixel of the detector, and the sums of their squares.
+        Contributions by pixel of the detector, and the sums of their squares; None: there are no maps.
     paths : PathsByCell
         Paths that are not in the memory of the device: of rays of another process, or of an earlier run.
     passes : int
@@ -87,7 +87,8 @@ class CellSums(Sums):
         """
         Return the sums of light by cell as they were when a run saved their `arrays`.
 
-        This object, still without rays, gives shapes and missing arrays.
+        This object, still without rays, gives the shapes. Arrays that were not saved are those of this object, which
+        are 0. `seconds` is the time that these sums took, s.
         """
         own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
         # Arrays that are missing are at zero
@@ -129,7 +130,7 @@ class BackwardSums(CellSums):
     Attributes
     ----------
     elsewhere : (BATCHES,) float64
-        Sum of the throughputs of rays that leave the scene outside of all cells.
+        Sum of the throughputs of rays that leave the scene outside all cells, in units of a start ray's flux.
     surfaces, media, channels : (…, BATCHES) float64
         See `mistray.recorders.tallies`.
     """

@@ -21,7 +21,7 @@ class Forecast:
     Parameters
     ----------
     rays : int
-        Number of rays in all.
+        Number of rays of all runs together.
     warns : bool
         Whether to warn.
     """

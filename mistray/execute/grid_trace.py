@@ -164,7 +164,7 @@ class WaveTrace(GridTrace):
     scene, grid, settings, light, map_pixels, paths
         See `GridTrace`.
     entrance : Entrance, optional
-        Disc to which the start rays are limited.
+        Disc to which the start rays are limited; None: they fill the hull.
     points : (p, 3) float64, optional
         Hull of the illuminated volume, from `hull_points`; by default that of the scene.
     """
@@ -176,9 +176,9 @@ class WaveTrace(GridTrace):
         self.bands = self.with_aims(importance_targets(self.table, self._scene, self.settings))
 
     def balance(self, number: int) -> None:
-        """Return None, for no MIS weights, as there are no backward rays."""
+        """Return None: without backward rays there are no MIS weights."""
 
     def forward_scene(self, number: int) -> KernelScene:
-        """Return the kernel's scene for forward rays at wavelength `number`, without a competing trace."""
+        """Return the kernel's scene for forward rays at the wavelength of index `number`, without competing trace."""
         band = self.bands[number]
         return KernelScene(band.table, band.scattering, self.intersector)

@@ -1,8 +1,8 @@
 """
 Pickling of scenes and of objects built from them, for results that go to another process or are kept by the user.
 
-A scene is pickled as the source that it was loaded from, with its numbers. Tables of surfaces and runs are made of it
-again, and must be what the kernel has read; the sums of runs are kept. If that is impossible there is `Missing`.
+A scene is pickled as the source that it was loaded from, with its parameters. Tables of surfaces and runs are made of
+it again, and must be what the kernel has read; the sums of runs are kept. What cannot be made again is a `Missing`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Missing:
     Parameters
     ----------
     reason : str
-        Line of the error.
+        Message of the error.
     """
 
     def __init__(self, reason: str) -> None:
@@ -133,7 +133,7 @@ def _made_run(
 
 
 def reduced_array(array: Any) -> tuple[Any, ...]:
-    """Return what an array of Dr.Jit is made of again, in the active variant."""
+    """Return function and arguments from which pickle makes a Dr.Jit array again, in the active variant."""
     return _made_array, (type(array).__name__, np.array(array))
 
 

@@ -30,7 +30,7 @@ class StoredScene:
 
     def load(self) -> mi.Scene:
         """
-        Load a new scene from the source and set the stored numbers.
+        Load a new scene from the source and set the stored parameters.
 
         Raise `MistrayError` if that is impossible here.
         """
@@ -40,7 +40,11 @@ class StoredScene:
 
 
 def read_numbers(scene: mi.Scene) -> dict[str, np.ndarray]:
-    """Return a scene's numeric parameters, no scalars, by key of ``mi.traverse``: flat arrays and (4, 4) matrices."""
+    """
+    Return a scene's arrays of numbers, by key of ``mi.traverse``: flat arrays and (4, 4) matrices.
+
+    Parameters that are plain Python numbers are left out.
+    """
     return {key: _on_host(value) for key, value in _numbers(mi.traverse(scene))}
 
 
@@ -51,7 +55,7 @@ def put_numbers(scene: mi.Scene, numbers: Mapping[str, np.ndarray]) -> bool:
     Returns
     -------
     bool
-        True if any number differed.
+        True if any parameter differed.
 
     Raises
     ------

@@ -66,7 +66,7 @@ class SceneTask:
 
 
 def kernel_arrays(table: SurfaceTable, scattering: Scattering | None = None) -> list[np.ndarray]:
-    """Return the arrays of geometry, coatings and media that the kernel reads at one wavelength, and of scatter."""
+    """Return the arrays of geometry, coatings, media and, if given, scatter that the kernel reads at one wavelength."""
     optics = table.optics
     geometry = table.quadric, table.vertex, table.polynomial, table.rotation, table.clip
     arrays = [optics.words, optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]

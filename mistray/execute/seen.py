@@ -2,8 +2,8 @@
 The view of a detector: shares of surfaces, media and the sky in a backward trace from it.
 
 By Kirchhoff's law the absorptance of a surface for backward rays is its emissivity for light to the detector. A surface
-of blackbody radiance L irradiates the detector with π L · emission, where emission is the mean of weight times
-absorptance over Lambertian rays.
+of blackbody radiance L, W/mm²/sr, irradiates the detector with π L · emission, W/mm². Here emission is the mean of
+weight times absorptance over Lambertian rays.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from mistray.time_budget import is_limited, time_is_up
 @dataclass(frozen=True, kw_only=True)
 class SeenSurface:
     """
-    Surface in the detector's view: mean weight of Lambertian backward rays that meet it and that it absorbs.
+    Surface in the detector's view: mean weight of Lambertian backward rays that meet it, and of those it absorbs.
 
     Attributes
     ----------
     id, part : str
         Id of the surface, and name of the part that it belongs to.
     space : int
-        Number of the optical space.
+        Index of the optical space; -1: not declared.
     hits : int
         Number of hits.
     share, share_se : float

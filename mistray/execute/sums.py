@@ -26,7 +26,11 @@ class Sums:
 
 
 def _joined(name: str, a: Any, b: Any) -> Any:
-    """Return one field of two added sums: the maximum for `largest`, else the sum; if one is None, the other."""
+    """
+    Return one field of two added sums: the maximum for `largest`, else the sum; if one is None, the other.
+
+    Tuples are joined entry by entry.
+    """
     if a is None or b is None:
         return b if a is None else a
     if isinstance(a, tuple):

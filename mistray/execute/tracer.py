@@ -52,7 +52,8 @@ class Part(NamedTuple):
     """
     Start rays of one pass whose batches are low ≤ batch < high; each batch is a sample of the whole beam.
 
-    A part that was not finished has the first `rays` of them only, in the order of `mistray.kernel.launches.Spread`.
+    `number` is the index of the pass. A part that was not finished has the first `rays` of its start rays only, in the
+    order of `mistray.kernel.launches.Spread`; None: it has all of them.
     """
 
     number: int
@@ -76,7 +77,7 @@ class RunSums(Sums):
     channels : (CHANNEL_COUNT, BATCHES) float64
         Sums of the energy ledger, see `mistray.recorders.tallies`.
     largest : float
-        Largest flux of a scattered ray at the detector.
+        Largest flux of a scattered ray at the detector, in units of a start ray's flux.
     films : tuple of (images, height, width) float64
         Detected flux on each detector; see `mistray.recorders.film.Film`.
     paths : DecodedPaths or None
@@ -129,13 +130,23 @@ class Run:
     design : DesignSequences
         Event sequences of the direct image.
     prepared : Preparation
-        What it was made of, together with the other runs of its trace.
+        Arguments from which this run and the other runs of its trace were prepared.
     number : int
-        Its number among them.
+        Index of the run among the runs of its trace.
     parts : tuple of Part or None
         Parts that are traced; None: all passes.
     ledger : Ledger or None
         Table of the paths that reach the detectors, on the device; None if none was kept.
+    scattering : Scattering
+        Scatter of the surfaces and media at the wavelength.
+    intersector : Intersector
+        Search for the hits of rays on the surfaces.
+    settings : Settings
+        Settings of the trace.
+    seed : int
+        Seed of the random numbers of this run.
+    executed : RunSums or None
+        Sums of the trace; None: the run has not been executed.
     """
 
     source: SceneSource
@@ -166,7 +177,7 @@ class Run:
         return self.sums.paths
 
     def make_film(self, detector: int | None = None) -> Film:
-        """Return the kernel's pixel grid for the image of a detector (surface number); by default the only detector."""
+        """Return the kernel's pixel grid for the image of a detector (surface index); by default the only detector."""
         detector = self.table.detector if detector is None else detector
         width, height, extent = self.table.film(detector)
         tent = spreads(self.table.shapes[detector].sensor().film())
@@ -247,7 +258,7 @@ class Run:
         return (self.seed << 32) | part.number
 
     def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return origins (mm) and directions of start rays, given their numbers, (n, 3) float64 each."""
+        """Return origins (mm) and unit directions, (n, 3) float64 each, of start rays, given their indices, (n,)."""
         origins, directions = np.zeros((len(lanes), 3)), np.zeros((len(lanes), 3))
         for number in np.unique(lanes // PASS_LANES):
             here = lanes // PASS_LANES == number
@@ -301,7 +312,12 @@ class Run:
 
         The trace ends after a launch if an interrupt was requested or the time is up. Then `parts` holds the parts that
         were traced. Other recorders come after the ledger. At an interrupt a table of more than `MOST_PATHS_KEPT` paths
-        is not read. `progress` is called with the rays so far and their sums.
+        is not read. `progress` is called with the number of rays so far and their sums.
+
+        Raises
+        ------
+        MistrayError
+            If more paths reach the detector than the largest ledger holds.
         """
         # Capacity of the ledger
         films = [self.make_film(detector) for detector in self.table.detectors]
@@ -399,14 +415,16 @@ class Run:
 
     def adjoint(self, pixel: np.ndarray | None, paths: PathDerivative | None, rows: int) -> Adjoint:
         """
-        Return an adjoint recorder, from the derivatives of a metric by the flux in pixels and on paths.
+        Return an adjoint recorder, from the derivatives of a metric with respect to the flux in pixels and on paths.
 
         Parameters
         ----------
         pixel : (maps, height, width) or None
-            Derivative of the metric by the flux in each pixel, that flux in units of a start ray's.
+            Derivative of the metric with respect to the flux in each pixel, in units of a start ray's flux; None: the
+            metric does not depend on the pixels.
         paths : PathDerivative or None
-            Derivative of the metric by the flux of hits on each path; needs the ledger.
+            Derivative of the metric with respect to the flux of hits on each path, which needs the ledger; None: the
+            metric does not depend on the paths.
         rows : int
             See `Adjoint`.
         """
@@ -425,7 +443,7 @@ class Run:
 
     def derivatives(self, pixel: np.ndarray | None, paths: PathDerivative | None) -> np.ndarray:
         """
-        Return derivatives of a metric by the rows of the tables of R and T, by an adjoint trace of the same rays.
+        Trace the same rays again; return the derivatives of a metric with respect to the rows of the tables of R and T.
 
         Parameters
         ----------
@@ -442,7 +460,11 @@ class Run:
         return np.array(adjoint.sums).reshape(BATCHES, -1, CHANNELS)
 
     def within(self, box: Sequence[float]) -> Run:
-        """Trace the same rays again; return the run with paths by hits in x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) only."""
+        """
+        Trace the same rays again; return the run with the flux of its paths in a rectangle of the detector only.
+
+        `box` is x0, x1, y0, y1 in the frame of the detector, mm. The run must have been executed with a ledger.
+        """
         assert self.ledger is not None
         self.ledger.clear_sums()
         self.trace_again(Box(box), self.ledger)
@@ -509,7 +531,8 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
     Raises
     ------
     MistrayError
-        If a source is polarised and the settings ignore polarisation.
+        If the scene has no source or no detector, a source is polarised and the settings ignore polarisation, or a
+        source stands in a metal.
     """
     sources = scene_sources(scene, light.field_deg, light.azimuth_deg, light.wavelength_nm, light.weights)
     if not settings.stokes and (polarized := [source.name for source in sources if source.polarized]):

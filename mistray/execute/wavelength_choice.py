@@ -39,7 +39,11 @@ class WavelengthChoice:
 
     @classmethod
     def of(cls, wavelengths_nm: Sequence[float], weights: Sequence[float], most: int) -> WavelengthChoice:
-        """Return at most `most` of the wavelengths (nm), but at least two, spread evenly and with both ends."""
+        """
+        Return a choice of at most `most` of the wavelengths, nm, but at least two, spread evenly and with both ends.
+
+        The weight of each omitted wavelength is added to that of the chosen one nearest to it.
+        """
         # Coarse steps first, which keeps both ends
         nm, shares = np.asarray(wavelengths_nm, dtype=float), np.asarray(weights, dtype=float)
         kept = np.sort(coarse_first(np.argsort(nm, kind="stable").tolist())[: max(most, 2)])
@@ -60,9 +64,9 @@ class WavelengthChoice:
 
     def notes(self, instead: str = "their light is traced at the nearest") -> list[Note]:
         """
-        Return a note that lists the omitted wavelengths, nm, and ends with the text `instead`.
+        Return a note that lists the omitted wavelengths, nm, and ends with the words `instead`.
 
-        The result is [] if all are traced.
+        The list is empty if all wavelengths are traced.
         """
         if not self.left_out_nm:
             return []
@@ -73,9 +77,10 @@ class WavelengthChoice:
 
 def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces: int = 1) -> int:
     """
-    Return how many of the wavelengths can be traced within the time budget; all of them without a budget.
+    Return the number of wavelengths that can be traced within the time budget; at least `FEWEST`, if there are as many.
 
-    The overhead of a wavelength is measured by two traces of few rays, of which the first compiles the kernel.
+    All can be without a budget. The overhead of a wavelength is measured by two traces of few rays, of which the first
+    compiles the kernel.
 
     Parameters
     ----------
@@ -115,7 +120,8 @@ def chosen_wavelengths(scene: Any, light: Light, timed: Callable[..., Any], trac
     Returns
     -------
     WavelengthChoice or None
-        None if all are traced, as where none are given and the sources differ in theirs.
+        None if all wavelengths are traced: without a time budget, if the time is enough for all, or if no wavelengths
+        are given and the sources have different ones.
     """
     own = {(tuple(emitter.wavelengths_nm), tuple(emitter.weights)) for emitter in source_emitters(scene)}
     if not is_limited() or (light.wavelength_nm is None and light.weights is None and len(own) != 1):

@@ -58,7 +58,7 @@ _current: ContextVar[Workers | None] = ContextVar("workers", default=None)
 
 
 def current_workers() -> Workers | None:
-    """Return the workers of the enclosing `working_with` block; None outside of one."""
+    """Return the workers of the enclosing `working_with` block; None outside such a block."""
     return _current.get()
 
 
@@ -83,7 +83,7 @@ def do_parts(workers: Workers, task: Task, parts: Sequence[Any]) -> Iterator[Ite
     """
     Submit all parts of a task; the block gets an iterator of (part, result).
 
-    Parts unfinished at its end are cancelled.
+    Parts that are unfinished at the end of the block are cancelled.
     """
     with workers.job(task) as job:
         # All at once, so that no worker is idle while results are read

@@ -31,7 +31,7 @@ class BranchLimits:
     cut : callable
         Function that records cut flux, see `mistray.recorders.recorder.Recorder.cut`.
     batch : mi.UInt32
-        Batch number of each start ray.
+        Index of the batch of each start ray.
     """
 
     def __init__(self, settings: Settings, cut: Cut, batch: mi.UInt32) -> None:
@@ -53,7 +53,12 @@ class BranchLimits:
         self._record(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """Return the throughput absorbed at hits, 0 if absorption is not allowed, and a mask of hits to count."""
+        """
+        Return the throughput absorbed at hits, and a mask of hits to count.
+
+        Absorption that `ray_control` forbids, or that is below its threshold, is recorded as cut. Then the throughput
+        is 0, and the hit does not count.
+        """
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
             return mi.Float(0), mi.Bool(False)
@@ -119,7 +124,8 @@ class BranchLimits:
         child : mi.Float
             Flux of the branch before these limits.
         scatter, by_medium, reflect : mi.Bool
-            Whether the surface scattered it, whether the medium did, and whether it stays on the side of incidence.
+            Whether the surface scattered the branch, whether the medium did, and whether it stays on the side of
+            incidence.
         active, contributes : mi.Bool
             Lanes that have a branch, and lanes whose flux enters the energy ledger.
         """
@@ -152,9 +158,9 @@ class BranchLimits:
 
     def run_after(self, run: mi.UInt32, surface: mi.UInt32, by_medium: mi.Bool) -> mi.UInt32:
         """
-        Return the count of consecutive hits of a surface, packed with its number, after one more hit.
+        Return the count of consecutive hits of a surface, packed with the surface's index, after one more hit.
 
-        Scatter in a medium resets it.
+        Scatter in a medium resets it. Where `max_consecutive` sets no limit, `run` is returned as it is.
         """
         if self._consecutive is None:
             return run

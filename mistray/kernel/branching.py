@@ -58,11 +58,12 @@ class Node:
     first, again : mi.Bool
         Lanes on their first visit to the node, and lanes that have come back to it.
     contributes : mi.Bool
-        Lanes whose flux enters the energy ledger: connected rays stand for light that other rays carry as well.
+        Lanes whose flux enters the energy ledger; not those of connected rays, whose light other rays carry as well.
     rng : mi.PCG32
         Random number generator of each lane.
     row : mi.UInt32 or None
-        Row of its weight window, see `mistray.recorders.importance.window_row`; None: there are no windows.
+        Row of the weight window of each node, see `mistray.recorders.importance.window_row`; None: there are no
+        windows.
     """
 
     start: StartRays
@@ -91,7 +92,7 @@ class Children:
     Attributes
     ----------
     transmitted, reflected, scattered, in_scattered : mi.Float
-        Throughput of each event, summed over its rays; the last is scattered by the medium before the node.
+        Throughput of each event, summed over its rays; `in_scattered` is scattered by the medium before the node.
     counted : mi.Bool
         Whether a reflection counts towards `max_reflections`.
     transmits : mi.Bool
@@ -101,7 +102,7 @@ class Children:
     random_medium_rays, medium_rays : mi.UInt32
         Number of rays that the medium scatters at random, and number of all rays that it scatters.
     bulk_aim : BulkAim or None
-        Importance targets of light that the medium scatters.
+        Importance targets of light that the medium scatters; None: no medium scatters, or the settings allow none.
     remainder : mi.UInt32 or int
         Channel of the energy ledger for scattered flux that no ray carries.
     """
@@ -144,9 +145,9 @@ class Choice:
     Attributes
     ----------
     number : mi.UInt32
-        Number of the child: 0 transmitted, 1 reflected, from 2 on scattered.
+        Index of the child: 0 transmitted, 1 reflected, from 2 on scattered.
     later : mi.UInt32
-        Number of the next child.
+        Index of the next child; with ``splitting="one"`` that of this child.
     pending : mi.Bool
         Whether there is a next child, for which the lane comes back.
     flux : mi.Float
@@ -184,7 +185,7 @@ class Sent:
     aim: mi.Bool  # whether it was scattered towards a target
     slope: mi.Float  # d ln(flux) / d(R or T)
     medium_in: mi.UInt32  # material on the side of incidence
-    place: mi.UInt32  # number of the surface, or of the medium that scatters
+    place: mi.UInt32  # index of the surface; of a medium that scatters, its position after all surfaces
     away: mi.Float  # of the node behind the origin, see the state; mm
     shared: mi.Float  # see the state
     pdfs: ScatterPdfs  # for MIS weights
@@ -208,7 +209,7 @@ class Branching:
     lose : callable
         ``lose(channel, flux, active, memory)``, see `mistray.recorders.recorder.Recorder.lose`.
     batch : mi.UInt32
-        Batch number of each start ray.
+        Index of the batch of each start ray.
     """
 
     def __init__(
@@ -317,9 +318,10 @@ class Branching:
         self, node: Node, w_t: mi.Float, w_r: mi.Float, w_s: mi.Float
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
         """
-        Return transmitted, reflected and scattered throughput.
+        Return the transmitted, reflected and scattered throughput that remains to each ray where rays are connected.
 
-        A ray on its way to a light vertex only scatters towards it.
+        A ray on its way to a light vertex only scatters, and only there. One that has been there scatters no more.
+        Other rays keep all their throughput.
         """
         assert self._vertices is not None
         state, it = node.state, node.interaction
@@ -374,7 +376,11 @@ class Branching:
         return self._next(node, children, factors)
 
     def _flux_limit(self, node: Node) -> mi.Float:
-        """Return the throughput, relative to a start ray, below which unscattered light is cut or plays roulette."""
+        """
+        Return the throughput, in units of a start ray's flux, below which unscattered light is cut or plays roulette.
+
+        It is `flux_threshold`, multiplied by `StartRays.scale` where that is given.
+        """
         scale = node.start.scale
         return self._threshold if scale is None else self._threshold * scale
 
@@ -382,7 +388,8 @@ class Branching:
         """
         Return roulette factors 1/q of nodes that scatter, 0 for others.
 
-        The probability q of scattering grows with throughput.
+        At the first visit they are drawn, with a probability q of scattering that grows with throughput up to 1. Later
+        visits take the stored factors.
         """
         state, first, w = node.state, node.first, node.state["w"]
         # q = β/β_min, where β includes what the medium has scattered
@@ -418,7 +425,8 @@ class Branching:
         Return the throughput to which the scatter threshold is relative, for rays that this node does not scatter.
 
         A reflection that is followed by roulette raises the throughput of a ray, and so it raises the reference. Their
-        ratio is then that of the light, and the same for forward and backward rays on one path.
+        ratio is then that of the light, and the same for forward and backward rays on one path. Without such roulette,
+        and with ``splitting="one"``, the reference stays the same.
         """
         if self._probabilities is None or not self._split:  # one child takes all
             return state["reference"]
@@ -451,9 +459,10 @@ class Branching:
         self, node: Node, children: Children, unscattered: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
     ) -> None:
         """
-        Cut specular children below the throughput `limit`, or let them play roulette with random number `u`.
+        Cut unscattered specular children below the flux threshold, or let weak ones play roulette; change `children`.
 
-        It changes `children`.
+        Roulette is played with the random number `u`: by children below the throughput `limit`, and by unscattered
+        reflections where there are branch probabilities. Which of these apply depends on the settings.
         """
         first, again, probabilities = node.first, node.again, self._probabilities
         w_t, w_r = children.transmitted, children.reflected

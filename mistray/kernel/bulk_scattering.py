@@ -6,8 +6,9 @@ are weighted by the balance heuristic, as in `mistray.kernel.scattering`: given 
 
     f/(n_r f + n_a p)
 
-of the flux that the segment scatters, where f is the phase function, p the pdf of aimed rays, and n_r and n_a are the
-numbers of rays of the two techniques. In the code these are `phase`, `density`, `random_rays` and `aimed_rays`.
+of the flux that the segment scatters. Here f is the phase function and p the pdf of aimed rays, both in 1/sr, and n_r
+and n_a are the numbers of rays of the two techniques. In the code these are `phase`, `density`, `random_rays` and
+`aimed_rays`.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class BulkAim:
     targets : mi.Vector2u
         Index of the first target and number of targets.
     rays : mi.UInt32
-        Number of aimed rays of the segment.
+        Number of aimed rays of the segment; 0 where the segment has no targets.
     """
 
     targets: mi.Vector2u
@@ -90,7 +91,7 @@ class BulkScattering:
         self._rows, self._targets = upload(mi.UInt32, rows), DeviceTargets(sets, table.centre)
 
     def aim(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> BulkAim:
-        """Return the targets at which media aim the light scattered on ray segments that end at surfaces `s`."""
+        """Return the targets, possibly none, of light that media scatter on ray segments that end at surfaces `s`."""
         if not self._aimed:
             return BulkAim(mi.Vector2u(0), mi.UInt32(0))
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
@@ -101,7 +102,8 @@ class BulkScattering:
         """
         Return the sampling technique, phase function or target, of the only scattered ray of a segment.
 
-        With targets, the ray is aimed with probability ½ or 1.
+        With targets, the ray is aimed with probability ½, or always if there is no random ray. Without targets it
+        follows the phase function.
         """
         if not self._aimed:
             return MediumRay(mi.Bool(False), mi.Float(1), mi.Float(0))
@@ -126,9 +128,9 @@ class BulkScattering:
         Parameters
         ----------
         medium : mi.UInt32
-            Number of the medium.
+            Position of the medium in `Optics.media`.
         p, d : mi.Vector3f
-            End of the segment (mm) and its direction.
+            End of the segment (mm) and its unit direction.
         length : mi.Float
             Length of the segment, mm.
         aim : BulkAim
@@ -143,11 +145,11 @@ class BulkScattering:
         Returns
         -------
         away : mi.Float
-            Distance from the end of the segment, mm; of density exp(extinction · distance).
+            Distance from the end of the segment, mm; its density is proportional to exp(extinction · distance).
         direction : mi.Vector3f
             Unit direction of the scattered ray.
         share : mi.Float
-            Flux of the ray in units of all that the segment scatters.
+            Flux of the ray over the flux that the segment scatters; 0 where neither technique can send the ray.
         """
         coefficient = dr.gather(mi.Float, self._optics.extinction, medium, active)
         g = dr.gather(mi.Float, self._optics.asymmetry, medium, active)

@@ -1,13 +1,14 @@
 """
 Targets of scattered rays on the device: sampling of a direction towards one, and the pdf of such directions.
 
-Targets may overlap: the pdf of a direction ω is Σ_k share_k p_k(ω) over all targets that it meets, with
+Targets may overlap: the pdf of a direction ω, 1/sr, is Σ_k share_k p_k(ω) over all targets that it meets, with
 
-    p = r²/(A |cos θ|)            of a flat target of area A at the distance r,
+    p = r²/(A |cos θ|)            of a flat target of area A, at the distance r and the angle θ from its normal,
     p = 1/(2π (1 - cos α))        of a cone of the half-angle α,
     p = 1/(2π w abc |M ω|³)       of an ellipsoid of half axes a, b, c, which M scales to the unit sphere,
 
-where 2π w is the solid angle in which that sphere is seen. M takes dω to det M dω/|M ω|³, and det M = 1/(abc).
+where 2π w is the solid angle, sr, in which that sphere is seen. M takes dω to det M dω/|M ω|³, and det M = 1/(abc).
+Lengths are in mm, areas in mm².
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ class DeviceTargets:
         p : mi.Vector3f
             Start of the ray, mm.
         specular : mi.Vector3f
-            Direction of the specular beam.
+            Unit direction of the specular beam, about which cones of the kind "specular" lie.
         active : mi.Bool
             Lanes that take part.
         """
@@ -125,7 +126,8 @@ class DeviceTargets:
         """
         Return the pdf of aimed rays in a direction, 1/sr.
 
-        `own` is the index of the target that a ray was aimed at.
+        Where `aim` is set, the ray was aimed at the target with the index `own` in its set. That target counts even if
+        rounding lets the direction miss it.
         """
 
         def step(k: mi.UInt32, density: mi.Float) -> tuple[mi.UInt32, mi.Float]:
@@ -179,9 +181,10 @@ class DeviceTargets:
 
 def _sphere(rows: list[mi.Vector4f], p: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
     """
-    Transform lines of sight so that an ellipsoid becomes the unit sphere.
+    Scale space so that an ellipsoid becomes the unit sphere, and return how that sphere is seen from a point p (mm).
 
-    Return point p there, the direction to the centre, and 1 - cos of its half-angle.
+    The result is the point relative to the centre, the unit direction to the centre, and 1 - cos of the half-angle in
+    which the sphere is seen: 2 from within.
     """
     start = mi.Vector3f(*(dr.dot(p - rows[0].xyz, v.xyz) for v in rows[1:4]))
     square = dr.squared_norm(start)
@@ -229,7 +232,7 @@ def _vectors(target: AnyTarget, origin: np.ndarray) -> tuple[Any, ...]:
     """
     Return the six parts of a target's row, see `_rows`, without share, sign and sum of shares.
 
-    Lengths in mm from `origin`.
+    Positions are relative to `origin`; lengths are in mm.
     """
     nothing = np.zeros(3)
     if isinstance(target, TargetCone):

@@ -1,7 +1,8 @@
 """
 Interaction of light with a surface at a point: normal, Snell's law, R and T, and the events that follow.
 
-For the unit direction of propagation d, the normal a on the side that the light goes to, cos θi = d · a and η = n_i/n_t
+For the unit direction of propagation d, the unit normal a on the side that the light goes to, the refractive indices
+n_i on the side of incidence and n_t on the other, cos θi = d · a and η = n_i/n_t
 
     reflected   = d - 2 cos θi a,
     transmitted = η d + (cos θt - η cos θi) a,   cos θt = √(1 - η² (1 - cos² θi)),
@@ -56,28 +57,29 @@ class Interaction:
     p : mi.Vector3f
         Point, moved onto the surface, mm.
     reflected, transmitted : mi.Vector3f
-        Unit directions.
+        Unit directions; `transmitted` has no meaning in total reflection or at an opaque surface.
     R, T : mi.Float
         Shares of the flux that the coating reflects and transmits, for the polarisation of the branch, before scatter
-        takes its part; the rest is absorbed. Total internal reflection has T = 0.
+        takes its part; the rest is absorbed. T is 0 in total internal reflection and at an opaque surface.
     tir : mi.Bool
         Whether the reflection is total.
     axis : mi.Vector3f
-        Normal on the side that the light goes to.
+        Unit normal on the side that the light goes to.
     cos_i, cos_t : mi.Float
-        Cosines of the angles of incidence and refraction; the latter is 0 in total reflection.
+        Cosines of the angles of incidence and refraction; `cos_t` is 0 in total reflection.
     eta : mi.Float
-        Index on the side of incidence over the index on the other side.
+        Refractive index on the side of incidence over that on the other side; without meaning at an opaque surface.
     word : mi.UInt32
-        Description of the surface (flags of `mistray.surfaces.surfaces`).
+        Kind, flags and media of the surface as bits, see `mistray.surfaces.optics`.
     medium_in, medium_out : mi.UInt32
-        Numbers of the materials on the side of incidence and on the other; 0: any material may be there.
+        Positions in `Optics.media` of the materials on the side of incidence and on the other; 0: any material may be
+        there, as next to an opaque surface.
     local : mi.Vector3f
         Point in the surface's own frame, mm.
     from_front : mi.Bool
         Whether the light comes from the front.
     place : Place
-        Place of R and T in the coating's table.
+        Position of the angle of incidence in the coating's table.
     polarized : Polarized or None
         Stokes vector and Mueller matrices; None: unpolarised.
     """
@@ -101,7 +103,7 @@ class Interaction:
     polarized: Polarized | None
 
     def channel(self, reflect: mi.Bool) -> mi.UInt32:
-        """Return which tabulated value sets each child's flux: R from the front or the back, T, or R + T."""
+        """Return the index of the tabulated value that sets each child's flux: R from front or back, T, or R + T."""
         # An ideal coating has no entry of its own for total reflection: it reflects R + T then
         both = self.tir & ((self.word & 3) == IDEAL)
         reflection = dr.select(self.from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
@@ -163,11 +165,11 @@ def interact(
     p, d : mi.Vector3f
         Point close to the surface (mm) and unit direction of propagation.
     s : mi.UInt32
-        Numbers of the surfaces.
+        Indices of the surfaces.
     mitsuba_normal : mi.Vector3f, optional
         Normal where the surface is a Mitsuba shape; needed if the scene has any.
     stokes : mi.Vector3f, optional
-        Stokes vector of the light; None: unpolarised everywhere.
+        Stokes vector (Q, U, V)/I of the light, in the axes of `d`; None: unpolarised everywhere.
     active : mi.Bool
         Lanes that have a ray.
     rows : LaneRows, optional
@@ -285,7 +287,8 @@ def shares_at(
     """
     Return R, T and cos θt of surfaces s for unpolarised light that arrives at the cosine `cos_i`.
 
-    `optics` holds the surfaces' indices, R and T; it is given where derivatives by them are needed.
+    `optics` holds the surfaces' refractive indices, R and T; by default they are read from the table. It is given where
+    derivatives with respect to them are needed.
     """
     if optics is None:
         optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
@@ -305,7 +308,8 @@ class _Incidence:
     opaque, from_front, tir : mi.Bool
         Whether the surface is opaque, the light comes from its front, and total reflection occurs.
     n_i, n_t, eta : mi.Float
-        Real indices on the side of the light and on the other side, and n_i/n_t.
+        Real refractive indices on the side of the light and on the other side, and n_i/n_t; without meaning at an
+        opaque surface.
     cos_i, cos_t, sin2_t : mi.Float
         Cosines of the angles of incidence and refraction, and sin² of the latter, which exceeds 1 in total reflection.
     """
@@ -326,7 +330,7 @@ def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i:
     """
     Return indices and angles of light at a surface by Snell's law n_i sin θi = n_t sin θt.
 
-    `optics` holds the index on each side.
+    `optics` holds the refractive index on each side. At an opaque surface only the cosine of incidence has a meaning.
     """
     n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
     eta, opaque = n_i / n_t, (word & OPAQUE) != 0
@@ -339,7 +343,11 @@ def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i:
 
 
 def _place(table: SurfaceTable, s: mi.UInt32, at: _Incidence, active: mi.Bool) -> Place:
-    """Return the fractional row of the incidence angle in surfaces' coating tables, see `mistray.surfaces.optics`."""
+    """
+    Return the fractional row of the incidence angle in surfaces' coating tables, see `mistray.surfaces.optics`.
+
+    For coatings without a table it is the first row of the surface, with the fraction 0.
+    """
     places = dr.gather(mi.Vector4u, table.optics.places, s, active)
     # The smaller cosine is that in the rarer medium: in it R and T are smooth from either side
     x = dr.select(at.tir, total_variable(at.sin2_t, at.eta, at.cos_i), smaller(at.cos_i, at.cos_t))
@@ -352,7 +360,11 @@ def _place(table: SurfaceTable, s: mi.UInt32, at: _Incidence, active: mi.Bool) -
 def _unpolarized(
     table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
-    """Return R and T for unpolarised light; in total reflection R is all light that is not absorbed."""
+    """
+    Return R and T for unpolarised light.
+
+    T is 0 at opaque surfaces, and in total reflection, in which the T of an ideal coating is added to R.
+    """
     kinds = table.optics.kinds
     # Ideal coatings have R and T of their own
     R, T = optics.z, optics.w
@@ -412,7 +424,7 @@ def _mueller(
 
 
 def counts_as_reflection(interaction: Interaction) -> mi.Bool:
-    """Return a mask of reflections that count towards `max_reflections`: neither total ones nor those at mirrors."""
+    """Return a mask of nodes whose reflection counts towards `max_reflections`: neither total nor at a mirror."""
     return ~interaction.tir & ((interaction.word & MIRROR) == 0)
 
 
@@ -420,12 +432,12 @@ def event_code(
     place: mi.UInt32, it: Interaction, reflect: mi.Bool, scattered: tuple[mi.Bool, mi.Bool, mi.Bool] | None
 ) -> mi.UInt32:
     """
-    Return codes of events: number of the surface or medium, and how the ray leaves it; see `mistray.events`.
+    Return codes of events: index of the surface or medium, and how the ray leaves it; see `mistray.events`.
 
     Parameters
     ----------
     place : mi.UInt32
-        Number of the surface or medium.
+        Index of the surface; of a medium, its position after all surfaces.
     it : Interaction
         Interaction at the hits.
     reflect : mi.Bool

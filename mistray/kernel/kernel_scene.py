@@ -51,7 +51,8 @@ class WeightWindows:
     Attributes
     ----------
     inverse_upper, inverse_lower : mi.Float
-        Inverse of the upper and lower bounds of throughput, by `mistray.recorders.importance.window_row`.
+        Inverse of the upper and lower bounds of throughput, in units of a start ray's flux, by
+        `mistray.recorders.importance.window_row`.
     per_mm : mi.Float
         Places per mm along the z axis of the world and away from it.
     values : mi.Float or None
@@ -76,7 +77,7 @@ class WeightWindows:
         return weight * dr.gather(mi.Float, self.values, start.cell, active)
 
     def split(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
-        """Return the factor, 1 … `MOST_RAYS`, on a hit's scattered rays: throughput over the window's upper bound."""
+        """Return the factor, 1 … `MOST_RAYS`, on a hit's number of scattered rays: throughput over upper bound."""
         rays = weight * dr.gather(mi.Float, self.inverse_upper, row, active)
         return mi.UInt32(dr.clip(dr.round(rays), 1, MOST_RAYS))
 
@@ -120,7 +121,7 @@ class KernelScene:
     intersector : Intersector
         Search for the nearest hit of rays.
     probabilities : BranchProbabilities or None
-        None: all branches are followed.
+        Probabilities with which branches are followed; None: all are.
     backward : bool
         Whether rays go from the detector to the sky: the detector is a surface like others then, and the share of a ray
         that a surface absorbs is the share that it emits towards the detector. Forward rays go from a source to the
@@ -128,9 +129,9 @@ class KernelScene:
     competing : CompetingTrace or None
         Trace in the other direction that builds the same paths; None: all MIS weights are 1.
     vertices : LightVertices or None
-        Light vertices that backward rays are connected to.
+        Light vertices that backward rays are connected to; None: no ray is connected.
     windows : WeightWindows or None
-        None: all hits scatter as many rays as the settings say.
+        Weight windows of scattered rays; None: all hits scatter as many rays as the settings say.
     """
 
     table: SurfaceTable
@@ -156,7 +157,12 @@ def next_hit(
     active: mi.Bool,
     normal: mi.Vector3f | None = None,
 ) -> tuple[mi.Float, mi.UInt32, mi.Vector3f]:
-    """Return the nearest hit of each ray: distance in mm, surface number, and unit normal on a Mitsuba shape."""
+    """
+    Return the nearest hit of each ray: distance in mm, surface index, and unit normal on a Mitsuba shape.
+
+    Without a hit the distance is infinite and the index `NO_SURFACE`. The normal has no meaning on analytic surfaces.
+    `normal` is that of a Mitsuba shape that the ray starts on; None: rays start on none.
+    """
     # Analytic surfaces first: they bound the ray for Mitsuba's tracer
     t, s = intersector.nearest(o, d, last, active)
     if table.mitsuba_scene is None:
@@ -178,7 +184,7 @@ def next_hit(
 
 
 def film_coordinates(table: SurfaceTable, it: Interaction, s: mi.UInt32) -> tuple[mi.Float, mi.Float]:
-    """Return the coordinates x and y, mm, of detector hits in the frame of the detector with number `s`."""
+    """Return the coordinates x and y, mm, of detector hits in the frame of the detector with the index `s`."""
     x, y = it.local.x, it.local.y
     for detector, (middle, right, up) in table.detector_axes.items():
         if detector in table.detectors:

@@ -55,7 +55,7 @@ class Launches:
 
     @property
     def lanes(self) -> int:
-        """Number of rays that the next launch can trace in `SECONDS`, or in the time left if that is less."""
+        """Number of rays that the next launch can trace in `SECONDS` or in the time left; at least `BATCHES`."""
         return self._lanes(min(SECONDS, max(left(), SHORTEST)))
 
     def _lanes(self, seconds: float) -> int:
@@ -76,12 +76,12 @@ class Launches:
         seed : int
             Seed of the order in which they are traced, see `Spread`.
         whole : bool
-            Whether all rays are traced whatever the time budget: short launches would take longer together.
+            Whether launches take `SECONDS` whatever the time budget: shorter ones would take longer together.
 
         Yields
         ------
         int
-            Number of rays that have been traced: the first of that order.
+            Number of rays that have been traced: the first ones in the order that `seed` sets.
 
         Raises
         ------
@@ -102,9 +102,12 @@ class Launches:
 
     def whole(self, start: StartRays, trace: Callable[[StartRays], object]) -> None:
         """
-        Trace all start rays regardless of the time budget; raise `KeyboardInterrupt` after an overdue interrupt.
+        Trace all start rays regardless of the time budget, in launches as those of `run`.
 
-        See `run`.
+        Raises
+        ------
+        KeyboardInterrupt
+            After a launch, if an interrupt has waited for too long or its exception was swallowed during the launch.
         """
         count = dr.width(start.lane)
         for done in self.run(start, trace, whole=True):
@@ -113,12 +116,14 @@ class Launches:
 
     @staticmethod
     def _next(left: int, most: int) -> int:
-        """Return the rays of the next launch, about `most`, such that launches share the rays `left` equally."""
+        """Return the size of the next launch, about `most` rays, such that launches share the rays `left` equally."""
         return left if left <= STRETCH * most else math.ceil(left / math.ceil(left / most))
 
     def time(self, lanes: int, work: Callable[[], object]) -> None:
         """
         Run a launch of `lanes` rays, and set the size of the next launch by the time that it took.
+
+        A launch that is small and short, such as the last of a pass, leaves the size as it is.
 
         Raises
         ------
@@ -160,7 +165,7 @@ def launches_of(table: SurfaceTable, settings: Settings, *writes: Hashable) -> L
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     settings : Settings
-        The number of rays and their seed do not matter.
+        Settings of the trace, of which the number of rays and the seed do not matter.
     *writes : hashable
         Outputs of the kernel, which tell kernels of the same scene apart.
     """
@@ -201,12 +206,14 @@ class Spread:
 
     def next(self, done: int, rays: int) -> np.ndarray:
         """
-        Return about `rays` numbers of the permutation after its first `done`, in ascending order.
+        Return the next values of the permutation after its first `done`, about `rays` of them, in ascending order.
+
+        While `done` is within the first group, all of that group is returned, whatever `rays` is.
 
         Returns
         -------
         (n,) int64
-            Numbers of the permutation.
+            Values of the permutation; none if it is at its end.
         """
         if done < len(self._first):
             return self._first
@@ -220,7 +227,7 @@ class Spread:
 
     def first(self, rays: int) -> np.ndarray:
         """
-        Return the first `rays` numbers of the permutation, (n,), ascending.
+        Return the first `rays` numbers of the permutation, (n,), ascending, but at least all of the first group.
 
         `next` must have returned that many in total.
         """

@@ -3,7 +3,7 @@ Light vertex cache: points where light of distant sources is first scattered, to
 
 Forward rays from all cells of directions follow specular paths through mirrors and lenses. Each hit of a surface that
 scatters is a light vertex. A backward ray that is sent there, and from there back along the incident light, finds paths
-that neither direction finds by itself. On these paths light is scattered twice and must go through a gap between
+that neither direction finds by itself. On these paths light is scattered twice, and passes a gap between both events
 (E. Veach, Robust Monte Carlo methods for light transport simulation, 1997, chapter 10; T. Davidovič et al., Progressive
 light transport simulation on the GPU, ACM Trans. Graph. 33, 29 (2014)).
 """
@@ -30,7 +30,7 @@ class LightVertexRecorder(Recorder):
     Parameters
     ----------
     room : int
-        Largest number of light vertices that are kept; `count` goes on beyond it.
+        Largest number of light vertices that are kept; those beyond it are only counted.
     """
 
     def __init__(self, room: int) -> None:
@@ -43,11 +43,15 @@ class LightVertexRecorder(Recorder):
 
     @property
     def count(self) -> int:
-        """Number of light vertices found so far, those beyond `room`, which are not stored, included."""
+        """Number of light vertices found so far, including those beyond `room`, which are not stored."""
         return int(self._count[0])
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record a light vertex for each active ray with flux that meets a scattering surface."""
+        """
+        Record a light vertex for each active ray with flux that meets a scattering surface.
+
+        Beyond `room` it is only counted. Without any scattering surface nothing is recorded.
+        """
         if visit.shares is None:
             return
         start = visit.start
@@ -69,9 +73,9 @@ class LightVertexRecorder(Recorder):
         Returns
         -------
         words : (4, n) int64
-            Batch, start ray, cell of directions, surface.
+            Indices of the batch, the start ray, the cell of directions and the surface of each vertex.
         numbers : (6, n) float32
-            Position (mm, in the device's frame), direction of the light.
+            Position (mm, in the device's frame) and unit direction of the light that arrives.
         keys : (n,) uint64
             Keys of the paths from the starts to the light vertices, see `mistray.recorders.path_key.extend_key`.
         """
@@ -94,9 +98,9 @@ class LightVertices:
     words, numbers, keys : np.ndarray
         See `LightVertexRecorder.read`.
     starts_per_connection : (c,) float64
-        See `mistray.sampling.sharing.mis_weights.Sharing`.
+        Number of start rays of each cell per connection, see `mistray.sampling.sharing.mis_weights.Sharing`.
     lanes : (c,) int
-        Number of start rays of each cell.
+        Number of forward start rays of each cell.
     extent : float
         Extent of the scene, mm.
     """
@@ -132,9 +136,9 @@ class LightVertices:
 
     def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
         """
-        Return a random light vertex of each batch (u uniform in 0 … 1) and the throughput factor of the choice.
+        Return the index of a random light vertex of each batch, and the throughput factor of the choice.
 
-        0 if none.
+        `u` is a random number, uniform in 0 … 1. Index and factor are 0 for a batch without light vertices.
         """
         # Uniform among the light vertices of the batch
         first, count = (dr.gather(mi.UInt32, array, batch) for array in (self._first, self._of_batch))
@@ -144,21 +148,29 @@ class LightVertices:
         return number, dr.select(there, dr.gather(mi.Float, self._points, 4 * number + 3, there), 0)
 
     def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Return the positions of light vertices in the device's frame, mm."""
+        """Return the positions of light vertices, given their indices, in the device's frame, mm."""
         return dr.gather(mi.Vector4f, self._points, number, active).xyz
 
     def heading(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Return the unit directions along which light arrives at light vertices."""
+        """Return the unit directions along which light arrives at light vertices, given their indices."""
         return dr.gather(mi.Vector4f, self._headings, number, active).xyz
 
     def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Return a mask of rays that hit surface s at the light vertex, p (mm), to which they were sent."""
+        """
+        Return a mask of rays that reach the light vertex they were sent to: they hit its surface, s, close to it.
+
+        `p` is the point of the hit, mm. Its distance from the vertex must be within rounding.
+        """
         row = dr.gather(mi.Vector4f, self._headings, number, active)
         apart = dr.norm(p - self.point(number, active))
         return active & (mi.UInt32(row.w) == s) & (apart < self._slack)
 
     def comes_from(self, number: mi.UInt32, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """Return a mask of connected rays that leave in a cell by the path on which light reached their vertex."""
+        """
+        Return a mask of connected rays that leave within the vertex's own cell, by the path on which light came to it.
+
+        `cell` is the cell of directions in which each ray leaves the scene.
+        """
 
         # The key of the path from the start to the light vertex: from the last event back to the first scatter event
         def back(k: mi.UInt32, key: mi.UInt64, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt64, mi.Bool]:

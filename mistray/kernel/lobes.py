@@ -1,9 +1,9 @@
 """
 Radial tables of scatter lobes on the device, evaluated and sampled by the kernel and by the plugins.
 
-A lobe has the density 2π r f(r) / total over the radius r. The cells between the nodes are chosen by the alias method
-(M. Pharr et al., Physically based rendering, 4th edition, section A.1); within a cell f ∝ r^m, so that the power m + 2
-of r is uniform.
+A lobe of profile f has the density 2π r f(r) / total over the radius r, which is tabulated at nodes. The cells between
+the nodes are chosen by the alias method (M. Pharr et al., Physically based rendering, 4th edition, section A.1). Within
+a cell f ∝ r^m, so that the power m + 2 of r is uniform.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ class RadialSampler:
     Parameters
     ----------
     tables : sequence of RadialTable
-        Tables, addressed by their numbers.
+        Tables, addressed by their indices.
 
     Attributes
     ----------
     total : mi.Float
-        (tables,) integral of 2π r f(r) of each.
+        (tables,) integral of 2π r f(r) of each table over the radius, dimensionless.
     """
 
     def __init__(self, tables: Sequence[RadialTable]) -> None:
@@ -117,7 +117,7 @@ class RadialSampler:
 
 
 def radial_place(r2: mi.Float) -> mi.Float:
-    """Return the fractional index, 0 … RINGS, of a squared radius r2 among the nodes of a radial table."""
+    """Return the fractional index of a squared radius r2 among the nodes of a radial table, clipped to 0 … RINGS."""
     # Bounded below before the logarithm, whose derivative is then finite
     return dr.minimum((0.5 * dr.log2(dr.maximum(r2, FIRST_R2)) - LOG2_FIRST) * PER_OCTAVE, RINGS)
 

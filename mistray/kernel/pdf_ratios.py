@@ -21,7 +21,7 @@ at random; reflection and refraction keep étendue, and leave them as they are:
   probabilities, and both directions leave them out.
 
 Both directions must come to the same ratio for the same path: only then do their MIS weights add to 1. A third
-technique connects backward rays to light vertices; the two numbers for its density are partial MIS weights as those of
+technique connects backward rays to light vertices; the two values for its density are partial MIS weights as those of
 T. Davidovič et al. (Progressive light transport simulation on the GPU, 2014), see `PdfRatios.connection_ratios`.
 """
 
@@ -64,7 +64,11 @@ class PdfRatios:
 
     @staticmethod
     def first(width: int, connected_width: int) -> State:
-        """Return the density ratios of `width` start rays before any event, by name, as loop variables."""
+        """
+        Return the density ratios of `width` start rays before any event, by name, as loop variables.
+
+        Those of connections have `connected_width` entries.
+        """
         return {
             "pdf_ratio": dr.full(mi.Float, 1, width),  # ∏ pdf_rev/pdf_own over the scatter events so far
             "survival_ratio": dr.full(mi.Float, 1, width),  # ∏ q_rev/q_own since the last of them
@@ -94,7 +98,7 @@ class PdfRatios:
         wall : mi.Bool
             Whether the node is at an opaque surface.
         by_roulette : mi.Bool
-            Reflections that unscattered backward rays follow by roulette.
+            Reflections that unscattered rays, of whichever direction, follow by roulette.
         scatter, by_medium : mi.Bool
             Whether the surface scatters the ray, and whether the medium before it does.
         pdf_ratio : mi.Float
@@ -152,9 +156,9 @@ class PdfRatios:
         it : Interaction
             Interaction at the hits.
         heading : mi.Vector3f
-            Direction of the ray that the node sends on.
+            Unit direction of the ray that the node sends on.
         medium : mi.UInt32
-            Medium through which the light comes to the node.
+            Position in `Optics.media` of the medium through which the light comes to the node.
         pdf_rev : mi.Float
             Backward rays per sr, see `mistray.kernel.scatter_shares.ScatterPdfs`.
         scatter, by_medium : mi.Bool
@@ -194,7 +198,11 @@ class PdfRatios:
         return ratio / dr.select((state["scatters"] & AT_WALL) != 0, self._survival(state, mi.Float(1)), 1)
 
     def _survival(self, state: State, share: mi.Float) -> mi.Float:
-        """Return the probability that roulette spares a ray that has this share, 0 … 1, of its node's throughput."""
+        """
+        Return the probability that roulette spares a ray that has this share, 0 … 1, of its node's throughput.
+
+        It is 1 with ``splitting="one"``.
+        """
         if not self._by_weight:
             return mi.Float(1)
         return dr.minimum(state["w"] * share / (state["reference"] * self._threshold), 1)

@@ -89,7 +89,7 @@ class PendingNodes:
         recorded_floats: int,
     ) -> tuple[Any, ...]:
         """
-        Store the current node of each lane at its depth, and return the arrays.
+        Store the current node of each lane in `pending` or `recorded` at its depth, and return the arrays.
 
         Parameters
         ----------
@@ -120,7 +120,11 @@ class PendingNodes:
         return dr.if_stmt(memory, needed, store, lambda *memory: memory, mode="symbolic", label="keep")
 
     def resume(self, state: dict[str, Any], child: int) -> dict[str, Any]:
-        """Return the loop state after waiting lanes have resumed their pending node, at its stored child or `child`."""
+        """
+        Return the loop state after the lanes that wait at level 1 have resumed their pending nodes.
+
+        They go on at the stored child; at the child with the index `child` if nodes store none, as without scatter.
+        """
         resumes = state["resume_level"] == 1
         values = iter([array.read(state["depth"], resumes) for array in state["memory"][0]])
         unknown, width = mi.UInt32(0), dr.width(resumes)

@@ -1,17 +1,18 @@
 """Stokes vectors along skew rays: polarisation axes by direction, and rotation into the plane of incidence.
 
 A branch carries (q, u, v) = (Q, U, V)/I with respect to axes that follow from its direction d alone: the first is the
-projection of the world's x axis onto the plane normal to d (of the y axis where d is within 26° of x), the second
-d × first. A node stores only these three numbers. At a surface the Stokes vector is rotated into the plane of
+projection of the world's x axis onto the plane normal to d (of the y axis where d is within 26° of ±x), the second
+d × first. A node stores only these three values. At a surface the Stokes vector is rotated into the plane of
 incidence, with axes s = d × normal and d × s. There it is multiplied by the Mueller matrix of the coating, and then
 rotated back.
 
-With Q = |E₁|² - |E₂|² and U + iV = 2 E₁ E₂*, the Mueller matrix of a coating of amplitudes j_s, j_p is
+Let E₁ and E₂ be the components of the field along these axes, I = |E₁|² + |E₂|², Q = |E₁|² - |E₂|² and
+U + iV = 2 E₁ E₂*. Then the Mueller matrix of a coating with the amplitude coefficients j_s and j_p is
 
     I' = (S + P)/2 I + (S - P)/2 Q,   Q' = (S - P)/2 I + (S + P)/2 Q,   (U + iV)' = j_s j_p* (U + iV)
 
-where S and P are the shares of the flux and |j_s j_p*|² = S P. Source: M. Born and E. Wolf, *Principles of Optics*,
-7th ed., sections 1.4.2 and 10.9.3; E. Collett, *Field Guide to Polarization* (2005).
+where S and P are the shares of flux of s and p light and |j_s j_p*|² = S P. Source: M. Born and E. Wolf, *Principles of
+Optics*, 7th ed., sections 1.4.2 and 10.9.3; E. Collett, *Field Guide to Polarization* (2005).
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ class Mueller:
         return 0.5 * (s * larger(1 + stokes.x, 0) + p * larger(1 - stokes.x, 0))
 
     def apply(self, stokes: mi.Vector3f) -> mi.Vector3f:
-        """Return the outgoing normalised Stokes vector (q, u, v), which refers to the plane of incidence."""
+        """Return the outgoing (q, u, v) for the incident one, both in the plane of incidence; 0 without any flux."""
         s, p, re, im = self.coefficients
         flux = self.share(stokes)
         scale = dr.select(flux > 0, 1 / flux, 0)  # not `dr.rcp`: polarised light must stay so by more than 1e-7

@@ -55,13 +55,19 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
     Parameters
     ----------
     scene : KernelScene
-        Its `backward` says whether rays go from the detector to the sky, or from a source to the detector.
+        Scene to trace; its `backward` says whether rays go from the detector to the sky, or from a source to the
+        detector.
     start : StartRays
-        One lane each.
+        Start rays, one per lane.
     settings : Settings
         Settings of the trace.
     recorders : sequence of Recorder or None
-        They take the results, in this order; None is left out.
+        Recorders that take the results, in this order; entries that are None are left out.
+
+    Raises
+    ------
+    MistrayError
+        If `cut_below_W` is set, since start rays have no watts of a source.
     """
     # What a user differentiates by, such as the vertices of a mesh, does not make a trace differentiable
     with dr.suspend_grad():
@@ -113,7 +119,7 @@ class _Tree:
 
     # A Local array takes an index of traced size 1 as uniform over the lanes: every index must start at full width
     def full(self, value: int = 0) -> mi.UInt32:
-        """Return a device array, one entry per lane, filled with an integer."""
+        """Return a device array with one entry per lane, all equal to an integer."""
         return dr.full(mi.UInt32, value, self.n)
 
     # ---- the state of the loop
@@ -288,9 +294,9 @@ class _Tree:
         contributes: mi.Bool,
     ) -> tuple[mi.Float, mi.Float]:
         """
-        Return the throughput transmitted and scattered along segments of `length` mm in a medium.
+        Return the throughput left at the end of segments of `length` mm in a medium, and that scattered on the way.
 
-        Record the absorbed part.
+        The absorbed part is recorded. Where no medium absorbs or scatters, all throughput reaches the end.
         """
         optics = self.scene.table.optics
         if not optics.absorbs:
@@ -367,7 +373,7 @@ class _Tree:
         return Node(start, state, it, budget, R, T, first & ~at_rim, again, contributes, state["rng"], row)
 
     def _send(self, node: Node, children: Children, choice: Choice, memory: Memory) -> Sent:
-        """Return the chosen child ray of each node; its flux is 0 if a limit ends the branch."""
+        """Return the chosen child ray of each node; its flux is 0 where no child goes on, for example at a limit."""
         state, it, budget, rng = node.state, node.interaction, node.budget, node.rng
         w, d, s, p = state["w"], state["d"], state["s"], it.p
         table, scattering = self.scene.table, self.scene.scattering

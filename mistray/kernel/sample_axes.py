@@ -8,7 +8,7 @@ An interface says where the axis comes from.
 - "meridian" is the tangent in the plane through the local z axis, away from it on a plane, rotated by `rotation_deg`
   about the normal from front to back, right-handed: a sample that was turned on a lathe.
 
-A row of four numbers holds either: x, y, z of a vector in the frame of the surface and 0, or cosine and sine of the
+A row of four values holds either: x, y, z of a vector in the frame of the surface and 0, or cosine and sine of the
 rotation, 0 and 1.
 """
 
@@ -32,7 +32,7 @@ NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incid
 
 
 def axis_row(axis: str, rotation_deg: float) -> np.ndarray:
-    """Return a surface's sample axis as (4,) numbers: cosine and sine of its rotation, 0, index in `AXES`."""
+    """Return a surface's sample axis as a row, (4,): cosine and sine of its rotation, 0, and index in `AXES`."""
     turn = np.radians(rotation_deg)
     return np.array([np.cos(turn), np.sin(turn), 0.0, float(AXES.index(axis))])
 
@@ -44,7 +44,7 @@ def tangent_axis(row: Any, normal: Any, q: Any, any_meridian: bool = True) -> An
     Parameters
     ----------
     row : mi.Vector4f
-        Numbers that encode the sample axis, see `axis_row`.
+        Row that encodes the sample axis, see `axis_row`.
     normal : mi.Vector3f or mi.Vector3d
         Unit normal, from front to back, in the frame of the surface.
     q : mi.Vector3f or mi.Vector3d
@@ -74,17 +74,17 @@ class SurfaceFrames:
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     turned : sequence of int
-        Surfaces whose scatter is anisotropic.
+        Indices of the surfaces whose scatter is anisotropic.
 
     Raises
     ------
     MistrayError
-        If one of these has no such axis.
+        If one of the surfaces in `turned` has no sample axis.
 
     Attributes
     ----------
     rows : mi.Float
-        (surfaces · 4,) numbers that encode the sample axes, see `axis_row`.
+        (surfaces · 4,) values that encode the sample axes, see `axis_row`.
     """
 
     def __init__(self, table: SurfaceTable, turned: Sequence[int]) -> None:
@@ -108,9 +108,9 @@ class SurfaceFrames:
 
 def _row(table: SurfaceTable, s: int) -> np.ndarray:
     """
-    Return the numbers, (4,), that encode the sample axis of surface s; raise `MistrayError` if it has none.
+    Return the row, (4,), that encodes the sample axis of surface s; raise `MistrayError` if it has none.
 
-    See `axis_row`.
+    For an analytic surface it is that of `axis_row`; for a Mitsuba rectangle, a unit vector in the scene's frame and 0.
     """
     sample, name = table.optics.bsdfs[s].sample_axis, table.ids[s]
     if sample is None:

@@ -32,7 +32,7 @@ class ScatterHit(NamedTuple):
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     s : mi.UInt32
-        Numbers of the surfaces.
+        Indices of the surfaces.
     interaction : Interaction
         Interaction at the hits.
     d : mi.Vector3f
@@ -73,19 +73,18 @@ class ScatterBudget:
     Attributes
     ----------
     transmission, reflection : Shares
-        Shares of either event.
+        Specular and scattered fractions for either event.
     scattered : mi.Float
         Scattered fraction of the incident flux, the sum of both events.
     absorbed : mi.Float
         Fraction of the incident flux that is neither reflected, transmitted nor scattered, for light that travels along
         the ray, also in a backward trace.
     first_case : mi.UInt32
-        Number of the case of transmission in the tables; that of reflection is the next.
+        Index of the case of transmission in the tables; reflection has the next index.
     aimed_t, aimed_r : mi.UInt32
         Number of aimed rays in transmission and in reflection.
     random_rays : mi.UInt32
-        Number of random rays that the surface requests; 0: the number of the settings.
-
+        Number of random rays that the surface requests; 0: as many as the settings say.
     """
 
     transmission: Shares
@@ -101,7 +100,7 @@ class ScatterBudget:
         self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32, connection: Connection | None = None
     ) -> ScatteredRay:
         """
-        Return the event and the sampling technique of scattered ray number `number` of a node.
+        Return the event and the sampling technique of the scattered ray with index `number` of a node.
 
         The first `random_rays` are drawn at random, then come the aimed ones of transmission and of reflection, and
         then those of `connection`, if there is one.
@@ -122,8 +121,8 @@ class ScatterBudget:
         """
         Return the event and sampling technique of a node's only scattered ray, sent with `probability`.
 
-        It is aimed in half of the cases in which there is a target. Without random rays it has no weight in an event
-        without a target.
+        Where its event has targets, the ray is aimed with probability ½, or always if `random_rays` is 0. Without
+        targets and without random rays it has no weight.
         """
         reflect = rng.next_float32() * self.scattered >= self.transmission.scattered
         event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered
@@ -160,13 +159,13 @@ class Connection:
     Attributes
     ----------
     direction : mi.Vector3f
-        Unit direction of the ray.
+        Unit direction of the ray: to the light vertex, or at that vertex back along its incident light.
     reflect : mi.Bool
         Whether the ray stays on the side of incidence.
     factor : mi.Float
         Factor on its throughput, from `LightVertices.pick`; 1 at the light vertex.
     word : mi.UInt32
-        Number of the vertex plus one, with the flag `CONNECTED`.
+        Index of the vertex plus one; with the flag `CONNECTED` once the ray has been there.
     """
 
     direction: mi.Vector3f
@@ -191,7 +190,7 @@ class ScatteredRay:
     connects : mi.Bool
         Whether the ray is connected to a light vertex.
     connection : Connection or None
-        The connection then; None: no ray is connected.
+        Connection of the rays in `connects`; None: no ray is connected.
     """
 
     reflect: mi.Bool
@@ -204,16 +203,17 @@ class ScatteredRay:
 
 class ScatterPdfs(NamedTuple):
     """
-    Forward and backward pdfs of a scattered direction, for MIS weights.
+    Densities of a scattered direction, for MIS weights.
 
     Attributes
     ----------
     pdf_ratio : mi.Float
         Pdf of the competing trace over that of this trace, per étendue; 1 where no trace competes.
     pdf_rev : mi.Float
-        Backward rays per sr in this direction: one at random, and all that are aimed.
+        Backward rays per sr that a hit sends in this direction, one at random and all that are aimed; 0 where no trace
+        competes.
     light_vertex : mi.UInt32
-        Number of the light vertex plus one, see `CONNECTED`; 0 for rays that are not connected.
+        Index of the light vertex plus one, see `CONNECTED`; 0 for rays that are not connected.
     """
 
     pdf_ratio: mi.Float = 1.0
@@ -281,7 +281,7 @@ class ScatterShares:
         self, heading: mi.Vector3f, axis: mi.Vector3f, x_axis: mi.Vector3f | None, side: mi.UInt32, active: mi.Bool
     ) -> dict[str, Turn | None]:
         """
-        Return the azimuths of the sample from the plane of incidence, by the light that is scattered.
+        Return the azimuths of the sample from the plane of incidence, by light and event; None for isotropic samples.
 
         "transmission" and "reflection" are for the light of the path, which goes against the ray in a backward trace;
         "along" and "back" are for light that goes along the ray.
@@ -293,9 +293,9 @@ class ScatterShares:
         axis : mi.Vector3f
             Normal on the side that the ray goes to.
         x_axis : mi.Vector3f or None
-            The x axis of the sample; None: all are isotropic.
+            The x axis of the sample, a unit vector; None: all samples are isotropic.
         side : mi.UInt32
-            Number of the surface's side.
+            Index of the surface's side: 2 s for the front of surface s, 2 s + 1 for its back.
         active : mi.Bool
             Lanes that take part.
         """
@@ -318,7 +318,8 @@ class ScatterShares:
         """
         Return the specular and scattered fractions of the incident flux at a cosine of incidence.
 
-        The case's table starts at row `first`; `x` is R or T.
+        The case's table starts at row `first`, which is 0 for a case without scatter. `x` is R or T, `turn` the azimuth
+        of an anisotropic sample.
         """
         # Totals are linear in the cosine between nodes
         here = active & (first != 0)

@@ -1,7 +1,7 @@
 """
 Scatter of all surfaces, packed for the kernel: lobes, targets, and totals over the angle of incidence.
 
-A *case* is light from one side of a surface that is scattered in one event (transmission or reflection). Its number is
+A *case* is light from one side of a surface that is scattered in one event (transmission or reflection). Its index is
 4 s + 2 side + event. Each case has a list of lobes, a list of targets, and a table over the angle of incidence. The
 table holds the loss of the specular beam, and the scattered flux as the terms of a polynomial in R or T.
 """
@@ -88,7 +88,7 @@ class Side:
         Totals by event, (turns, ANGLES + 1, 4), over rotation of the sample and angle of incidence: specular loss, and
         three terms of the scattered flux.
     models : tuple of int
-        Number of the model of each lobe.
+        Index of the model of each lobe.
     """
 
     lobes: tuple[Lobe, ...]
@@ -122,7 +122,7 @@ def side_of(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_
     """
     Return the scatter lobes and total scatter of models for light from one side of a surface, cached.
 
-    Indices are real.
+    `n_in` and `n_out` are the real refractive indices on the side that the light comes from and on the other side.
     """
     return _known_side(models, particle_indices(models, wavelength_nm), wavelength_nm, n_in, n_out, from_front)
 
@@ -141,7 +141,7 @@ def _known_side(
 
 def make_side(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
     """
-    Return the lobes of scatter models, and their total integrated scatter by angle of incidence.
+    Return the lobes of scatter models, and their total integrated scatter by angle of incidence; see `side_of`.
 
     Nodes are uniform in cos θi for reflection. For transmission they are uniform in the cosine in the rarer medium;
     light in the denser one has the cosine of the direction that is refracted to it.
@@ -186,9 +186,9 @@ class Case:
     Attributes
     ----------
     surface : int
-        Number of the surface.
+        Index of the surface.
     from_front : bool
-        Side that the light comes from; for transmission in a backward trace the ray comes from the other side.
+        Whether the light comes from the front; for transmission in a backward trace the ray comes from the other side.
     event : str
         "reflection" or "transmission".
     rows : (turns, ANGLES + 1, 4) float64
@@ -196,7 +196,7 @@ class Case:
     members : tuple of Member
         Lobes that scatter in this case.
     first_row, first_lobe : int
-        Number of its first row among those of all cases, and of its first member among all lobes.
+        Index of its first row among those of all cases, and of its first member among all lobes.
     """
 
     surface: int
@@ -221,15 +221,15 @@ class PackedLobes:
         Coefficients c0, c1 and c2, total of the radial profile, limit of 1/cos θi, and log2 of the smallest distance r
         of the ratio table, see `mistray.scatter.lobe.Lobe`.
     words : (n, 2) uint32
-        Flags with the number of the radial table, and index of the ratio table in `ratios`.
+        Flags with the index of the radial table in `tables`, and index of the ratio table in `ratios`.
     tables : list of RadialTable
         Radial profiles, each once.
     table_numbers : list of int
-        Number of the table of each lobe.
+        Index in `tables` of the radial table of each lobe.
     ratios : (m,) float64
-        Ratio tables, each after `RATIO_HEAD` numbers; first those that change with the models' values.
+        Ratio tables, each after a head of `RATIO_HEAD` values; first those that change with the models' parameters.
     moving : int
-        Length of the part of `ratios` that changes with the models' values.
+        Length of the part of `ratios` that changes with the models' parameters.
     """
 
     members: list[Member]
@@ -328,7 +328,12 @@ class ScatterTables:
     total_rows : int
         Number of rows of the totals.
     flags : int
-        Bitwise or of the flags of all lobes.
+        Bitwise or of the flags of all lobes; set only if a surface scatters, like the arrays on the device.
+
+    Raises
+    ------
+    MistrayError
+        If a surface returns more than the incident flux, or scatters anisotropically but has no sample axis.
     """
 
     def __init__(
@@ -422,7 +427,7 @@ class ScatterTables:
 
     @staticmethod
     def _frames(table: SurfaceTable, turned: Sequence[int]) -> SurfaceFrames | None:
-        """Return the sample axes of surfaces with anisotropic scatter; `turned` are their numbers."""
+        """Return the sample axes of surfaces with anisotropic scatter; `turned` holds the indices of these surfaces."""
         return SurfaceFrames(table, turned)
 
     @staticmethod
@@ -430,7 +435,8 @@ class ScatterTables:
         """
         Return the scatter of surface s for light from its front and from its back.
 
-        Raise `MistrayError` if it returns more than the incident flux.
+        Lobes of transmitted light are left out for an opaque surface. Raise `MistrayError` if the surface returns more
+        than the incident flux.
         """
         found, checked = [], kind in _checked
         for from_front in (True, False):
@@ -475,9 +481,10 @@ class ScatterTables:
 
 def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float, float]:
     """
-    Return the real refractive indices on the side that light comes from and on the other side of a surface.
+    Return the real refractive indices on the side of incidence and on the other side of a surface.
 
-    The kernel needs no indices beside an opaque surface, but its lobes do: their wavelength is that of the medium.
+    For an opaque surface both are the index on the side of incidence. The kernel needs none there, but the lobes do:
+    their wavelength is that in the medium.
     """
     if optics.host_words[surface] & OPAQUE:
         front, back = (float(n) for n in optics.host_media_n[optics.declared[surface]])

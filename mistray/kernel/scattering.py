@@ -4,7 +4,8 @@ Scatter of a ray at a surface: sampling, evaluation, and the weights of multiple
 A scattered ray is drawn either at random, a lobe by its flux and a direction by its profile, or towards a target, by
 its share and uniformly over its area. All rays of a hit together are weighted with the balance heuristic of E. Veach
 (Robust Monte Carlo methods for light transport simulation, 1997, section 9.2): a direction that several techniques i
-could have drawn counts f/Σ n_i pdf_i, so that the sum is unbiased whatever the targets are.
+could have drawn counts f/Σ n_i pdf_i, so that the sum is unbiased whatever the targets are. Here f is the scattered
+flux per sr and incident flux, n_i the number of rays of a technique, and pdf_i its density, 1/sr.
 
 Backward rays (see `mistray.execute.backward`) are drawn alike, about the reflected or refracted direction of the ray.
 They are weighted with the BSDF of the forward light, since surfaces need not be reciprocal. In transmission their lobes
@@ -55,15 +56,15 @@ class LobeFrame:
     Attributes
     ----------
     axis : mi.Vector3f
-        Normal on the side that the light goes to without reflection.
+        Unit normal on the side that the light goes to without reflection.
     outward, specular, d : mi.Vector3f
-        Unit normal on the side that rays are sent to, specular direction, and direction of arrival.
+        Unit vectors: normal on the side that rays are sent to, specular direction, and direction of arrival.
     cos_i, eta : mi.Float
-        Cosine of the angle of incidence, and index on the side of incidence over the index on the other.
+        Cosine of the angle of incidence, and refractive index on the side of incidence over that on the other.
     x_axis : mi.Vector3f or None
-        The x axis of an anisotropic sample.
+        The x axis of the sample, a unit vector; None: all samples are isotropic.
     scale : mi.Float
-        Factor by which random rays are spread wider.
+        Factor by which random rays are spread wider; 1 for forward rays.
     """
 
     axis: mi.Vector3f
@@ -92,12 +93,16 @@ class Scattering(ScatterShares):
     any : bool
         Whether a surface scatters.
     bulk : BulkScattering or None
-        Scatter in media, if any scatters.
+        Scatter in media; None: no medium scatters.
     """
 
     @property
     def arrays(self) -> list[Any]:
-        """Device arrays of the scatter models. Targets are left out, as they change only the variance."""
+        """
+        Device arrays of the scatter models; none if no surface scatters.
+
+        Importance targets are left out, as they change only the variance.
+        """
         tables = self.tables
         if not tables.any:
             return []
@@ -127,7 +132,7 @@ class Scattering(ScatterShares):
         choose : callable
             ``choose(rng)`` returns the ray of the node that is to be drawn.
         otherwise : mi.Vector3f
-            Direction where not active.
+            Direction returned where a lane is inactive or the ray carries nothing.
         rng : mi.PCG32
             Random number generator of each lane.
         active : mi.Bool
@@ -311,7 +316,8 @@ class Scattering(ScatterShares):
 
         `cos_t` is the light's own cosine of refraction, x the coating's R or T for it. With the étendue
         dG = n² cos θ dω dA of either direction the flux per étendue is the same for forward and backward rays; the
-        change from dG to dω gives the factor n_i² cos θ_i/(n_o² cos θ_o).
+        change from dG to dω gives the factor n_i² cos θ_i/(n_o² cos θ_o), with i for the side and angle at which the
+        light arrives, and o for those at which it leaves.
         """
         # The light comes along -direction, and is scattered to -d: the frame seen from there
         incident, outward, eta = -direction, -frame.axis, dr.rcp(frame.eta)
@@ -326,9 +332,9 @@ class Scattering(ScatterShares):
         self, plan: mi.Vector4u, reflect: mi.Bool, x: mi.Float, cos_i: mi.Float, cos_t: mi.Float
     ) -> list[dict[str, Any]]:
         """
-        Return the lobes by which forward light can scatter into a backward ray.
+        Return the lobes by which light can scatter in a given case.
 
-        In total reflection only those about the normal pass.
+        Where light that would be transmitted is in total reflection, only lobes about the normal can.
         """
         # In total reflection cos θt is 0, and nothing is refracted into a specular direction
         lobes = self._read_lobes(plan, x, cos_i)
@@ -368,7 +374,7 @@ class Scattering(ScatterShares):
         return lobes
 
     def _centre(self, words: mi.Vector2u, frame: LobeFrame) -> mi.Vector3f:
-        """Return the unit vector about which a lobe is centred: specular direction, incident direction or normal."""
+        """Return the unit vector about which a lobe is centred: specular direction, reverse of arrival, or normal."""
         # The specular direction, the one of arrival (retro-reflection) or the normal
         centre = frame.specular
         if self.tables.flags & RETRO:
@@ -435,7 +441,11 @@ class Scattering(ScatterShares):
         cos_s: mi.Float,
         frame: LobeFrame,
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """Return scattered flux per sr and incident flux, its derivative by R or T, and pdf of random rays, 1/sr."""
+        """
+        Return the scattered flux per incident flux, its derivative with respect to R or T, and the pdf of random rays.
+
+        All three are per sr.
+        """
         outward, cos_i, scale = frame.outward, frame.cos_i, frame.scale
         flux, slope, density = mi.Float(0), mi.Float(0), mi.Float(0)
         for lobe in lobes:

@@ -73,7 +73,7 @@ class StartSupply:
         return bool(settings.max_scatters > 1 or transmitting >= MANY_SURFACES)
 
     def renew(self, state: dict[str, Any]) -> dict[str, Any]:
-        """Return the loop variables after idle lanes have taken a new start ray; others go inactive."""
+        """Return the loop variables after idle lanes have taken a new start ray; those that find none go inactive."""
         # The next ray of its batch: a lane that finds it used up stays idle, and the counter may run past the end
         idle = state["idle"]
         place = dr.scatter_inc(self._next, self._batch, idle)

@@ -1,8 +1,8 @@
 """
 Importance targets of scattered rays: flat regions, ellipsoids and cones, grouped by the place where light is scattered.
 
-A flat target of area A has the pdf r²/(A |cos θ|) per sr, where r is the distance of the point of the target and θ the
-angle between the direction and the target's normal, see `mistray.kernel.device_targets`.
+A flat target of area A, mm², has the pdf r²/(A |cos θ|) per sr. Here r is the distance of the point of the target, mm,
+and θ the angle between the direction and the target's normal, see `mistray.kernel.device_targets`.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Target:
         return np.asarray(self.centre + a[:, None] * self.u + b[:, None] * self.v)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """Return a mask of points (n, 3), mm, in the target's plane that lie on the target, (n,); False for NaN."""
+        """Return a mask, (n,), of points (n, 3), mm, in the target's plane that lie on the target; False for NaN."""
         # Coordinates a, b by the pseudoinverse, since u and v need not be at right angles
         a, b = np.linalg.pinv(np.stack([self.u, self.v], axis=1)) @ (points - self.centre).T
         with np.errstate(invalid="ignore"):
@@ -128,7 +128,7 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Return two bools: whether any ray from points (n, 3), mm, leaves against its normal, and any along it."""
+        """Return whether any ray from points (n, 3), mm, to the target leaves against its normal, and any along it."""
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
@@ -153,6 +153,11 @@ class Ellipsoid:
         Half axes as rows, mm; at right angles to each other.
     reverse, share
         See `Target`.
+
+    Raises
+    ------
+    MistrayError
+        For numbers that are not finite, or half axes that are 0 or not at right angles.
     """
 
     centre: np.ndarray
@@ -177,7 +182,7 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Return two bools: whether any ray from points (n, 3), mm, leaves against its normal, and any along it."""
+        """Return whether any ray from points (n, 3), mm, to the target leaves against its normal, and any along it."""
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
@@ -206,6 +211,11 @@ class TargetCone:
         Half-angle, rad, above 0 and at most π.
     reverse, share
         See `Target`.
+
+    Raises
+    ------
+    MistrayError
+        For an unknown `about`, an axis that is not finite, a direction of length 0, or a half-angle out of range.
     """
 
     about: str
@@ -283,7 +293,7 @@ class Inside:
     Attributes
     ----------
     surface : int
-        Number of the surface.
+        Index of the surface.
     at_back : bool
         Whether the medium is at the back of the surface.
     """
@@ -293,10 +303,10 @@ class Inside:
 
 
 Side = tuple[int, bool]
-"""Number of a surface, and whether the light leaves it to the back."""
+"""Index of a surface, and whether the light leaves it to the back."""
 
 Place = Side | Inside
-"""Place of scatter: a side of a surface, or a medium beside a surface."""
+"""Place of scatter: a side of a surface, or a medium next to a surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +319,12 @@ class AimSet:
     targets : tuple of Target, Ellipsoid or TargetCone
         Targets, whose shares add up to 1; they may overlap.
     rays : int
-        Number of aimed rays at every hit, at least 1.
+        Number of aimed rays at every hit, or on every ray segment in a medium; at least 1.
+
+    Raises
+    ------
+    MistrayError
+        If the shares do not add up to 1, or there is no ray.
     """
 
     targets: tuple[AnyTarget, ...]
@@ -317,7 +332,7 @@ class AimSet:
 
     @classmethod
     def of(cls, targets: Sequence[AnyTarget], rays: int, weights: Sequence[float] | None = None) -> AimSet:
-        """Return a set of targets with `rays` aimed rays per hit, shared in proportion to `weights` or equally."""
+        """Return targets that share `rays` aimed rays per hit in proportion to `weights`; equally by default."""
         # By default each target gets as many rays as the others, whatever its size
         parts = np.ones(len(targets)) if weights is None else np.asarray(weights, dtype=np.float64)
         shares = (parts / parts.sum()).tolist()

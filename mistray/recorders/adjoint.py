@@ -1,15 +1,15 @@
 """
-Adjoint pass: derivatives of a metric by R and T of every surface, angle and side.
+Adjoint pass: derivatives of a metric with respect to R and T of every surface, angle and side.
 
 The throughput of a branch is the product of the R and T along it. To first order a metric M follows from its derivative
-by the flux Φ of every hit of the detector. With x the R or T of an event,
+with respect to the flux Φ of every hit of the detector. With x the R or T of an event,
 
     ∂M/∂x = (1/x) Σ (∂M/∂Φ) Φ over the hits in the subtree of the event.
 
 A second pass over the same start rays computes these sums. In depth-first order the sum over a subtree is the
 difference of a running total between entering and leaving it. The total is `GAIN`; `Branch.slope` is 1/x, or
 d ln(throughput)/dx where the surface scatters. A sum is added to the two rows of the coating's table between which R or
-T was interpolated. So the result is the exact derivative of the traced metric by the rows.
+T was interpolated. So the result is the exact derivative of the traced metric with respect to the rows.
 `mistray.gradients.coating_gradient` continues from the rows to layers.
 
 Children that the primal pass did not follow (R or T exactly 0, or below the flux threshold) are left out. The subtree
@@ -36,33 +36,36 @@ CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating 
 
 class Adjoint(Recorder):
     """
-    Recorder of the adjoint pass: derivatives of one metric by R and T, from its sums over subtrees of the ray tree.
+    Recorder of the adjoint pass: derivatives of one metric with respect to R and T, by sums over subtrees of ray trees.
 
     Parameters
     ----------
     rows : int
-        Rows of the tables of R and T; 0: no derivatives by rows, only the gain of the metric from each lane.
+        Number of rows of the tables of R and T; 0: no derivatives by row, only the gain of the metric from each lane.
     film : Film
         Pixel grid of the detector.
     pixel : (maps · pixels,) mi.Float, optional
-        Derivative of the metric by the flux in each pixel of the film, for one or more groups of paths.
+        Derivative of the metric with respect to the flux in each pixel of the film, for one or more groups of paths;
+        None: the metric does not depend on the pixel.
     path : (capacity · MOMENTS,) mi.Float64, optional
-        For each path of the ledger the coefficients of 1, x, y, x², y², x y (mm, in the detector's frame) of the
-        derivative of the metric by the flux of a hit at (x, y).
+        For each path of the ledger the coefficients of 1, x, y, x², y², x y (x and y in mm, in the detector's frame) of
+        the derivative of the metric with respect to the flux of a hit at (x, y). None: the metric does not depend on
+        the path.
     map_of_slot : (capacity,) mi.UInt32, optional
-        Number of the map + 1 of each path of the ledger, 0 for none; None: all hits contribute to the first map.
+        Index of the map + 1 of each path of the ledger, 0 for none; None: all hits contribute to the first map.
     ledger : Ledger, optional
-        Ledger that holds the paths.
+        Ledger that holds the paths; None: `path` and `map_of_slot` are not given.
     light : SkyRecorder, optional
-        Source of the gain from rays that leave the scene, or from rays that meet the detector, in place of `pixel` and
-        `path`.
+        Recorder that gives the gain of rays that leave the scene, or of rays that meet the detector, in place of
+        `pixel` and `path`; None: the gain follows from these.
 
     Attributes
     ----------
     gain : (n,) mi.Float64
         Gain of the metric from each lane of the latest trace: derivative × flux, summed over its hits.
     sums : (BATCHES, rows, CHANNELS) mi.Float64
-        Derivatives of the metric by the rows of R and T, by batch of start rays; in units of a start ray's flux.
+        Derivatives of the metric with respect to the rows of R and T, by batch of start rays. They are in the unit of
+        the derivative times that of a start ray's flux.
     unknown : (1,) mi.Float64
         Flux of hits by paths that are not in the ledger, in units of a start ray's flux; its derivative is taken as 0.
     """
@@ -94,9 +97,9 @@ class Adjoint(Recorder):
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """
-        Set each lane's gain to 0: its running sum of flux times the metric's derivative by flux.
+        Set each lane's gain, the running sum of its contributions to the metric, to 0.
 
-        Allocate arrays by depth for cell, fraction, slope and gain.
+        If there are rows, allocate arrays by depth for cell, fraction, slope and gain.
         """
         memory[GAIN] = dr.zeros(mi.Float64, dr.width(start.lane))
         if self.rows:
@@ -104,7 +107,13 @@ class Adjoint(Recorder):
             memory[EVENTS] = tuple(dr.alloc_local(dtype, max_events) for dtype in types)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add each detector hit's flux times the metric's derivative by that flux to the gain of its lane."""
+        """
+        Add the contribution of each detector hit to the gain of its lane, and the detector's part to the derivatives.
+
+        The contribution is the absorbed flux times the derivative of the metric with respect to it, or
+        `SkyRecorder.gain` with `light` for the detector. Flux on paths that are not in the ledger is added to
+        `unknown`.
+        """
         if self.light is not None and self.light.incident:
             memory[GAIN] = memory[GAIN] + self.light.gain(visit)
             return
@@ -123,7 +132,7 @@ class Adjoint(Recorder):
             self._detected(visit, mi.Float(derivative) * visit.weight)
 
     def branch(self, branch: Branch, memory: Memory) -> None:
-        """Store table cell, slope and current gain of an R or T event before its child ray is followed."""
+        """Store table cell, slope and gain so far of an R or T event, before its child is followed; only with rows."""
         if not self.rows:
             return
         it, depth, active = branch.interaction, branch.depth, branch.active
@@ -134,12 +143,21 @@ class Adjoint(Recorder):
         gains.write(memory[GAIN], depth, active)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Add each escaping ray's throughput times the metric's derivative by it to the gain of its lane."""
+        """
+        Add the contribution of each escaping ray to the metric to the gain of its lane.
+
+        Only `light` for rays that leave the scene gives such a contribution, see `SkyRecorder.gain`. Otherwise nothing
+        is added.
+        """
         if self.light is not None and not self.light.incident:
             memory[GAIN] = memory[GAIN] + self.light.gain(departure)
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Add derivatives by R or T of events whose subtrees are complete: slope times the subtree's gain."""
+        """
+        Add the derivatives with respect to R or T of events whose subtrees are complete: slope times subtree's gain.
+
+        Without rows nothing is added.
+        """
         if not self.rows:
             return
         cells, fractions, slopes, gains = memory[EVENTS]
@@ -161,7 +179,11 @@ class Adjoint(Recorder):
         self.gain = memory[GAIN]
 
     def _derivative(self, visit: Visit) -> mi.Float64:
-        """Return the derivative of the metric by the flux of each detector hit, from the hit's pixel and path."""
+        """
+        Return the derivative of the metric with respect to the flux of each detector hit.
+
+        It is the sum of the parts by pixel and by path, as far as they are given.
+        """
         (x, y), slot, active, film = visit.position, visit.slot, visit.counted, self._film
         total = dr.zeros(mi.Float64, dr.width(x))
         if self.pixel is not None:
@@ -184,9 +206,9 @@ class Adjoint(Recorder):
 
     def _detected(self, visit: Visit, weighted: mi.Float) -> None:
         """
-        Add derivatives by the R and T of the detector's own surface to the sums of their table cells.
+        Add derivatives with respect to R and T of the detector's own surface to the sums of their table cells.
 
-        `weighted` is the metric's derivative times the incident flux.
+        `weighted` is the derivative of the metric with respect to absorbed flux, times the incident flux.
         """
         # It absorbs the flux that it does not reflect, transmit or scatter
         it, shares = visit.interaction, visit.shares

@@ -30,7 +30,7 @@ class PathChoice:
     ledger : Ledger
         Ledger that holds the paths.
     chosen : (capacity,) mi.UInt32
-        1 for the slots of the chosen paths, 0 for the others.
+        1 for the slots of the chosen paths, 0 for all others.
     """
 
     ledger: Ledger
@@ -74,23 +74,23 @@ class BranchRecorder(Recorder):
     max_events : int
         Largest number of events of a branch that is kept whole.
     choice : PathChoice or None
-        Only branches of these paths are recorded; None: of every path that reaches the detector. A backward trace
-        records every ray that leaves the scene and contributes.
+        Paths whose branches are recorded; None: all paths that reach the detector. A backward trace records every ray
+        that leaves the scene and contributes.
     light : SkyRecorder or None
-        Source of the gain of rays that leave the scene, or that meet the detector, absorbed or not; None:
-        all rays that the detector absorbs.
+        Recorder whose gain selects and weights the rays that are recorded: rays that leave the scene, or that meet the
+        detector, absorbed or not. None: rays that the detector absorbs are recorded.
     count : (1,) mi.UInt32
-        Number of branches, also beyond the capacity.
+        Number of branches, including those beyond the capacity.
     lane, length : (capacity,) mi.UInt32
-        Start ray and number of events of each.
+        Index of the start ray, and number of events, of each branch.
     nodes : (capacity, max_events, NODE_FLOATS) mi.Float
         Points (mm), directions of arrival, throughputs, and the bits of the event codes, see `codes`.
     weight : (capacity,) mi.Float64
-        Flux that meets the detector in units of the start ray's; with `light` the metric's gain.
+        Flux that meets the detector, in units of the start ray's; with `light` the gain, in the metric's unit.
     heading : (capacity, 3) mi.Float
-        Unit directions of rays that leave the scene.
+        Unit directions of rays that leave the scene; without meaning for others.
     place : (capacity, 2) mi.Float
-        Hits x, y in the detector's frame, mm.
+        Position x, y of hits in the detector's frame, mm; without meaning for rays that leave the scene.
     path : (capacity,) mi.UInt64
         Keys of the events, see `mistray.recorders.path_key.extend_key`.
     peak : (1,) mi.UInt32
@@ -122,7 +122,11 @@ class BranchRecorder(Recorder):
         dr.eval(self.path, self.peak)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record rays that the detector absorbs, and update the largest flux of a ray there."""
+        """
+        Record rays that the detector absorbs, on the chosen paths, and update the largest flux of a ray there.
+
+        With `light` for the detector, rays whose gain is 0 are left out.
+        """
         # The bits of positive floats are in the order of the floats
         bits = dr.reinterpret_array(mi.UInt32, visit.weight)
         dr.scatter_reduce(dr.ReduceOp.Max, self.peak, bits, mi.UInt32(0), visit.detected)
@@ -135,7 +139,11 @@ class BranchRecorder(Recorder):
         self.write(visit, chosen & visit.counted, weight, place=visit.position)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Record rays that leave the scene after an event, with a gain (contribution to the metric) other than 0."""
+        """
+        Record rays that leave the scene after an event, with a gain (contribution to the metric) other than 0.
+
+        This is done only with `light` for rays that leave the scene.
+        """
         if self.light is not None and not self.light.incident and departure.node is not None:
             gained = self.light.gain(departure)
             self.write(departure, departure.active & (gained != 0), gained, departure.heading)
@@ -227,14 +235,14 @@ class BranchRecorder(Recorder):
         return np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0), lengths
 
     def node(self, slot: mi.UInt32, k: mi.UInt32, active: mi.Bool) -> Node:
-        """Return event number `k` of recorded branches as a `Node`: point, mm, direction and event code."""
+        """Return event `k` of recorded branches as a `Node`: point, mm, unit direction and event code."""
         row = (slot * self._stride + k) * VECTORS
         first, second = (dr.gather(mi.Vector4f, self.nodes, row + j, active) for j in range(VECTORS))
         code = dr.reinterpret_array(mi.UInt32, second.w)
         return Node(mi.Vector3f(first.x, first.y, first.z), mi.Vector3f(first.w, second.x, second.y), code)
 
     def code(self, slot: mi.UInt32, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Return the code of event number `k` of the recorded branches in the given slots, see `mistray.events`."""
+        """Return the code of event `k` of the recorded branches in the given slots, see `mistray.events`."""
         last = (slot * self._stride + k) * NODE_FLOATS + NODE_FLOATS - 1
         return dr.reinterpret_array(mi.UInt32, dr.gather(mi.Float, self.nodes, last, active))
 
@@ -245,11 +253,12 @@ class BranchRecorder(Recorder):
 
     def nodes_of(self, slots: np.ndarray, longest: int) -> np.ndarray:
         """
-        Return the first `longest` nodes of some branches: points, mm, and unit directions; 0 beyond a branch's end.
+        Return the first `longest` nodes of the branches in some slots; 0 beyond a branch's end.
 
         Returns
         -------
         (n, longest, NODE_FLOATS - 1) float64
+            Point (3), mm, unit direction of arrival (3) and throughput at each node.
         """
         nodes = self.nodes.numpy().reshape(self.capacity, -1, NODE_FLOATS)[slots, :longest, :-1]
         inside = np.arange(longest) < self.length.numpy()[slots, None]
@@ -266,7 +275,8 @@ class ElsewhereRecorder(BranchRecorder):
     surfaces : (s,) bool
         Surfaces whose hits are recorded, whether they absorb light or not.
     departs : bool
-        Record rays that leave the scene instead; rays that miss all surfaces have no event and are left out.
+        Whether rays that leave the scene are recorded instead; rays that miss all surfaces have no event and are left
+        out.
     """
 
     surfaces: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
@@ -279,7 +289,7 @@ class ElsewhereRecorder(BranchRecorder):
         self._chosen = upload(mi.UInt32, self.surfaces.astype(np.uint32))
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record the rays that meet the chosen surfaces, with all their events up to the hit."""
+        """Record the rays that meet the chosen surfaces, with all events up to the hit; nothing if `departs` is set."""
         if not self.departs:
             here = visit.active & (dr.gather(mi.UInt32, self._chosen, visit.surface, visit.active) != 0)
             self.write(visit, here, mi.Float64(visit.weight))
@@ -298,9 +308,9 @@ class CellRecorder(ElsewhereRecorder):
     Attributes
     ----------
     maps : SurfaceMaps
-        Maps, attached to the scene.
+        Maps, already attached to the scene, whose surfaces are recorded.
     cell, batch : (capacity,) mi.UInt32
-        Cell in which a hit is summed, and the batch of its start ray.
+        Index of the cell in which the incident flux of a hit is summed, and batch of its start ray.
     absorbed : (capacity,) mi.Float64
         Flux that the surface absorbs, in units of the start ray's.
     """

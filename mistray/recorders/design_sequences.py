@@ -30,18 +30,18 @@ class DesignSequences:
     Attributes
     ----------
     lists : mapping of int to Sequences
-        Sequences by the number of the detector; a detector without any has no direct image.
+        Sequences by the surface index of the detector; a detector without any has no direct image.
     """
 
     lists: Mapping[int, Sequences] = field(default_factory=dict)
 
     def keys(self, detector: int, backward: bool = False) -> np.ndarray:
-        """Return the path keys of a detector's sequences, for forward or backward rays; (n,) uint64, ascending."""
+        """Return the path keys of a detector's sequences, (n,) uint64, ascending; with `backward`, of backward rays."""
         # Backward rays meet the events in reverse order, and the key depends on the order
         return np.unique(host_keys(*padded([one[::-1] if backward else one for one in self.lists.get(detector, ())])))
 
     def reflectors(self, detector: int) -> frozenset[int]:
-        """Return the numbers of the surfaces at which a detector's design sequences reflect, TIR included."""
+        """Return the indices of the surfaces at which a detector's design sequences reflect, TIR included."""
         kinds = (REFLECTED, TOTAL)
         codes = {code for one in self.lists.get(detector, ()) for code in one}
         return frozenset(code >> EVENT_BITS for code in codes if code & EVENT_MASK in kinds)
@@ -75,13 +75,13 @@ class DesignSequences:
         return found
 
     def _by_detector(self, events: np.ndarray, lengths: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield each detector's surface number with the indices, (n,) int, of the paths that end there."""
+        """Yield the index of each detector that has sequences, and the indices, (n,), of the paths that end there."""
         ends = self.ends(events, lengths)
         return ((detector, np.flatnonzero(ends == detector)) for detector in self.lists)
 
     @staticmethod
     def ends(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """Return the surface number of each path's last event, (p,) int: the detector that absorbs the light."""
+        """Return the surface index of each path's last event, (p,) int: the detector that absorbs the light."""
         return np.asarray(events[np.arange(len(events)), np.maximum(lengths - 1, 0)] >> EVENT_BITS)
 
 
@@ -94,12 +94,12 @@ class DesignKeys:
     sequences : DesignSequences
         Event sequences of the direct image.
     detector : int
-        Number of the detector.
+        Surface index of the detector.
 
     Attributes
     ----------
     code : int
-        Padded number of sequences, which distinguishes kernels that call `hold`.
+        Number of sequences, rounded up to a power of two, which distinguishes kernels that call `hold`; 0: none.
     """
 
     def __init__(self, sequences: DesignSequences, detector: int) -> None:
@@ -113,9 +113,9 @@ class DesignKeys:
 
     def hold(self, key: mi.UInt64, backward: bool) -> mi.Bool:
         """
-        Return a mask of lanes whose unscattered light has the path key of a design sequence.
+        Return a mask of path keys that are those of a design sequence; all False for a detector without sequences.
 
-        `backward`: keys are of backward rays.
+        `backward` says whether the keys are those of backward rays, which meet the events in reverse order.
         """
         # Without sequences there is no array to search
         if not self.code:

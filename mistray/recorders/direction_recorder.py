@@ -2,7 +2,7 @@
 
 Backward rays contribute where they leave the scene, forward rays where they meet the detector. Paths that both find are
 weighted by the balance heuristic (E. Veach, Robust Monte Carlo methods for light transport simulation, 1997, section
-9.2), for which recorders ask by the protocol `MisWeighting`.
+9.2), which recorders obtain through the protocol `MisWeighting`.
 """
 
 from __future__ import annotations
@@ -65,12 +65,13 @@ class MisWeights(NamedTuple):
     connected : mi.Float
         MIS weight of connections of backward rays to light vertices; 0 where there are none.
     density : mi.Float or None
-        Pdf of forward start rays at the start of the path, relative to its mean; None: weights do not follow from it.
+        Pdf of forward start rays at the start of the path, relative to its mean; None for weights by path class.
     place : list of mi.Float or None
-        Point of that start in the unit cube of its cell, of a path that a backward ray has found.
+        Point of that start in the unit cube of its cell, for a path that a backward ray has found. None for a path of a
+        forward ray, which has that point itself, and for weights by path class.
     end : list of mi.Float or None
         Start of a backward ray on the path: its point in the unit cube of the detector, see
-        `mistray.sampling.detector_start.DetectorStart.place`, and its weight.
+        `mistray.sampling.detector_start.DetectorStart.place`, and its weight. None for weights by path class.
     """
 
     # w_i = n_i p_i/Σ n_k p_k, see `mistray.sampling.sharing.mis_weights`
@@ -120,17 +121,18 @@ class SkyRecorder(Recorder):
     Parameters
     ----------
     shape : tuple of int
-        Numbers of angles and of azimuths of the cells.
+        Number of field angles, and number of azimuths, of the cells.
     design : DesignKeys
-        The sequences of the direct image.
+        Sequences of the direct image.
     mis : MisWeighting, optional
         MIS weights of these rays, which compete with those of the other direction; without it, all weights are 1.
     paths : PathSums, optional
-        Table of paths to which the contributions are added as well.
+        Table of paths to which the contributions are added as well; None: no table of paths is kept.
     pixels : int
         Number of pixels of the detector map of each cell; 0: no maps.
     derivative : (CLASS_COUNT, n, m) float64, optional
-        Derivative of a metric by the sum of the contributions of each class in each cell, for `gain`.
+        Derivative of a metric with respect to the sum of the contributions of each class in each cell, for `gain`;
+        None: `gain` is not needed.
     """
 
     merges_aimed = True
@@ -170,10 +172,8 @@ class SkyRecorder(Recorder):
         """
         Return each ray's contribution to a metric.
 
-        It is the MIS-weighted throughput times the metric's derivative by the throughput sum of the ray's class and
-        cell.
-
-        The recorder's sums do not change.
+        The contribution is the MIS-weighted throughput times `derivative` of the ray's class and cell, in the metric's
+        unit. It is 0 for rays in no cell. The recorder's sums do not change.
         """
         kind, cell, weight, active = self.contribution(end)
         derivative = dr.gather(mi.Float64, self._derivative, kind * self._cells + cell, active)
@@ -272,7 +272,11 @@ class DirectionRecorder(SkyRecorder):
         return index * self._azimuths + best, inside & (least <= self._half)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Add the throughput of rays that leave the scene to their class and direction cell, else to `elsewhere`."""
+        """
+        Add the MIS-weighted throughput of rays that leave the scene to the sums of their class and direction cell.
+
+        Throughput outside all cells is added to `elsewhere`, except that of connected rays.
+        """
         start, weight, active = departure.start, departure.weight, departure.active
         cell, inside = self.cell(departure.heading)
         # Connected rays stand for light that other rays carry as well
@@ -293,7 +297,7 @@ class DirectionRecorder(SkyRecorder):
         return SkyContribution(class_of_light(departure, self._design), cell, weight, active)
 
     def read(self) -> dict[str, Any]:
-        """Return throughput sums in units of a start ray's flux; ``elsewhere``, (BATCHES,), is outside all cells."""
+        """Return throughput sums in units of a start ray's; ``elsewhere``, (BATCHES,), is the sum outside all cells."""
         return super().read() | {"elsewhere": np.array(self.elsewhere)}
 
 
@@ -308,7 +312,7 @@ class ArrivalRecorder(SkyRecorder):
     film : Film, optional
         Pixel grid of a map of the detector for each cell; None: no maps.
     scattered_only : bool
-        Leave out light that nothing has scattered.
+        Whether light that nothing has scattered is left out.
     """
 
     incident = True
@@ -336,7 +340,11 @@ class ArrivalRecorder(SkyRecorder):
         self.add(visit, self.contribution(visit), pixel)
 
     def contribution(self, end: Visit) -> SkyContribution:
-        """Return the class of light, start cell and MIS-weighted throughput of each ray that meets the detector."""
+        """
+        Return the class of light, start cell and MIS-weighted throughput of each ray that meets the detector.
+
+        With `scattered_only`, rays that nothing has scattered are inactive.
+        """
         cell, met, kind = end.start.cell, end.detected, class_of_light(end, self._design)
         assert cell is not None
         if self._scattered_only:

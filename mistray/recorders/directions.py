@@ -39,7 +39,8 @@ class DirectionGrid:
     Raises
     ------
     MistrayError
-        From `of`: for angles outside -90 … 90°, angles that do not ascend, or cells that overlap.
+        From `of`: for angles or widths out of range, angles that do not ascend, an azimuth given twice, or cells that
+        overlap.
     """
 
     field_deg: np.ndarray
@@ -75,6 +76,11 @@ class DirectionGrid:
             one.
         rotation : (3, 3) float64, optional
             Columns: axes of the frame that the angles are measured in; by default those of the world.
+
+        Raises
+        ------
+        MistrayError
+            For angles or widths out of range, angles that do not ascend, an azimuth given twice, or cells that overlap.
         """
         # Field angles and the borders of their cells
         given = np.array(PST_FIELD_DEG.check_each("field_deg", field_deg))
@@ -118,7 +124,7 @@ class DirectionGrid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of field angles and of azimuths of the grid, (n, m)."""
+        """Number of field angles and number of azimuths of the grid, n and m."""
         return len(self.field_deg), len(self.azimuths_deg)
 
     @property
@@ -181,7 +187,7 @@ class DirectionGrid:
 
     @classmethod
     def from_facts(cls, facts: dict[str, Any]) -> DirectionGrid:
-        """Create a grid from the numbers that `facts` has returned."""
+        """Create a grid from the dictionary that `facts` has returned."""
         keys = ("angles_deg", "edges_deg", "azimuths_deg", "rotation")
         angles, edges, azimuths, rotation = (np.asarray(facts[key], dtype=np.float64) for key in keys)
         return cls(angles, edges, azimuths, float(facts["azimuth_cell_deg"]), rotation)

@@ -35,13 +35,14 @@ class Film:
     x0, y0, per_mm_x, per_mm_y : mi.Float
         Lower left corner, mm, and pixels per mm along x and y, as opaque Dr.Jit variables.
     tent : bool
-        Spread a hit over the four nearest pixels by a tent filter of radius 1 pixel (bilinear weights); otherwise it
-        contributes to the pixel that holds it.
+        Whether a hit is spread over the four nearest pixels by a tent filter of radius 1 pixel (bilinear weights);
+        otherwise it contributes to the pixel that holds it.
     groups : int
         Number of groups of batches, a power of two; the film has an image for each, whose spread is the error of their
         sum. Where there are several, the film also has the `WEIGHTS`, from which the reliability of that error follows.
     image_of_slot : mi.UInt32 or None
-        For maps of single paths: the `image_word` of the map of each ledger slot, 0 for none.
+        For maps of single paths: the `image_word` of the map of each ledger slot, 0 for none. None: all light forms one
+        image.
     """
 
     width: int
@@ -74,7 +75,7 @@ class Film:
         Returns
         -------
         list of (mi.UInt32, mi.Float or None)
-            Numbers of pixels, row 0 at the smallest y, and their filter weights; None: 1.
+            Indices of pixels, row by row from the smallest y, and their filter weights; None, without a tent: 1.
         """
         along_x, along_y = (x - self.x0) * self.per_mm_x, (y - self.y0) * self.per_mm_y
         if not self.tent:
@@ -106,7 +107,7 @@ class Images(Recorder):
     count : int, optional
         Number of images; by default `Film.images`.
     only : int, optional
-        Number of the detector where there are several.
+        Surface index of the detector whose hits are recorded; None: those of all detectors.
 
     Attributes
     ----------
@@ -121,7 +122,11 @@ class Images(Recorder):
         dr.eval(self.sums)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add each hit's absorbed flux to its pixel; if noise is estimated, also the powers of its weight."""
+        """
+        Add each hit's absorbed flux to its pixel; if noise is estimated, also the powers of its weight.
+
+        With `Film.image_of_slot` the pixel is in the map of the hit's path; hits on paths without a map are left out.
+        """
         film = self._film
         # Image of the hit: of all light or of its path, and of its group of batches
         here = visit.counted if self._only is None else visit.counted & (visit.surface == self._only)
@@ -201,7 +206,7 @@ class Pixels(Sampled):
         return self.few_in_squares(1)
 
     def few_in_squares(self, pixels: int) -> np.ndarray:
-        """Return a mask of squares of `pixels` × `pixels` that too few rays meet for a standard error, (h, w) bool."""
+        """Return a mask, (h, w), of squares of `pixels` × `pixels` that too few rays meet for a standard error."""
 
         def pool(values: Numbers) -> Numbers:
             # Sums over the neighbouring pixels, one axis after the other
@@ -253,7 +258,7 @@ def group_of(batch: mi.UInt32, groups: int) -> mi.UInt32:
     """
     Return the index of the group of batches that each batch belongs to.
 
-    All counts are powers of two, so that a shift divides.
+    `groups`, the number of groups, is a power of two, as is `BATCHES`: a shift divides.
     """
     return batch >> dr.opaque(mi.UInt32, (BATCHES // groups).bit_length() - 1)
 

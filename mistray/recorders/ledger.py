@@ -142,7 +142,7 @@ def write_list(
     active: mi.Bool,
 ) -> None:
     """
-    Write each lane's event list to device memory from index `first` on.
+    Write each lane's event list, of `length` events, to device memory from index `first` on.
 
     `read(k, mask)` returns event k of each list.
     """
@@ -160,6 +160,8 @@ def read_lists(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
     Return the paths of a table in device memory: slots, keys, event lists and their lengths, on the host.
+
+    Messages name the table `owner`.
 
     Returns
     -------
@@ -183,10 +185,10 @@ def read_lists(
 
 def _zeros(dtype: Any, size: int) -> Any:
     """
-    Return a device array of `size` zeros, written in parts so that an interrupt can end it.
+    Return a device array of `size` zeros; more than `LARGE` are written in parts.
 
-    A large array takes seconds, since the system clears the pages that it hands out. So it is written in parts: all
-    threads share the work, and an interrupt ends it.
+    A large array takes seconds, since the system clears the pages that it hands out. In parts all threads share the
+    work. An interrupt that has waited for too long raises `KeyboardInterrupt` between two parts.
     """
     if size <= LARGE:
         return dr.zeros(dtype, size)
@@ -234,9 +236,9 @@ class Ledger(Recorder):
 
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
         """
-        Return the table slot of each path key; a new key claims a free slot.
+        Return the table slot of each path key, a mask of keys that have a slot, and a mask of new keys.
 
-        A mask of keys that have a slot, and one of new keys, come with it.
+        A new key claims a free slot, if there is one.
         """
         start = mi.UInt32(key >> 32) & self.mask
         return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)
@@ -292,7 +294,7 @@ class Ledger(Recorder):
         return self._lost or self.used > 0.7 * self.capacity
 
     def decode(self) -> DecodedPaths:
-        """Return the paths and their sums on the host; raise an error if an event list does not match its key."""
+        """Return the paths and their sums on the host; raise `MistrayError` if an event list does not match its key."""
         slots, keys, events, lengths = read_lists("ledger", self.keys, self.lengths, self.events)
         sums = self.sums.numpy().reshape(self.capacity, BATCHES, self.row)[slots, :, : self.terms]
         return DecodedPaths(keys, slots, events, lengths, sums)

@@ -1,4 +1,4 @@
-"""Derivatives of a metric by the flux of detector hits, as functions of the hit's path and position."""
+"""Derivatives of a metric with respect to the flux of detector hits, as functions of the hit's path and position."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ MOMENTS = 6  # coefficients of a path: 1, x, y, x², y², x y
 @dataclass(frozen=True)
 class HitDerivative:
     """
-    Derivative of a metric by the flux of a hit of the detector, as a function of its path and position.
+    Derivative of a metric with respect to the flux of a detector hit, as a function of the hit's path and position.
 
     Attributes
     ----------
     pixel : (maps, height, width) float64 or None
-        Derivative by the flux in each pixel, in the metric's unit per W, for one or more groups of paths.
+        Derivative with respect to the flux in each pixel, in the metric's unit per W, for one or more groups of paths;
+        None: no part of the metric depends on the pixel.
     map_of_path : (paths,) int or None
-        Number of the map that a path contributes to, -1: none; None: all hits contribute to map 0.
+        Index of the map that a path contributes to, -1: none; None: all hits contribute to map 0.
     path : (paths, MOMENTS) float64 or None
-        For each path, in the order of `Trace.paths`, the coefficients of 1, x, y, x², y², x y (mm, in the detector's
-        frame) of the derivative by the flux of a hit at (x, y), in the metric's unit per W.
+        For each path, in the order of `Trace.paths`, the coefficients of 1, x, y, x², y², x y (x and y in mm, in the
+        detector's frame). Their sum is the derivative with respect to the flux of a hit at (x, y), in the metric's unit
+        per W. None: no part of the metric depends on the path.
     """
 
     pixel: np.ndarray | None = None
@@ -33,7 +35,7 @@ class HitDerivative:
 @dataclass(frozen=True)
 class PathDerivative:
     """
-    Derivatives of a metric by the flux of hits, in units of a start ray's flux, for each path of one run.
+    Derivatives of a metric with respect to the flux of hits, in units of a start ray's, for each path of one run.
 
     Attributes
     ----------
@@ -42,9 +44,9 @@ class PathDerivative:
     slots : (p,) int
         Slots of the paths in the ledger.
     coefficients : (p, MOMENTS) float64
-        Coefficients as in `HitDerivative.path`, of the derivative by the flux in units of a start ray.
+        Coefficients as in `HitDerivative.path`, of the derivative with respect to the flux in units of a start ray's.
     maps : (p,) int
-        Map of each path, see `HitDerivative.map_of_path`.
+        Index of the map of each path, see `HitDerivative.map_of_path`.
     """
 
     keys: np.ndarray
@@ -62,9 +64,9 @@ class PathDerivative:
 
     def of(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the coefficients, (n, MOMENTS), and map numbers, (n,), that give the derivative for path keys, (n,).
+        Return the coefficients, (n, MOMENTS), and map indices, (n,), that give the derivative for path keys, (n,).
 
-        They are 0 and -1 for unknown keys.
+        For unknown keys the coefficients are 0 and the map index is -1.
         """
         found, maps = np.zeros((len(keys), MOMENTS)), np.full(len(keys), -1)
         if len(self.keys):

@@ -62,7 +62,7 @@ def way(events: np.ndarray) -> np.ndarray:
 
 
 def way_text(events: Iterable[str]) -> list[str]:
-    """Return event lists as text, with aimed scatter written by the letter of random scatter."""
+    """Return event lists as strings, with aimed scatter written by the letter of random scatter."""
     return [_AIMED_LETTER.sub(lambda found: _WAY_LETTERS[found[0]], text) for text in events]
 
 
@@ -142,10 +142,10 @@ class PathNames:
 
     def _short(self, turns: Sequence[int], kind: str, designed: set[int]) -> str:
         """
-        Return the short name of a path; empty where it has none.
+        Return the short name of a path; "" where it has none.
 
-        Paths with reflections alone have one, and those with a single scatter event on the side to which the surface
-        sends most of its scatter.
+        A path has a short name if all its turns are reflections. It has one, too, if its only turn is scatter to the
+        side to which the surface sends most of its scatter.
         """
         names = [self._ids[place_of(code)] for code in turns]
         if all(kind_of(code) == REFLECTED for code in turns):
@@ -158,11 +158,16 @@ class PathNames:
         return ""
 
     def _sequence(self, detector: int) -> Sequence[int]:
-        """Return the event codes of the first design sequence to a detector, without the final absorption."""
+        """Return the event codes of the first design sequence to a detector, without the absorption; () for none."""
         return next(iter(self._design.lists.get(detector, ())), ())
 
     def _between(self, first: int, last: int, detector: int) -> list[int]:
-        """Return the design sequence's event codes between surfaces `first` and `last`, where closest; cached."""
+        """
+        Return the event codes of the design sequence between surfaces `first` and `last`, from a cache.
+
+        If a surface occurs in it several times, the shortest part counts. The list is empty where a surface is not in
+        the sequence.
+        """
         key = first, last, detector
         if key not in self._expected:
             sequence = self._sequence(detector)
@@ -193,7 +198,7 @@ class Events:
     words : (s,) uint32
         Flags of the surfaces, see `mistray.surfaces.optics`, and zeros for the media.
     design : DesignSequences
-        The sequences of the direct image.
+        Sequences of the direct image.
     """
 
     codes: np.ndarray
@@ -221,7 +226,7 @@ class Events:
 
     @property
     def text(self) -> list[str]:
-        """Event list of each path as text, "L1_front:T … detector:A"."""
+        """Event list of each path as a string, such as "L1_front:T … detector:A"."""
         # Few different codes make up many events: each is formatted once
         codes = np.unique(self.codes).tolist()
         words = {code: event_text(code, self.ids) for code in codes}
@@ -244,7 +249,7 @@ class Events:
 
     @property
     def places(self) -> np.ndarray:
-        """Number of the surface or medium of each event, (p, k)."""
+        """Index of the surface of each event, (p, k); of a medium, its position after all surfaces."""
         return np.asarray(place_of(self.codes))
 
     @property
@@ -276,7 +281,8 @@ class Events:
         """
         Mask of stray specular reflections, (p, k) bool.
 
-        Total ones and those at mirrors or of the design are excluded.
+        It leaves out total reflections, reflections at mirrors, and reflections at surfaces where a design sequence of
+        the path's detector reflects.
         """
         return self.happens(REFLECTED) & ~self.at(MIRROR) & ~self.as_designed
 
@@ -350,7 +356,7 @@ def describe_events(e: Events) -> dict[str, np.ndarray]:
     known = np.array([*e.ids, "-"], dtype=object)
 
     def surface(chosen: np.ndarray, n: int = 1, step: int = 1) -> np.ndarray:
-        """Return the surface id of each path's n-th event in `chosen`, (p,), or "-"; step -1 counts from the end."""
+        """Return the id of the place of each path's n-th event in `chosen`, (p,), or "-"; step -1: from the end."""
         here = chosen & (np.cumsum(chosen[:, ::step], axis=1)[:, ::step] == n)
         return known[np.where(here.any(axis=1), np.where(here, surfaces, 0).sum(axis=1), len(e.ids))]
 
@@ -379,7 +385,7 @@ def describe_events(e: Events) -> dict[str, np.ndarray]:
 
 
 def _names(chosen: np.ndarray, surfaces: np.ndarray, ids: Sequence[str]) -> np.ndarray:
-    """Return the surface ids of each path's chosen events, (p,) str, separated by blanks; "-" if there are none."""
+    """Return the surface ids of each path's chosen events, (p,) str, separated by spaces; "-" if there are none."""
     names = np.full(len(chosen), "-", dtype=object)
     for row in np.flatnonzero(chosen.any(axis=1)):
         names[row] = " ".join(ids[k] for k in surfaces[row][chosen[row]])

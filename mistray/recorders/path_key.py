@@ -62,9 +62,9 @@ def mixed_events(event: EventReader, first: mi.UInt32, end: mi.UInt32, before: m
 
 def path_class_of(event: EventReader, length: mi.UInt32, start: StartRays, active: mi.Bool) -> mi.UInt32:
     """
-    Return the path class, a number below `PATH_CLASSES`: a hash of the events of a path in any order.
+    Return the path class, an integer below `PATH_CLASSES`: a hash of the events of a path.
 
-    It follows from the events of a path but not from their order, so that both directions come to the same class.
+    It does not depend on the order of the events, so that forward and backward rays come to the same class.
 
     Parameters
     ----------

@@ -21,9 +21,10 @@ class PathsByCell(dict[str, np.ndarray]):
     """
     Paths with the sums of their ray throughput in each cell of directions; empty: there are none.
 
-    ``events`` (p, k) uint32 and ``lengths`` (p,) of the paths, in the order of the rays; each of e entries has its
-    ``path`` and ``cell``, int, the number of its ``hits``, and the sums of their ``weight`` and its ``squares``,
-    float64.
+    The keys ``events``, (p, k) uint32, and ``lengths``, (p,), hold the event lists of p paths, in the order in which
+    rays meet the events. The other keys hold e entries, (e,), one for each path and cell with hits. They are ``path``
+    and ``cell``, indices; ``hits``, the number of rays; ``weight``, the sum of their throughput; and ``squares``, the
+    sum of its squares.
     """
 
     def __add__(self, other: PathsByCell) -> PathsByCell:
@@ -53,9 +54,14 @@ class PathSums:
     paths, entries : int
         Slots for paths, and for pairs of a path and a cell; powers of two.
     max_events : int
-        Longest event list.
+        Largest number of events of a path.
     cells : int
         Number of cells of directions.
+
+    Raises
+    ------
+    MistrayError
+        If there are more pairs of a path and a cell than 32 bits can number.
     """
 
     def __init__(self, paths: int, entries: int, max_events: int, cells: int) -> None:
@@ -83,9 +89,9 @@ class PathSums:
         active: mi.Bool,
     ) -> None:
         """
-        Add ray weights (throughput) to the sums of their paths and cells.
+        Add ray weights (throughput) to the sums of their paths and cells; rays that find no slot are left out.
 
-        `read(k, mask)` returns event k < length.
+        `read(k, mask)` returns event k < length of each path.
         """
         # Find or claim the slot of the path
         slot, found, new = claim(
@@ -102,7 +108,7 @@ class PathSums:
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, value, entry * HIT_SUMS + k, found)
 
     def read(self) -> PathsByCell:
-        """Return the paths and their sums by cell on the host; raise if an event list does not hash to its key."""
+        """Return the paths and their sums by cell on the host; `MistrayError` if a list does not match its key."""
         slots, _, events, lengths = read_lists("paths", self.keys, self.lengths, self.events)
         # Entries: slots become indices of the paths
         entries = np.array(self.entries)

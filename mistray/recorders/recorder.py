@@ -64,7 +64,7 @@ class Visit:
     scatters : bool
         Whether anything in the scene scatters.
     slot : mi.UInt32 or None
-        Slot of the path in the ledger, once a ledger has found it.
+        Slot of the path in the ledger; None: no ledger has looked it up yet.
     pdf_ratio : mi.Float or None
         pdf_rev/pdf_own of the path: backward rays that find it for each of these forward rays, see
         `mistray.kernel.pdf_ratios`; None: there are no MIS weights.
@@ -113,7 +113,7 @@ class Visit:
 
     @property
     def surface(self) -> mi.UInt32:
-        """Number of the surface that each ray meets."""
+        """Index of the surface that each ray meets."""
         return self.state["s"]
 
     @property
@@ -153,7 +153,7 @@ class Branch:
     interaction : Interaction
         Interaction at the node: R, T and geometry.
     place : mi.UInt32
-        Number of the surface, or of the medium that scatters.
+        Index of the surface; of a medium that scatters, its position after all surfaces.
     reflect : mi.Bool
         Whether the ray stays on the side of incidence.
     aimed : mi.Bool or None
@@ -211,7 +211,7 @@ class Departure:
     active : mi.Bool
         Lanes whose rays leave.
     nodes : tuple of dr.Local, optional
-        Nodes before the last.
+        Nodes before the last, see `mistray.kernel.pending_nodes`.
     node : sequence of mi.Float, optional
         The last node: point, mm, direction of arrival and throughput; None: the rays come straight from their start.
     pdf_ratio : mi.Float or None
@@ -221,8 +221,8 @@ class Departure:
         Connections that find the path, per ray and per light vertex, see
         `mistray.kernel.pdf_ratios.PdfRatios.connection_ratios`; None: there are no connections.
     light_vertex : mi.UInt32 or None
-        Number of the light vertex plus one that a ray was connected to, see
-        `mistray.kernel.scatter_shares.CONNECTED`; 0 of other rays.
+        Index plus one of the light vertex that a ray was connected to, see `mistray.kernel.scatter_shares.CONNECTED`; 0
+        for other rays. None: no ray is connected.
 
     Examples
     --------
@@ -280,7 +280,7 @@ class Segment:
     flux : mi.Float
         Throughput at the origin, in units of a start ray's flux.
     medium : mi.UInt32
-        Number of the material; 0: unknown.
+        Position of the material in `Optics.media`; 0: unknown.
     length : mi.Float
         Length to the next surface, mm; without meaning where the ray leaves.
     leaves : mi.Bool
@@ -363,17 +363,17 @@ class Recorder:
     Attributes
     ----------
     node_floats : int
-        Number of floats that it reads of each node of a path: 0, POINT_FLOATS or NODE_FLOATS.
+        Number of floats that the recorder reads of each node of a path: 0, POINT_FLOATS or NODE_FLOATS.
     merges_aimed : bool
-        Whether it treats paths as one that differ only in the sampling of a direction, at random or aimed.
+        Whether paths count as one that differ only in how a direction was sampled, at random or aimed.
     incident : bool
-        Whether hits of the detector contribute that it does not absorb.
+        Whether hits contribute whose light the detector does not absorb.
     departs : bool
-        Whether light that leaves the scene of a forward trace is reported to it, too.
+        Whether light that leaves the scene in a forward trace is reported to the recorder, too.
     name : str
-        Name in a result; empty: none.
+        Name in a result; "": the recorder has no entry there.
     kernel_by : tuple of str
-        Attributes that the kernel depends on.
+        Names of the attributes that the kernel depends on.
 
     Examples
     --------
@@ -436,8 +436,8 @@ class Recorder:
         """
         Record rays that leave the scene.
 
-        Those of a backward trace are all reported; those of other traces only after a hit, and if the recorder
-        `departs`.
+        All that leave in a backward trace are reported. In a forward trace only those that leave after a hit are, if
+        any recorder has `departs`.
         """
 
     def back(self, back: Return, memory: Memory) -> None:
@@ -462,9 +462,9 @@ class Recorder:
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
         """
-        Record finished ray trees with their numbers of segments, one tree for each start ray.
+        Record finished ray trees with their number of segments, one tree for each start ray.
 
-        Trees of lanes in `cut_off` exceeded the limit on segments.
+        Trees of lanes in `cut_off` have reached the limit on segments.
         """
 
     def collect_lanes(self, start: StartRays, memory: Memory) -> None:
@@ -475,7 +475,7 @@ def _key_of(part: Any) -> Hashable:
     """
     Return a hashable key of a recorder's part.
 
-    It is a number or tuple itself, the part's `code`, else whether the part is there.
+    The key is the part itself if it is a number or tuple. Else it is its `code`, or whether the part is not None.
     """
     return part if isinstance(part, int | tuple) else getattr(part, "code", part is not None)
 

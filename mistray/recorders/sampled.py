@@ -2,7 +2,7 @@
 
 Start rays are stratified within a batch, and batches are independent. So the error of a sum over the start rays follows
 from the spread of its batches, however often one start ray branches and however two sums are correlated. To first order
-every number that is computed from sums has an error of the same kind (delta method). Numbers of one trace keep their
+every value that is computed from sums has an error of the same kind (delta method). Values of one trace keep their
 correlation, so that the error of a quotient of two of them is right.
 """
 
@@ -50,7 +50,7 @@ class Sampled:
         by_batch : (…, b) float64
             Sums of the batches.
         rays : (b,) float64
-            Numbers of start rays of the batches.
+            Number of start rays of each batch.
         """
         # apart_b = (x_b - x n_b/n) √(B/(B - 1)), B being the number of batches with rays
         value = by_batch.sum(axis=-1)
@@ -62,7 +62,7 @@ class Sampled:
 
     @property
     def se(self) -> Numbers:
-        """Standard error of each number, (…), in the unit of `value`."""
+        """Standard error of each estimate, (…), in the unit of `value`."""
         return np.asarray(np.sqrt(np.sum(np.square(self.apart), axis=-1)))
 
     @property
@@ -109,7 +109,7 @@ class Sampled:
         return Sampled(self.value.reshape(shape), self.apart.reshape(*shape, self.apart.shape[-1]))
 
     def total(self, axis: int = 0) -> Sampled:
-        """Return the sum over an axis of the estimates, with its noise; the axis may not be counted from the end."""
+        """Return the sum over an axis of the estimates, with its noise; `axis` must not be negative."""
         return Sampled(self.value.sum(axis=axis), self.apart.sum(axis=axis))
 
     @property
@@ -132,9 +132,9 @@ def _alike(*numbers: Sampled) -> list[Sampled]:
 
 def batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """
-    Return the standard error of a sum over batches (last axis).
+    Return the standard error of a sum over batches, the last axis of `by_batch`, in its unit.
 
-    `rays` is the number of start rays per batch, (b,).
+    `rays` is the number of start rays of each batch, (b,).
     """
     return Sampled.of(by_batch, rays).se
 
@@ -172,7 +172,7 @@ def error_rays(
     rays, light, squares, fourths : (…) float64
         Number of rays, and sums of their weights and of the second and fourth powers of the weights.
     pool : callable
-        Function that sums numbers (…) over all sums of the same kind as each, (…).
+        Function that adds up values, (…), over all sums of the same kind as each, (…).
 
     Returns
     -------

@@ -11,23 +11,23 @@ import mitsuba as mi
 
 def generators(seed: int, lane: mi.UInt32, group: mi.UInt32 | None = None) -> tuple[mi.PCG32, mi.UInt32]:
     """
-    Return one random number generator for each lane, and the number of its stream.
+    Return one random number generator for each lane, and the identifier of its stream.
 
     Parameters
     ----------
     seed : int
         Seed of the trace.
     lane : mi.UInt32
-        Number of each lane, within its group if there are groups.
+        Index of each lane, within its group if there are groups.
     group : mi.UInt32, optional
-        Groups of lanes, whose generators do not depend on the lanes of other groups.
+        Group of each lane, whose generators do not depend on the lanes of other groups; None: all are one group.
 
     Returns
     -------
     rng : mi.PCG32
         Generator of each lane.
     scrambled : mi.UInt32
-        Stream number of each lane's generator, a hash of seed and lane.
+        Identifier of the stream of each lane's generator, a hash of seed and lane.
     """
     # Streams of PCG32 with neighbouring numbers are correlated: seed and ray number are hashed first
     start = dr.opaque(mi.UInt32, seed % 2**32)
@@ -46,7 +46,7 @@ class StartRays:
     Attributes
     ----------
     lane : mi.UInt32
-        Numbers of the start rays within the trace.
+        Indices of the start rays within the trace.
     batch : mi.UInt32
         Batch of each ray, for standard errors.
     rng : mi.PCG32
@@ -54,36 +54,39 @@ class StartRays:
     o, d : mi.Vector3f
         Origins (mm) and unit directions.
     w : mi.Float
-        Throughput at the start; 1 from a source.
+        Throughput at the start: 1, or the weight with which the ray was sampled.
     left : mi.UInt32, optional
-        Surface that the rays start on.
+        Index of the surface that the rays start on; None: they start on none.
     normal : mi.Vector3f, optional
-        Normal of that surface at the origins.
+        Unit normal of that surface at the origins; None: not needed, or no surface.
     pixel : mi.UInt32, optional
-        Pixel of the detector that they start from.
+        Index of the pixel of the detector that they start from; None: they do not start there.
     cell : mi.UInt32, optional
-        Cell of directions that they come from.
+        Index of the cell of directions that they come from; None: of a trace without cells.
     medium : mi.UInt32, optional
-        Number of the material that they start in; 0: unknown.
+        Position in `Optics.media` of the material that they start in; 0 or None: unknown.
     depth, reflections, scatters : mi.UInt32, optional
         Events before, counted reflections and scatter events (packed as in `mistray.kernel.ray_tree`), for rays that
-        go on from within a tree.
+        continue from within a tree; None: 0.
     key, path_class : mi.UInt64, mi.UInt32, optional
-        Key of these events, and their sum for the path class, see `mistray.recorders.path_key.mixed_events`.
+        Key of these events, and the sum of their hashes for the path class, see
+        `mistray.recorders.path_key.mixed_events`; None: there are no events before.
     reference : mi.Float, optional
-        Reference throughput: the throughput with which such a ray left the source or was scattered last.
+        Throughput with which such a ray left the source or was scattered last; None: `w`.
     aimed_from : mi.UInt32, optional
-        Surface that sent it to a target, `NO_SURFACE` if none did.
+        Index of the surface that sent such a ray to a target; `NO_SURFACE` or None: none did.
     run : mi.UInt32, optional
-        Hits of one surface in a row before, see `mistray.kernel.branch_limits`.
+        Hits of one surface in a row before, packed as in `mistray.kernel.branch_limits`; None: there were none.
     at : mi.UInt32, optional
-        Surface that a ray has just arrived at, with its origin on it; `NO_SURFACE`: it is between surfaces.
+        Index of the surface that a ray has just arrived at, with its origin on it; `NO_SURFACE` or None: it is between
+        surfaces.
     scale : mi.Float, optional
-        Throughput with which the ray left the source, if it is not 1: the unit of `Settings.flux_threshold`.
+        Throughput with which the ray left the source: the unit of `Settings.flux_threshold`; None: 1.
     place : list of mi.Float, optional
-        Point of the start ray in the unit cube of its cell, see `mistray.sampling.plane_wave.wave_rays`.
+        Point of the start ray in the unit cube of its cell, see `mistray.sampling.plane_wave.wave_rays`; None: of a
+        trace without cells.
     stokes : mi.Vector3f, optional
-        (q, u, v) of polarised light with respect to the axes of `mistray.kernel.polarization`.
+        (q, u, v) of polarised light with respect to the axes of `mistray.kernel.polarization`; None: unpolarised.
     """
 
     lane: mi.UInt32
@@ -135,7 +138,11 @@ class StartRays:
 
 
 def chosen(value: Any, index: mi.UInt32, active: mi.Bool | bool = True) -> Any:
-    """Return entries of an array at some indices, or of each array in a list. A literal constant stays literal."""
+    """
+    Return entries of an array at some indices, or of each array in a list; of None, None.
+
+    A literal constant stays literal. The entries of inactive lanes are 0, or that constant.
+    """
     if value is None:
         return None
     if isinstance(value, list):

@@ -34,7 +34,7 @@ class Samples:
     Attributes
     ----------
     lane, cell, kind, path_class : (s,) int
-        Start ray, cell of directions, class of light and path class, see
+        Indices of the start ray, the cell of directions, the class of light and the path class, see
         `mistray.recorders.path_key.path_class_of`.
     points : (s, 4) float64
         Start points of forward rays in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
@@ -43,7 +43,7 @@ class Samples:
     forward, connected : (s,) float64
         MIS weights of its path, see `mistray.recorders.direction_recorder.MisWeights`.
     density : (s,) float64
-        Density of forward start rays at the point.
+        Density of forward start rays at the point, relative to its mean.
     ends : (s, 4) float64
         Start points of backward rays in the unit cube of the detector, see
         `mistray.sampling.detector_start.DetectorStart.place`.
@@ -203,7 +203,7 @@ class ArrivalSamples(_StartSamples):
     design, mis, surfaces, values, capacity
         See `_StartSamples`.
     scattered_only : bool
-        Leave out light that nothing has scattered.
+        Whether light that nothing has scattered is left out.
     """
 
     incident = True
@@ -215,7 +215,11 @@ class ArrivalSamples(_StartSamples):
         self._scattered_only = scattered_only
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Keep samples of rays that meet the detector: start point, MIS-weighted throughput and start density."""
+        """
+        Keep samples of rays that meet the detector: start point, MIS-weighted throughput and start density.
+
+        With `scattered_only`, rays that nothing has scattered are left out.
+        """
         start, met = visit.start, visit.detected
         assert start.cell is not None
         assert start.place is not None

@@ -54,7 +54,7 @@ class Tallies(Recorder):
     """
     Recorder of the sums of the energy ledger by batch: for each surface, medium and loss channel, in float64.
 
-    Media scatter as well: the numbers of their aimed rays and of those that land follow the sums of the surfaces.
+    Media scatter as well: counts of their aimed rays, and of those that land, follow the sums of the surfaces.
 
     `largest` is the largest flux of a scattered ray at the detector, as the bits of a float32.
     """
@@ -77,8 +77,8 @@ class Tallies(Recorder):
         """
         Allocate the sums of each lane in local memory; sums shared by all lanes would make a trace a fifth longer.
 
-        They are the first `HIT_SUMS` of the `SURFACE_SUMS` of each surface, unless there are too many surfaces, and
-        last those of the first `LANE_REASONS` channels.
+        These are the sums of the first `LANE_REASONS` channels, and the first `HIT_SUMS` of the `SURFACE_SUMS` of each
+        surface; the latter only for up to `MOST_LANE_SUMS` surfaces.
         """
         sizes = (*(self.count,) * (HIT_SUMS if self._in_lanes else 0), LANE_REASONS + 1)
         memory[SUMS] = tuple(dr.alloc_local(mi.Float64, size, mi.Float64(0)) for size in sizes)

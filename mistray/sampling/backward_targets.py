@@ -58,9 +58,9 @@ class BackwardTargets:
     aims : dict
         Targets by place of scatter.
     start : AimSet or None
-        Targets of the rays that start on the detector, towards the light.
+        Targets of the rays that start on the detector, towards the light; None: they are not aimed.
     light : (3,) float64 or None
-        Unit direction of the design path's light at the detector.
+        Unit direction of the design path's light at the detector; None: there is no design path.
     views : dict
         For each surface that transmits or is a mirror, the fraction of Lambertian rays from its better side that leave
         the scene backward by refraction and by reflection at mirrors.
@@ -83,9 +83,9 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
     scene : mi.Scene
         Loaded scene.
     settings : Settings
-        Uses `aim` (only "auto" has targets here) and `aimed_rays`.
+        Uses `aim` and `aimed_rays`; no ray is aimed unless `aim` is "auto" and `aimed_rays` is above 0.
     axis : (3,) float64
-        Direction of light at field angle 0.
+        Unit direction of light at field angle 0.
     """
     # A scene is traced many times; the cached targets have one ray each, as settings may differ
     scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
@@ -98,7 +98,7 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
 
 @share(SEARCH_SHARE)
 def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
-    """Return the targets of aimed backward rays, and each surface's fraction of Lambertian rays that reach the sky."""
+    """Return the `BackwardTargets` of a scene by probe rays; `axis` is the unit direction of light at field angle 0."""
     # Opening of the system
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
@@ -133,9 +133,10 @@ def find_opening(
     table: SurfaceTable, scene: mi.Scene, path: DesignPath | None, axis: np.ndarray, rng: np.random.Generator
 ) -> Target | None:
     """
-    Return the disc through which outside light reaches the path's first surface, or else the detector.
+    Return the disc at the front of the scene through which outside light reaches the path's first surface.
 
-    None if there is none.
+    Without a path the detector takes the place of that surface. The result is None if no probe ray gets out. `axis` is
+    the unit direction of light at field angle 0.
     """
     first = path.steps[0].surface if path is not None else table.detector
     points, _ = surface_points(table, first, PROBES, rng)
@@ -202,7 +203,7 @@ def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.r
     """
     Return, for each surface, the fraction of Lambertian rays that leave the scene backward by specular events.
 
-    It is that of its better side.
+    The fraction is that of the surface's better side.
     """
     probes = fewer_rays(VIEW_PROBES)
     start, along = _lambertian_rays(table, surfaces, probes, rng)

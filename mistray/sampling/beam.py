@@ -24,7 +24,7 @@ class Beam(SceneSource):
     Attributes
     ----------
     aperture : Sphere or None
-        Sphere that its probes go to, as far as the beam has light there.
+        Sphere that probe rays go to, as far as the beam has light there; None: they fill the beam.
     """
 
     aperture: Sphere | None = None
@@ -71,7 +71,11 @@ class Beam(SceneSource):
         return Emission(origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return rays on the outline of the beam and its dark centre: origins, mm, and directions, (count, 3) each."""
+        """
+        Return rays on the outline of the beam, and on that of its dark centre if it has one.
+
+        Each line has origins, mm, and unit directions, (count, 3) float64 each.
+        """
         sample = mi.Point2f(*(upload(mi.Float, v) for v in perimeter(count, within)))
         outer = np.array(self.emitter.positions(sample), dtype=np.float64)
         hole = 0.0 if self.emitter.rectangular else self.emitter.size[1] * (1 + within)
@@ -79,11 +83,11 @@ class Beam(SceneSource):
         return [self.through(*line) for line in lines]
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> Beam:
-        """Return this beam with its probe rays aimed at an aperture; its start rays do not change."""
+        """Return a copy of the beam whose probe rays are aimed at an aperture; start rays do not change."""
         return replace(self, aperture=aperture)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return probe rays of the beam, aimed at any aperture: origins, mm, and unit directions, (n, 3) each."""
+        """Return probe rays of the beam, aimed at `aperture` if set: origins, mm, and unit directions, (n, 3) each."""
         x, y = self.emitter.positions(sample)
         if self.aperture is not None:
             axes = np.stack([self.u, self.v, self.direction], axis=1)

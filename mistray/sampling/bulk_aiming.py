@@ -44,7 +44,7 @@ class ScatteringBody:
     Attributes
     ----------
     medium : int
-        Number of the medium.
+        Position of the medium in `Optics.media`.
     faces : frozenset of Inside
         Sides of transmitting surfaces that bound it.
     walls : frozenset of Inside
@@ -65,7 +65,7 @@ class ScatteringBody:
 
 
 def medium_of(table: SurfaceTable, side: Inside) -> int:
-    """Return the number of the medium on one side of a surface; 0 for an opaque surface."""
+    """Return the position in `Optics.media` of the medium on one side of a surface; 0 for an opaque surface."""
     shift = BACK_MEDIUM_SHIFT if side.at_back else FRONT_MEDIUM_SHIFT
     return int(table.optics.host_words[side.surface] >> shift) & MEDIUM_MASK
 
@@ -141,7 +141,7 @@ class Sight(NamedTuple):
     target : Target
         Flat region that serves as target.
     surface : int
-        Number of the surface; -1: none.
+        Index of the surface; -1: the sight is an opening or the sky.
     light : (3,) float64 or None
         Unit direction of the design path's light there; None: any.
     """
@@ -160,9 +160,9 @@ class Appearance(NamedTuple):
     target : Target
         Flat region that serves as target.
     number : int
-        Number of the sight.
+        Index of the sight.
     by : int
-        Last surface that its rays leave; its own where nothing stands between.
+        Index of the last surface that rays from the sight leave; its own where nothing stands between.
     share : float
         Fraction of the rays from the sight that arrive by that surface.
     """
@@ -181,7 +181,10 @@ def body_targets(
     rng: np.random.Generator,
 ) -> list[Target]:
     """
-    Return the importance targets of the light that a body of a scattering medium scatters.
+    Return the importance targets of the light that a body of a scattering medium scatters, at most `MOST_TARGETS`.
+
+    For a body on the design path they are the images of the detector through which enough rays land on it. If
+    there are none, and for any other body, they are the sights as they appear from within.
 
     Parameters
     ----------
@@ -190,9 +193,9 @@ def body_targets(
     body : ScatteringBody
         Body that scatters.
     images : DetectorImages, optional
-        Images of the detector by the surfaces of the design path; None without a path.
+        Images of the detector by the surfaces of the design path; None: there is no path.
     sights : sequence of Sight
-        Sights of a body that is not on the path, the most important first.
+        Surfaces and openings to aim at, the most important first.
     rng : np.random.Generator
         Random number generator.
     """
@@ -244,8 +247,8 @@ def arrivals(
     Returns
     -------
     dict
-        By number of the sight and the surfaces on the way, its own first. Each entry has the points where the rays
-        leave the last surface (mm), and unit directions back from the points `within`, (n, 3) float64 each.
+        By the index of the sight and those of the surfaces on the way, its own first. Each entry has the points where
+        the rays leave the last surface (mm), and unit directions back from the points `within`, (n, 3) float64 each.
     """
     # Start rays on the sights
     o = np.concatenate([sight.target.points(rng.random((rays, 2))) for sight in sights])
@@ -313,7 +316,8 @@ def _holding(points: np.ndarray, directions: np.ndarray, within: np.ndarray) -> 
     """
     Return the flat ellipse of least solid angle, seen from the body, that all given rays cross.
 
-    None if there is none.
+    The result is None if not all rays go ahead along their mean direction, or if every plane that was tried cuts the
+    body.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ class Unobstructed(NamedTuple):
     place : (n,) int
         Index of the step that the ray was on its way to; -1 where it passes.
     missed : (n,) bool
-        Whether it missed the surface of that step before it met something else.
+        Whether a ray crossed the unbounded surface of that step, outside its edge, before it met something else.
     """
 
     passes: np.ndarray
@@ -76,7 +76,7 @@ class DesignPath:
 
     @property
     def has_optics(self) -> bool:
-        """True if the path meets at least one surface, such as a lens or mirror, before the detector."""
+        """True if the path meets at least one surface, such as a lens or mirror, before its end."""
         return len(self.steps) > 1
 
     def at(self, wavelength_nm: float) -> DesignPath:
@@ -187,7 +187,12 @@ class DesignPath:
         return outline(self.table.shapes[step.surface]).holds(p)
 
     def meet(self, step: DesignStep, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where lines cross a step's surface nearest to the base ray, mm, and the unit normals, (n, 3) each."""
+        """
+        Return where lines cross a step's surface nearest to the base ray, mm, and the unit normals, (n, 3) each.
+
+        For the opening and for a Mitsuba shape it is the tangent plane that is crossed. Points are NaN where a line
+        does not cross the surface.
+        """
         # The opening is plane, and of one of Mitsuba's own shapes it is the tangent plane
         if step.surface == OPENING or step.surface >= len(self.table.pieces):
             with np.errstate(all="ignore"):
@@ -239,7 +244,12 @@ def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
 
 
 def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneSource, Probes]]:
-    """Yield each source of a scene with its probe rays, first on its axis, then at its own field angle."""
+    """
+    Yield each source of a scene with its probe rays, first on its axis, then at its own field angle.
+
+    A source is yielded several times: with few probes, with many, and aimed at optics and detectors. Nothing is yielded
+    without a source.
+    """
     if not source_emitters(scene):
         return
     for field in (0.0, None):
@@ -250,9 +260,9 @@ def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneS
 
 def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneSource, int]]:
     """
-    Yield a source with the numbers of probe rays to try.
+    Yield a source with the number of probe rays to try: twice as it is, then aimed at optics and detectors.
 
-    At first its light is unaimed, then aimed at optics and detectors.
+    The nearest `MOST_AIMS` of these are tried, if the source can be aimed.
     """
     # All of it, with few probes and with many
     yield source, PROBES
@@ -270,12 +280,12 @@ def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneS
 
 def check_place(table: SurfaceTable, source: SceneSource) -> None:
     """
-    Raise `MistrayError` if a near source stands in a metal, through which no light travels.
+    Check that a near source does not stand in a metal; sources with a middle ray are not checked.
 
     Raises
     ------
     MistrayError
-        If all its light meets surfaces from sides through which no light travels.
+        If all light of the source meets surfaces from sides through which no light travels.
     """
     if source.middle is not None:
         return
@@ -359,7 +369,7 @@ def _with_base_ray(table: SurfaceTable, source: SceneSource, probes: Probes, ord
     """
     Return the design path of an event sequence, based on the ray in the middle of the light.
 
-    None if it misses a surface.
+    None if that ray misses a surface or is totally reflected where it should pass.
     """
     # The probe nearest to the middle has the branch of each surface that is meant
     taking = probes.taking(order, table.detector)

@@ -2,12 +2,12 @@
 Images of the detector in the spaces of the design path: the importance targets of scattered light.
 
 Light that leaves a surface of the design path lands on the detector if it heads for the image of the detector. The
-image is that by all surfaces that follow, in the space that the light enters. A ray starts at the small distance p from
-the base ray and differs from its direction by the small slope q. Its hit on the detector is
+image is that by all surfaces that follow, in the space that the light enters. A ray starts at the small distance p, mm,
+from the base ray and differs from its direction by the small slope q. Its hit on the detector, mm, is
 
     x = x0 + P p + Q q
 
-with 2 × 2 matrices P and Q (for a coaxial system P = A and Q = B of the ABCD matrix). A plane at the distance L is
+with 2 × 2 matrices P and Q, mm (for a coaxial system P = A and Q = B of the ABCD matrix). A plane at the distance L is
 imaged onto the detector where Q = L P, that is L = B/A. A detector of half size h has an image of half size h/|A|. In
 stray-light work these are ISL and ISH (see `mistray.physics.imaging.paraxial.image_seen`).
 
@@ -42,7 +42,7 @@ BETTER = 2.0  # least ratio of the rays that land by a target in another plane t
 @dataclass(frozen=True)
 class Fitted:
     """
-    Importance target that was fitted to traced rays, and the fraction of rays aimed at it that land.
+    Importance target that was fitted to traced rays, and the fraction of the rays to it that reach the detector.
 
     Attributes
     ----------
@@ -101,9 +101,10 @@ class DetectorImages:
 
     def _derivatives(self, number: int, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
-        Return the derivatives of the detector hit by a ray's shift, 1/mm, and slope, (2, 2) each, and the base hit.
+        Return the derivatives of a ray's hit with respect to its shift and slope, and the hit of the base ray.
 
-        Hits are in units of the detector's half axes.
+        Hits are in units of the detector's half axes, (2,). The derivatives, (2, 2) each, are in 1/mm for the shift,
+        and dimensionless for the slope.
         """
         start, axis = self._base(number)
         step = DIFFERENCE * self.size
@@ -123,7 +124,8 @@ class DetectorImages:
         It is the paraxial image of the detector, enlarged until it holds nearly all of the light that reaches the
         detector from there by the path: all but `LEFT_OUT`, or but a share that random rays find easily. The image may
         be so close that most rays aimed at it miss the detector. Then a target in another plane replaces it, if
-        `BETTER` times more rays land by that.
+        `BETTER` times more rays land by that. Where no ray reaches the detector, the image itself is returned, with
+        `landed` 0.
 
         Parameters
         ----------
@@ -163,9 +165,9 @@ class DetectorImages:
         self, number: int, wide: Target, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator
     ) -> _Rays:
         """
-        Return sampled rays that reach the detector.
+        Return sampled rays that reach the detector from points of a surface; `number` is the index of the first step.
 
-        Half are aimed at `wide`, half leave as from a Lambertian surface.
+        Half of the rays tried are aimed at `wide`, half leave as from a Lambertian surface.
         """
         to_image = np.arange(len(points)) % 2 == 0
         aimed = (wide.points(rng.random((len(points), 2))) - points) * (-1 if wide.reverse else 1)
@@ -209,7 +211,7 @@ def _held(
     """
     Return a target moved to a distance, mm, along its line of sight and enlarged until it holds the given rays.
 
-    Half axes are at least `least`.
+    Half axes are at least `least` times those of the image. `landed` is 0 if the target holds too few of the rays.
     """
     centre = start + distance / float((image.centre - start) @ axis) * (image.centre - start)
     t = ((centre - rays.o) @ axis) / (rays.d @ axis)

@@ -6,10 +6,11 @@ Robust Monte Carlo methods for light transport simulation, 1997, section 9.2):
 
     w = n² pdf_L/((1 - c - g + g m) pdf_L + c pdf_T),
 
-where pdf_L = cos θ/π is the Lambertian density (`lambertian`), pdf_T that of the targets (`density`), c is `AIMED`, and
-n the index of the medium before the detector. A share g, `GUIDED`, starts where a pilot has found light, with the
-density m in units of the Lambertian one. Its map has the coordinates of `DetectorStart.place`, in which a ring of the
-detector that sees a ring of the scene is a box.
+where pdf_L = cos θ/π is the Lambertian density (`lambertian`) at the angle θ from the normal, pdf_T that of the targets
+(`density`), both in 1/sr, c is `AIMED`, and n the refractive index of the medium before the detector. A share g,
+`GUIDED`, starts where a pilot has found light, with the density m in units of the Lambertian one. Its map has the
+coordinates of `DetectorStart.place`, in which a ring of the detector that sees a ring of the scene is a box. Without
+targets c is 0, and without a map g.
 """
 
 from __future__ import annotations
@@ -57,9 +58,9 @@ class DetectorStart:
     light : (3,) float64
         Unit direction of the design path's light at the detector.
     aim : AimSet, optional
-        Targets of a part of the rays towards the light.
+        Targets of a part of the rays towards the light; None: no ray is aimed.
     both_sides : bool
-        Whether rays leave to both sides, or only towards the light.
+        Whether rays leave to both sides; otherwise they leave only towards the light.
 
     Attributes
     ----------
@@ -131,12 +132,13 @@ class DetectorStart:
 
     def _medium(self, side: float, lit: bool) -> tuple[int, float]:
         """
-        Return number and refractive index of the medium that adjoins the detector, on side `side` (±1) of its normal.
+        Return the position in `Optics.media`, and the refractive index, of the medium that adjoins the detector.
 
-        It is the material that the detector declares there, else the one that the surfaces declare which its rays meet
-        first. Of these, refracting surfaces decide by majority; opaque ones decide where there are no others. It is
-        vacuum where nothing is declared. Behind the detector, the declared material may be its substrate, so that no
-        contradiction is reported there.
+        This is the medium on the side `side` (±1) of the detector's normal. It is the material that the detector
+        declares there, else the one that the surfaces declare which its rays meet first. Of these, refracting surfaces
+        decide by majority; opaque ones decide where there are no others. It is vacuum where nothing is declared. On the
+        side of the light, `lit`, a contradiction raises `MistrayError`. On the other side the declared material may be
+        the detector's substrate, so that none is reported.
         """
         # Declarations of the surfaces that probes meet first
         table, optics = self._table, self._table.optics
@@ -189,7 +191,7 @@ class DetectorStart:
         """
         Return the error message for two different media declared in front of the detector.
 
-        Each is given as its number and the surface that declares it, "" for the detector.
+        Each is given as its position in `Optics.media` and the surface that declares it, "" for the detector.
         """
         media, detector = self._table.optics.media, self._table.ids[self._table.detector]
         key = "back" if side > 0 else "front"
@@ -222,7 +224,7 @@ class DetectorStart:
         weight : float
             Mean weight of the rays.
         pixels : tuple of int
-            Columns and rows of the maps.
+            Columns and rows of the maps; 0: there are no maps.
         """
         index = dr.arange(mi.UInt32, lanes)
         rng, _ = generators(seed, index)
@@ -244,7 +246,7 @@ class DetectorStart:
         Parameters
         ----------
         lane, batch : mi.UInt32
-            Number and batch of each ray.
+            Index and batch of each ray.
         place : mi.Float64
             Random number, 0 … 1, stratified within each batch.
         rng : mi.PCG32
@@ -252,7 +254,7 @@ class DetectorStart:
         weight : mi.Float
             Mean weight of the rays.
         pixels : tuple of int
-            Columns and rows of the maps.
+            Columns and rows of the maps; 0: there are no maps.
         """
         # Stratum: away from the light, towards targets, or Lambertian; each is sorted along a curve of its own
         back = place < self._back
@@ -329,7 +331,7 @@ class DetectorStart:
         """
         Return the points of the unit cube of the map of starts for rays that leave the detector at p, mm, along d.
 
-        Two numbers are for the direction in a frame that turns with the azimuth of p, two for that azimuth and the
+        Two coordinates are for the direction in a frame that turns with the azimuth of p, two for that azimuth and the
         squared radius, or for x and y of a rectangle. In them the Lambertian density is uniform. The first is -1 on the
         side away from the light, which has no map.
         """
@@ -360,7 +362,7 @@ class DetectorStart:
         """
         Return the Lambertian pdf over the pdf of all sampling techniques together, for rays on the lit side.
 
-        `aim`: the ray is aimed, at target `own`.
+        `aim` is a mask of rays that were aimed; `own` is the index of their target.
         """
         lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
         density = lambertian
@@ -414,7 +416,7 @@ def stratified_places(index: mi.UInt32, lanes: int, rng: mi.PCG32) -> tuple[mi.U
     Parameters
     ----------
     index : mi.UInt32
-        Numbers of the lanes, 0 … lanes - 1.
+        Indices of the lanes, 0 … lanes - 1.
     lanes : int
         Number of lanes, a multiple of the number of batches.
     rng : mi.PCG32

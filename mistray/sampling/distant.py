@@ -24,21 +24,21 @@ class DistantRays(PluginRays):
     Distant source, such as the sun or the sky, whose directions are the same everywhere in the scene.
 
     The rays of a direction fill a disc across it, which covers the sphere around the scene. The rays through a sphere
-    around the first aperture are a stratum of their own. That sphere may stick out of the one around the scene, as
-    around a lens at the end of a short system. Rays that are drawn there carry no light.
+    around the first aperture are a stratum of their own. That sphere may extend beyond the one around the scene, as at
+    a lens at the end of a short system. Rays sampled outside the sphere around the scene carry no light.
 
-    The radius of its aperture is below √½ of that of the scene.
+    The sphere around the aperture has less than √½ of the radius of the sphere around the scene.
     """
 
     aims: ClassVar[bool] = True
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> DistantRays:
-        """Return this source with more of its rays aimed at an aperture, if that is small beside the scene."""
+        """Return a copy with more rays aimed at an aperture; the source itself if the aperture is too large."""
         return replace(self, aperture=aperture) if aperture.radius < np.sqrt(0.5) * self.scene.radius else self
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         """
-        Return world-space derivatives of ray origins, mm, and directions per unit of a parameter in `moving`.
+        Return derivatives of ray origins, mm, and directions with respect to the parameter `name`, in the world.
 
         Rays turn about the middle of the aperture: the light is the same everywhere, and rays move least there.
         """
@@ -50,11 +50,11 @@ class DistantRays(PluginRays):
 
     @property
     def middle(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ray along the source's axis through its disc's middle: origin, mm, and direction, (1, 3) float64 each."""
+        """Ray along the axis through the middle of the disc: origin, mm, and unit direction, (1, 3) float64 each."""
         return self.through(np.zeros(1), np.zeros(1))
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass: origins, mm, unit directions and relative flux; see `SceneSource`."""
+        """Return the start rays of one pass: origins, mm, unit directions, relative flux; see `SceneSource.start`."""
         strata = Strata(batch, (1.0,) if self.aperture is None else AIMED)
         sample = stratified_points(strata.group, rng)
         within = None if self.aperture is None else strata.number == 0
@@ -66,7 +66,7 @@ class DistantRays(PluginRays):
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return probe rays of random direction to the aperture or scene: origins, mm, and directions, (n, 3) each."""
+        """Return probe rays to the aperture, or else to the scene: origins, mm, and unit directions, (n, 3) each."""
         rng = mi.PCG32(size=dr.width(sample))
         within = None if self.aperture is None else mi.Bool(True)
         o, d, _ = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)

@@ -48,7 +48,7 @@ def polar(sample: Any) -> tuple[Any, Any, Any]:
 
 
 def perimeter(count: int, within: float = EDGE) -> np.ndarray:
-    """Return points evenly spaced along the perimeter of the unit square, slightly inside it, (2, count) float64."""
+    """Return points, (2, count), evenly spaced along the perimeter of the unit square, inside it by `within` / 2."""
     along = 4 * (np.arange(count) + 0.5) / count
     side, place = np.divmod(along, 1.0)
     edges = np.array([[place, 0 * place], [1 + 0 * place, place], [1 - place, 1 + 0 * place], [0 * place, 1 - place]])
@@ -104,7 +104,7 @@ def cosine_power(square: Any, exponent: Any, edge: Any) -> Any:
     Parameters
     ----------
     square : array
-        Share u of the flux within θ, 0 … 1.
+        Share u, 0 … 1, uniform for random directions; see `polar`.
     exponent : array
         n ≥ 0; 0 is the same intensity in all directions, 1 a Lambertian surface.
     edge : array
@@ -119,7 +119,7 @@ def cosine_power_angle(exponent: float, half_angle: float) -> float:
     """
     Return the effective solid angle ∫ cosⁿ θ dΩ of a cone, sr: 2π (1 - cosⁿ⁺¹ α) / (n + 1).
 
-    The half-angle α is in radians.
+    `half_angle`, α, is in radians. Directions beyond 90° count only for n = 0.
     """
     edge = cone_height(half_angle)
     if exponent == 0 or edge >= 1:
@@ -153,9 +153,9 @@ class IntensityTable:
     flux : float
         ∫ I dΩ, in that unit · sr.
     half_angle : float
-        The last angle, rad.
+        The last of the angles from the axis, rad.
     on_axis : float
-        Intensity at 0, mean of all azimuths.
+        Intensity at 0, mean of all azimuths; 0 if the first angle is above 0.
     """
 
     def __init__(self, theta_deg: np.ndarray, phi_deg: np.ndarray, values: np.ndarray) -> None:
@@ -179,7 +179,7 @@ class IntensityTable:
         """
         Return points of the unit square, (2, count), that map to directions at the last angle.
 
-        None if it is dark there.
+        The result is None if the intensity is 0 there.
         """
         if not np.any(self._intensity[-1] > 0):
             return None

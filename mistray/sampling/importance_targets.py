@@ -4,7 +4,7 @@ Importance targets: the directions in which surfaces should scatter light so tha
 - Light that leaves a surface of the design path towards the detector is aimed at the image of the detector.
 - Light that leaves any other surface is aimed at what can be seen from there. This is the detector, and each lens and
   mirror of the design path from the side on which the design has its light. Where rays reach the detector by that lens
-  or mirror, they are aimed at the image of the detector by it, else at its aperture.
+  or mirror, they are aimed at the image that it forms of the detector, else at its aperture.
 - A side that sees none of these, but other surfaces that transmit, is aimed at what it sees through them: a window
   through its other faces, see `mistray.sampling.bulk_aiming`.
 - Light that a surface of the design path scatters backwards is not aimed.
@@ -63,7 +63,7 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
     scene : mi.Scene
         Loaded scene.
     settings : Settings
-        Uses `aim` and `aimed_rays`.
+        Uses `aim` ("none": no targets, "targets": only those of the scene) and `aimed_rays` (0: no automatic ones).
 
     Returns
     -------
@@ -150,7 +150,12 @@ def automatic_bulk_targets(
     path : DesignPath, optional
         See `automatic_targets`.
     sky : sequence of Target
-        In a backward trace, the targets of a body that is not on the path.
+        In a backward trace, the targets of a body that is not on the path; (): a forward trace.
+
+    Returns
+    -------
+    dict
+        Targets by surface and side; empty where no medium scatters.
     """
     if not table.optics.scatters:
         return {}
@@ -188,7 +193,7 @@ def automatic_targets(
     path : DesignPath, optional
         Path to the detector, or backward to the opening; None: only the detector itself is a target.
     surfaces : sequence of int
-        Numbers of the surfaces that scatter.
+        Indices of the surfaces that scatter.
     """
     # Surfaces on the path: images of its end, for each step at which they meet the light
     images = DetectorImages(path) if path else None
@@ -298,14 +303,14 @@ def _seen_through(
     rng: np.random.Generator,
 ) -> list[Appearance]:
     """
-    Return targets that one side of a surface sees through surfaces that are no sights, such as a window's other face.
+    Return targets that one side of a surface sees through surfaces that are not sights, such as a window's other face.
 
     Parameters
     ----------
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     side : Side
-        Number of the surface, and whether the side is its back.
+        Index of the surface, and whether the side is its back.
     sights : sequence of Sight
         Surfaces and openings that are targets where they can be seen.
     shares : (n,) float64
@@ -337,7 +342,7 @@ def _seen(
     sampled: dict[int, tuple[np.ndarray, np.ndarray]],
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return the fraction of each view's rays, (views,), that reach its sight on the side with the design's light."""
+    """Return the fraction, (views,), of each view's rays that reach its sight from the side that the design uses."""
     # Rays of all views in one array
     sides, numbers = zip(*views, strict=True)
     rays = [DETECTOR_PROBES if number == len(sights) - 1 else PROBES for number in numbers]

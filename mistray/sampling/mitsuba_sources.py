@@ -80,14 +80,14 @@ class AreaLight:
         return mi.Vector3f(found.p), from_local(local, mi.Vector3f(found.n))
 
     def density(self, place: mi.Point2f, d: mi.Vector3d, n: Mapping[str, mi.Float]) -> mi.Float64:
-        """Return the pdf cos θ/π, 1/sr, of emission in direction d from points of the shape."""
+        """Return the pdf cos θ/π, 1/sr, of emission in direction d from points of the shape; 0 to its inside."""
         # Lambertian: cos θ/π; the same place gives the point that `rays_from` starts at
         normal = mi.Vector3d(self.shape.sample_position(0.0, place).n)
         return dr.maximum(dr.dot(d, normal), 0) / dr.pi
 
 
 def _value(params: Any, key: str, owner: str) -> float:
-    """Return a numeric parameter of one of Mitsuba's own emitters; a colour is reduced to its luminance."""
+    """Return a parameter of one of Mitsuba's own emitters, a colour as its luminance; `MistrayError` for a texture."""
     found = np.array(params.get(f"{key}.value", np.nan), dtype=np.float64).ravel()
     value = float(LUMINANCE @ found) if len(found) == len(LUMINANCE) else float(found[0])
     if len(found) not in (1, len(LUMINANCE)) or not np.isfinite(value):
@@ -102,7 +102,7 @@ def _point(params: Any, owner: str) -> dict[str, Any]:
 
 
 def _spot(params: Any, owner: str) -> dict[str, Any]:
-    """Return the parameters of a ``point_source`` that replaces Mitsuba's ``spot``, with equal intensities, W/sr."""
+    """Return parameters of a ``point_source`` with the intensity, W/sr, of a ``spot``; `MistrayError` for a texture."""
     cutoff, beam = (float(np.array(params[key]).ravel()[0]) for key in ("cutoff_angle", "beam_width"))
     if not np.allclose(np.array(params["texture.value"]), 1.0):
         raise MistrayError(f"{owner}: it has a texture; leave it out")
@@ -121,7 +121,7 @@ def _constant(params: Any, owner: str) -> dict[str, Any]:
 
 
 def _directional(params: Any, owner: str) -> dict[str, Any]:
-    """Return parameters of a ``distant_disc`` that replaces ``directional``; its disc is practically a point."""
+    """Return parameters of a ``distant_disc``, practically a point, for ``directional``; irradiance in W/mm²."""
     irradiance = _value(params, "irradiance", owner)
     return {
         "type": "distant_disc",
@@ -142,7 +142,9 @@ KNOWN: Mapping[str, Callable[[Any, str], dict[str, Any]]] = {
 
 def mitsuba_source(emitter: mi.Emitter, number: int) -> Any:
     """
-    Return a source that emits the same light as one of Mitsuba's own emitters, the given `number` in the scene.
+    Return a source that emits the same light as one of Mitsuba's own emitters.
+
+    Messages call an emitter without an id by its `number` in the scene.
 
     Raises
     ------

@@ -38,7 +38,7 @@ def outline(shape: Any) -> Target:
 
 
 def detector_area(table: SurfaceTable) -> float:
-    """Return the area of the detector, mm²; for a curved detector, that of the curved surface."""
+    """Return the area of the detector, mm²: of its curved surface if analytic, else of its outline, see `outline`."""
     shape: Any = table.shapes[table.detector]
     if table.detector >= len(table.pieces):
         return outline(shape).area

@@ -39,6 +39,11 @@ class Entrance:
         Centre, mm.
     radius : float
         Radius, mm, > 0.
+
+    Raises
+    ------
+    MistrayError
+        If the centre is not three finite numbers, or the radius is not positive and finite.
     """
 
     centre: tuple[float, float, float]
@@ -71,7 +76,7 @@ class PlaneWave:
     centre : (3,) float64
         Point of the scene that the cross-section is measured from, mm.
     middle, half : (2,) float64
-        Middle and half size of the cross-section along azimuth and field angle, mm.
+        Middle and half size of the cross-section along azimuth and field angle, mm; the radius twice for a disc.
     is_round : bool
         Whether a disc of radius ``half[0]`` replaces the rectangle.
     distance : float
@@ -114,9 +119,10 @@ def wave_rays(
     Parameters
     ----------
     numbers : sequence of mi.Float
-        `PlaneWave.numbers` of each ray's wave.
+        Parameters of each ray's wave, see `PlaneWave.numbers`.
     rotation, centre
-        Common to all waves, see `PlaneWave`; the centre in the coordinates of the kernel.
+        Axes of the grid and centre, mm, which all waves share, see `PlaneWave`; the centre is relative to the device's
+        origin.
     sample : mi.Point2f
         Positions in the cross-section, in the unit square.
     u, v : mi.Float
@@ -150,7 +156,7 @@ class PlaneWaves:
     grid : DirectionGrid
         Cells of directions.
     entrance : Entrance, optional
-        Disc that the waves cover instead of the scene.
+        Disc that the waves cover instead of the scene; None: they cover the scene.
     """
 
     def __init__(self, points: np.ndarray, grid: DirectionGrid, entrance: Entrance | None = None) -> None:
@@ -208,7 +214,7 @@ class PlaneWaves:
 
 
 def hull_points(*tables: SurfaceTable) -> np.ndarray:
-    """Return (p, 3) float64 points whose convex hull holds all surfaces, mm; polygons are drawn around the rims."""
+    """Return points, (p, 3) float64, mm, whose convex hull holds all surfaces; a polygon stands for a round rim."""
     turn = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     # Polygon around the unit circle, so that it holds the rim
     polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / RIM_POINTS)

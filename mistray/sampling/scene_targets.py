@@ -64,7 +64,16 @@ def scene_targets(table: SurfaceTable, scene: mi.Scene) -> dict[int, dict[Place,
 
 
 def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool = False) -> list[int]:
-    """Return the numbers of the surfaces whose ids match a target's patterns, or, with `one`, that of its entity."""
+    """
+    Return the indices of the surfaces whose ids match a target's patterns, each surface once.
+
+    With `one` the pattern is the target's entity, which must match one surface.
+
+    Raises
+    ------
+    MistrayError
+        If a pattern matches no surface, or with `one` several.
+    """
     # A dict keeps the order of the patterns, and each surface once
     numbers: dict[int, None] = {}
     for pattern in patterns:
@@ -82,7 +91,7 @@ def _aim_set(surface: str, entries: list[tuple[int, AnyTarget]]) -> AimSet:
     """
     Return the set of targets of one surface side; each has a share in proportion to its aimed rays.
 
-    Parts of a mesh share its rays.
+    The triangles of a mesh share its rays. Raise `MistrayError` if there are too many rays together.
     """
     weights = [rays * target.share for rays, target in entries]
     total = round(sum(weights))
@@ -97,8 +106,9 @@ def shape_targets(shape: Any, table: SurfaceTable) -> list[AnyTarget]:
     """
     Return the importance targets that a shape with a `target` defines.
 
-    A rectangle, a disk, an `asphere` (by its rim), a flat `frustum` and a sphere are one target each. A mesh is one
-    target for each triangle, with shares by area. `scale` is about the centre (of a mesh: the centroid of its area).
+    A target with `about` is a cone, and one with `entity` covers that surface. Otherwise a rectangle, a disk, an
+    `asphere` (by its rim), a flat `frustum` and a sphere are one target each. A mesh is one target for each triangle,
+    with shares by area. `scale` is about the centre (of a mesh: the centroid of its area).
 
     Raises
     ------
@@ -172,11 +182,10 @@ def _sphere(shape: Any, scale: float, half_axes: tuple[float, ...]) -> Ellipsoid
 
 def _around(shape: Any, scale: float) -> AnyTarget:
     """
-    Return the target that covers a surface.
+    Return the target that covers a surface, enlarged by the factor `scale`.
 
-    It is the outline of a flat surface, else an ellipsoid about the bounding box.
-
-    Enlarged by `scale`.
+    It is the outline of a flat surface, or a sphere itself. For any other surface it is an ellipsoid about the bounding
+    box.
     """
     if _is_flat(shape):
         return _scaled(outline(shape), scale)
@@ -189,7 +198,12 @@ def _around(shape: Any, scale: float) -> AnyTarget:
 
 
 def _cone(shape: Any) -> TargetCone:
-    """Return the cone of directions that a shape's `target` plugin with `about` defines."""
+    """
+    Return the cone of directions that a shape's `target` plugin with `about` defines.
+
+    About "direction" its axis is the normal of the shape, which must be flat, else the axis leads to the middle of the
+    shape. Raise `MistrayError` for a direction of a shape that is not flat.
+    """
     bsdf = shape.bsdf()
     if bsdf.about == "direction" and not _is_flat(shape):
         own, kind = _kind(shape)
@@ -202,7 +216,11 @@ def _cone(shape: Any) -> TargetCone:
 
 
 def _triangles(name: str, vertices: np.ndarray, faces: np.ndarray, scale: float) -> list[Target]:
-    """Return the triangles of a mesh as targets, scaled about the centroid of its area, with shares by area."""
+    """
+    Return the triangles of a mesh as targets, scaled about the centroid of its area, with shares by area.
+
+    Raise `MistrayError` for too many triangles, or one without area.
+    """
     corners = vertices.astype(np.float64)[faces]
     if len(corners) > MOST_TRIANGLES:
         raise MistrayError(

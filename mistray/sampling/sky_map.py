@@ -32,7 +32,7 @@ class SkyMap:
     Attributes
     ----------
     irradiance : float
-        ∫ L dΩ, W/mm².
+        Integral of the radiance over all directions, ∫ L dΩ, W/mm².
     """
 
     def __init__(self, radiance: Callable[[np.ndarray], np.ndarray], rows: int) -> None:

@@ -74,18 +74,18 @@ class Emission(NamedTuple):
 @dataclass(frozen=True)
 class SourceRequest:
     """
-    Request of a trace to the plugin of a source, whose ``sources`` returns one `SceneSource` per wavelength.
+    Request from a trace to the plugin of a source, whose ``sources`` returns one `SceneSource` per wavelength.
 
     Attributes
     ----------
     name : str
-        Name in tables: its id, or a number.
+        Name of the source in tables: its id, or a number.
     system : mi.Scene
         Mitsuba scene that is traced.
     bounds : mi.ScalarBoundingBox3f
-        Bounding box of all its shapes, mm.
+        Bounding box of all shapes of the scene that light can meet, mm.
     field_deg, azimuth_deg : float or None
-        Field angle and azimuth, degrees, that replace the plugin's own.
+        Field angle and azimuth, degrees, that replace the plugin's own; None: the plugin's own are kept.
     wavelengths_nm, weights : (n,) float64
         Wavelengths, nm, and their fractions of the flux, which add up to 1.
     """
@@ -123,19 +123,19 @@ class SceneSource(ABC):
     power : float
         Flux, W.
     pivot, direction, u, v : (3,) float64
-        A point of the middle ray (mm), its direction, and the axes across it.
+        A point of the middle ray (mm), the ray's unit direction, and the axes across it.
     distance : float
         Distance from the pivot back to the start of the middle ray, mm.
     shape : str
-        Id of the shape that its rays start on, or "".
+        Id of the shape that the rays start on; "": they start in space.
     medium : int
-        Number of the material that they start in; 0: not known.
+        Position in `Optics.media` of the material that the rays start in; 0: not known.
     aims : bool
-        Whether `aimed_at` changes where its rays start.
+        Whether `aimed_at` changes the start rays.
     pattern : str
         Pattern of the start positions: "random", or "grid" for an even one.
     reach : float
-        Radius about the middle ray that its light fills at the pivot, mm; inf: it has no edge there.
+        Radius about the middle ray that the light fills at the pivot, mm; inf: the light has no edge there.
     moving : tuple of str
         Parameters of the source by which a trace can be differentiated, see `motion`.
     """
@@ -164,7 +164,7 @@ class SceneSource(ABC):
         Parameters
         ----------
         lane : mi.UInt32
-            Numbers of the rays within the whole trace of `rays` rays, consecutive.
+            Indices of the rays within the whole trace of `rays` rays, consecutive.
         batch : mi.UInt32
             Batch of each ray, ascending.
         rays : int
@@ -176,15 +176,19 @@ class SceneSource(ABC):
         """
 
     def count(self, rays: int) -> int:
-        """Return the number of rays actually started when `rays` are requested."""
+        """Return the number of rays actually started when `rays` are requested, which is the same by default."""
         return rays
 
     def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return start rays without float32 rounding: origins, mm, and unit directions, (n, 3) float64 each."""
+        """
+        Return start rays free of float32 rounding, as far as the source can compute them so; else as they are.
+
+        They are given and returned as origins, mm, and unit directions, (n, 3) float64 each.
+        """
         return o, d
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins, mm, and directions by parameter `name` of `moving`, in the world."""
+        """Return derivatives of ray origins, mm, and directions with respect to the parameter `name` of `moving`."""
         raise NotImplementedError
 
     @property
@@ -203,7 +207,7 @@ class SceneSource(ABC):
 
     @property
     def stokes(self) -> tuple[float, float, float] | None:
-        """Normalised Stokes vector (s1, s2, s3) of the source, see `mistray.physics.polarization.state`, or None."""
+        """Normalised Stokes vector (s1, s2, s3), see `mistray.physics.polarization.state`; None: unpolarised light."""
         return getattr(self.emitter, "stokes", None)
 
     def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
@@ -217,21 +221,19 @@ class SceneSource(ABC):
 
     @property
     def towards(self) -> str:
-        """Direction of the middle ray as text "along (x, y, z)", for messages."""
+        """Phrase "along (x, y, z)" with the direction of the middle ray, for messages."""
         return f"along ({', '.join(f'{c:.4g}' for c in self.direction)})"
 
     @property
     def middle(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Middle ray of the source, if there is one: origin, mm, and unit direction, (1, 3) float64 each."""
+        """Middle ray of the source: origin, mm, and unit direction, (1, 3) float64 each; None: it has no such ray."""
         return self.pivot[None] - self.distance * self.direction, self.direction[None]
 
     def through(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return rays from the middle of the source through points (x, y), mm, along `u` and `v`.
+        Return rays of a distant source through points (x, y), mm, along `u` and `v`, all parallel to the middle ray.
 
-        These are origins, mm, and unit directions, (n, 3) float64 each.
-
-        The points lie in the plane of the pivot; for an object plane, in that of the origin of the source's frame.
+        These are origins, mm, and unit directions, (n, 3) float64 each. The points lie in the plane of the pivot.
         """
         # Back to the plane normal to the middle ray on which all rays start
         o = self.pivot + x[:, None] * self.u + y[:, None] * self.v
@@ -252,19 +254,20 @@ class SceneSource(ABC):
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
         """
-        Return rays along the edge of the source's light, beyond which there is none, `count` for each closed line.
+        Return rays along the edge of the source's light, beyond which it is dark, `count` for each closed line.
 
         Parameters
         ----------
         count : int
             Number of rays of each line.
         within : float
-            Distance inside of the edge, as a share of the size of the beam.
+            Distance of the rays inside the edge, as a fraction of the size of the beam.
 
         Returns
         -------
         list of ((n, 3), (n, 3)) float64
-            Origins (mm) and directions in the world. Light that fades out, or fills the scene, has no edge.
+            Origins (mm) and unit directions in the world of each line. The list is empty for light that fades out, or
+            fills the scene: it has no edge.
         """
         return []
 
@@ -279,7 +282,7 @@ class PluginRays(SceneSource):
     scene : Sphere
         Sphere around all surfaces.
     aperture : Sphere or None
-        Sphere around the first surface of the design path.
+        Sphere around the first surface of the design path, at which more rays are aimed; None: at none.
     """
 
     scene: Sphere
@@ -314,7 +317,8 @@ class EmittedRays(PluginRays):
     Attributes
     ----------
     lit : Sphere or None
-        Sphere around the part of the first aperture through which light reaches the detector.
+        Sphere around the part of the first aperture through which light reaches the detector; None: not known, or
+        hardly smaller than the aperture.
     aimed : bool
         Whether more rays go to the aperture and to the scene than the law of the source sends there.
     """
@@ -341,9 +345,10 @@ class EmittedRays(PluginRays):
 
     def through(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return rays from the source's object point through points (x, y), mm.
+        Return rays from the source's object point through points (x, y), mm, along `u` and `v`.
 
-        Raise `MistrayError` if it has no such point.
+        The points lie in the plane of the origin of the source's frame. The rays are origins, mm, and unit directions,
+        (n, 3) float64 each. Raise `MistrayError` if the source has no object point.
         """
         if not getattr(self.emitter, "in_object_plane", False):
             raise MistrayError(
@@ -356,7 +361,11 @@ class EmittedRays(PluginRays):
         return np.tile(o, (len(d), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass, drawn from the emission law and towards targets, with MIS weights."""
+        """
+        Return the start rays of one pass, drawn from the emission law and towards targets, with MIS weights.
+
+        Without targets all rays follow the law, and have no weights. See `SceneSource.start`.
+        """
         # Points and directions by the law of the source
         targets, w, strata = self._targets, None, Strata(batch, self._shares)
         sample = stratified_points(strata.group, rng)
@@ -381,7 +390,7 @@ class EmittedRays(PluginRays):
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins, mm, and directions by parameter `name` of `moving`, in the world."""
+        """Return derivatives of ray origins, mm, and directions with respect to the parameter `name`, in the world."""
         axes = [mi.Vector3d(*axis.tolist()) for axis in self._axes]
         away = o - mi.Vector3d(*self.pivot.tolist())
         local = [mi.Vector3d(*(dr.dot(vector, axis) for axis in axes)) for vector in (away, d)]
@@ -389,7 +398,11 @@ class EmittedRays(PluginRays):
         return turned(by_o, axes), turned(by_d, axes)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return rays along the edge that the plugin defines: origins, mm, and unit directions, (count, 3) each."""
+        """
+        Return rays along the edge that the plugin defines: origins, mm, and unit directions, (count, 3) each.
+
+        The list has one such line, or is empty if the light has no edge.
+        """
         points = self.emitter.edge_samples(count, within)
         if points is None:
             return []
@@ -398,7 +411,12 @@ class EmittedRays(PluginRays):
         return [on_host(self._near(o, d), d)]
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Map points of the unit square to probe rays, to the first target if any: origins, mm, and directions."""
+        """
+        Map points of the unit square to probe rays: origins, mm, and unit directions, (n, 3) float64 each.
+
+        They go to the first target, if there is one and the source sends light there; else they follow the emission
+        law.
+        """
         rng = mi.PCG32(size=dr.width(sample))
         place = mi.Point2d(rng.next_float32(), rng.next_float32()) if self.emitter.extended else mi.Point2d(0.5)
         o, d = self._rays(place, mi.Point2d(sample), rng)
@@ -410,7 +428,11 @@ class EmittedRays(PluginRays):
 
     @cached_property
     def _targets(self) -> list[Sphere]:
-        """Spheres at which rays are aimed: of lit part, aperture and scene those that the source lies outside of."""
+        """
+        Spheres at which rays are aimed: of lit part, aperture and scene, those that do not hold the source.
+
+        Spheres at which aiming does not reduce noise are left out. The list is empty if nothing is to be aimed.
+        """
         if not self.aims or not self.aimed:
             return []
         o, _ = self._rays(mi.Point2d(0.5), mi.Point2d(0.5), mi.PCG32(size=1))

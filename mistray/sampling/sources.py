@@ -55,7 +55,8 @@ def scene_sources(
     Raises
     ------
     MistrayError
-        If there is no source, or a field angle, a wavelength or a weight is out of range.
+        If there is no source, a source has no power or an infinite one, or a field angle, a wavelength or a weight is
+        out of range.
     """
     # Check before any source is built
     emitters = source_emitters(scene)
@@ -127,8 +128,12 @@ def spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:
     """
     Return the given wavelengths, nm, and their weights scaled to a sum of 1, (n,) float64 each.
 
-    Weights are equal by default. Raise `MistrayError` without wavelengths, if one is given twice, or if a value or the
-    number of weights is wrong.
+    Weights are equal by default.
+
+    Raises
+    ------
+    MistrayError
+        Without wavelengths, if one is given twice, or if a value or the number of weights is wrong.
     """
     if wavelength_nm is None:
         raise MistrayError("weights are given without wavelength_nm; give one wavelength for each weight")

@@ -32,7 +32,7 @@ class Strata:
     Attributes
     ----------
     number : mi.UInt32
-        Stratum of each ray.
+        Index of the stratum of each ray.
     group : mi.UInt32
         batch · strata + stratum, ascending.
     parts : list of mi.Float64
@@ -67,8 +67,8 @@ class Strata:
         weight : mi.Float64
             Weights of expectation 1.
         zone : mi.UInt32
-            Zone of each ray; 0 matters most. The last zone is scaled alone. Where it has too few rays for that, the
-            zone before it is scaled as well, and so on.
+            Index of the zone of each ray; 0 matters most. The last zone is scaled alone. Where it has too few rays for
+            that, the zone before it is scaled as well, and so on.
         zones : int
             Number of zones.
         """

@@ -53,25 +53,26 @@ class AsphereSearch:
         active: mi.Bool,
     ) -> tuple[mi.Float, mi.UInt32]:
         """
-        Return the nearest hits of rays after the aspheres are searched: distances, mm, and surface numbers.
+        Return the nearest hits of rays after the aspheres are searched: distances, mm, and surface indices.
 
         Parameters
         ----------
         o, d : mi.Vector3f
             Origins, mm, and unit directions of the rays.
         last : mi.UInt32
-            Number of the surface that each ray starts on.
+            Index of the surface that each ray starts on.
         entries : list of mi.Float
             Distance at which the ray enters the bounds of each asphere, mm; infinite if it need not be searched.
         best, surface : mi.Float, mi.UInt32
-            Distance of the nearest hit so far, mm, and the number of its surface.
+            Distance of the nearest hit so far, mm, and the index of its surface.
         """
 
         def choose(best: mi.Float, searched: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
             """
             Return the index and mask bit of the next asphere to search, and a mask of rays that have one left.
 
-            It is the nearest not yet searched that a ray enters before its best hit, mm.
+            The next asphere is the nearest one not yet searched that a ray enters before its best hit, at the distance
+            `best`, mm.
             """
             nearest, number, bit = mi.Float(best), mi.UInt32(0), mi.UInt32(0)
             for k, (piece, entry) in enumerate(zip(self.pieces, entries, strict=True)):

@@ -42,7 +42,7 @@ class Bodies:
         """
         Return the thickness in front of and behind a surface, (2,), mm: the least distance along its normals.
 
-        They are infinite if there is none.
+        It is infinite on a side where the normals meet no other surface.
         """
         if surface not in self._thickness:
             points, normal = self._points(surface)

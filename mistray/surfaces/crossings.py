@@ -33,7 +33,7 @@ ROW = (
 @dataclass
 class Numbers:
     """
-    Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers. Bounds include the overlap with neighbours.
+    Shape and bounds of a plane, conic, asphere or cone as Dr.Jit variables. Bounds include the overlap with neighbours.
 
     Attributes
     ----------
@@ -44,15 +44,16 @@ class Numbers:
     r0, slope : mi.Float
         Radius of a cone at z = 0, mm, and its slope dr/dz; for an asphere, the largest slope of its sag.
     outer2, inner2 : mi.Float
-        Squares of the outer and the inner radius, mm².
+        Squares of the outer radius (of a rectangle, half its diagonal) and of the inner radius, mm².
     half_width, half_height : mi.Float
-        Half sides of a rectangular aperture, mm.
+        Half sides of a rectangular aperture, mm; not used for a round one.
     z_low, z_high : mi.Float
         Ends of the surface along the axis from the vertex, mm.
     self_hit : mi.Float
         Least distance at which a ray that leaves the surface may meet it again, mm.
     wide2, departure : mi.Float
-        For a mild asphere: square of the radius within which steps stay, mm², and departure from its conic, mm.
+        For a mild asphere: square of the radius within which steps stay, mm², and departure from its conic, mm; not
+        used for other surfaces.
     shape : tuple
         Curvature, conic constant, coefficients and their unit, as parameters of `mistray.physics.geometry.sag`.
     """
@@ -75,7 +76,7 @@ class Numbers:
 
     @classmethod
     def of(cls, surface: TracedSurface) -> Numbers:
-        """Return the numbers of a surface as opaque Dr.Jit variables, so that kernels do not depend on their values."""
+        """Return the parameters of a surface as opaque Dr.Jit variables, so that kernels do not hold their values."""
 
         def opaque(value: float) -> mi.Float:
             return dr.opaque(mi.Float, value)
@@ -88,17 +89,17 @@ class Numbers:
 
     @staticmethod
     def row(surface: TracedSurface) -> list[float]:
-        """Return the numbers of a surface as one row of the device table that `read` reads, in the order of `ROW`."""
+        """Return the parameters of a surface as a row of the device table that `read` reads, in the order of `ROW`."""
         values = _values(surface)
         return [values[name] for name in ROW]
 
     @classmethod
     def read(cls, rows: mi.Float, fours: tuple[int, ...], place: mi.UInt32) -> Numbers:
         """
-        Return the numbers of surfaces other than aspheres, read from the rows of a table.
+        Return the parameters of surfaces other than aspheres, read from the rows of a table; those not read are 0.
 
-        `fours` are the groups of four numbers that the family of the surfaces needs. `place` is the row that each lane
-        reads.
+        `fours` are the groups of four parameters that the family of the surfaces needs. `place` is the row that each
+        lane reads.
         """
         values = dict.fromkeys((field.name for field in fields(cls)), mi.Float(0))
         for four in fours:
@@ -109,7 +110,7 @@ class Numbers:
 
 def _values(surface: TracedSurface) -> dict[str, Any]:
     """
-    Return the numbers of a surface by name: 0, or 1 for `one_plus_conic`, where its family has none.
+    Return the parameters of a surface by name: 0, or 1 for `one_plus_conic`, where its family has none.
 
     Bounds include the surface's overlap, mm.
     """
@@ -204,13 +205,15 @@ def _roots(
     t0: mi.Float, a: mi.Float, b: mi.Float, g: mi.Float, own: mi.Bool
 ) -> tuple[mi.Float, mi.Float, mi.Float, mi.Bool]:
     """
-    Return the two distances, mm, at which a ray crosses a quadric, (b² - a g)/a, and whether it crosses at all.
+    Return two distances, mm, at which a ray crosses a quadric, the ratio (b² - a g)/a, and whether it crosses at all.
 
-    The distances are from the ray's origin. `a`, `b` and `g` are the coefficients of a u² + 2 b u + g = 0 for the
-    distance u from the ray's point at `t0`, the one closest to the vertex or the axis. From a distant origin, the
-    difference of two squares would round away what is small: a ray from 1 m away met a wall of 26 mm radius 1.5 µm
-    behind it, and the end of a vane inside instead. See E. Haines et al., Precision improvements for ray/sphere
-    intersection, Ray Tracing Gems (2019), chapter 7. A ray that leaves the surface, `own`, starts at one root.
+    The distances are from the ray's origin; for a ray that starts on the surface, `own`, the first is 0. `a`, `b` and
+    `g` are the coefficients of a u² + 2 b u + g = 0, where u is the distance, mm, from the ray's point at `t0`, the one
+    closest to the vertex or the axis.
+
+    From a distant origin, the difference of two squares would round away what is small. A ray from 1 m away met a wall
+    of 26 mm radius 1.5 µm behind it, and the end of a vane inside instead. See E. Haines et al., Precision improvements
+    for ray/sphere intersection, Ray Tracing Gems (2019), chapter 7.
     """
     discriminant = dr.fma(b, b, -a * g)
     q = -(b + dr.mulsign(dr.sqrt(larger(discriminant, 0)), b))

@@ -18,7 +18,7 @@ class FamilyTable:
     Device table of surfaces that are defined by an implicit function F = 0, a formula of their family.
 
     Without such surfaces the table is False and adds nothing to a kernel. Such a surface has `family` and `values`. Its
-    family has `numbers`, the names of the values, and the functions `residual`, `gradient` and `coordinate`.
+    family has `numbers`, the names of the parameters, and the functions `residual`, `gradient` and `coordinate`.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class FamilyTable:
         return bool(self.families)
 
     def members(self, s: mi.UInt32, active: mi.Bool) -> Iterator[tuple[mi.Bool, Any]]:
-        """Yield each family of surfaces with a mask of the lanes whose surface s belongs to it."""
+        """Yield each family of the scene's surfaces with a mask of the lanes whose surface s belongs to it."""
         number = dr.gather(mi.UInt32, self._numbers, s, active) if self.families else None
         for k, family in enumerate(self.families, start=1):
             yield active & (number == k), family

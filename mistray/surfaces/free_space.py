@@ -125,9 +125,9 @@ def stock_extents(
 
 def _triangles(shape: Any) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return corners (n, 3), mm, and triangles (m, 3) of a mesh in the world frame.
+    Return corners (n, 3), mm, and triangles (m, 3), as indices of corners, of a mesh in the world frame.
 
-    Of another shape, those of its bounding box.
+    For any other shape these are the corners of its bounding box, and all triangles between them.
     """
     if isinstance(shape, mi.Mesh) and not str(shape).startswith("Rectangle"):  # which keeps its triangles to itself
         points, faces = mesh_arrays(shape)

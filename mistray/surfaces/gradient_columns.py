@@ -1,4 +1,4 @@
-"""Columns of derivatives of a metric by the geometry of surfaces: displacement, rotation and shape."""
+"""Columns of derivatives of a metric with respect to the geometry of surfaces: displacement, rotation and shape."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     surface : int
-        Number of the surface.
+        Index of the surface.
     o, d : (n, 3) float64
         Points on the lines, mm, and their unit directions.
 
@@ -92,16 +92,16 @@ def first_hit(
     o, d : (n, 3) float64
         Origins (mm) and unit directions.
     last : (n,) int
-        Number of the surface that each ray leaves; -1 for none.
+        Index of the surface that each ray leaves; -1 for none.
 
     Returns
     -------
     surface : (n,) int
-        Numbers of the surfaces; -1 without a hit.
+        Indices of the surfaces; -1 without a hit.
     p : (n, 3) float64
         Points of the hits, mm; the origins without a hit.
     normal : (n, 3) float64
-        Unit normals, from front to back.
+        Unit normals, from front to back; without meaning where nothing is hit.
     """
     best = np.full(len(o), np.inf)
     surface = np.full(len(o), -1)
@@ -168,11 +168,11 @@ class _Boxes:
     Attributes
     ----------
     members : (m,) int
-        Numbers of the surfaces.
+        Indices of the surfaces.
     frame : (3, 3) float64
         Axes of the orientation as columns.
     middle, corners : (m, 3) float64
-        Middles of the boxes, and their half sides, mm.
+        Middles of the boxes, and their half sides, mm, along the axes of the orientation.
     """
 
     members: np.ndarray
@@ -247,9 +247,9 @@ class HostSurfaces:
 
     def _inward(self, v: np.ndarray, members: np.ndarray) -> np.ndarray:
         """
-        Return world vectors, (n, 3), each in the frame of the surface that `members` gives for it.
+        Return world vectors, (n, 3), each in the frame of the surface whose index `members` gives for it.
 
-        `members` are the numbers of the surfaces.
+        If no surface of the scene is rotated, these are the vectors themselves.
         """
         return np.einsum("ij,ijk->ik", v, self._rotations[members]) if self._rotated else v
 
@@ -264,12 +264,12 @@ class HostSurfaces:
         o, d : (n, 3) float64
             Origins (mm) and unit directions in the world.
         members, last : (n,) int
-            Numbers of the surface that each ray may meet, and of the surface that it leaves.
+            Indices of the surface that each ray may meet, and of the surface that it leaves.
 
         Returns
         -------
         rays : (k,) int
-            Number of the ray of each hit; a ray may hit a surface twice.
+            Index of the ray of each hit; a ray may hit a surface twice.
         t : (k,) float64
             Distance along the ray, mm.
         """
@@ -320,7 +320,7 @@ class HostSurfaces:
 def _stock_hit(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, before: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return distances, (n,), mm, surface numbers and normals of hits with Mitsuba shapes; infinity for none."""
+    """Return distances, (n,), mm, surface indices and normals of hits with Mitsuba shapes; infinity for none."""
     start = o + table.mitsuba_epsilon * d
     assert table.mitsuba_scene is not None
     origin, direction = ([upload(mi.Float, column) for column in v.T] for v in (start, d))
@@ -365,14 +365,15 @@ def onward(
     """
     Return the directions in which rays leave surfaces along the design path, and a mask of the reflected ones.
 
-    They are reflected at mirrors and in total reflection, and transmitted elsewhere.
+    They are reflected at mirrors, at opaque surfaces that reflect more than half of the light, and in total reflection.
+    Other opaque surfaces absorb them, and all others transmit them.
 
     Parameters
     ----------
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     surface : (n,) int
-        Numbers of the surfaces that the rays are at.
+        Indices of the surfaces that the rays are at.
     d, normal : (n, 3) float64
         Directions of incidence and unit normals from front to back.
 
@@ -406,12 +407,12 @@ def indices_along(before: np.ndarray, behind: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     before, behind : (k, …) float or complex
-        Indices before and behind the surfaces, in the direction of the light; NaN for opaque ones.
+        Refractive indices before and behind the surfaces, in the direction of the light; NaN for opaque ones.
 
     Returns
     -------
     (k, …) float or complex
-        Indices before the surfaces; NaN if no surface defines any, as in a system of mirrors alone.
+        Refractive indices before the surfaces; NaN if no surface defines any, as in a system of mirrors alone.
     """
     found = np.array(before)
     last = np.full_like(found[0], np.nan)

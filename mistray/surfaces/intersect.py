@@ -1,9 +1,9 @@
 """Exact nearest hit of rays with the analytic surfaces of a scene, in the caller's kernel.
 
 The search is unrolled over the surfaces. Many surfaces lie in a tree, see `mistray.surfaces.shell_tree`; freeforms of
-one sort lie in a mosaic, see `mistray.surfaces.mosaic_search`. Each number of an unrolled surface is an opaque scalar.
-So all scenes of equal structure have the same code, without recompilation when a parameter changes, and a number is
-loaded once for all lanes.
+one sort lie in a mosaic, see `mistray.surfaces.mosaic_search`. Each parameter of an unrolled surface is an opaque
+scalar. So all scenes of equal structure have the same code, without recompilation when a parameter changes, and a
+parameter is loaded once for all lanes.
 """
 
 from __future__ import annotations
@@ -62,21 +62,21 @@ class Intersector:
 
     def nearest(self, o: mi.Vector3f, d: mi.Vector3f, last: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
         """
-        Return the distances to rays' nearest hits with analytic surfaces, mm, and the numbers of the surfaces hit.
+        Return the distances to rays' nearest hits with analytic surfaces, mm, and the indices of the surfaces hit.
 
         Parameters
         ----------
         o, d : mi.Vector3f
             Origin (mm) and unit direction.
         last : mi.UInt32
-            Number of the surface that the origin lies on; it is hit again only if its shape allows that.
+            Index of the surface that the origin lies on; it is hit again only if its shape allows that.
 
         Returns
         -------
         t : mi.Float
             Distance, mm; infinite if nothing is hit.
         surface : mi.UInt32
-            Number of the surface, `NO_SURFACE` if none.
+            Index of the surface, `NO_SURFACE` if nothing is hit.
         """
         best, surface = mi.Float(dr.inf), mi.UInt32(NO_SURFACE)
         frames: dict[int, tuple[Any, Any]] = {}
@@ -209,7 +209,7 @@ class _Group:
 
     @classmethod
     def of(cls, pieces: list[TracedSurface], members: list[int]) -> _Group:
-        """Return the group of the surfaces with the numbers `members`, which share one axis."""
+        """Return the group of the surfaces with the indices `members`, which share one axis."""
         low, high = min(pieces[k].extent[0] for k in members), max(pieces[k].extent[1] for k in members)
         slack = SLACK * (1 + abs(low) + abs(high))
         inner = max(min(pieces[k].least_radius for k in members) - slack, 0.0)

@@ -1,7 +1,7 @@
 """Nearest hit of rays with many freeform surfaces of one sort, such as segments of a mirror or lenslets of an array.
 
 A ray comes near few of them. Bounding spheres of all members are tested one after the other, at a few instructions
-each. The code that searches a crossing exists once, in a loop over the members that the ray comes near. Numbers that
+each. The code that searches a crossing exists once, in a loop over the members that the ray comes near. Parameters that
 all members share are loaded once for all lanes; the others are gathered.
 """
 
@@ -29,7 +29,11 @@ SLACK = 1e-5  # margin for rounding, in units of a sphere's size and of its dist
 
 
 def mosaics(pieces: Sequence[object], members: Sequence[int]) -> list[list[int]]:
-    """Return lists of `FEWEST` to `BITS` freeforms, by number, that share kernel code, for `MosaicSearch`."""
+    """
+    Return groups of freeforms that share kernel code, for `MosaicSearch`, as lists of at most `BITS` surface indices.
+
+    Sorts with fewer than `FEWEST` members form no group.
+    """
     sorts: dict[tuple[object, ...], list[int]] = {}
     for k in members:
         piece = pieces[k]
@@ -52,7 +56,7 @@ class MosaicSearch:
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     members : sequence of int
-        Numbers of freeforms of one sort in `table.pieces`.
+        Indices of freeforms of one sort in `table.pieces`.
     """
 
     def __init__(self, table: SurfaceTable, members: Sequence[int]) -> None:
@@ -86,16 +90,16 @@ class MosaicSearch:
         self, o: mi.Vector3f, d: mi.Vector3f, last: mi.UInt32, best: mi.Float, surface: mi.UInt32, active: mi.Bool
     ) -> tuple[mi.Float, mi.UInt32]:
         """
-        Return the nearest hits of rays after the group is searched: distances, mm, and surface numbers.
+        Return the nearest hits of rays after the group is searched: distances, mm, and surface indices.
 
         Parameters
         ----------
         o, d : mi.Vector3f
             Origins, mm, and unit directions of the rays.
         last : mi.UInt32
-            Number of the surface that each ray starts on.
+            Index of the surface that each ray starts on.
         best, surface : mi.Float, mi.UInt32
-            Distance of the nearest hit so far, mm, and the number of its surface.
+            Distance of the nearest hit so far, mm, and the index of its surface.
         """
         near = dr.select(active, self._near(o, d, best), mi.UInt32(0))
 
@@ -141,7 +145,11 @@ class MosaicSearch:
 
 
 def _about_middle(piece: Freeform) -> dict[str, float]:
-    """Return the kernel numbers of a freeform by name, with its polygon's corners about the freeform's middle, mm."""
+    """
+    Return the kernel parameters of a freeform by name, with the corners of its polygons about its middle, mm.
+
+    Corners of a rotated polygon stay relative to the position of that polygon.
+    """
     found = {name: float(value) for name, value in piece.kernel_values().items()}
     for k, figure in enumerate(piece.outline.figures, start=1):
         if figure.kind == "polygon" and not figure.angle_deg:
@@ -154,7 +162,12 @@ def _about_middle(piece: Freeform) -> dict[str, float]:
 
 
 def _common(name: str, values: np.ndarray) -> float | None:
-    """Return the value of a kernel number that all members share within rounding; None if they differ."""
+    """
+    Return the value of a kernel parameter that all members share within rounding; None if they differ.
+
+    Bounds within a factor `ALIKE` are shared as well, and the largest of them is returned. So are sizes of apertures
+    (``clip_…``) that differ by at most `LENGTH_MM`.
+    """
     most, least = float(values.max()), float(values.min())
     if name in BOUNDS and most <= ALIKE * least:
         return most

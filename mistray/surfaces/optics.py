@@ -68,7 +68,8 @@ class AngleTable:
         unpolarised light (mean of s and p). c = 4 in Stokes mode: values for s and p, and real and imaginary part of
         the product of the amplitude of s with the conjugate amplitude of p.
     total : (b, 3, c) float64
-        Values in the same order, for light from the denser side, at uniform nodes of w.
+        Values in the same order, for light from the denser side, at uniform nodes of w; zeros where there is no
+        critical angle.
     refraction_error, total_error : float
         Upper bounds of the interpolation error of either part.
     """
@@ -102,7 +103,7 @@ def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarr
     Parameters
     ----------
     n_front, n_back : float
-        Indices of the materials in front and behind.
+        Real refractive indices of the materials in front and behind.
     x : (m,) float64
         Variable of either part, 0 … 1.
 
@@ -149,6 +150,8 @@ def angle_table(
     """
     Return the table of R and T of a coating over the angle of incidence.
 
+    Without a critical angle the part for total reflection holds zeros.
+
     The table has as many nodes as `TABLE_ERROR` requires, at most `LAST_INTERVALS` + 1 in each part.
 
     Parameters
@@ -162,7 +165,7 @@ def angle_table(
     opaque : bool
         Whether light that enters is absorbed. Cosines are then those on the side of incidence, and T is 0.
     stokes : bool
-        Whether each channel has four numbers instead of one.
+        Whether each channel has four values, for Stokes vectors, instead of one.
     """
     # Layers are identified by the names of their materials, and the data in a file may have changed
     indices = coating.indices(wavelength_nm) if isinstance(coating, Stack) else ()
@@ -213,7 +216,8 @@ def refraction_rows(
     """
     Return R from the front and the back, and T, of a coating in refraction, (m, 3, c), as rows of a table.
 
-    `at_front` and `at_back` are the cosines of incidence in the front and in the back material, (m,) each.
+    `at_front` and `at_back` are the cosines of incidence in the front and in the back material, (m,) each. T is 0 if
+    the surface is `opaque`; next to an absorbing medium it is at most 1 - R.
     """
 
     def side(cosines: np.ndarray, from_front: bool) -> Response:
@@ -252,7 +256,11 @@ def unpolarized_shares(
     from_front: bool,
     cosines: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of s and p of R and T of a coating between two materials, (m,) each, at cosines of incidence."""
+    """
+    Return R and T of a coating for unpolarised light, (m,) each, at cosines of incidence: the means of s and p.
+
+    T is 0 at an opaque surface. Both are 0 there for light out of a metal, in which none travels.
+    """
     if opaque and sides[0 if from_front else 1].imag > METAL_K:  # nothing comes out of a metal
         return np.zeros_like(cosines), np.zeros_like(cosines)
     answer = coating.response(wavelength_nm, *sides, cosines, from_front)
@@ -260,7 +268,11 @@ def unpolarized_shares(
 
 
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """Sample a function at uniform nodes of 0 … 1, enough for linear interpolation; return values and its error."""
+    """
+    Sample a function at uniform nodes of 0 … 1, enough for linear interpolation; return values and error.
+
+    A constant is sampled at both ends alone.
+    """
     intervals = FIRST_INTERVALS
     # All of the first levels in one call, which costs as much as a thousand values
     known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))
@@ -322,19 +334,21 @@ class Optics:
     words : mi.UInt32
         Kind, flag bits and media of each surface.
     host_words : (s,) uint32
-        Copy of `words` on the host.
+        Copy of `words` on the host, (s,).
     indices : mi.Float
-        Index in front, index behind, R and T of an ideal coating, for each surface, (s, 4).
+        Refractive index in front and behind, and R and T of an ideal coating, for each surface, (s, 4). An opaque
+        surface has the indices 1; R and T are 0 for other coatings.
     places : mi.UInt32
         First row and last interval of the refraction part and of the total-reflection part of each table, (s, 4).
     table : mi.Float
-        Rows of `row_floats` numbers, of all tables.
+        Rows of `row_floats` values, of all tables.
     kinds : set of int
         Kinds of coatings that occur in the scene.
     media : list of str
-        Names of the materials, in the order of their numbers; number 0 is "unknown".
+        Names of the materials; the first one is "unknown". Their positions in this list identify media elsewhere.
     declared : (s, 2) int
-        Numbers of the materials in front and behind; 0 where an opaque surface declares none, or light cannot be.
+        Positions in `media` of the materials in front and behind; 0 where an opaque surface declares none, or where no
+        light can be.
     extinction : mi.Float
         Extinction coefficient of each medium, for absorption and scatter, 1/mm.
     albedo : mi.Float
@@ -383,7 +397,7 @@ class Optics:
         declared = np.zeros((count, 2), dtype=np.int64)
 
         def number(n: complex, spec: str) -> int:
-            """Return the number of a medium. Media of equal index and scatter share one, such as "1.5" and "1.50"."""
+            """Return the position of a medium in `media`; media of equal refractive index and scatter have the same."""
             cloud = bulk_scatter(spec)
             key = (round(n.real, 9), float(f"{n.imag:.9g}"), cloud.per_mm, cloud.g)
             if key not in numbers:
@@ -467,7 +481,7 @@ class Optics:
         dr.eval(self.extinction, self.albedo, self.asymmetry, self.media_n)
 
     def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
-        """Return the complex indices in front of and behind a surface; 1 for opaque ones, except multilayers."""
+        """Return the complex indices in front of and behind a surface; 1 if it is opaque without a multilayer."""
         if bsdf.opaque and not isinstance(bsdf.coating, Stack):
             return 1 + 0j, 1 + 0j
         with errors_of(f"surface '{name}'"):
@@ -530,7 +544,11 @@ class Optics:
 
     @cached_property
     def mostly_reflects(self) -> np.ndarray:
-        """Return a mask of opaque surfaces that reflect more than half the light at normal incidence, (s,) bool."""
+        """
+        Mask of opaque surfaces that reflect more than half the light at normal incidence, (s,) bool.
+
+        The better reflecting side counts.
+        """
         found = np.zeros(len(self.bsdfs), dtype=bool)
         for i in np.flatnonzero(self.host_words & OPAQUE).tolist():
             if self.bsdfs[i].ideal:
@@ -556,7 +574,11 @@ class Optics:
         return left, clouded, taken
 
     def response(self, surface: int, from_front: bool, cosines: np.ndarray) -> Response:
-        """Return the exact R and T (s and p) of a surface's coating from one side, at cosines of incidence, (m,)."""
+        """
+        Return the exact R and T (s and p) of a surface's coating from one side, at cosines of incidence, (m,).
+
+        At an opaque surface, the side of a metal has those of the other side.
+        """
         sides = self.complex_indices[surface]
         if self.host_words[surface] & OPAQUE and sides[0 if from_front else 1].imag > METAL_K:
             from_front = not from_front  # nothing travels in a metal
@@ -564,7 +586,11 @@ class Optics:
         return answer
 
     def shares(self, surface: int, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the exact R and T of a surface in unpolarised light, (m,) each, at cosines of incidence, (m,)."""
+        """
+        Return the exact R and T of a surface in unpolarised light, (m,) each, at cosines of incidence, (m,).
+
+        T of an opaque surface is 0. So is R for light out of a metal, in which none travels.
+        """
         opaque = bool(self.host_words[surface] & OPAQUE)
         coating, sides = self.bsdfs[surface].coating, self.complex_indices[surface]
         return unpolarized_shares(coating, self.wavelength_nm, sides, opaque, from_front, cosines)

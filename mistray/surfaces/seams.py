@@ -47,7 +47,7 @@ def let_overlap(
         Whether each surface has different media on its sides. Such surfaces do not overlap: light beside a body is not
         in it.
     many : sequence of int
-        Numbers of the surfaces in a tree, such as the tiles of a mirror, which nothing else holds together.
+        Indices of the surfaces in a tree, such as the tiles of a mirror, which nothing else holds together.
     """
     if not pieces:
         return 0.0
@@ -105,7 +105,7 @@ class WallRims:
 
 
 def _smooth_rims(walls: Sequence[TracedSurface]) -> dict[int, set[int]]:
-    """Return, for each wall by number, the set of its rims where another wall continues it smoothly."""
+    """Return, for each wall by surface index, the set of its rims where another wall continues it smoothly."""
     found: dict[int, set[int]] = {piece.index: set() for piece in walls}
     meeting: dict[tuple[int, float, float], list[tuple[int, int, np.ndarray]]] = {}
     for piece in walls:

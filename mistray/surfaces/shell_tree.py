@@ -21,7 +21,7 @@ MOST_ASPHERES = 32  # aspheres that are tested one after the other, one bit of a
 SLACK = 1e-5  # margin for rounding, in units of the sizes of a node
 
 Axis = tuple[int, float, float]
-"""Number of an orientation, and the two coordinates of the axis across it, mm; see `SurfaceTable.axes`."""
+"""Index of an orientation, and the two coordinates of the axis across it, mm; see `SurfaceTable.axes`."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class _Nodes:
     pieces : list of int
         Position of a node's only surface among the members of the tree; the number of members for other nodes.
     skips : list of int
-        Number of the node that follows if a ray misses this one.
+        Index of the node that follows if a ray misses this one.
     """
 
     axes: list[Axis] = field(default_factory=list)
@@ -71,7 +71,7 @@ class ShellTree:
     pieces : sequence of TracedSurface
         All analytic surfaces of the scene.
     members : sequence of int
-        Numbers of the surfaces in the tree.
+        Indices of the surfaces in the tree.
     frames : sequence of (3, 3) float64
         Orientations of the scene, the first of them unrotated.
     axes : sequence of Axis
@@ -80,7 +80,7 @@ class ShellTree:
     Attributes
     ----------
     members : list of int
-        Numbers of the surfaces in the tree.
+        Indices of the surfaces in the tree.
     axes : list of Axis
         Axes of the nodes.
     axis : (n,) uint32
@@ -157,7 +157,7 @@ class ShellTree:
 
     def candidates(self, o: np.ndarray, d: np.ndarray, frames: Sequence[np.ndarray]) -> dict[int, np.ndarray]:
         """
-        Return the numbers of the rays that enter the bounds of each surface, by surface number.
+        Return the indices of the rays that enter the bounds of each surface, by surface index; others are left out.
 
         Parameters
         ----------
@@ -187,9 +187,9 @@ class ShellTree:
 
 def many(pieces: Sequence[TracedSurface]) -> list[int]:
     """
-    Return the numbers of surfaces to put into a tree: all of each kind that is too numerous to unroll.
+    Return the indices of surfaces to put into a tree: all of each kind that is too numerous to unroll.
 
-    The kinds are walls, lens surfaces and aspheres.
+    The kinds are walls, lens surfaces and aspheres. Surfaces of families that trees do not support are left out.
     """
     walls = [k for k, piece in enumerate(pieces) if piece.wall]
     aspheres = [k for k, piece in enumerate(pieces) if piece.searched]
@@ -211,7 +211,11 @@ def _halves(middles: np.ndarray) -> list[np.ndarray]:
 
 
 def _meets(rays: np.ndarray, shell: np.ndarray) -> np.ndarray:
-    """Return a mask of rays (6, n) that enter a shell about the z axis, neither missing it nor passing its hole."""
+    """
+    Return a mask of rays that enter a shell about the z axis, neither missing it nor passing its hole.
+
+    `rays`, (6, n), are points, mm, and directions; `shell` is a row of `ShellTree.bounds`.
+    """
     x, y, z, dx, dy, dz = rays
     low, high, inner2, outer2 = shell
     with np.errstate(all="ignore"):

@@ -83,7 +83,7 @@ class Bounds(NamedTuple):
 @dataclass(kw_only=True)
 class TracedSurface(ABC):
     """
-    Analytic surface: static properties that determine the kernel's code, and its numbers in float64.
+    Analytic surface: static properties that determine the kernel's code, and parameters in float64.
 
     Points, directions and distances of methods are in the frame of the surface's vertex, mm, float64 on the host.
 
@@ -96,11 +96,11 @@ class TracedSurface(ABC):
     wall : bool
         Whether the surface is mechanical and few rays meet it; all others are optical.
     index : int
-        Number of the surface in the scene.
+        Index of the surface in the scene.
     frame : int
-        Number of the orientation that it shares with other surfaces; 0 is unrotated.
+        Index of the orientation that the surface shares with others; 0 is unrotated.
     axis : int
-        Number of the axis (orientation and lateral position) that it shares with other surfaces.
+        Index of the axis (orientation and lateral position) that the surface shares with others.
     z : float
         Position of the vertex along the axis, mm.
     overlap : float
@@ -148,7 +148,7 @@ class TracedSurface(ABC):
     @abstractmethod
     def columns(self) -> dict[str, float]:
         """
-        Numbers of the surface in the `GEOMETRY` columns of derivatives, by name; others are 0.
+        Values of the surface in the `GEOMETRY` columns of derivatives, by name; those of other columns are 0.
 
         See `mistray.surfaces.gradient_columns`.
         """
@@ -165,7 +165,7 @@ class TracedSurface(ABC):
 
     @property
     def quadric(self) -> tuple[float, float, float, float]:
-        """Coefficients a, b, e, g of F = a (x² + y²) + b z² + e z + g; zeros if F is no quadric."""
+        """Coefficients a, b, e, g of F = a (x² + y²) + b z² + e z + g, see `SurfaceRow`; zeros for any other F."""
         return 0.0, 0.0, 0.0, 0.0
 
     @property
@@ -173,7 +173,7 @@ class TracedSurface(ABC):
         """
         Half width and half height (mm) of a rectangular aperture, else inner radius squared (mm²) and 0.
 
-        The overlap with neighbours is included.
+        The overlap with neighbours is included. Other surfaces have 0 and 0.
         """
         return 0.0, 0.0
 
@@ -266,11 +266,15 @@ class TracedSurface(ABC):
         """Least and greatest value, mm, of the coordinate that defines the rims; for a rectangle, of the radius."""
 
     def rim_place(self, q: np.ndarray) -> np.ndarray:
-        """Return the coordinate that defines the rims (radius or z), (n,), mm, of points (n, 3); not for rectangles."""
+        """Return the coordinate that defines the rims (radius or z), (n,), of points (n, 3), mm; not for rectangles."""
         return q[:, 2] if self.rim_coordinate == ENDS else np.hypot(q[:, 0], q[:, 1])
 
     def rim_depths(self, q: np.ndarray) -> dict[int, np.ndarray]:
-        """Return the distances, (n,), mm, by which points (n, 3) lie inside each rim; negative outside."""
+        """
+        Return the distances, (n,), mm, by which points (n, 3), mm, lie inside each rim; negative outside.
+
+        They are listed by position in `RIM_COLUMNS`. Rims of size 0 are left out.
+        """
         if self.rim_coordinate == RECTANGLE:
             sides = {HALF_WIDTH: q[:, 0], HALF_HEIGHT: q[:, 1]}
             return {rim: self.rim_sizes[rim] - np.abs(along) for rim, along in sides.items()}
@@ -336,7 +340,7 @@ def quadric_crossings(quadric: Sequence[Any], sheet: Any, o: np.ndarray, d: np.n
     """
     Return the distances, (n, 2), mm, at which lines cross a sheet of a quadric, without cancellation.
 
-    They are not finite for none; see `Bounds` for the sheet.
+    They are NaN or infinite where a line does not cross the sheet, for which see `Bounds`.
     """
     (a, b, e, g), (x, y, z), (dx, dy, dz) = quadric, o.T, d.T
     A = a * (dx**2 + dy**2) + b * dz**2

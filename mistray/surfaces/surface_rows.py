@@ -1,4 +1,4 @@
-"""Parameters of surfaces that the interaction with light needs, looked up by surface number."""
+"""Parameters of surfaces that the interaction with light needs, looked up by surface index."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ class SurfaceRow:
     Attributes
     ----------
     quadric : mi.Vector4f
-        Coefficients a, b, e, g of the surface's quadric.
+        Coefficients a, b, e, g of the surface's quadric F; zeros if the surface is none. For a sag F is in mm, so that
+        a and b are in 1/mm. For a cone it is in mm², so that e is in mm and g in mm².
     vertex : mi.Vector4f
-        Position, mm, and the sign that turns the gradient of the shape into its normal.
+        Position, mm, and a number whose sign turns the gradient of the shape into its normal.
     optics : mi.Vector4f
-        Indices in front and behind, and R and T of an ideal coating.
+        Refractive indices in front and behind, 1 at an opaque surface, and R and T of an ideal coating, else 0.
     word : mi.UInt32
         Kind, flags and media as bits, see `mistray.surfaces.optics`.
     """

@@ -98,17 +98,18 @@ class SurfaceTable:
     Attributes
     ----------
     scene : mi.Scene
+        Scene that was given.
     detectors : list of int
-        Numbers of the surfaces whose light is recorded, in the order of their ids.
+        Indices of the surfaces whose light is recorded, in the order of their ids.
     design_mirrors : frozenset of int
-        Numbers of the opaque surfaces that are mirrors of the design, see `with_mirrors`.
+        Indices of the opaque surfaces that are mirrors of the design, see `with_mirrors`.
     detector_axes : dict
         Middle, mm, and unit vectors along x and y, on the device, of each detector that is a Mitsuba shape.
     centre : (3,) float64
-        World position of the device's origin, mm: the middle of the surfaces, or the world's origin if that is near
-        them.
+        World position of the device's origin, mm: the middle of the analytic surfaces if these lie far from the world's
+        origin, else that origin.
     tree : ShellTree or None
-        Tree of the surfaces that are too many to be unrolled into the kernel.
+        Tree of the surfaces that are too many to be unrolled into the kernel; None: all are unrolled.
     """
 
     def __init__(
@@ -155,13 +156,21 @@ class SurfaceTable:
         return self._changed(wavelength_nm, self.detectors, self.design_mirrors)
 
     def on(self, detector: int) -> SurfaceTable:
-        """Return a copy of the table with this detector only; other detectors become ordinary surfaces."""
+        """
+        Return a copy of the table with this detector only; other detectors become ordinary surfaces.
+
+        If it is the only one already, the table itself is returned.
+        """
         if self.detectors == [detector]:
             return self
         return self._changed(self.wavelength_nm, [detector], self.design_mirrors)
 
     def with_mirrors(self, surfaces: frozenset[int]) -> SurfaceTable:
-        """Return a copy of the table in which these opaque surfaces count as mirrors of the design."""
+        """
+        Return a copy of the table in which these opaque surfaces count as mirrors of the design.
+
+        Without any surfaces the table itself is returned.
+        """
         return self._changed(self.wavelength_nm, self.detectors, surfaces) if surfaces else self
 
     def __copy__(self) -> SurfaceTable:
@@ -179,7 +188,7 @@ class SurfaceTable:
     @property
     def detector(self) -> int:
         """
-        Number of the surface that is the only detector.
+        Index of the surface that is the only detector.
 
         Raises
         ------
@@ -197,7 +206,7 @@ class SurfaceTable:
 
     @property
     def event_ids(self) -> list[str]:
-        """Names of all surfaces and media in which events occur: ids of surfaces, then media in brackets."""
+        """Names of all surfaces and media in which events occur: ids of surfaces, then media in parentheses."""
         return [*self.ids, *map(medium_id, self.optics.media)]
 
     @property
@@ -237,7 +246,7 @@ class SurfaceTable:
         """
         Return the parameters of the aspheres s: curvature, 1/mm, conic constant, coefficients and bounds, mm.
 
-        Their order is given at `POLYNOMIAL_VECTORS`.
+        Their order, and the unit of the coefficients, are given at `POLYNOMIAL_VECTORS`.
         """
         row = [
             dr.gather(mi.Vector4f, self.polynomial, POLYNOMIAL_VECTORS * s + k, active)
@@ -321,7 +330,7 @@ class SurfaceTable:
         self.rotation = upload(mi.Float, np.concatenate([self.rotations, np.zeros((self.count, 3, 1))], axis=2))
 
     def _stock(self, shapes: list[Any]) -> None:
-        """Build a Mitsuba scene of shapes that are not analytic, and the table from its shapes to surface numbers."""
+        """Build a Mitsuba scene of the shapes that are not analytic, if any, and the table of their surface indices."""
         self.mitsuba_scene, self.free_space = None, None
         if not shapes:
             return
@@ -341,7 +350,7 @@ class SurfaceTable:
         self.free_space = free_space if free_space is not None and free_space.some else None
 
     def mitsuba_normals(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Return the unit normals, (n, 3), of the Mitsuba shapes that rays along `directions` meet at `points`."""
+        """Return the unit normals, (n, 3), of the Mitsuba shapes that rays along `directions` meet at `points`, mm."""
         assert self.mitsuba_scene is not None
         starts = points - 8 * self.mitsuba_epsilon * directions
         # From memory: as literals in the code they would make each ray a kernel to compile
@@ -365,9 +374,14 @@ class SurfaceTable:
 
     def film(self, detector: int | None = None) -> tuple[int, int, tuple[float, float, float, float]]:
         """
-        Return a detector's numbers of pixel columns and rows, and its extent (x0, x1, y0, y1) in its own frame, mm.
+        Return the numbers of pixel columns and rows of a detector, and its extent x0, x1, y0, y1 in its own frame, mm.
 
-        The only detector is the default.
+        By default it is the only detector.
+
+        Raises
+        ------
+        MistrayError
+            If there are several detectors and none is given, the film is too large, or the surface cannot hold a film.
         """
         detector = self.detector if detector is None else detector
         shape, owner = self.shapes[detector], f"detector '{self.ids[detector]}'"
@@ -391,9 +405,10 @@ class SurfaceTable:
 
 def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarray:
     """
-    Return the centre of surfaces from their vertices and radii, mm, (3,).
+    Return the point that device positions are relative to, (3,), mm, from vertices and radii of surfaces, mm.
 
-    It is the origin if the scene extends beyond it.
+    It is the middle of the box around the surfaces, if that lies farther from the world's origin than the box's
+    diagonal. Otherwise, and without surfaces, it is the origin.
     """
     if not vertices:
         return np.zeros(3)
@@ -417,7 +432,7 @@ def named_shapes(scene: mi.Scene) -> dict[str, Any]:
     """
     Return the shapes of a scene that light can hit, by id, in the order of the scene.
 
-    If an id is given twice, `MistrayError` is raised.
+    A shape without an id gets one by its number. Raise `MistrayError` if an id is given twice.
     """
     solid = solid_shapes(scene)
     named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(solid, start=1)}

@@ -56,16 +56,16 @@ class TreeSearch:
         self, o: mi.Vector3f, d: mi.Vector3f, last: mi.UInt32, best: mi.Float, surface: mi.UInt32, active: mi.Bool
     ) -> tuple[mi.Float, mi.UInt32]:
         """
-        Return the nearest hits of rays after the tree is searched: distances, mm, and surface numbers.
+        Return the nearest hits of rays after the tree is searched: distances, mm, and surface indices.
 
         Parameters
         ----------
         o, d : mi.Vector3f
             Origins, mm, and unit directions of the rays.
         last : mi.UInt32
-            Number of the surface that each ray starts on.
+            Index of the surface that each ray starts on.
         best, surface : mi.Float, mi.UInt32
-            Distance of the nearest hit so far, mm, and the number of its surface.
+            Distance of the nearest hit so far, mm, and the index of its surface.
         """
 
         def step(k: mi.UInt32, best: mi.Float, surface: mi.UInt32) -> tuple[mi.UInt32, mi.Float, mi.UInt32]:
@@ -108,7 +108,7 @@ class TreeSearch:
         return best, surface
 
     def _axis_ray(self, o: mi.Vector3f, d: mi.Vector3f, axis: mi.UInt32, active: mi.Bool) -> AxisRay:
-        """Return the rays, lengths in mm, each in the frame of the tree axis given by number for its lane."""
+        """Return the rays, lengths in mm, each in the frame of the tree axis whose index `axis` gives for its lane."""
         if self._turned:
             frame = dr.gather(mi.UInt32, self._frames, axis, active)
             rows = [dr.gather(mi.Vector4f, self._turns, 3 * frame + k, active) for k in range(3)]

@@ -30,7 +30,7 @@ def cell_of(place: mi.Float, count: int) -> mi.UInt32:
     """
     Return the index, 0 … count - 1, of the cell at a coordinate in cell widths.
 
-    Beyond the ends it is that of the end cell.
+    A coordinate beyond the ends belongs to the end cell.
     """
     return mi.UInt32(dr.clip(mi.Int32(place), 0, count - 1))
 
@@ -52,6 +52,11 @@ class PassingLight(Recorder):
         Kind of recorder, and the unit of `image`.
     groups : int
         Number of groups of batches by which the flux of each cell is summed.
+
+    Raises
+    ------
+    MistrayError
+        For a blank name.
     """
 
     kind: ClassVar[str] = ""
@@ -71,7 +76,11 @@ class PassingLight(Recorder):
         self.cells, self.groups = cells, groups_of(cells)
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Set the number of cells for the surfaces in `table`, and upload the data by which hits find their cells."""
+        """
+        Set the number of cells for the surfaces in `table`, and upload the data by which hits find their cells.
+
+        The base class does nothing here; subclasses override it.
+        """
 
     def attach(self, scene: KernelScene) -> None:
         """Begin a trace of one source and wavelength with sums at zero."""
@@ -110,7 +119,11 @@ class PassingLight(Recorder):
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values of the pixels of the image and their standard errors, (rows, columns) each, in `unit`."""
+        """
+        Values of the pixels of the image and their standard errors, (rows, columns) each, in `unit`.
+
+        Each subclass defines its own.
+        """
         # Subclasses divide the flux by areas or solid angles
         raise NotImplementedError
 
@@ -122,7 +135,7 @@ class PassingLight(Recorder):
         Raises
         ------
         MistrayError
-            Before its first trace.
+            If nothing has been traced yet.
         """
         if self._flux is None:
             raise MistrayError(f"'{self.name}' has recorded nothing yet; give it to trace(…, recorders=[…])")
@@ -156,12 +169,14 @@ class SurfaceLight(PassingLight):
         self._names: list[tuple[str, str]] = []  # id and part of each
 
     def surfaces_by_default(self, table: SurfaceTable) -> list[int]:
-        """Return the surface numbers to be recorded where no patterns are given: those of all surfaces."""
+        """Return the indices of the surfaces to be recorded where no patterns are given: those of all surfaces."""
         return list(table.listed)
 
     def chosen(self, table: SurfaceTable) -> list[int]:
         """
-        Return the numbers of the surfaces that match the patterns, in the order of the scene.
+        Return the indices of the surfaces that match the patterns, in the order of the scene.
+
+        Without patterns they are those of `surfaces_by_default`.
 
         Raises
         ------

@@ -41,7 +41,7 @@ class FarField(PassingLight):
     Raises
     ------
     MistrayError
-        If borders do not ascend, or directions are 0 or parallel.
+        If the name is blank, borders do not ascend, a value is out of range, or directions are 0 or parallel.
 
     Examples
     --------

@@ -80,7 +80,7 @@ class FluxSplit(SurfaceLight):
     Raises
     ------
     MistrayError
-        During the trace, if a pattern names no surface.
+        If the name is blank; during the trace, if a pattern names no surface or an earlier trace was of other surfaces.
 
     Examples
     --------
@@ -109,7 +109,11 @@ class FluxSplit(SurfaceLight):
         self._place, self._rims = upload(mi.UInt32, place), table.wall_rims
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the incident flux of hits, and its absorbed, specular and scattered parts, to the sums by surface."""
+        """
+        Add the incident flux of hits, and its absorbed, specular and scattered parts, to the sums by surface.
+
+        At the rims of walls all light is absorbed.
+        """
         it, budget = visit.interaction, visit.shares
         place = dr.gather(mi.UInt32, self._place, visit.surface, visit.active)
         active = visit.active & (place > 0)
@@ -138,7 +142,7 @@ class FluxSplit(SurfaceLight):
         Raises
         ------
         MistrayError
-            Before its first trace.
+            If nothing has been traced yet.
         """
         value, se = self.image
         return [
@@ -147,7 +151,17 @@ class FluxSplit(SurfaceLight):
         ]
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a table with one row per surface: surface, part, and for each share flux and standard error, W."""
+        """
+        Return a table with one row per surface: id, part, and for each share of `SplitRow` its flux and error.
+
+        The columns are ``surface``, ``part``, and for each share ``…_W``, the flux, and ``…_se_W``, its standard error,
+        both in W.
+
+        Raises
+        ------
+        MistrayError
+            Before the first trace.
+        """
         import pandas as pd
 
         value, se = self.image

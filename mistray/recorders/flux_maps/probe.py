@@ -41,14 +41,14 @@ class Probe(PassingLight):
     pixels : (2,) int
         Number of pixels across and down.
     directions : int
-        Number of cells of direction along each of x and y, for `radiance`; 1: none.
+        Number of cells of direction along each of x and y, for `radiance`; 1: one cell holds all directions.
     up : (3,) float
         Direction whose projection into the plane of the rectangle is its y axis.
 
     Raises
     ------
     MistrayError
-        For a number out of range, or a normal that is 0 or parallel to `up`.
+        For a blank name, a value out of range, or a normal that is 0 or parallel to `up`.
 
     Examples
     --------
@@ -175,7 +175,7 @@ class Probe(PassingLight):
 
 
 def vector_of(what: str, given: Sequence[float], owner: str) -> np.ndarray:
-    """Return three numbers as a vector, (3,); raise `MistrayError` for any other count."""
+    """Return three numbers as a vector, (3,); raise `MistrayError` for another count or a number out of range."""
     numbers = PLACE_MM.check_each(what, given, owner)
     if len(numbers) != 3:
         raise MistrayError(f"{owner}: {what} has {len(numbers)} numbers; give its x, y and z")
@@ -196,7 +196,7 @@ def frame_of(normal: np.ndarray, up: np.ndarray, owner: str) -> np.ndarray:
     Raises
     ------
     MistrayError
-        If one is 0, or both are parallel.
+        If a direction is 0, or both are parallel.
     """
     for what, vector in (("normal", normal), ("up", up)):
         if not np.linalg.norm(vector) > 0:

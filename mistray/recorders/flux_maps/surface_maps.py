@@ -35,7 +35,7 @@ class Unrolled:
     Attributes
     ----------
     number : int
-        Number of the surface.
+        Index of the surface.
     round : bool
         Whether the columns are azimuths; otherwise they are x.
     along : str
@@ -43,7 +43,7 @@ class Unrolled:
     low, high : float
         Range of that coordinate, mm; z is measured from the vertex.
     half_width : float
-        Half width of a rectangle, mm.
+        Half width of a rectangle, mm; 0 for a round surface.
     areas : (rows,) float64
         Areas of the cells of each row, mm².
     """
@@ -135,7 +135,7 @@ class SurfaceMap:
 
     @property
     def unrolled_mm(self) -> tuple[float, float, float, float]:
-        """Extent x0, x1, y0, y1 of the unrolled map, mm; the width of a round one is its area over its height."""
+        """Extent x0, x1, y0, y1 of the unrolled map, mm; a round surface is as wide as its area over its height."""
         low, high = float(self.along_mm[0]), float(self.along_mm[-1])
         if self.across == "x":
             return float(self.across_borders[0]), float(self.across_borders[-1]), low, high
@@ -166,7 +166,8 @@ class SurfaceMaps(SurfaceLight):
     Raises
     ------
     MistrayError
-        For numbers out of range; during the trace, if a pattern names no surface, or if no surface can be unrolled.
+        For a blank name or values out of range; during the trace, if a pattern names no surface, if no surface can be
+        unrolled, or if an earlier trace was of other surfaces.
 
     Examples
     --------
@@ -224,7 +225,7 @@ class SurfaceMaps(SurfaceLight):
         self.add(visit.start, cell + self.shape[0] * self.shape[1], dr.maximum(visit.absorbed, 0), active)
 
     def cell(self, visit: Visit) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the index of the cell that each hit falls into, and a mask of hits on mapped surfaces."""
+        """Return the index of each hit's cell, of the incident flux, and a mask of hits on mapped surfaces."""
         rows, columns = self.shape
         s, q = visit.surface, visit.interaction.local
         place = dr.gather(mi.UInt32, self._place, s, visit.active)
@@ -241,12 +242,19 @@ class SurfaceMaps(SurfaceLight):
         return (KINDS * (place - 1) * rows + cell_of(row, rows)) * columns + cell_of(column, columns), active
 
     def surfaces_by_default(self, table: SurfaceTable) -> list[int]:
-        """Return the numbers of the opaque surfaces that are neither mirrors nor detectors."""
+        """Return the indices of the opaque surfaces that are neither mirrors nor detectors."""
         words = table.optics.host_words
         return [k for k in table.listed if (words[k] & (OPAQUE | MIRROR | DETECTOR)) == OPAQUE]
 
     def _find(self, table: SurfaceTable, numbers: list[int]) -> None:
-        """Unroll the surfaces with these numbers; record the reason in `left_out` for those that cannot be unrolled."""
+        """
+        Unroll the surfaces with these indices; record the reason in `left_out` for those that cannot be unrolled.
+
+        Raises
+        ------
+        MistrayError
+            If none of them can be unrolled, or there are too many cells.
+        """
         for k in numbers:
             one = _unroll(table, k, *self.shape)
             if isinstance(one, str):
@@ -289,7 +297,7 @@ class SurfaceMaps(SurfaceLight):
         Raises
         ------
         MistrayError
-            Before its first trace.
+            If nothing has been traced yet.
         """
         return self.maps_of(self.flux)
 
@@ -320,7 +328,11 @@ class SurfaceMaps(SurfaceLight):
 
 
 def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> Array:
-    """Return the points of a surface at all pairs of its coordinates, (m, n, 3) in the world, mm."""
+    """
+    Return the points of a surface at all pairs of its coordinates, (m, n, 3), in the world, mm.
+
+    `along` is in mm; `across` is in degrees on a round surface, else in mm.
+    """
     piece = table.pieces[one.number]
     u, v = np.meshgrid(along, across, indexing="ij")
     # Radius and z of the surface in its own frame
@@ -335,7 +347,7 @@ def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> 
 
 
 def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unrolled | str:
-    """Return a surface unrolled to rows × columns of cells, or a text that says why it cannot be unrolled."""
+    """Return a surface unrolled to rows × columns of cells, or the reason why it cannot be unrolled."""
     if number >= len(table.pieces):
         return "it is a mesh or a shape of Mitsuba's own; give it as frustum or asphere"
     piece = table.pieces[number]

@@ -36,7 +36,7 @@ class DesignStep:
     Attributes
     ----------
     surface : int
-        Number of the surface, or `mistray.sampling.design_path.OPENING`.
+        Index of the surface, or `mistray.sampling.design_path.OPENING`.
     reflects : bool
         Whether the base ray is reflected there.
     point : (3,) float64
@@ -67,7 +67,7 @@ class DesignStep:
 
 @dataclass(frozen=True)
 class _Hits:
-    """Hits of probe rays at one step: ray numbers, surfaces, reflected or not, points (mm), normals, directions."""
+    """Hits of probe rays at one step: indices of rays and surfaces, reflected or not, points, mm, and unit vectors."""
 
     lane: np.ndarray
     surface: np.ndarray
@@ -160,7 +160,7 @@ class Probes:
         return found[::-1]
 
     def first_points(self, lanes: np.ndarray) -> np.ndarray:
-        """Return the points at which probe rays meet their first surfaces, (n, 3) float64, mm."""
+        """Return the points at which probe rays meet their first surfaces, (n, 3) float64, mm; NaN if they miss all."""
         # Lanes that split off at the first hit have that of their start ray
         first = self._steps[0]
         points = np.full((len(self.start[0]), 3), np.nan)

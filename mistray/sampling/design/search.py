@@ -33,7 +33,8 @@ def design_sequences(scene: mi.Scene, *tables: SurfaceTable, free: bool = False)
     *tables : SurfaceTable
         Surfaces of the scene at each wavelength; a sequence of any wavelength is one of all.
     free : bool
-        Whether light that meets nothing forms the image of a scene without lenses and mirrors, as a PST assumes.
+        Whether light that meets nothing forms the image in a scene without lenses and mirrors, as a PST assumes, on
+        detectors that have no sequence otherwise.
 
     Raises
     ------
@@ -55,6 +56,8 @@ def traced_table(
 ) -> SurfaceTable:
     """
     Return the surface table of a scene; opaque surfaces at which a design sequence reflects count as mirrors.
+
+    Only surfaces that reflect more than half of the light can become mirrors in this way.
 
     Parameters
     ----------

@@ -86,7 +86,11 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
 
 
 def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> Sequences:
-    """Return all design sequences of the arms, with every combination of alternative surfaces at each step."""
+    """
+    Return all design sequences of the arms, with every combination of alternative surfaces at each step.
+
+    If there are more than `MOST_COMBINED` combinations, only the orders that probes have followed are sequences.
+    """
     rules, lists = _Rules(table), set()
     for _, orders in arms:
         shapes: dict[Hashable, list[Order]] = {}
@@ -102,12 +106,15 @@ def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> 
 
 def declared(table: SurfaceTable, detector: int) -> Sequences:
     """
-    Return the design sequences that the interface of a detector declares, see ``design_path`` of `interface`.
+    Return the design sequences that the interface of a detector declares; () if it declares none.
+
+    See ``design_path`` of `interface`.
 
     Raises
     ------
     MistrayError
-        For a surface that the scene does not have, or a letter other than T, R and I.
+        For a surface that the scene does not have, a letter other than T, R and I, or more than `MOST_COMBINED`
+        sequences.
     """
     text = getattr(table.interfaces[detector], "design_path", "")
     numbers = {name: k for k, name in enumerate(table.ids)}
@@ -197,7 +204,7 @@ class _Rules:
         return True
 
     def _turns(self, code: int) -> bool:
-        """True if an event is a total reflection, or a reflection at a mirror or an opaque surface."""
+        """True if an event is a total reflection, or a specular reflection at a mirror or an opaque surface."""
         what, place = kind_of(code), place_of(code)
         return what == TOTAL or (what == REFLECTED and bool(self._opaque[place] or self._mirror[place]))
 
@@ -238,7 +245,12 @@ class _Rules:
         return tuple(self._step(code) for code in order)
 
     def _step(self, code: int) -> Hashable:
-        """Return the kind of event at a step, with the two media or the coating that alternatives must share."""
+        """
+        Return the kind of event at a step, with what alternatives of the step must have in common.
+
+        These are the media on both sides. For a reflection at an opaque surface it is the coating, or that all are
+        mirrors.
+        """
         what, place = kind_of(code), place_of(code)
         if what == REFLECTED and self._opaque[place]:
             # Undeclared mirrors are alternatives only where they have the same coating
@@ -246,7 +258,11 @@ class _Rules:
         return what, *self._media[:, place].tolist()
 
     def without_some_rings(self, order: Order) -> Iterator[Order]:
-        """Yield an event sequence with every subset of its ring-shaped edge faces left out, the empty one included."""
+        """
+        Yield an event sequence with every subset of its ring-shaped edge faces left out, the empty one included.
+
+        With more than `MOST_RINGS` such faces only the sequence itself is yielded.
+        """
         rings = [k for k, code in enumerate(order) if self._ring[place_of(code)]]
         if len(rings) > MOST_RINGS:
             yield order

@@ -28,7 +28,7 @@ class CellWaves:
     centre : (3,) float64
         Origin of positions on the device, mm.
     entrance : Entrance, optional
-        Disc that the waves cover instead of the scene.
+        Disc that the waves cover instead of the scene; None: they cover the scene.
 
     Attributes
     ----------
@@ -129,5 +129,5 @@ def cell_starts(
 
 
 def whole_batches(rays: np.ndarray) -> np.ndarray:
-    """Return numbers of rays rounded up to multiples of the number of batches."""
+    """Return ray counts rounded up to multiples of the number of batches, `BATCHES`."""
     return np.asarray(-(-np.asarray(rays, dtype=np.int64) // BATCHES) * BATCHES)

@@ -59,9 +59,9 @@ class Sharing:
         Number of further forward rays, which are not scattered, per ray of `rays`. They alone carry the unscattered
         light; they cost little, and find narrow entrances. None: there are none, and `rays` carry all light.
     ends : StartMap, optional
-        Map of one cell, of the starts of backward rays on the lit side of the detector. None: there is no map.
+        Map of one cell, of the starts of backward rays on the lit side of the detector. None: they start without a map.
     path_classes : PathClassVariances, optional
-        Variances of path classes, for derivatives by parameters that move paths; None: there are none.
+        Variances of path classes, for derivatives with respect to parameters that move paths; None: not estimated.
     """
 
     points: np.ndarray
@@ -127,7 +127,11 @@ class Balance:
         self._cells = dr.opaque(mi.UInt32, len(self.waves.areas))  # opaque, so that it makes no new kernel
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """Return the MIS weights, 0 … 1, of paths of backward rays that leave the scene within a cell of directions."""
+        """
+        Return the MIS weights, 0 … 1, of paths of backward rays that leave the scene within a cell of directions.
+
+        The weight of a connected ray that leaves on another path than that of its light vertex is 0.
+        """
         # Density with which forward rays would have started on the path
         p = departure.start.o if departure.node is None else mi.Vector3f(*departure.node[:3])
         place = self.waves.place(cell, p, -departure.heading, active)
@@ -154,7 +158,11 @@ class Balance:
         return weights
 
     def forward(self, visit: Visit) -> MisWeights:
-        """Return the MIS weights, 0 … 1, of paths of forward rays that meet the detector."""
+        """
+        Return the MIS weights, 0 … 1, of paths of forward rays that meet the detector.
+
+        Where no backward ray starts, the weight of forward rays is 1.
+        """
         start, active, it = visit.start, visit.detected, visit.interaction
         assert start.cell is not None
         assert start.scale is not None
@@ -185,7 +193,11 @@ class Balance:
     def _connections(
         self, cell: mi.UInt32, density: mi.Float, connection_ratio: mi.Float | None, active: mi.Bool
     ) -> mi.Float:
-        """Return the expected connections that find a path per backward ray, see `PdfRatios.connection_ratios`."""
+        """
+        Return the expected connections that find a path per backward ray, see `PdfRatios.connection_ratios`.
+
+        It is 0 where rays are not connected.
+        """
         if connection_ratio is None:
             return mi.Float(0)
         return dr.gather(mi.Float, self._starts_per_connection, cell, active) * density * connection_ratio

@@ -1,5 +1,5 @@
 """
-MIS weights that are constant over path classes, for derivatives by parameters that move paths.
+MIS weights that are constant over path classes, for derivatives with respect to parameters that move paths.
 
 The weight of the balance heuristic differs from path to path, and changes as a path moves. A weight that all paths of a
 class have in common is a constant. Each direction then estimates the derivative of its part by itself, however the
@@ -66,7 +66,7 @@ class PathClassVariances:
         cells : int
             Number of cells.
         place : tuple of (s,) int
-            Cell, class of light and path class.
+            Indices of the cell, the class of light and the path class.
         weight, forward : (s,) float64
             f/q and s, between 0 and 1.
         """
@@ -80,8 +80,8 @@ class PathClassVariances:
         """
         Return the MIS weights of forward rays, by class and cell, that minimise the variance of the sum of both parts.
 
-        Each part is weighted by its inverse variance; path classes of few samples take the weight of their class of
-        light.
+        Each part is weighted by its inverse variance. The fewer samples a path class has, the closer its weight is to
+        that of its class of light; without samples of this, the weight is `UNKNOWN`.
 
         Returns
         -------
@@ -120,12 +120,12 @@ class PathClassWeights:
         self._design = design
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """Return the MIS weights, 0 … 1, of paths of backward rays that leave within a cell of directions."""
+        """Return the MIS weights, 0 … 1, that backward rays which leave within a cell have by class of their path."""
         path_class = path_class_of(departure.event, departure.length, departure.start, active)
         return self._of(class_of_light(departure, self._design), path_class, cell, active)
 
     def forward(self, visit: Visit) -> MisWeights:
-        """Return the MIS weights, 0 … 1, of paths of forward rays that meet the detector."""
+        """Return the MIS weights, 0 … 1, that forward rays at the detector have by class of their path."""
         assert visit.start.cell is not None
         path_class = path_class_of(visit.event, visit.depth, visit.start, visit.detected)
         return self._of(class_of_light(visit, self._design), path_class, visit.start.cell, visit.detected)

@@ -52,7 +52,7 @@ class MapSamples(NamedTuple):
     Attributes
     ----------
     cell : (s,) int
-        Number of each sample's cell of directions.
+        Index of each sample's cell of directions.
     points : (s, 4) float64
         Points in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
     weights : (s,) float64
@@ -104,7 +104,7 @@ class MapSamples(NamedTuple):
         Parameters
         ----------
         shape : tuple of int
-            Numbers of field angles and azimuths of the grid; azimuths are periodic.
+            Number of field angles and number of azimuths of the grid; azimuths are periodic.
         """
         rng = np.random.default_rng(len(self.cell))
         total = np.bincount(self.cell, self.weights, shape[0] * shape[1]).astype(np.float64)
@@ -131,7 +131,11 @@ def _of_each(cell: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
 
 
 def _threshold(weights: np.ndarray, count: int) -> float:
-    """Return the weight below which Russian roulette thins samples, so that about `count` of them survive."""
+    """
+    Return the weight below which Russian roulette thins samples, so that about `count` of them survive.
+
+    It is 0 if there are no more than `count` samples.
+    """
     if len(weights) <= count:
         return 0.0
     order = np.sort(weights)[::-1]
@@ -150,9 +154,9 @@ class StartMap:
     Attributes
     ----------
     axis : (n,) int32
-        Dimension that a node halves, `LEAF` where none.
+        Dimension along which a node is halved; `LEAF`: it is not.
     child : (n,) int32
-        Number of the node's low half; the high one follows.
+        Index of the node that is the low half; the high half has the next index.
     low : (n,) float64
         Fraction of the node's rays in the low half.
     root : (c,) int32

@@ -70,7 +70,11 @@ def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
 
 
 def medium_of(table: SurfaceTable, surface: int, side: int) -> int:
-    """Return the medium number on a side (0 front, 1 back) of a surface; 0 if no surface transmits light into it."""
+    """
+    Return the position in `Optics.media` of the medium on a side of a surface.
+
+    `side` is 0 for the front and 1 for the back. The result is 0 if the material there is not among the media.
+    """
     optics = table.optics
     if number := int(optics.declared[surface, side]):
         return number

@@ -29,13 +29,13 @@ class WarmRays(SceneSource):
     table : SurfaceTable
         Surfaces of the scene.
     surface : int
-        Number of the surface.
+        Index of the surface.
     to_back : bool
         Whether the light leaves to the back.
     medium : int
-        Number of the material there.
+        Position in `Optics.media` of the material there.
     law : IntensityTable
-        ε(θ) cos θ against the angle from the normal.
+        ε(θ) cos θ, dimensionless, against the angle θ from the normal.
     """
 
     table: SurfaceTable

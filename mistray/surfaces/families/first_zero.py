@@ -32,12 +32,11 @@ def first_zero(
     f : callable
         Height over the surface at a distance along the ray, mm, and its derivative.
     monotonic : mi.Bool
-        Whether the ray is steeper than the surface anywhere. Then f rises all the way, or falls, and there is one zero
-        at most. So it is if its derivative at the start is larger than it can change on the stretch. Otherwise the
-        stretch is searched in intervals, until f changes its sign or an extremum within one lies beyond zero. An
-        interval in which `bend` leaves room for no zero is longer.
+        Whether the ray is steeper than the surface anywhere, so that f only rises or only falls, and has one zero at
+        most.
     bend : mi.Float
-        Upper bound of the second derivative of f, 1/mm.
+        Upper bound of the second derivative of f, 1/mm; `UNBOUNDED`: not known. If f cannot turn back on the stretch by
+        this bound, it counts as monotonic, too.
     length : mi.Float
         Length of the ray's stretch, mm.
     size : mi.Float
@@ -47,7 +46,9 @@ def first_zero(
     active : mi.Bool
         Whether the lane has a ray.
     intervals : int
-        Number of intervals that the stretch is searched in.
+        Number of equal intervals in which the stretch is searched if f may not be monotonic. The search ends where f
+        changes sign, or where an extremum within an interval lies beyond zero. Steps without room for a zero, by
+        `bend`, may be longer.
 
     Returns
     -------
@@ -72,7 +73,7 @@ def first_zero(
         t = dr.minimum(s + dr.select(clear > stride, clear, stride), length)
         ft, gt = f(t)
         crossed = sign(ft) != sign(fs)
-        # f turns round inside of the interval: does its extremum reach beyond zero?
+        # f turns round inside the interval: does its extremum reach beyond zero?
         dips = ~crossed & (gs * fs < 0) & (gt * ft > 0)
         turn = dr.clip(s + (t - s) * gs / dr.select(dips, gs - gt, 1), s, t)
         fm, _ = f(turn)

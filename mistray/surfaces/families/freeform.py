@@ -65,7 +65,11 @@ class Freeform(TracedSurface):
     def of(
         cls, local: LocalSag, outline: Outline, half: tuple[float, float], wall: bool = False, way: int = 0
     ) -> Freeform:
-        """Create the freeform from a sag and an outline, both in a frame about the middle of the outline."""
+        """
+        Create the freeform from a sag and an outline, both in a frame about the middle of the outline.
+
+        The arguments are attributes of the same names; `z_range`, `slope` and `outermost` follow from them.
+        """
         x, y = outline.sample(GRID)
         z, across, along = local.sag.evaluate(x, y, local.numbers)
         steepest = float(np.max(np.hypot(across, along)))
@@ -116,7 +120,11 @@ class Freeform(TracedSurface):
 
     @property
     def opening(self) -> Opening:
-        """Clear aperture of the freeform as a flat figure: the bounding box of its outline, or its outer circle."""
+        """
+        Clear aperture of the freeform as a flat figure: the bounding box of its outline.
+
+        If the outline is a circle from which other figures are only cut, it is that circle.
+        """
         if self._round:
             return Opening(0.0, (self.size, self.size))
         return Opening(0.0, self.half, rectangular=True)

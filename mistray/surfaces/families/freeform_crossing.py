@@ -28,10 +28,10 @@ def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own
     ray : AxisRay
         Rays in the frame of the surface's axis.
     piece : Freeform
-        Surface whose forms of sag and outline are used; its numbers come from `n`.
+        Surface whose forms of sag and outline are used; its parameters come from `n`.
     n : mapping of str to mi.Float
-        Numbers of the sag and the outline by name, with z, z_low, z_high, size, size2, slope2, self_hit, half_x and
-        half_y.
+        Values of the parameters of the sag and the outline by name, with z, z_low, z_high, size, size2, slope2,
+        self_hit, half_x and half_y.
     own : mi.Bool
         Whether the ray starts on the surface.
     """

@@ -1,12 +1,13 @@
 """Sag of a freeform in the kernel: a quadric and a departure in Chebyshev polynomials, about the middle of its outline.
 
-In a frame whose origin lies on the surface, at the middle of its outline, a quadric cx x² + cy y² + A z² = 2 z of the
-vertex frame is
+Let cx x² + cy y² + A z² = 2 z be a quadric in the frame of its vertex, with lengths in mm, and cx, cy and A in 1/mm. In
+a parallel frame whose origin is the point x0, y0, z0 of the quadric, at the middle of the outline, it is
 
     C(x, y) - 2 B z + A z² = 0,   C = cx x² + cy y² + 2 (lx x + ly y),   z = C / (B + √(B² - A C)),
 
-so that an off-axis piece is computed to the precision of its own size, however far away its vertex is. Polynomials do
-not approximate odd powers of the distance from the vertex well: these are added to the departure, and so is a grid.
+with the dimensionless B = 1 - A z0, lx = cx x0 and ly = cy y0. So an off-axis piece is computed to the precision of its
+own size, however far away its vertex is. Polynomials do not approximate odd powers of the distance from the vertex
+well: these are added to the departure, and so is a grid.
 """
 
 from __future__ import annotations
@@ -44,13 +45,13 @@ class FreeformSag:
     Attributes
     ----------
     curved : bool
-        Whether the quadric is curved; False for a plane.
+        Whether the quadric is curved; False for a plane, which may be tilted.
     form : Form
         Form of the departure from the quadric.
     odd : tuple of int
-        Odd powers of the distance from the vertex.
+        Odd powers of the distance from the vertex; (): there are none.
     grid : GridPatches, optional
-        Grid of heights added to the sag.
+        Grid of heights added to the sag; None: no grid is added.
     """
 
     curved: bool
@@ -70,7 +71,9 @@ class FreeformSag:
         Parameters
         ----------
         q, d : (3,) arrays
-            Points near the quadric, mm, and directions of the lines.
+            Points near the quadric, mm, and unit directions of the lines.
+        n : mapping
+            Values of the sag's parameters by name. For a plane both distances are the same.
         """
         (x, y, z), (dx, dy, dz) = q, d
         if not self.curved:
@@ -97,9 +100,10 @@ class FreeformSag:
 
     def evaluate(self, x: Any, y: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """
-        Return the sag, mm, and its slopes in x and y at points, mm; NaN beyond the end of a conic, on the host.
+        Return the sag, mm, and its slopes in x and y at points, mm.
 
-        `n` has the parameters by name. All arrays are of NumPy or of Dr.Jit.
+        `n` has the values of the parameters by name. All arrays are of NumPy or of Dr.Jit. Beyond the end of a conic
+        the result is NaN with NumPy; with Dr.Jit the slope that the conic has there continues.
         """
         across, along = n["cx"] * x + n["lx"], n["cy"] * y + n["ly"]
         if self.curved:
@@ -136,7 +140,7 @@ class FreeformSag:
         return z - self.evaluate(x, y, n)[0]
 
     def gradient(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """Return the derivatives of F = z - sag(x, y) by x, y and z, dimensionless."""
+        """Return the derivatives of F = z - sag(x, y) with respect to x, y and z, dimensionless."""
         _, across, along = self.evaluate(x, y, n)
         return -across, -along, 1.0
 
@@ -158,7 +162,7 @@ class LocalSag:
     sag : FreeformSag
         Form of the sag.
     numbers : dict of str to float
-        Values of the numbers that `sag.numbers` names.
+        Values of the parameters that `sag.numbers` names.
     origin : (3,) float
         Middle of the outline in the frame of the vertex, mm.
     error, slope_error : float
@@ -181,7 +185,7 @@ class LocalSag:
         Parameters
         ----------
         n : mapping
-            Numbers of the exact sag by name, and its grid; see `mistray.physics.sags.terms`.
+            Values of the parameters of the exact sag by name, and its grid; see `mistray.physics.sags.terms`.
         middle, half : (2,) float
             Middle and half size of the box in the frame of the vertex, mm.
         x, y : (n,) float64
@@ -278,6 +282,10 @@ def _quadric(n: Mapping[str, Any]) -> tuple[float, float, float]:
 
 
 def quadric_sag(x: Any, y: Any, cx: float, cy: float, a: float) -> Any:
-    """Return the sag of a quadric at points (x, y) in the frame of its vertex, mm."""
+    """
+    Return the sag of a quadric at points (x, y) in the frame of its vertex, mm.
+
+    `cx` and `cy` are its curvatures, `a` is the factor of z², all in 1/mm.
+    """
     c = cx * x * x + cy * y * y
     return c / (1 + np.sqrt(1 - a * c))

@@ -35,11 +35,11 @@ class ImplicitNumbers:
     Attributes
     ----------
     values : dict
-        Numbers of the family's formula, by name.
+        Values of the parameters of the family's formula, by name.
     z : mi.Float
         Position of the origin of its frame along the axis, mm.
     z_low, z_high : mi.Float
-        Bounds along the axis from there, mm.
+        Bounds along the axis, from that origin, mm.
     outer2 : mi.Float
         Square of the largest radius, mm².
     low, high : mi.Float
@@ -90,7 +90,7 @@ def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) 
     family : type
         Has `residual`, `gradient` and `coordinate`, see `mistray.plugins.shapes.implicit.Implicit`.
     n : ImplicitNumbers
-        Numbers of the surface.
+        Parameters of the surface.
     own : mi.Bool
         Whether the ray starts on the surface.
     """

@@ -36,7 +36,7 @@ class ImplicitSurface(TracedSurface):
     family : type
         Class with `residual`, `gradient`, `coordinate` and `generatrix`.
     values : dict of str to float
-        Values of the family's numbers, by name.
+        Values of the family's parameters, by name.
     ends : (2,) float
         Least and greatest coordinate along the profile, mm.
     radii : (2,) float
@@ -112,7 +112,7 @@ class ImplicitSurface(TracedSurface):
         return np.array(self.family.generatrix(u, self.values), dtype=np.float64)
 
     def _speed(self, u: Any) -> np.ndarray:
-        """Return the derivatives of radius and axial position by the profile coordinate, (2, …), dimensionless."""
+        """Return the derivatives, (2, …), of radius and axial position with respect to the profile coordinate."""
         step = 1e-4 * (self.ends[1] - self.ends[0])
         return np.asarray((self._profile(u + step) - self._profile(u - step)) / (2 * step))
 

@@ -1,4 +1,4 @@
-"""Distance of points from the edge of a freeform's outline, mm, for derivatives of a metric by the outline's numbers.
+"""Distance of points from the edge of a freeform's outline, mm, for derivatives with respect to its parameters.
 
 Added figures combine by the greater of two depths; cuts and intersections by the lesser. Close to the edge the depth is
 the distance from it, except at corners; for an ellipse it is so to first order.
@@ -34,7 +34,7 @@ class FreeformFamily:
     outline : tuple
         `Outline.form`: kind, sign, number of sizes, and whether it is rotated, for each figure.
     names : tuple of str
-        Names of the outline's numbers, such as "clip_1_radius".
+        Names of the outline's parameters, such as "clip_1_radius".
     """
 
     sag: FreeformSag
@@ -93,7 +93,7 @@ class FreeformFamily:
         x, y : mi.Float64
             Coordinates of the points inside, mm.
         n : mapping
-            Values of the family's numbers, by name.
+            Values of the family's parameters, by name.
         step : mi.Float64
             Distance beyond the edge, mm, at which it is tested whether the outline ends there.
         """

@@ -26,7 +26,7 @@ def outline_mesh(outline: Outline, cells: int = CELLS) -> tuple[np.ndarray, np.n
     points : (n, 2) float64
         Corners of the triangles, mm.
     faces : (m, 3) uint32
-        Numbers of the three corners of each triangle, counterclockwise.
+        Indices of the three corners of each triangle, counterclockwise.
     """
     x0, x1, y0, y1 = outline.bounds()
     step = max(x1 - x0, y1 - y0) / cells

@@ -48,7 +48,7 @@ class SagSurface(TracedSurface):
     outer, inner : float
         Clear radius and radius of a central hole, mm; ``outer`` is 0 for a rectangle.
     half_size : (2,) float
-        Half width and half height of a rectangle, mm.
+        Half width and half height of a rectangle, mm; 0 for a round aperture.
     slope : float
         Upper bound of the slope |dz/dr|.
     bend : float
@@ -319,9 +319,8 @@ def _reach(
     """
     Return the range of the sag up to radius `size`, mm, its largest slope, and its largest second derivative, 1/mm.
 
-    They are taken from 2001 points.
-
-    The first derivative is the slope |dz/dr|. The second one along any direction, 1/mm, is between d²z/dr² and dz/dr/r.
+    All are taken from 2001 points, as far as the conic goes. The slope is |dz/dr|. The second derivative along any
+    direction across the axis is between d²z/dr² and dz/dr/r.
     """
     r = np.linspace(0.0, min(size, conic_end(curvature, conic)), 2001)
     z = np.asarray(sag(r * r, curvature, conic, coefficients))
