@@ -50,7 +50,7 @@ class PstEnds(Ends):
     Attributes
     ----------
     groups : mi.UInt32 or None
-        A number for each cell by which derivatives are kept; None: they are kept by batch.
+        Index, below BATCHES, of the sum that the derivatives of each cell enter; None: they are kept by batch.
     sky : DirectionRecorder or None
         Cells in which backward rays leave the scene; None: forward rays, which end at the detector.
     """
@@ -103,8 +103,8 @@ class PstRays:
         request : GradientRequest
             Requested derivatives.
         groups : (n, m) int, optional
-            A number below BATCHES for each cell: derivatives are kept by this number of their cell instead of by batch.
-            Boundary terms of rims hold no cell, so this is for requests without `edge_widths` only.
+            Index below BATCHES for each cell: derivatives are kept by this index of their cell instead of by batch.
+            Boundary terms of rims hold no cell, so `groups` is for requests without `edge_widths` only.
 
         Yields
         ------
@@ -115,7 +115,7 @@ class PstRays:
         Raises
         ------
         MistrayError
-            If the trace continues a saved run, whose rays are not available.
+            If the trace continues a saved run, whose rays are not available, or if `groups` come with `edge_widths`.
         """
         if self.trace.pass_rays is None:
             raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
@@ -135,7 +135,11 @@ class PstRays:
     def _replayed(
         self, number: int, derivative: np.ndarray, request: GradientRequest, moves: bool, ends: PstEnds
     ) -> TableGradient:
-        """Return derivatives of a metric by replay of all forward or backward rays at one wavelength, and notes."""
+        """
+        Return derivatives of a metric by replay of the rays at one wavelength, with notes on what they leave out.
+
+        The rays are the backward ones if `ends` has a sky, else the forward ones.
+        """
         trace, backward = self.trace, ends.sky is not None
         scene = trace.split_scene(number) if backward else trace.forward_scene(number)
         start = scene.table.detector if backward else None
@@ -204,7 +208,8 @@ def _parts(request: GradientRequest) -> list[tuple[GradientRequest, bool]]:
     Returns
     -------
     list of (GradientRequest, bool)
-        Parts, and whether they move paths. Coatings belong to the second part where indices change their reflectance.
+        Parts that are not empty, and whether they move paths. Coatings belong to the second part where indices change
+        their reflectance.
     """
     still = replace(request, geometry=frozenset(), indices=False, rows=request.rows and not request.indices)
     moving = replace(request, rows=request.indices, scatter=False)
