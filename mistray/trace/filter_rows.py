@@ -45,7 +45,7 @@ class Rows:
     surfaces : int
         Number of places that are surfaces; the others are media.
     sources : sequence of str
-        Ids of all sources of the scene; empty: any text may be one.
+        Ids of all sources of the scene; empty: any string may be one.
     """
 
     events: Events
@@ -56,7 +56,7 @@ class Rows:
     sources: Sequence[str] = ()
 
     def texts_of(self, column: str) -> Sequence[str]:
-        """Return the texts that can occur in a column; empty if any text can."""
+        """Return the strings that can occur in a column; empty if any string can."""
         if column in SURFACE_COLUMNS:
             return [*self.events.ids, "-"]
         return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.events.ids}.get(column, ())

@@ -24,7 +24,7 @@ quotation marks alone is a path: these events in this order, others between: ``"
 the name of a path or of a kind of paths in a report: ``"S22 -> S8" & power_W > 1e-9``. A filter that is nothing else
 needs no quotation marks, see `mistray.trace.named_paths`.
 
-A name with brackets or commas needs quotation marks of either kind: ``H("lens (1)")``. In a path a name with blanks
+A name with brackets or commas needs quotation marks of either kind: ``H("lens (1)")``. In a path a name with spaces
 stands in marks of the other kind: ``"detector:R 'window rear':R"``. For a name that holds both kinds write ``?`` for
 such a mark.
 
@@ -70,24 +70,24 @@ _TOKEN = re.compile(
 
 class PathFilter:
     """
-    Filter of paths and rays, parsed from a text; `mistray.trace.path_filter` describes the language.
+    Filter of paths and rays, parsed from an expression; `mistray.trace.path_filter` describes the language.
 
     Parameters
     ----------
     text : str
-        Text of the filter; empty: everything holds.
+        Filter expression; empty: everything holds.
 
     Attributes
     ----------
     columns : frozenset of str
         Names of the columns that the filter compares.
     name : str
-        Text of the filter if all of it is the name of a path; else empty.
+        Filter expression if all of it is the name of a path; else empty.
 
     Raises
     ------
     MistrayError
-        If the text is not in the language.
+        If the expression is not in the language.
     """
 
     def __init__(self, text: str) -> None:
@@ -406,5 +406,5 @@ class _Parser:
 
 
 def _short(text: str) -> str:
-    """Return a text cut to `MOST_SHOWN` characters for an error message."""
+    """Return a string cut to `MOST_SHOWN` characters for an error message."""
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"

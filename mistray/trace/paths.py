@@ -70,17 +70,19 @@ class PathRow:
         Number of ghost reflections: at refracting surfaces and at the detector, without mirrors and total reflection.
     kind : str
         "direct": a sequence of the design, see docs/design_path.md. "straight shot": any other sequence that reflects
-        only where the design does. "ghost". "structure": specular reflections at opaque surfaces that are no mirror.
+        only where the design does. "ghost". "structure": specular reflections at opaque surfaces that are not mirrors.
         "structure+ghost". "TIR": total reflection where the design has none. Paths that scatter: "single scatter",
         "multiple scatter", or, with specular reflections counted in ``ghost_1``, "ghost + scatter". Paths that an edge
         diffracts: "edge diffraction", or, with scatter or such reflections, "diffraction + others". Light that the
         instrument itself emits has no source and no path here, see `mistray.thermal`.
     ghost_1, ghost_2 : str
-        First and second surface that reflects specularly, without mirrors and total internal reflection, or "-".
+        First and second surface that reflects specularly, without mirrors and total internal reflection; "-" if there
+        is none.
     scatter_1 : str
-        First surface that scatters or diffracts, or "-".
+        First surface that scatters or diffracts; "-" if there is none.
     edges : str
-        Edges, bevels and flanges of lenses that the light meets, in this order, separated by blanks, or "-".
+        Edges, bevels and flanges of lenses that the light meets, in this order, separated by spaces, or "-" if there
+        are none.
     scatters : int
         Number of scatter events, including diffraction.
     diffractions : int
@@ -91,7 +93,7 @@ class PathRow:
         Number of surfaces that are met, including the detector: all hits, or each surface once. A body that scatters
         counts as a surface.
     last_object : str
-        Last surface before the detector, or "-".
+        Last surface before the detector; "-" if there is none.
     critical : str
         Critical surface: the last that scatters or diffracts the light or is a ghost's or a structure's reflection, so
         that the detector sees it lit; "-" if there is none.
@@ -210,7 +212,7 @@ class PathTable(
     runs : sequence of Run
         Runs with a ledger.
     run, place : (p,) int
-        Number of the run of each path, and its place in the ledger of that run.
+        Index of the run of each path, and its place in the ledger of that run.
     numbers : PathNumbers
         Power, centroid, radius and polarisation of the paths.
 
@@ -349,7 +351,11 @@ class PathTable(
         return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
-        """Return the ids of direct paths, or of all stray ones, (n,), optionally at one wavelength (nm) only."""
+        """
+        Return the ids of all direct paths if `direct`, else of all stray ones, (n,).
+
+        If `wavelength_nm` is given, only paths of that wavelength count.
+        """
         chosen = (self._columns["kind"] == DIRECT) == direct
         if wavelength_nm is not None:
             chosen &= self._columns["wavelength_nm"] == wavelength_nm
@@ -394,7 +400,7 @@ class PathTable(
         """
         Return the flux sums of one run's paths, added up by group of paths.
 
-        `group` is ascending, the group number of each of `ids`.
+        `group`, ascending, holds the group index of each of `ids`.
         """
         one, here = self.runs[run], self._run[ids] == run
         sums = np.zeros((int(group[-1]) + 1, *one.paths.sums.shape[1:]))

@@ -60,7 +60,7 @@ class PolarizationChoice:
     mode : {"unpolarized", "stokes"}
         Value of `polarization`.
     reason : str
-        Reason for the mode, as text.
+        Reason for the mode, as a phrase.
     change : float
         Largest relative change of a listed path, or of the stray light, by Stokes vectors instead of the means of s and
         p; 0 where nothing polarises, NaN where it was not measured.
@@ -82,7 +82,11 @@ class PolarizationChoice:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Return mode, reason and relative change of flux by Stokes vectors, as entries for `settings`."""
+        """
+        Mode, reason and relative change of flux by Stokes vectors, as entries for `settings`.
+
+        The change is left out if it was not measured.
+        """
         change = {} if math.isnan(self.change) else {"polarization_change": self.change}
         return {"polarization": self.mode, "polarization_reason": self.reason, **change}
 
@@ -236,7 +240,11 @@ def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:
 
 
 def _name(found: Arrivals, table: SurfaceTable) -> str:
-    """Return the name of a path for messages: the direct light, or a ghost with the surfaces that reflect it."""
+    """
+    Return the name of a path for messages: the direct light, or a ghost with the surfaces that reflect it.
+
+    Surfaces of total reflection and mirrors are not named.
+    """
     if not found.reflections:
         return "the direct light"
     words = table.optics.host_words

@@ -175,8 +175,8 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         """
         Return the result for one detector alone: its irradiance, its paths and its energy ledger.
 
-        Only methods that always trace again do so (`maps`, `box`, `history`, `rays`, gradients). Light that the other
-        detectors absorb then counts as absorbed by surfaces.
+        Only those methods trace again that always do (`maps`, `box`, `history`, `rays`, gradients). Light that the
+        other detectors absorb then counts as absorbed by surfaces. With a single detector, the result is this trace.
 
         Parameters
         ----------
@@ -282,6 +282,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         irradiance, standard_error : (height, width) float64
             Irradiance of each pixel and its standard error, W/mm².
+
+        Raises
+        ------
+        MistrayError
+            If the wavelength was not traced.
         """
         runs = self._runs_at(wavelength_nm)
         return irradiance_of_runs(runs, [run.film for run in runs]).with_se
@@ -530,7 +535,8 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         """
         Return a table of rays that arrive at any surface or leave the scene, by tracing them again.
 
-        A row has the last node of a ray, with the columns of `RayHistory.to_pandas`, and source, kind, key and history.
+        A row has the last node of a ray, or with `events` one of its nodes, with the columns of `RayHistory.to_pandas`,
+        and source, kind, key and history.
 
         Parameters
         ----------
@@ -538,13 +544,14 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
             Surfaces or parts, with * for any letters and ? for one; or "blocked" (all opaque ones but detectors),
             "escaped", or "returned" (escaped backwards). Light that misses all surfaces is left out.
         selection, n, events
-            See `rays`; a filter may compare kind, order and the like, wavelength_nm, source, surface.
+            Filter, largest number of rays (None: all), and whether there is a row for each node, see `rays`. The filter
+            may compare kind, order and the like, wavelength_nm, source, surface.
         """
         return rays_elsewhere(self.runs, where, PathFilter(selection), n, events)
 
     def table_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
         """
-        Yield the requested derivatives of a metric by scene parameters, by tracing the same rays again.
+        Yield the requested derivatives of a metric with respect to scene parameters, by tracing the same rays again.
 
         Parameters
         ----------
@@ -557,6 +564,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         ------
         TableGradient
             Derivatives for each source and wavelength on which the metric depends.
+
+        Raises
+        ------
+        MistrayError
+            If not all planned rays were traced.
         """
         if self.rays_traced != self.rays_planned:
             raise MistrayError(
@@ -587,7 +599,12 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
             yield raw
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return detected and stray flux (W) and the number of paths, by label; the largest loss if all is dark."""
+        """
+        Return detected and stray flux (W) and the number of paths, by label.
+
+        The rays traced are added if some are missing, and the largest loss if all is dark. Without a path table there
+        is no stray flux.
+        """
         found: dict[str, KeyNumber] = {}
         if self.rays_traced != self.rays_planned:
             found["unfinished"] = f"{self.rays_traced} of {self.rays_planned} rays"

@@ -69,7 +69,7 @@ class DetectorView:
         return StartPoints(p, d, weight, number, normal, self._medium(bool(normal[0] @ self.light > 0)))
 
     def _medium(self, from_front: bool) -> int:
-        """Return the number of the material in front of or behind the detector; 0 if it is unknown."""
+        """Return the index of the material in front of or behind the detector; 0 if it is unknown."""
         interface, media = self.table.interfaces[self.table.detector], self.table.optics.media
         material = (interface.front if from_front else interface.back).strip()
         return media.index(material) if material in media else 0
@@ -215,7 +215,11 @@ class Surroundings:
 
 
 def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: float, axes: np.ndarray) -> DirectionGrid:
-    """Return a direction grid of one cell, from `low_deg` to `high_deg`, which may be a single direction."""
+    """
+    Return a direction grid of one cell, from `low_deg` to `high_deg` in field angle, about `azimuth_deg`.
+
+    With equal limits and no width in azimuth it is a single direction.
+    """
     middle = np.array([0.5 * (low_deg + high_deg)])
     return DirectionGrid(middle, np.array([[low_deg, high_deg]]), np.array([azimuth_deg]), width_deg, axes)
 
