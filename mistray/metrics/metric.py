@@ -1,4 +1,8 @@
-"""Metrics to be minimised or maximised: numbers computed from traces, and their derivatives by every detected flux."""
+"""
+Metrics to be minimised or maximised: numbers computed from traces, and their derivatives.
+
+Derivatives are those with respect to every detected flux, from which others follow by the chain rule.
+"""
 
 from __future__ import annotations
 
@@ -245,7 +249,7 @@ def log(metric: Metric) -> Metric:
     """
     Return a metric, the natural logarithm of another, whose derivatives are relative.
 
-    Evaluation raises `MistrayError` for values ≤ 0.
+    Evaluation raises `MistrayError` if the value of that metric is not above 0.
 
     Examples
     --------
@@ -455,10 +459,11 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
     """
     Return a metric: the relative illumination of the image of a uniform scene, mean over the fields, dimensionless.
 
-    By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)). Φ is the power of the direct image for beams of equal
-    irradiance. Ω is the solid angle from which an area of the image collects, sin θ dθ / (r dr). Distances r and slopes
-    dr/dθ are those of the centroids of direct images, so that distortion is included. The beam must fill the entrance
-    pupil at every field, and the image must be centred on the axis of the source.
+    By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)) at the field angle θ; a field on the axis counts as 1. Φ is
+    the power of the direct image for beams of equal irradiance. Ω is the solid angle from which an area of the image
+    collects, sin θ dθ / (r dr). Distances r and slopes dr/dθ are those of the centroids of direct images, so that
+    distortion is included. The beam must fill the entrance pupil at every field, and the image must be centred on the
+    axis of the source.
 
     Parameters
     ----------
@@ -470,6 +475,11 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
         the field. The error of the slope is about step² d³r/dθ³ / 3.
     **traced
         Keywords of `path_power`, with `field_deg`; the axis is traced as well.
+
+    Raises
+    ------
+    MistrayError
+        If no field is off the axis, or the step is out of range.
 
     Examples
     --------
@@ -541,7 +551,7 @@ def _brightest(observation: Observation, selection: Selection, norm: float) -> A
 
 
 def _signal(observation: Observation, name: str) -> Any:
-    """Return the power of the direct image, W, as a divisor; raise `MistrayError` if it is 0."""
+    """Return the power of the direct image, W, by which other values are divided; raise `MistrayError` if it is 0."""
     power = observation.power(DIRECT)
     if not float(dr.detach(power)[0]) > 0:
         raise MistrayError(

@@ -117,7 +117,7 @@ class MetricCurve:
     Attributes
     ----------
     quantity, unit, definition, facts
-        See `StrayMetric`.
+        Key of the quantity, unit of its values, definition in words and further facts, see `StrayMetric`.
     field_deg, value, se : (n,) float64
         Field angles, degrees; values and their standard errors, in `unit`.
     """

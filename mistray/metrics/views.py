@@ -51,7 +51,7 @@ class TraceView:
         return arguments
 
     def rays(self, scene: Any) -> int:
-        """Return the number of start rays that the trace takes by default."""
+        """Return the number of start rays of the trace: that of its arguments, else the default of the scene."""
         return int(self.arguments.get("rays") or self._usual_rays(scene))
 
     def _usual_rays(self, scene: Any) -> int:
@@ -79,9 +79,9 @@ def added_light(one: Mapping[str, FirstLight], other: Mapping[str, FirstLight]) 
 
 def light_since(before: Mapping[str, FirstLight], after: Mapping[str, FirstLight]) -> dict[str, tuple[Entering, ...]]:
     """
-    Return light whose first surface met no light before a change, keyed by the field angle as text.
+    Return light whose first surface met no light before a change, keyed by place, such as "field 5 deg".
 
-    Angles without any are left out.
+    Places without such light, or that were not traced before, are left out.
     """
     found = {place: light.since(before[place]) for place, light in after.items() if place in before}
     return {place: entering for place, entering in found.items() if entering}

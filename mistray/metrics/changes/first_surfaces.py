@@ -138,7 +138,8 @@ class FirstLight:
         -------
         tuple of Entering
             New first surfaces; empty if either light is dark. A surface counts if less than 1 % of its light was there
-            before, and if its light is at least 0.1 % of all light and three standard errors.
+            before, and if its light is at least 0.1 % of all light and three standard errors. If paths were left out
+            before, one path must exceed `unseen`.
         """
         if not before.power or not self.power:
             return ()
