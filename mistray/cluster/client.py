@@ -154,7 +154,7 @@ class Cluster:
         return max(self.hosts().total(), 1)
 
     def wait(self) -> None:
-        """Wait for the first worker; raise `MistrayError` after `patience_s` seconds."""
+        """Wait for the first worker; raise `MistrayError` after `patience_s` seconds without any."""
         started = time.monotonic()
         while not self.hosts():
             if time.monotonic() - started > self.patience_s:
@@ -257,14 +257,22 @@ class DaskJob:
         future.add_done_callback(lambda _: self._news.put(part))
 
     def result(self, part: Any) -> Any:
-        """Wait for a part and return its result."""
+        """
+        Wait for a part and return its result.
+
+        Raise `MistrayError` if the part failed, and `UnfinishedError` if the scheduler or all workers are lost.
+        """
         while part not in self._done:
             self._done[self._next()] = None
         del self._done[part]
         return self._take(part)
 
     def results(self) -> Iterator[tuple[Any, Any]]:
-        """Yield all parts with their results, in the order in which they are completed."""
+        """
+        Yield all parts with their results, in the order in which they are completed.
+
+        Errors are those of `result`.
+        """
         while self._waiting:
             part = next(iter(self._done), None)
             if part is None:
@@ -273,7 +281,11 @@ class DaskJob:
             yield part, self._take(part)
 
     def _next(self) -> Any:
-        """Wait until a part has succeeded or failed, and return the part."""
+        """
+        Wait until a part has succeeded or failed, and return the part.
+
+        Raise `UnfinishedError` if there is no worker for `patience_s` seconds, or if the scheduler is lost.
+        """
         alone_since: float | None = None
         while True:
             try:

@@ -58,7 +58,7 @@ class Parcel:
 
 
 def surroundings() -> dict[str, str]:
-    """Return what must agree in all processes, as text by name: package versions, variant, plugins of others."""
+    """Return the facts that must agree in all processes, by name: package versions, variant, plugins of others."""
     return {**versions(), "variant": mi.variant(), "plugins": ",".join(sorted(plugins_of_others()))}
 
 
@@ -119,7 +119,7 @@ class Unpacked:
         """
         Return a task from its packed form, and the object that it makes.
 
-        Its scenes are loaded and get their values.
+        Its scenes are loaded and get their values. If the task is still in memory, it is returned from there.
         """
         if digest in self._made:
             task, made, _ = self._made[digest]
