@@ -130,7 +130,11 @@ class OrAlone(argparse.Action):
 
 
 def place(text: str) -> Path:
-    """Return a text as the path of a file or folder; an empty text, which would mean the current folder, is refused."""
+    """
+    Return the path of a file or folder that a string names.
+
+    An empty string, which would mean the current folder, is refused.
+    """
     if not text.strip():
         raise argparse.ArgumentTypeError(f"'{text}' names nothing; give a file or folder, . for the current folder")
     return Path(text)
@@ -149,9 +153,9 @@ class Pairs:
     Attributes
     ----------
     wrong : str
-        End of the message "'text' is …" for other texts: fault and remedy.
+        End of the message "'text' is …" for any other string: fault and remedy.
     kind : callable
-        Function that converts the text of the value.
+        Function that converts the string of the value.
     repeats : bool
         Whether a name may have several values.
     """
@@ -161,7 +165,7 @@ class Pairs:
     repeats: bool = False
 
     def __call__(self, text: str) -> tuple[str, Any]:
-        """Return the name and the value of a text of the command line."""
+        """Return the name and the value of a word of the command line."""
         found = name_and_value(text)
         if found is None or not found[1]:
             raise argparse.ArgumentTypeError(f"'{text}' is {self.wrong}")

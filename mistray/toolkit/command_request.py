@@ -220,6 +220,7 @@ def take_request(command: Command, options: Any, path: Path) -> None:
     Parameters
     ----------
     command : Command
+        Command whose options are set.
     options : argparse.Namespace
         Parsed options, which are changed.
     path : Path
@@ -246,7 +247,11 @@ def take_request(command: Command, options: Any, path: Path) -> None:
 
 
 def _content(text: str, toml: bool) -> dict[str, Any]:
-    """Return the mapping in a JSON or TOML text, without the key ``$schema``."""
+    """
+    Return the mapping in the text of a JSON or TOML file, without the key ``$schema``.
+
+    Of the JSON that a command has printed it is the request. Anything else raises `MistrayError`.
+    """
     try:
         content = tomllib.loads(text) if toml else json.loads(text, parse_constant=_refuse)
     except RecursionError:

@@ -55,7 +55,7 @@ class Several(Demand):
     Attributes
     ----------
     of : Demand
-        Condition on each value; if it is callable, it converts a text of the command line to a value.
+        Condition on each value; if it is callable, it converts a word of the command line to a value.
     least : int
         Smallest number of values.
     """

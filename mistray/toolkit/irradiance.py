@@ -149,6 +149,11 @@ def log10_image(irradiance: Map, floor: float) -> npt.NDArray[np.float64]:
     floor : float
         Smallest irradiance shown, W/mm², > 0. Pixels below it are NaN, so that a plot leaves them empty.
 
+    Raises
+    ------
+    MistrayError
+        If the floor is not above 0.
+
     Examples
     --------
     >>> mistray.analysis.log10_image(np.array([[1e-3, 1e-9]]), floor=1e-6)

@@ -128,7 +128,7 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
 
 
 def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
-    """Return rows as JSON-serialisable values by column, like `frame`; several texts are joined by blanks."""
+    """Return rows as JSON-serialisable values by column, like `frame`; several strings are joined by `between`."""
     declared = _declared(kind).items()
     return [flat({shown.name(name): shown.value(row, name) for name, shown in declared}) for row in rows]
 
@@ -150,7 +150,7 @@ def table(
     only : sequence of str
         Columns that are shown; all by default, an error with its value.
     **how
-        As for `Table`.
+        Further attributes of `Table`.
     """
     declared = _declared(kind)
     known = list(declared)

@@ -76,7 +76,7 @@ def load_result(path: str | Path) -> Result:
     Parameters
     ----------
     path : str or Path
-        File of the result. To load it runs nothing of it. Scenes within it are read as `mistray.load` reads files.
+        File of the result. Loading it runs no code from it. Scenes within it are read as `mistray.load` reads files.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def load_result(path: str | Path) -> Result:
     Raises
     ------
     MistrayError
-        If there is no such file, it is damaged or no result, or another version of mistray has written it.
+        If there is no such file, it is damaged or not a result, or another version of mistray has written it.
 
     Examples
     --------
@@ -138,7 +138,7 @@ class _Encoder:
     Attributes
     ----------
     arrays : list of ndarray
-        Arrays that the values of JSON refer to by number.
+        Arrays that the values of JSON refer to by index.
     """
 
     def __init__(self) -> None:
@@ -146,7 +146,7 @@ class _Encoder:
         self._known: dict[int, tuple[int, Any]] = {}  # numbers of objects by id, which the objects keep from reuse
 
     def encoded(self, value: Any) -> Any:
-        """Return a value in a JSON-serialisable form; raise `_NotSaved` for values that are no data."""
+        """Return a value in a JSON-serialisable form; raise `_NotSaved` for values that are not data."""
         inside = self.encoded
         match value:
             case Note():
@@ -217,7 +217,11 @@ class _Encoder:
         return {KIND: "maker", "of": _maker(value)} if inspect.isroutine(value) else self.encoded(value)
 
     def _state(self, value: Any) -> dict[str, Any]:
-        """Return the attributes of an object; fields that belong to the process become None where allowed."""
+        """
+        Return the attributes of an object in JSON form; fields that belong to the process become None where allowed.
+
+        Where they must not be None, it raises `_NotSaved`.
+        """
         kind = type(value)
         declared = {field.name: field for field in dataclasses.fields(value)} if dataclasses.is_dataclass(kind) else {}
         own = "__getstate__" in vars(kind) or not declared

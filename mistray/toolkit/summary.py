@@ -42,7 +42,7 @@ def one_line(result: Result) -> str:
 
 
 def _text(name: str, value: KeyNumber) -> str:
-    """Return a key number as text with its name and unit, for the one-line summary of a result."""
+    """Return a key number with its name and unit, for the one-line summary of a result."""
     if isinstance(value, str):
         return f"{name}: {value}"
     if isinstance(value, int):
@@ -111,7 +111,7 @@ def has_figure(result: Result) -> bool:
 
 
 def main_figure(result: Result, title: str = "") -> Figure:
-    """Return the figure shown in the summary of a result."""
+    """Return the figure shown in the summary of a result that has one, see `has_figure`."""
     if "figure" in result.shown_by:
         drawn: Figure = _function(result, "figure")(result, title)
     else:
@@ -127,7 +127,7 @@ def _function(result: Result, what: str) -> Any:
 
 def plotted(result: Result, title: str = "") -> Axes | tuple[Axes, ...]:
     """
-    Draw the figure of a result with pyplot, and return the axes of its panels.
+    Draw the figure of a result with pyplot, and return the axes of its panels, a tuple if there are several.
 
     Raise `MistrayError` if it has none.
     """

@@ -99,7 +99,7 @@ class TomlSection:
         """
         Return the inner table at a key, empty if the key is missing.
 
-        Raise `MistrayError` if the value is no table.
+        Raise `MistrayError` if the value is not a table.
         """
         value = self.content.get(key, {})
         if not isinstance(value, Mapping):
@@ -110,7 +110,7 @@ class TomlSection:
         """
         Return the list of tables at a key, empty if the key is missing.
 
-        Raise `MistrayError` if it is no such list.
+        Raise `MistrayError` if it is not such a list.
         """
         value = self.content.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
@@ -136,7 +136,7 @@ class TomlSection:
         kind : type
             Dataclass.
         read : mapping, optional
-            Fields that are known already. Without any, keys that are no fields are refused.
+            Fields that are known already. Without any, keys that are not fields are refused.
         **missing
             Values of fields whose keys are missing, where they are not the defaults.
         """

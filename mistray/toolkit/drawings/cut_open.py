@@ -72,7 +72,7 @@ class OpenSurface:
     vertices : (n, 3) float
         Vertices, mm; empty if nothing is left.
     faces : (m, 3) int
-        Vertex numbers of each triangle.
+        Vertex indices of each triangle.
     lines : list of (k, 3) float
         Rim curves, and the curves along which the plane cuts the surface, mm.
     """
@@ -209,7 +209,7 @@ def clip(vertices: npt.ArrayLike, faces: npt.ArrayLike, cut: CutPlane | None) ->
     Parameters
     ----------
     vertices : (n, 3) float
-        Vertices, mm; the numbers keep their type.
+        Vertices, mm; the values keep their data type.
     faces : (m, 3) int
         Vertex indices of each triangle.
     cut : CutPlane or None
@@ -350,7 +350,8 @@ def primitive(shape: Any) -> tuple[str, Points, Points]:
     Returns
     -------
     kind : str
-        "Rectangle", "Disk", "Sphere" or "Cylinder"; empty for other shapes.
+        "Rectangle", "Disk", "Sphere" or "Cylinder"; empty for other shapes, whose transform is the identity and whose
+        scale is 1.
     rigid : (4, 4) float64
         Transform from its frame to the world, without scale, mm.
     size : (3,) float64
@@ -381,7 +382,7 @@ def _used(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
 
 def triangulate(outline: npt.ArrayLike) -> Faces:
     """
-    Return the triangles of a simple polygon, by cutting off one corner after the other that holds no other corner.
+    Return the triangles of a simple polygon, by cutting off corners whose triangles contain no other corner.
 
     Parameters
     ----------
@@ -391,7 +392,7 @@ def triangulate(outline: npt.ArrayLike) -> Faces:
     Returns
     -------
     (m, 3) int
-        Corner numbers of each triangle; together they cover the polygon.
+        Corner indices of each triangle; together they cover the polygon.
 
     Notes
     -----

@@ -354,7 +354,7 @@ def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> li
 
 
 def _turns(report: GhostReport, field_deg: float, path_id: int) -> list[int]:
-    """Return the numbers of the ray points where a path is reflected or scattered; the start is point 0."""
+    """Return the indices of the ray points where a path is reflected or scattered; the start is point 0."""
     table = report.table(field_deg)
     words = event_words(str(table.events[table.path_id == path_id].iloc[0]))
     return [k for k, word in enumerate(words, 1) if word[-1] not in "TA"]
@@ -371,7 +371,7 @@ def meridional(rays: Sequence[Polyline], count: int, turn: tuple[int, int] = (0,
     count : int
         Largest number of rays.
     turn : (int, int)
-        Number of this path, and number of paths. Each takes other heights of the pupil, so that rays of paths that have
+        Index of this path, and number of paths. Each takes other heights of the pupil, so that rays of paths that have
         a part of their way in common do not hide each other.
     """
     number, paths = turn

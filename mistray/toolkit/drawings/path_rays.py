@@ -46,11 +46,11 @@ class RayLine:
     wavelength_nm : float
         Wavelength, nm.
     start_ray : int
-        Number of its start ray.
+        Index of its start ray; of a backward ray, its index among those of its detector.
     points : (k + 1, 3) float64
-        Start and every hit, mm.
+        Start and every hit, mm; where a ray leaves the scene, perhaps one more point on its way out.
     flux_W : (k + 1,) float64
-        Flux arriving at each point, W.
+        Flux arriving at each point, W; 1 for backward rays.
 
     Examples
     --------
@@ -223,7 +223,7 @@ def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0
 
 
 class RayGroup(NamedTuple):
-    """Group of drawn rays with a common colour: its name in the legend, rays, and row of the path table or None."""
+    """Drawn rays with a common colour: name in the legend, rays, and row of the path table (None: rays of a class)."""
 
     name: str
     lines: list[RayLine]
@@ -231,7 +231,11 @@ class RayGroup(NamedTuple):
 
 
 def rows_of(choice: RayChoice, trace: Trace) -> list[PathRow]:
-    """Return the drawn rows of the path table; none if rays are drawn by class."""
+    """
+    Return the drawn rows of the path table; none if rays are drawn by class.
+
+    If no path passes the filter, or a path is unknown, it raises `MistrayError`.
+    """
     if choice.classes is not None:
         return []
     if not choice.selection:

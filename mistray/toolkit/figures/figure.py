@@ -94,15 +94,15 @@ class Figure(figure.Figure):
         title, text : str
             Name of the optical system, and what the figure shows.
         small_print : str
-            See `small_print`; empty: there is none.
+            Text in small print below the panels; empty: there is none.
         right : bool
-            See `small_print`.
+            Whether the small print is on the right, else centred.
         """
         self.suptitle(f"{title}{': ' if title and text else ''}{text}", fontsize=10, x=0.02, ha="left")
         return self.small_print(small_print, right) if small_print else self
 
     def small_print(self, text: str, right: bool = False) -> Self:
-        """Write a text in small print below the panels, centred or on the right, and return the figure."""
+        """Write a text in small print below the panels, centred or with `right` on the right, and return the figure."""
         self.supxlabel(text, fontsize=7.5, color="#555555", **({"x": 0.99, "ha": "right"} if right else {}))
         return self
 

@@ -101,6 +101,11 @@ def draw_map(
     -------
     AxesImage or None
         Drawn image, for a colour bar; None if there is no light.
+
+    Raises
+    ------
+    MistrayError
+        If the floor does not lie below the top.
     """
     axes.set_facecolor("black")
     axes.set_xlim(extent[0], extent[1])

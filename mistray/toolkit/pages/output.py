@@ -25,7 +25,7 @@ def writable_directory(directory: str | Path) -> Path:
     Raises
     ------
     MistrayError
-        If the path is a file, is not writable, or its disk is full.
+        If the path is empty, is a file or is not writable, or its disk is full.
 
     Examples
     --------

@@ -37,7 +37,7 @@ def add_section(make: Made, of: type) -> Made:
 
 def remove_section(make: SectionMaker) -> None:
     """
-    Remove a section, added by `add_section`, from future reports.
+    Remove a section, added by `add_section`, from future reports; raise `KeyError` if it was not added.
 
     Examples
     --------
@@ -93,7 +93,11 @@ def section_tables(sections: Sequence[Section], taken: Container[str] = ()) -> d
 
 
 def section_record(sections: Sequence[Section]) -> dict[str, Any]:
-    """Return sections as JSON-serialisable values by anchor: title, rows of each table and range of each map."""
+    """
+    Return sections as JSON-serialisable values: title, rows of each table and range of each map, by anchor.
+
+    They are under the key "sections"; without sections the dictionary is empty.
+    """
     record: dict[str, Any] = {}
     for section in sections:
         record[section.anchor] = own = {"title": section.title}

@@ -27,7 +27,7 @@ OPTIC, BEVEL, OTHER_OPTIC, STRUCTURE, DETECTOR = "optic", "bevel or edge", "othe
 
 
 def role(table: SurfaceTable, path: DesignPath | None, surface: int) -> str:
-    """Return a surface's role, as text: optic (of the design path), bevel or edge, other optic, structure, detector."""
+    """Return a surface's role: optic (of the design path), bevel or edge, other optic, structure, detector."""
     word = int(table.optics.host_words[surface])
     if surface == table.detector:
         return DETECTOR
@@ -167,7 +167,7 @@ def coating_words(coating: Any) -> str:
 
 
 def scatter_words(interface: Any) -> str:
-    """Return the scatter models of an interface as text, "-" if it has none."""
+    """Return the scatter models of an interface in words; "-" if it has none."""
     return " + ".join(model_words(item) for item in interface.scatterers) or "-"
 
 
@@ -183,7 +183,11 @@ def model_words(item: Any) -> str:
 
 
 def _treatments(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return a DataFrame of groups of surfaces with equal coating, scatter, R, T and absorption, by size."""
+    """
+    Return a DataFrame of groups of surfaces with equal coating, scatter, R, T and absorption, percent.
+
+    Groups are sorted by role, then by the number of their surfaces.
+    """
     numbers = ["R_percent", "T_percent", *TIS, "A_percent"]
     keys = ["role", "side", "coating", "scatter", *numbers]
     rounded = frame.assign(**{name: frame[name].round(SAME_DIGITS) for name in numbers})
