@@ -103,7 +103,7 @@ def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
 
 
 def _values(element: Element) -> dict[str, Value] | None:
-    """Return a scene element's property values by name, if all are plain numbers, texts or booleans; else None."""
+    """Return a scene element's property values by name, if all are plain numbers, strings or booleans; else None."""
     values: dict[str, Value] = {}
     for child in element.children:
         name, text = child.values.get("name"), child.values.get("value")

@@ -97,7 +97,11 @@ def check_dict(given: Mapping[str, Any]) -> None:
 
 
 def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield every nested dict that has a type: its path of keys, its type, and the value of its file name entry."""
+    """
+    Yield every nested dict that has a type: its path of keys, its type, and the value of its file name entry.
+
+    An entry that would crash Mitsuba, or dicts nested too deeply, raise `MistrayError`.
+    """
     waiting: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [((), given)]
     while waiting:
         path, item = waiting.pop()

@@ -179,6 +179,11 @@ def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated
     rules : Rules
         Coatings, paint and scatter models by patterns of names.
 
+    Returns
+    -------
+    Coated
+        Changes to the surfaces, and surfaces that stay as they are.
+
     Raises
     ------
     MistrayError

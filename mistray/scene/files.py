@@ -34,7 +34,7 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
     Raises
     ------
     MistrayError
-        If the scene, or a scene that it includes, cannot be read or is no XML in UTF-8.
+        If the scene, or a scene that it includes, cannot be read or is not XML in UTF-8.
     """
     first = path.resolve()
     scenes = {first: None}

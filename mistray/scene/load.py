@@ -66,6 +66,8 @@ def load(
         If the file is missing, nested too deeply, or too large with its includes; if a number, an id or a part is
         invalid; if Mitsuba cannot read it; if surfaces overlap; or if a command is to replace a file that it has read.
         The message is one line.
+    KeyboardInterrupt
+        On Ctrl-C while Mitsuba builds the scene.
 
     Warns
     -----
@@ -138,7 +140,11 @@ def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], mor
 
 
 def _light_interfaces(scene: mi.Scene) -> None:
-    """Set the reference wavelength of every interface: the first wavelength, nm, of the scene's first source."""
+    """
+    Set the reference wavelength of every interface: the first wavelength, nm, of the scene's first source.
+
+    Without a source nothing is set.
+    """
     lines = [getattr(emitter, "wavelengths_nm", (DEFAULT_NM,)) for emitter in scene.emitters()]
     for shape in scene.shapes():
         if lines and hasattr(shape.bsdf(), "lit_by"):

@@ -159,7 +159,7 @@ def _layers(file: SceneFile, element: Element, film: Any, thickness_nm: np.ndarr
 
 
 def _number(value: float | np.floating[Any]) -> str:
-    """Return the shortest text that reads back as the same number, in its own precision."""
+    """Return the shortest string that reads back as the same number, in its own precision."""
     return str(value).removesuffix(".0") if isinstance(value, np.float32) else repr(float(value)).removesuffix(".0")
 
 

@@ -115,9 +115,20 @@ class _Folder:
 @dataclass(frozen=True)
 class _Origin:
     """
-    Arguments with which a scene was loaded: absolute path and text of its file, or a dict.
+    Arguments with which a scene was loaded.
 
-    Replaced sources, added sensors.
+    Attributes
+    ----------
+    path : Path or None
+        Absolute path of its file; None: it was loaded from a dict.
+    text : bytes
+        Content of the file; empty for a dict.
+    given : mapping
+        Scene dict; empty for a file.
+    sources : tuple
+        Sources that replaced those of the scene; empty if none did.
+    sensors : tuple
+        Sensors that were added to those of the scene.
     """
 
     path: Path | None
@@ -137,7 +148,8 @@ def remember(
     """
     Attach the arguments with which a scene was loaded to one of its plugins.
 
-    `text` is the text that replaced the content of the file, if any.
+    `text` is the text that replaced the content of the file, if any. In a scene without a plugin of mistray nothing is
+    kept.
     """
     for owner in _owners(scene):
         if isinstance(given, Path):

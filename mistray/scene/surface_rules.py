@@ -71,9 +71,9 @@ class Face:
     opaque : bool
         Whether its coating transmits no light.
     mirror : bool
-        Whether the design path is reflected by it.
+        Whether the surface is a declared mirror of the design path.
     cemented : bool
-        Whether there is air on neither side.
+        Whether there is a gas on neither side.
     fault : str
         Reason why nothing can be put on it; empty if there is none.
     front, back : str
@@ -217,8 +217,9 @@ class Painter:
         """
         Return the surfaces that a pattern matches and that can take the coating, paint or scatter model of a rule.
 
-        A surface given by its exact name must be able to take it, else this raises. Other surfaces that cannot are left
-        as they are.
+        A surface given by its exact name must be able to take it, and so must the only match, and at least one of
+        several; else `MistrayError` is raised. It is also raised if nothing matches. Other surfaces that cannot take it
+        are left as they are.
         """
         fitting = [face for face in self._faces if face.fits(pattern)]
         if not fitting:

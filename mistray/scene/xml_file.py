@@ -68,7 +68,7 @@ class SceneFile:
     Raises
     ------
     MistrayError
-        If the file cannot be read or is no XML in UTF-8.
+        If the file cannot be read or is not XML in UTF-8.
     """
 
     def __init__(self, path: Path, data: bytes | None = None) -> None:
@@ -128,12 +128,16 @@ class SceneFile:
         return self.data[element.start : element.end]
 
     def indent(self, element: Element) -> str:
-        """Return the blanks before an element that is first on its line; "" otherwise."""
+        """Return the white space before an element that is first on its line; "" otherwise."""
         line = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
         return line.decode() if not line.strip() else ""
 
     def with_blanks(self, element: Element) -> tuple[int, int]:
-        """Return byte offsets of the start and end of an element, including the line break and the blanks before it."""
+        """
+        Return byte offsets of the start and end of an element, with the line break and white space before it.
+
+        An element that is not first on its line begins where it stands.
+        """
         before = len(self.data[: element.start].rstrip())
         return (before if b"\n" in self.data[before : element.start] else element.start), element.end
 
@@ -182,7 +186,11 @@ class SceneFile:
         return None
 
     def named(self, place: str) -> Element | None:
-        """Return the object whose values ``mi.traverse`` names by a place, such as ``L1_front.bsdf.particulate``."""
+        """
+        Return the object whose values ``mi.traverse`` names by a place, such as ``L1_front.bsdf.particulate``.
+
+        It is None if the file has no such object.
+        """
         first, *path = place.split(".")
         element = self.ids.get(first)
         for part in path:
