@@ -47,7 +47,7 @@ class Llvm:
 
 
 def version_text(version: tuple[int, ...]) -> str:
-    """Format a version as text: (19, 1, 7) becomes "19.1.7"."""
+    """Return a version in its usual notation: (19, 1, 7) becomes "19.1.7"."""
     return ".".join(str(number) for number in version)
 
 

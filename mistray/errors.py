@@ -73,7 +73,7 @@ class Interrupted(KeyboardInterrupt):
 
 class UnfinishedError(MistrayError):
     """
-    Error for work that could not be completed, because a cluster has lost all of its workers.
+    Error for work that could not be completed: a cluster has lost all of its workers, or the time is up.
 
     Attributes
     ----------

@@ -9,7 +9,7 @@ from mistray.errors import MistrayError, nearest
 
 
 def name_and_value(text: str) -> tuple[str, str] | None:
-    """Return both sides of the first ``=``, without blanks around them; None if there is no ``=``, or no name."""
+    """Return both sides of the first ``=``, without spaces around them; None if there is no ``=``, or no name."""
     name, sign, value = (part.strip() for part in text.partition("="))
     return (name, value) if sign and name else None
 

@@ -66,6 +66,8 @@ def replacing_folder(folder: str | Path) -> Iterator[None]:
     MistrayError
         If a file cannot be written. The old folder is unchanged, apart from the case in
         `mistray.replace_file.rename_drafts`.
+    KeyboardInterrupt
+        On Ctrl-C, as in `mistray.replace_file.rename_drafts`.
     """
     target = Path(os.path.realpath(Path(folder).expanduser()))
     if str(target) in collected:
@@ -100,7 +102,12 @@ def _replace(target: Path, files: dict[str, bytes]) -> None:
 
 
 def _exchange(target: Path, files: Mapping[str, bytes], gone: set[str]) -> None:
-    """Replace a folder in one system call. Raise `_Impossible`, with nothing changed, if that is not possible."""
+    """
+    Replace a folder in one system call.
+
+    Raise `_Impossible`, with nothing changed, if that is not possible. A file that cannot be written raises
+    `MistrayError`.
+    """
     old = os.path.lexists(target)
     move: Callable[[Path, Path], None] = os.rename
     if old:

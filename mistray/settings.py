@@ -70,7 +70,11 @@ class ByBranch(Demand):
     )
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return flux thresholds as a tuple in the order of `BRANCHES`, relative to a start ray or in W, as given."""
+        """
+        Return flux thresholds as a tuple in the order of `BRANCHES`, relative to a start ray or in W, as given.
+
+        Raise `MistrayError` for an unknown branch, a wrong number of values, or one that is not a number ≥ 0.
+        """
         given = value
         letters = ", ".join(BRANCHES)
         if isinstance(given, str):

@@ -41,7 +41,8 @@ def supervise() -> None:
     """
     Continue in a child process; the calling process waits for it and ends with its exit status.
 
-    The child blocks the signals until `listen`, so that none arrives before its handler is installed.
+    The child blocks the signals until `listen`, so that none arrives before its handler is installed. Where there is no
+    fork or `sigtimedwait`, nothing is done.
     """
     if not hasattr(os, "fork") or not hasattr(signal, "sigtimedwait"):
         return
@@ -86,7 +87,11 @@ def _wait(child: int, numbers: list[signal.Signals]) -> None:
 
 
 def _end_as(code: int, first: int | None) -> None:
-    """End this process with the exit code of the child, or by the child's signal if the code is negative."""
+    """
+    End this process with the exit code of the child, or by the child's signal if the code is negative.
+
+    After a signal `first` an interrupted child makes it 128 plus the number of that signal.
+    """
     if first is not None and code == INTERRUPTED:
         os._exit(128 + first)
     if code >= 0:
