@@ -92,7 +92,7 @@ def _remedy_for_given() -> str:
 
 
 def search_llvm() -> tuple[Llvm | None, list[str]]:
-    """Return the best libLLVM of this machine, None if there is none, and a line of text on each rejected one."""
+    """Return the best libLLVM of this machine, None if there is none, and a line on each rejected one."""
     candidates = []
     rejected = []
     wheel = _wheel()

@@ -133,7 +133,7 @@ def in_words(error: Exception) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text with characters that cannot be printed, such as control characters, replaced by codes."""
+    """Return a string with characters that cannot be printed, such as control characters, replaced by codes."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 

@@ -1,4 +1,4 @@
-"""Rules for ids of objects, and splitting of a text into events."""
+"""Rules for ids of objects, and splitting of a string into events."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def fits(name: str, pattern: str) -> bool:
 
 def hidden(text: str, breaks: str = "") -> str:
     """
-    Return the first character of a text that is invisible, or that controls or reverses its line; "" if none.
+    Return the first character of a string that is invisible, or that controls or reverses its line; "" if none.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def hidden(text: str, breaks: str = "") -> str:
 
 def check_id(name: str, what: str = "object") -> None:
     """
-    Raise `MistrayError` if a text cannot be an id.
+    Raise `MistrayError` if a string cannot be an id.
 
     Spaces, quotation marks, arrows, commas and letters of any script are allowed. Line breaks and other `hidden`
     characters, spaces at the ends, a sign at the start that marks a formula in a spreadsheet, and text like the end of

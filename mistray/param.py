@@ -97,7 +97,11 @@ class Param(Demand):
         return self.values.check(name, value, owner)
 
     def field(self, default: Any = MISSING, doc: str = "", kw_only: Any = MISSING) -> Any:
-        """Return a dataclass field for this parameter, see `Demand.field`; `default` is also that of the parameter."""
+        """
+        Return a dataclass field for this parameter with a help text, see `Demand.field`.
+
+        `default` is also that of the parameter.
+        """
         own = self if default is MISSING else replace(self, default=default)
         return Demand.field(own, default, doc, kw_only)
 

@@ -54,7 +54,11 @@ class Demand:
                 self.check(name, value, owner)
 
     def field(self, default: Any = dataclasses.MISSING, doc: str = "", kw_only: Any = dataclasses.MISSING) -> Any:
-        """Make a dataclass field with this condition and a help text; None is always allowed, see `check_fields`."""
+        """
+        Return a dataclass field with this condition and the help text `doc`.
+
+        None is always allowed, see `check_fields`.
+        """
         return dataclasses.field(default=default, kw_only=kw_only, metadata={_KEY: self, _DOC: doc})
 
 

@@ -46,7 +46,11 @@ class RayControl(Demand):
     also = ({"enum": [*RAY_CONTROLS]}, {"type": "string", "pattern": f"^[ ,]*[{OPERATIONS}][{OPERATIONS} ,]*$"})
 
     def check(self, name: str, value: Any, owner: str = "") -> str:
-        """Return the name of a ray control, else its letters as in `OPERATIONS`; raise `MistrayError` if invalid."""
+        """
+        Return the name of a ray control, else its letters in the order of `OPERATIONS`.
+
+        Letters that have a name give the name. Raise `MistrayError` for anything else.
+        """
         if isinstance(value, str) and value in RAY_CONTROLS:
             return str(value)
         letters = value.replace(",", "").replace(" ", "") if isinstance(value, str) else ""
@@ -140,7 +144,7 @@ class Settings:
         Smallest flux of branches relative to the start ray: specular reflection, specular transmission, scattered
         reflection, scattered transmission, and absorption by a surface. Weaker branches are cut, before and after
         scatter, and `Energy.cut` lists them by kind. Give five numbers, a mapping from the letters R, T, r, t and A, or
-        a text such as "R=1e-6, t=1e-9"; missing letters are 0, which cuts nothing. A scattered branch is one ray, and
+        a string such as "R=1e-6, t=1e-9"; missing letters are 0, which cuts nothing. A scattered branch is one ray, and
         it is weaker the more rays are sent. So unlike `scatter_threshold` this changes the result. Absorption that is
         cut is recorded at no surface, and such a hit of the detector does not count. Absorption within a medium is
         always recorded.

@@ -58,7 +58,7 @@ def supervise() -> None:
 
 
 def listen() -> None:
-    """Unblock the signals in this process; called once their handlers are installed."""
+    """Unblock SIGINT and SIGTERM in this process; called once their handlers are installed."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 

@@ -138,7 +138,8 @@ class PstRays:
         """
         Return derivatives of a metric by replay of the rays at one wavelength, with notes on what they leave out.
 
-        The rays are the backward ones if `ends` has a sky, else the forward ones.
+        The rays are the backward ones if `ends` has a sky, else the forward ones. `moves` says whether a requested
+        parameter moves paths.
         """
         trace, backward = self.trace, ends.sky is not None
         scene = trace.split_scene(number) if backward else trace.forward_scene(number)
@@ -162,7 +163,12 @@ class PstRays:
     def _backward(
         self, number: int, derivative: np.ndarray, moves: bool, recorder: BranchRecorder
     ) -> Iterator[tuple[StartRays, Trace]]:
-        """Yield the backward start rays of each pass, with a function that traces them again into the recorder."""
+        """
+        Yield the backward start rays of each pass, with a function that traces them again into the recorder.
+
+        If paths move (`moves`), all paths of a path class have one MIS weight, else each has that of the balance
+        heuristic.
+        """
         trace = self.trace
         assert trace.pass_rays is not None
         # The metric by the flux of a start ray instead of PST_normal
@@ -187,7 +193,11 @@ class PstRays:
     def _forward(
         self, number: int, derivative: np.ndarray, moves: bool, recorder: BranchRecorder
     ) -> Iterator[tuple[StartRays, Trace]]:
-        """Yield the forward start rays of each pass, with a function that traces them again into the recorder."""
+        """
+        Yield the forward start rays of each pass, with a function that traces them again into the recorder.
+
+        MIS weights are as in `_backward`.
+        """
         trace, cells = self.trace, self.cells
         assert cells is not None
         # The metric by the flux of a start ray of each cell, with MIS weights

@@ -471,7 +471,7 @@ class ReplaySurfaces:
         """
         Return the distances of world points from the unbounded surfaces s, mm, and the unit gradients of F there.
 
-        The distance is F/|∇F|. It is infinite next to the far half of a quadric, which is no part of the surface.
+        The distance is F/|∇F|. It is infinite next to the far half of a quadric, which is not part of the surface.
         """
         numbers = self.numbers(s, mi.UInt32(0), active, still=True)
         value, gradient = self.implicit(self.local_point(p, s, active), numbers)

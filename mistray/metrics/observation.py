@@ -121,7 +121,7 @@ class Observation:
         return self.trace.seconds
 
     def first_light(self) -> dict[str, FirstLight]:
-        """Return the detected light, W, sorted by the first surface it meets, keyed by the field angle as text."""
+        """Return the detected light, W, sorted by the first surface it meets, under a key such as "field 5 deg"."""
         return {f"field {self.field_deg:g} deg": FirstLight.of_trace(self.trace)}
 
     @property
@@ -138,15 +138,15 @@ class Observation:
         Parameters
         ----------
         selection : str, sequence of str or callable
-            Paths to add. Possible texts are a `kind` of the path table ("direct", "ghost", "structure", …), "stray"
+            Paths to add. Possible strings are a `kind` of the path table ("direct", "ghost", "structure", …), "stray"
             (all but "direct"), "all", a path by its `label` ("L1_rear -> L1_front") or all its `events`, and a filter
             ("G(L1*) & !S", see `mistray.trace.path_filter`). Randomly scattered and aimed light on one way counts as
-            one path. Several texts, or a function of a `PathRow`, are possible, too.
+            one path. Several strings, or a function of a `PathRow`, are possible, too.
 
         Raises
         ------
         MistrayError
-            If a text matches no possible path of this scene, or the selection is empty.
+            If a string matches no possible path of this scene, or the selection is empty.
         """
         return self._sums_of([self.chosen(selection)])[0]
 
@@ -214,7 +214,8 @@ class Observation:
         """
         Return the smooth maximum of the irradiance of some paths over the pixels, W/mm², see `smooth_maximum`.
 
-        Like the brightest of noisy pixels, it is too high by about the standard error of that pixel.
+        `selection` is as for `power`, by default all light, and `norm` the exponent p. Like the brightest of noisy
+        pixels, the result is too high by about the standard error of that pixel.
         """
         return smooth_maximum(self.map(selection), norm)
 
@@ -227,7 +228,7 @@ class Observation:
 
     @cached_property
     def _ways(self) -> np.ndarray:
-        """Event list of each path as text, (p,), in which aimed scatter is written as random scatter."""
+        """Event list of each path, (p,) strings, in which aimed scatter is written as random scatter."""
         return np.array(way_text(row.events for row in self._rows), dtype=object)
 
     def _sums_of(self, groups: Sequence[Sequence[int] | np.ndarray]) -> tuple[mi.Float64, ...]:
@@ -399,7 +400,7 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
 
 def smooth_minimum(values: Any, norm: float = NORM) -> mi.Float64:
     """
-    Return the smooth minimum (Σ v^-p)^(-1/p) of values v > 0: at most their minimum; see `smooth_maximum`.
+    Return the smooth minimum (Σ v^-p)^(-1/p) of values v > 0, with p = `norm`: at most their minimum.
 
     Examples
     --------

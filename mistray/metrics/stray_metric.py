@@ -83,9 +83,9 @@ class StrayMetric:
         cls, quantity: str, estimate: Estimate, unit: str = "1", words: dict[str, Any] | None = None, **more: Any
     ) -> StrayMetric:
         """
-        Create a metric from an estimate.
+        Create a metric from an estimate in `unit`.
 
-        `words` fill placeholders of its definition; `more` are further attributes.
+        `words` fill placeholders of the definition of `quantity`; `more` are further attributes.
         """
         value, se = estimate
         return cls(quantity, float(value), float(se), unit, DEFINITIONS[quantity].format(**(words or {})), **more)

@@ -36,7 +36,11 @@ class TraceView:
         return type(self), sorted_arguments(given)
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Any:
-        """Trace the scene with `times` the rays, and return the `Observation`; `changes` replace arguments."""
+        """
+        Trace the scene with `times` the rays, and return the `Observation`; `changes` replace arguments.
+
+        Polarisation "auto" is resolved by the sources alone, without a pilot.
+        """
         changes = {name: value for name, value in changes.items() if name != "paths"}  # a trace always has them
         arguments = self._arguments(scene, times, changes)
         # The polarisation of the gradient's trace, without a pilot: a search and its verification use the same light

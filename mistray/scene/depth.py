@@ -79,7 +79,11 @@ class _Look:
         self.includes = self.text = 0
 
     def read(self, path: Path, folders: list[Path], within: tuple[Path, ...], text: str | None = None) -> None:
-        """Check a file and the files that it includes; `folders` are searched for includes in order."""
+        """
+        Check a file, or `text` in its place, and the files that it includes; `folders` are searched for these in order.
+
+        Raise `MistrayError` as `check_source` does; broken XML is left to Mitsuba.
+        """
         data = self._content(path) if text is None else text.encode()
         self._grow(len(data), f"scene '{self.path}'")
         folders = [path.parent, *folders]
@@ -212,7 +216,7 @@ def _named(element: SceneElement) -> str:
 
 
 def _no_number(text: str) -> str:
-    """Return the reason why Mitsuba would not read a text as the number it states; empty if it would."""
+    """Return the reason why Mitsuba would not read a string as the number it states; empty if it would."""
     match = _NUMBER.fullmatch(text.strip())
     if match is None:
         return "it must be a number"

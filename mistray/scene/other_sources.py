@@ -56,7 +56,7 @@ def parsed(
     what: str, text: str, lists: Collection[str], words: Collection[str]
 ) -> tuple[str, list[float], dict[str, Any]]:
     """
-    Parse a text ``WORD:x,y,z,name=value,…`` into its word, its place, mm, and its properties.
+    Parse a string ``WORD:x,y,z,name=value,…`` into its word, its place, mm, and its properties.
 
     Parameters
     ----------
@@ -109,7 +109,12 @@ def given_dict(what: str, part: Any, example: str) -> dict[str, Any]:
 
 
 def keyed(what: str, parts: Sequence[dict[str, Any]], words: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return sources or sensors by id. One without id is named by its word in `words`, numbered if the word repeats."""
+    """
+    Return sources or sensors by id.
+
+    One without id is named by its word in `words`, numbered if the word repeats. Raise `MistrayError` if two have the
+    same id, or a plugin is not allowed.
+    """
     result: dict[str, dict[str, Any]] = {}
     for number, (found, word) in enumerate(zip(parts, words, strict=True)):
         numbered = f"{word}_{list(words[:number]).count(word) + 1}"

@@ -101,7 +101,7 @@ def write_rewritten(
     source: str | Path, values: Mapping[str, npt.ArrayLike], target: str | Path, note: str = ""
 ) -> Path:
     """
-    Write `rewritten` text to a file, atomically: on an error an old file stays.
+    Write the text that `rewritten` returns to a file, atomically: on an error an old file stays.
 
     Returns
     -------

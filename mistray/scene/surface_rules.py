@@ -104,7 +104,7 @@ class Change:
     recoated : bool
         Whether its coating is replaced by `coating`.
     coating : Coating or None
-        New coating; None means bare.
+        New coating, if `recoated`; None means bare.
     scatter : tuple of Scatter
         Scatter models that are added.
     drops : frozenset of str
@@ -218,8 +218,9 @@ class Painter:
         Return the surfaces that a pattern matches and that can take the coating, paint or scatter model of a rule.
 
         A surface given by its exact name must be able to take it, and so must the only match, and at least one of
-        several; else `MistrayError` is raised. It is also raised if nothing matches. Other surfaces that cannot take it
-        are left as they are.
+        several; else `MistrayError` is raised. It is also raised if nothing matches. With `coats` the rule is a
+        coating, with `transmits` one that transmits light, which opaque surfaces refuse. Other surfaces that cannot
+        take it are left as they are.
         """
         fitting = [face for face in self._faces if face.fits(pattern)]
         if not fitting:
@@ -252,7 +253,11 @@ class Painter:
         return able
 
     def _on_body(self, coating: Coating | None, face: Face, rule: str) -> Coating | None:
-        """Return a coating preset as layers fitted to the substrate of a surface in air; other coatings unchanged."""
+        """
+        Return a coating preset as layers fitted to the substrate of a surface in air.
+
+        Any other coating, None included, is returned as it is, and so is a preset that needs no change.
+        """
         body = face.back if is_gas(face.front) else face.front
         if coating is None or coating.preset is None or coating.opaque or face.cemented or is_gas(body):
             return coating
@@ -321,7 +326,11 @@ def _design_nm(light_nm: Sequence[float]) -> float:
 
 
 def _refusal(face: Face, named: bool, transmits: bool) -> str:
-    """Return the reason why a surface takes no coating; empty if it takes one. `named`: its exact name was given."""
+    """
+    Return the reason why a surface takes no coating; "" if it takes one.
+
+    `named` says that its exact name was given, `transmits` that the coating transmits light.
+    """
     if face.opaque and (transmits or not (named or face.mirror)):
         return OPAQUE
     return CEMENTED if face.cemented and not named else ""
@@ -339,7 +348,7 @@ def _listed(given: str | Scatter | Sequence[str | Scatter]) -> Iterable[str | Sc
 
 
 def _shown(given: Any) -> str:
-    """Return the coating, paint or models of a rule as text, for messages."""
+    """Return the coating, paint or models of a rule in words, for messages."""
     if isinstance(given, str | float | int) or given is None:
         return str(given)
     if isinstance(given, Coating | Scatter | Finish):

@@ -305,7 +305,7 @@ def too_deep(path: Path, line: int, tag: str) -> MistrayError:
 
 
 def names_a_file(text: str, folder: Path) -> bool:
-    """True if a text is, or contains, the name of an existing file relative to a folder."""
+    """True if a string is, or contains, the name of an existing file relative to a folder."""
     words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
     # os.path.isfile, because that of Path raises for a text that is too long for a name, such as a list of layers
     return any(not os.path.isabs(word) and os.path.isfile(folder / word) for word in words)

@@ -248,7 +248,7 @@ def take_request(command: Command, options: Any, path: Path) -> None:
 
 def _content(text: str, toml: bool) -> dict[str, Any]:
     """
-    Return the mapping in the text of a JSON or TOML file, without the key ``$schema``.
+    Return the mapping in the text of a TOML file if `toml`, else of a JSON file, without the key ``$schema``.
 
     Of the JSON that a command has printed it is the request. Anything else raises `MistrayError`.
     """

@@ -65,7 +65,7 @@ class Several(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each value must meet, as words for messages."""
+        """Condition that each value must meet, in words for messages."""
         return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
@@ -104,7 +104,7 @@ class FieldSubset(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that the mapping must meet, as words for messages."""
+        """Condition that the mapping must meet, in words for messages."""
         return f"must be a mapping of fields of {self.kind.__name__}"
 
     @property
@@ -250,7 +250,11 @@ def _plain(value: Any) -> Any:
 
 
 def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:
-    """Yield each field of a request that is a keyword of its own, with the `FieldSubset` that contains it, or None."""
+    """
+    Yield each field of a request that is a keyword of its own, with the `FieldSubset` that contains it.
+
+    With a field that no `FieldSubset` contains comes None.
+    """
     for declared in dataclasses.fields(request):
         part = demand_of(declared)
         if isinstance(part, FieldSubset):

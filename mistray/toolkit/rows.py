@@ -66,8 +66,9 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
         ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
         ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``absent``,
         value that is shown as missing; ``percent``, whether a fraction is shown in percent: the column of "change" is
-        then "change_percent"; "shown" does so in tables of pages only; ``between``, separator of several texts. A table
-        shows a number with its standard error, which is an `Estimate` or stands in a column of its own, "power_se_W".
+        then "change_percent"; "shown" does so in tables of pages only; ``between``, separator of several strings. A
+        table shows a number with its standard error, which is an `Estimate` or stands in a column of its own,
+        "power_se_W".
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
 
@@ -163,7 +164,7 @@ def table(
 
 
 def _head(name: str, shown: _Shown) -> Column:
-    """Return the heading of a column; columns of text are left-aligned."""
+    """Return the heading of a column; columns of text and of yes or no are left-aligned."""
     found = Column.of(shown.head) if shown.head else Column(*heading_of(shown.name(name)))
     return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool", "tuple[str, ...]") else "")
 

@@ -51,7 +51,11 @@ class _NotSaved(Exception):
 
 
 def save_result(result: Result, path: str | Path) -> Path:
-    """Write a result to a file, complete or not at all, see `mistray.result.Result.save`."""
+    """
+    Write a result to a file, complete or not at all, see `mistray.result.Result.save`.
+
+    If it holds an object that a file cannot, it raises `MistrayError`.
+    """
     encoder = _Encoder()
     try:
         text = json.dumps({"form": FORM, "result": encoder.encoded(result)}, allow_nan=False)
@@ -188,7 +192,11 @@ class _Encoder:
         return self._object(value)
 
     def _object(self, value: Any) -> Any:
-        """Return an object of a class of its own in JSON form, or a reference to it if it was saved before."""
+        """
+        Return an object of a class of its own in JSON form, or a reference to it if it was saved before.
+
+        A class, a function, or an object that files cannot hold raises `_NotSaved`, with nothing kept of it.
+        """
         if id(value) in self._known:
             return {KIND: "known", "number": self._known[id(value)][0]}
         if isinstance(value, type) or inspect.isroutine(value):
@@ -307,7 +315,11 @@ class _Decoder:
         raise ValueError
 
     def _object(self, value: Any) -> Any:
-        """Return an instance of a class with its state, as copies are made: nothing is computed or checked."""
+        """
+        Return an instance of a class with its state, as copies are made: nothing is computed or checked.
+
+        Attributes that the class does not declare raise `ValueError`.
+        """
         kind = _class(value["of"])
         self._known[value["number"]] = made = object.__new__(kind)
         state = {name: self.decoded(item) for name, item in value["state"].items()}

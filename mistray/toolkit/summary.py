@@ -111,7 +111,11 @@ def has_figure(result: Result) -> bool:
 
 
 def main_figure(result: Result, title: str = "") -> Figure:
-    """Return the figure shown in the summary of a result that has one, see `has_figure`."""
+    """
+    Return the figure shown in the summary of a result that has one, see `has_figure`, with the heading `title`.
+
+    The first of `figures` has its own heading.
+    """
     if "figure" in result.shown_by:
         drawn: Figure = _function(result, "figure")(result, title)
     else:
@@ -127,9 +131,9 @@ def _function(result: Result, what: str) -> Any:
 
 def plotted(result: Result, title: str = "") -> Axes | tuple[Axes, ...]:
     """
-    Draw the figure of a result with pyplot, and return the axes of its panels, a tuple if there are several.
+    Draw the figure of a result with pyplot, under `title` or the name of its scene, and return the axes of its panels.
 
-    Raise `MistrayError` if it has none.
+    Several panels come as a tuple. Raise `MistrayError` if the result has no figure.
     """
     if not has_figure(result):
         raise MistrayError(f"{type(result).__name__} has no figure; use its numbers, see help({type(result).__name__})")

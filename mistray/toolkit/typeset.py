@@ -26,7 +26,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def power_of_ten(exponent: int) -> str:
-    """Return a power of ten as text, "10⁻³"."""
+    """Return a power of ten as printed, such as "10⁻³"."""
     return f"10{str(exponent).translate(_RAISED)}"
 
 

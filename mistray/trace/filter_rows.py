@@ -88,7 +88,7 @@ def unknown_name(name: str, ids: Sequence[str], parts: Sequence[str]) -> str:
 
 
 def like_pattern(name: str) -> Callable[[str], bool]:
-    """Return a function that tests whether a text matches `name`, where * stands for any text, ? for a character."""
+    """Return a function that tests whether a string matches `name`, where * stands for any text, ? for a character."""
     # Not `fnmatch`, in which square brackets would be classes of letters
     pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
     return lambda text: pattern.fullmatch(text) is not None

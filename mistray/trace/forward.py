@@ -251,7 +251,7 @@ def _spectral_choices(
     runs_of: Callable[[Settings, Light], list[Run]],
 ) -> tuple[Light, WavelengthChoice | None, PolarizationChoice]:
     """
-    Resolve "auto" for wavelengths and polarisation.
+    Resolve "auto" for polarisation, and choose wavelengths if the time is `limited`.
 
     Return the light to trace, the choice of its wavelengths (None if all are traced), and the polarisation.
     """
@@ -311,7 +311,7 @@ def _execute(
     recorders: Sequence[Recorder],
 ) -> list[Run]:
     """
-    Trace runs in this process one by one and return those traced.
+    Trace runs in this process one by one and return those traced, with their paths if `ledger`.
 
     Stop at an interrupt; a run cut short is scaled to its full flux. An emitter whose rays all miss the scene raises
     `MistrayError`.
@@ -340,9 +340,9 @@ def _execute(
 
 def _check_budget(runs: Sequence[Run]) -> None:
     """
-    Raise `MistrayError` for a time limit on grid start rays of several passes.
+    Raise `MistrayError` if a time limit is set and start rays on a grid take several passes.
 
-    The first rows of a grid are no fair sample.
+    The first rows of a grid are not a fair sample.
     """
     for run in runs:
         # A grid comes row by row if it takes several passes
@@ -410,7 +410,11 @@ def _result(
     ledger: bool,
     task: SceneTask | None,
 ) -> Trace:
-    """Return the `Trace` of finished runs, with all settings needed to repeat it."""
+    """
+    Return the `Trace` of finished runs, with all settings needed to repeat it.
+
+    `ledger` says whether they hold paths. If they are dark at the sources' own field, a note says where the light went.
+    """
     emitter = source_emitters(scene)[0]
     # Everything that determines the result, so that it can be repeated
     wavelengths = sorted({run.source.wavelength_nm for run in runs})

@@ -69,7 +69,7 @@ class Whole:
 
 @dataclass(frozen=True)
 class Named:
-    """Filter that selects the paths whose name, as printed in tables and reports, matches a text."""
+    """Filter that selects the paths whose name, as printed in tables and reports, matches a string."""
 
     text: str
     columns: ClassVar = frozenset({"label", "detector", "kind"})

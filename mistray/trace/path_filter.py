@@ -19,7 +19,7 @@ L(x)   meets x last before the detector
 ====== =============================================================================================================
 
 ``H(barrel) >= 2`` counts events. ``name operator value`` compares a column of the table, with ``= != < <= > >=``; text
-needs quotation marks if it is more than a word, and may have ``*`` and ``?``: ``kind = "single scatter"``. A text in
+needs quotation marks if it is more than a word, and may have ``*`` and ``?``: ``kind = "single scatter"``. A string in
 quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``. Or it is
 the name of a path or of a kind of paths in a report: ``"S22 -> S8" & power_W > 1e-9``. A filter that is nothing else
 needs no quotation marks, see `mistray.trace.named_paths`.
@@ -122,7 +122,7 @@ class PathFilter:
             raise MistrayError(f"filter '{self.text}': {error}") from None
 
     def holds(self, rows: Rows) -> np.ndarray:
-        """Return a mask of the rows where the filter holds for every ray, (n,) bool."""
+        """Return a mask of the rows where the filter holds for every ray, (n,) bool; raise as `bounds` does."""
         return self.bounds(rows).certain
 
     def __repr__(self) -> str:
@@ -271,7 +271,11 @@ class _Parser:
         self.columns: set[str] = set()
 
     def filter(self) -> _Term:
-        """Parse the whole text into a filter; a bare event list is accepted where it cannot be an expression."""
+        """
+        Parse the whole expression into a filter; a bare event list is accepted where it cannot be an expression.
+
+        Empty text gives a filter that everything passes, and text outside the language raises `MistrayError`.
+        """
         if not self._text.strip():
             return _Sequence(())  # everything holds
         try:
@@ -351,7 +355,11 @@ class _Parser:
         return _Compare(word, *compared)
 
     def _name(self, letter: str) -> str | None:
-        """Return the surface name in brackets after a flag letter; None if there are no brackets."""
+        """
+        Return the surface name in brackets after a flag letter; None if there are no brackets.
+
+        Brackets without a name raise `MistrayError`.
+        """
         if not self._take("("):
             return None
         rest = self._text[self._at :].lstrip()
@@ -382,7 +390,11 @@ class _Parser:
         return found["compare"], value["word"] or value["text"][1:-1]
 
     def _look(self) -> re.Match[str] | None:
-        """Return the next token of the filter text without consuming it; None at the end."""
+        """
+        Return the next token of the filter text without consuming it; None at the end.
+
+        A sign that means nothing in a filter raises `MistrayError`.
+        """
         if not self._text[self._at :].strip():
             return None
         found = _TOKEN.match(self._text, self._at)

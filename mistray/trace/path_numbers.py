@@ -49,8 +49,8 @@ class HitSums(NamedTuple):
         """
         Sums over all batches, (p, 9), and over all but each in turn, scaled to as many rays, (p, BATCHES, 9).
 
-        Columns: number of rays, incident and absorbed flux, W, moments of the latter by x and y, W mm, and by x² + y²,
-        W mm², and its Stokes parameters, W, which are NaN if the trace was unpolarised.
+        Columns: number of rays, incident and absorbed flux, W, moments of the absorbed flux (flux times x and times y,
+        W mm, flux times x² + y², W mm²), and its Stokes parameters, W, which are NaN if the trace was unpolarised.
         """
         total, rays = self.sums.sum(axis=1), self.started.sum()
         without = (total[:, None] - self.sums) * (rays / np.maximum(rays - self.started, 1))[:, None]

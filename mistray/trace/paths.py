@@ -203,7 +203,7 @@ class PathTable(
     """
     Table of the paths from the sources to the detectors, the strongest first.
 
-    A sequence of `PathRow`; `to_pandas`, `to_csv` and `to_parquet` return or write the whole table.
+    It is a sequence of `PathRow`; `to_pandas`, `to_csv` and `to_parquet` return or write the whole table.
 
     Parameters
     ----------

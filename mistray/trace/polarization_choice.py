@@ -92,7 +92,7 @@ class PolarizationChoice:
 
 
 def words_of(settings: Mapping[str, Any]) -> str:
-    """Return a line of text with the polarisation mode of a trace and the reason for it, from its settings."""
+    """Return a line with the polarisation mode of a trace and the reason for it, from its settings."""
     return f"polarization: {settings['polarization']} ({settings['polarization_reason']})"
 
 

@@ -196,7 +196,11 @@ def entering_text(entering: Sequence[Entering]) -> str:
 
 
 def entering_lines(entering: Mapping[str, Sequence[Entering]]) -> list[str]:
-    """Return lines of text on light by new first surfaces: one for each of the worst places, one for the rest."""
+    """
+    Return lines about light by new first surfaces: one for each of the worst places, one for the rest.
+
+    There is no line if there is no such light.
+    """
     ranked = sorted(entering.items(), key=lambda item: -sum(one.of_before for one in item[1]))
     lines = [
         f"{place}: {entering_text(here)}{'; less stray light is no gain here' if spoils(here) else ''}"

@@ -136,7 +136,11 @@ def open_surfaces(scene: Any, cut: CutPlane | None) -> list[OpenSurface]:
 
 
 def triangles(shape: Any, name: str) -> tuple[Points, Faces]:
-    """Return vertices (n, 3), mm, and faces (m, 3) of a whole shape; `name` is for the error message."""
+    """
+    Return vertices (n, 3), mm, and faces (m, 3) of a whole shape.
+
+    A shape without formula or triangles raises `MistrayError`, in which `name` is its name.
+    """
     if hasattr(shape, "profile"):
         vertices, faces = mesh_arrays(shape)
         return vertices, faces.astype(np.int64)
@@ -319,7 +323,8 @@ def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Poi
     """
     Return the mesh of a shape of Mitsuba, cut open, as `clip` does.
 
-    It follows the shape's formula if `primitive` has one.
+    It follows the shape's formula if `primitive` has one. A shape with neither formula nor triangles raises
+    `MistrayError`.
     """
     kind, rigid, size = primitive(shape)
     if not kind:

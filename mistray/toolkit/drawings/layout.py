@@ -332,7 +332,11 @@ def _figure(
 
 
 def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN) -> list[tuple[int, str, str]]:
-    """Return path id, colour and label of the direct image, the worst stray paths of a field, and the strongest one."""
+    """
+    Return path id, colour and label of the direct image, the worst stray paths of a field, and the strongest one.
+
+    `ghosts` is the number of the worst; the direct image is left out if the field has none.
+    """
     table = report.table(field_deg)
     chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
     for number, row in enumerate(report.listed(field_deg, ghosts).itertuples(index=False), 1):

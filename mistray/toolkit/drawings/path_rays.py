@@ -35,7 +35,7 @@ _LETTER = {INTERCEPTS[code]: letter for code, letter in LETTERS.items()}
 @dataclass(frozen=True, eq=False)
 class RayLine:
     """
-    Ray of one path as a polyline, from its source to its last hit.
+    Ray of one path as a polyline, from its source (backward: from the detector) to its last hit.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class RayLine:
 
 def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None = None) -> list[PathRow]:
     """
-    Return the `count` strongest rows of the path table, or those requested by id, by name or by filter.
+    Return the `count` strongest rows of the path table, or all that `path_ids` requests by id, by name or by filter.
 
     A path at several wavelengths counts once, with its strongest row: the rays of the others would lie on its own.
 
@@ -255,7 +255,11 @@ def ray_groups(choice: RayChoice, scene: mi.Scene, traces: Sequence[Trace], size
 
 
 def _groups_of(choice: RayChoice, trace: Trace, size_mm: float, with_field: bool) -> list[RayGroup]:
-    """Return the rays to draw from the trace of one field, grouped by path or by class."""
+    """
+    Return the rays to draw from the trace of one field, grouped by path or by class.
+
+    Names begin with the field angle if `with_field`.
+    """
     field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
     if choice.classes is not None:
         names = [name for name in choice.classes if name != BACKWARD]
@@ -278,6 +282,10 @@ def _lines_of_class(choice: RayChoice, trace: Trace, name: str, size_mm: float) 
 
 
 def row_name(row: PathRow, with_wavelength: bool = False) -> str:
-    """Return the legend text of a row of the path table: id, name, optional wavelength (nm), and power (W)."""
+    """
+    Return the name of a row of the path table in a legend: id, name and power (W).
+
+    With `with_wavelength` the wavelength (nm) is added.
+    """
     wavelength = f", {row.wavelength_nm:g} nm" if with_wavelength else ""
     return f"{row.path_id} {row.label}{wavelength}, {row.power_W:.4g} W"

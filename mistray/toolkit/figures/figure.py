@@ -80,7 +80,8 @@ class Figure(figure.Figure):
     ) -> tuple[Self, Any]:
         """Return a figure of a size in inches and its panels, which do not overlap.
 
-        `panels` are keywords of `subplots`.
+        There are `rows` and `columns` of them: a single Axes, or an array. `dpi` is the resolution, pixels per inch,
+        and `panels` are keywords of `subplots`.
         """
         made = cls(figsize=(width, height), dpi=dpi, layout="constrained")
         return made, made.subplots(rows, columns, **panels)

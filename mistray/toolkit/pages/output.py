@@ -98,7 +98,7 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
 
 
 def csv_text(table: pd.DataFrame, in_full: bool = False) -> str:
-    """Return a table as CSV without its index, numbers with nine digits or in full."""
+    """Return a table as CSV without its index, numbers with all digits if `in_full`, else with nine."""
     return str(table.to_csv(index=False, lineterminator="\n", float_format=None if in_full else "%.9g"))
 
 

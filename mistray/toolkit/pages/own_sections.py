@@ -56,7 +56,12 @@ def own_sections(result: Any) -> list[Section]:
 
 
 def with_own_sections(report: Report) -> Report:
-    """Return a report with the user's sections for its result added before its last section, in all output files."""
+    """
+    Return a report with the user's sections for its result before its last section.
+
+    Their tables and values are added to its CSV and JSON files. A table without a name of its own raises
+    `MistrayError`.
+    """
     own = own_sections(report.result)
     return replace(
         report,

@@ -225,7 +225,12 @@ class _Writer:
         self.pdf.ln(1)
 
     def table(self, table: model.Table) -> None:
-        """Write a table as wide as needed; if it is wider than the page, columns of text are wrapped."""
+        """
+        Write a table as wide as needed; if it is wider than the page, columns of text are wrapped.
+
+        A table without rows is left out, and so are columns of event letters. Of long tables the rows are written that
+        are also printed.
+        """
         from fpdf.enums import TableBordersLayout
         from fpdf.fonts import FontFace
 
@@ -281,7 +286,11 @@ class _Writer:
         bold: bool = False,
         family: str = FONT,
     ) -> None:
-        """Write a paragraph with a font size in points; in `Markup`, text within <b> is bold."""
+        """
+        Write a paragraph with a font size in points, in a colour (RGB) and a font family.
+
+        In `Markup`, text within <b> is bold.
+        """
         self.pdf.set_text_color(*colour)
         self.pdf.set_x(MARGIN)
         pieces = re.split(r"</?b>", text) if isinstance(text, Markup) else [text]

@@ -83,7 +83,7 @@ def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False)
     o, d : (n, 3) float64
         Origins (mm) and unit directions before the first step.
     throughput : bool
-        Whether to compute the throughput as well.
+        Whether to compute the throughput as well; else it is 1.
     """
     optics, wavelength = path.table.optics, path.table.wavelength_nm
     opl, left = np.zeros(len(o)), np.ones(len(o))

@@ -69,7 +69,11 @@ class DetectorView:
         return StartPoints(p, d, weight, number, normal, self._medium(bool(normal[0] @ self.light > 0)))
 
     def _medium(self, from_front: bool) -> int:
-        """Return the index of the material in front of or behind the detector; 0 if it is unknown."""
+        """
+        Return the index of the material on the front of the detector if `from_front`, else on its back.
+
+        It is 0 if the material is unknown.
+        """
         interface, media = self.table.interfaces[self.table.detector], self.table.optics.media
         material = (interface.front if from_front else interface.back).strip()
         return media.index(material) if material in media else 0
