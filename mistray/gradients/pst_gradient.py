@@ -66,7 +66,11 @@ class PstEnds(Ends):
         return dr.gather(mi.UInt32, self.groups, cell)
 
     def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End | Exit:
-        """Return the contribution of each ray to the metric: its recorded weight, wherever it hits or leaves."""
+        """
+        Return the contribution of each ray to the metric: its recorded weight, wherever it hits or leaves.
+
+        For backward rays it is an `Exit`, otherwise a function of the hit with the detector.
+        """
         gain = rays.weight  # the same anywhere on the detector
         return Exit(gain, rays.heading) if self.sky is not None else lambda *hit: gain
 

@@ -94,8 +94,8 @@ def fixed(plugin: Any, name: str) -> str | None:
     """
     Return the reason why a scatter parameter cannot be differentiated in a trace, as a phrase; None if it can.
 
-    It cannot where lobes appear or vanish at 0, such as at an amplitude of 0, or where the model allows only one
-    value.
+    It cannot where lobes appear or vanish at 0, such as at an amplitude of 0, or where the model allows only one value.
+    None is also returned where the model refuses the indices tried here: the trace raises an error of its own.
     """
     value = float(dr.detach(plugin.values[name])[0])
     try:

@@ -165,7 +165,11 @@ class ScatterReplay(Scattering):
         )
 
     def _sample_axis(self, event: ScatterEvent, active: mi.Bool) -> mi.Vector3f | None:
-        """Return the sample's x axis at each hit, in the surface's frame; None if no scatter is anisotropic."""
+        """
+        Return the sample's x axis at each hit, in the surface's frame; None if it is not needed.
+
+        That is if no scatter is anisotropic, or if the event has no position `q`.
+        """
         if self.tables.frames is None or event.q is None:
             return None
         normal = dr.select(event.from_front, event.axis, -event.axis)
