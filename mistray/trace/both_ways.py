@@ -172,7 +172,7 @@ class Arrivals:
 
 
 def started(run: Run, rays: int) -> tuple[Branches, float]:
-    """Return start rays of a run as `Branches`, and the flux of each, W."""
+    """Return start rays of a run as `Branches`, and the flux, W, of a start ray of weight 1."""
     pilot = replace(run, rays=run.source.count(rays), seed=SEED, parts=None)
     start = pilot.start_pass(0)
     if (given := dr.width(start.lane)) > 2 * rays:  # a source may have rays of its own

@@ -209,7 +209,7 @@ def _traced(
     Return the result of the runs, traced in this process or on workers.
 
     An interrupt here raises `Interrupted` with a partial result, or KeyboardInterrupt without one. Workers that do not
-    finish raise `UnfinishedError`, with a partial result if there is one.
+    finish raise `UnfinishedError`, with a partial result if there is one. With workers, recorders raise `MistrayError`.
     """
     workers = current_workers()
     if workers is None:

@@ -238,7 +238,7 @@ class PathTable(
         self.runs, self._run, self._place = list(runs), run, place
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of paths, the stray power (W) and the name of the strongest path, by label."""
+        """Return the number of paths, the stray power (W) and the name of the strongest path, if any, by label."""
         found: dict[str, KeyNumber] = {"paths": len(self), "stray [W]": self.stray_W}
         return found | ({"strongest": self[0].label} if len(self) else {})
 

@@ -263,7 +263,11 @@ def _polarizes(table: SurfaceTable) -> bool:
 
 
 def _with_few_wavelengths(beam: Light) -> Light:
-    """Return the light reduced to at most `MOST_RUNS` wavelengths spread over its spectrum."""
+    """
+    Return the light reduced to at most `MOST_RUNS` wavelengths spread over its spectrum.
+
+    Light without wavelengths of its own, or with few, is returned unchanged.
+    """
     if beam.wavelength_nm is None:
         return beam
     nm, shares = spectrum(beam.wavelength_nm, beam.weights)

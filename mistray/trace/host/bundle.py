@@ -45,14 +45,18 @@ class PointBundle:
     along: Array
 
     def rays(self, x: Array) -> tuple[Array, Array]:
-        """Return origins, mm, and unit directions, (n, 3) each, of the rays at coordinates x, (n, 2)."""
+        """Return origins, mm, and unit directions, (n, 3) each, of the rays at coordinates x, (n, 2): mm or slopes."""
         if self.near:
             d = self.axis + x[:, :1] * self.u + x[:, 1:] * self.v
             return np.tile(self.origin, (len(x), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
         return self.origin + x[:, :1] * self.u + x[:, 1:] * self.v, np.tile(self.axis, (len(x), 1))
 
     def density(self, x: Array) -> Array:
-        """Return relative flux per area of the ray coordinates (n, 2), (n,), for a uniform beam or isotropic point."""
+        """
+        Return relative flux per area of the ray coordinates (n, 2), (n,), for a uniform beam or isotropic point.
+
+        It is 1 for a point at infinity. For a near one the coordinates are slopes, and it falls off as they grow.
+        """
         if not self.near:
             return np.ones(len(x))
         return np.asarray((1 + (x**2).sum(axis=1)) ** -1.5)

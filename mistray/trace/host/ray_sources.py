@@ -187,7 +187,11 @@ class Surroundings:
 
     @classmethod
     def direction(cls, table: SurfaceTable, axes: np.ndarray, field_deg: float, azimuth_deg: float) -> Surroundings:
-        """Return a distant source at one field angle and azimuth, degrees; azimuth runs from +y to -x."""
+        """
+        Return a distant source at one field angle and azimuth, degrees; azimuth runs from +y to -x.
+
+        A field angle below 0 lies on the opposite azimuth. Raise `MistrayError` for an angle out of range.
+        """
         FIELD_DEG.check("field_deg", field_deg)
         AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
         turned = azimuth_deg + 180 if field_deg < 0 else azimuth_deg
