@@ -84,7 +84,7 @@ class NextOrder:
 
     @property
     def sentence(self) -> str:
-        """Finding in one sentence: the number that changes most, its two values, and the difference with its error."""
+        """Finding in one sentence: the result that changes most, its two values, and the difference with its error."""
         k = self.worst
         second, first = (
             f"{value:.3g} ± {percent_text(se / abs(value), 1) if value else f'{se:.1g}'}"
