@@ -88,7 +88,11 @@ class Keyword:
         return property_of(self.field, not self.required, self.options[0].of not in OF_SCENE)
 
     def parsed(self, value: Any) -> dict[str, Any]:
-        """Return the value as argparse would, by option; raise `MistrayError` if it fails its demand."""
+        """
+        Return the value as argparse would, by option; raise `MistrayError` if it fails its demand.
+
+        An empty string that is the default, and entries of an object that are None, give no option.
+        """
         if value == "" == self.field.default:
             return {}
         found = self.demand.check(self.name, value)
@@ -270,7 +274,11 @@ def _refuse(name: str) -> NoReturn:
 
 
 def _nearest(wrong: str, known: Mapping[str, Keyword]) -> str:
-    """Return a suggestion for an unknown key: one of similar spelling, or that of the option with this name."""
+    """
+    Return a suggestion for an unknown key: one of similar spelling, or that of the option with this name.
+
+    For a key that belongs inside an object, it names that object; if nothing is similar, it lists all keys.
+    """
     word = wrong.lstrip("-").replace("-", "_")
     options = {option.dest: name for name, one in known.items() for option in one.options}
     inside = {option.of.name: name for name, one in known.items() for option in one.options if one.whole and option.of}

@@ -74,7 +74,12 @@ def _value_text(value: Any) -> str:
 
 
 def _metavar(demand: Any) -> Any:
-    """Return the placeholder of an option's value in the help text: its unit, NAME, or N for whole numbers."""
+    """
+    Return the placeholder of an option's value in the help text.
+
+    It is the unit of a number, or N for a whole and F for another number without unit; NAME, or NAME=…, for names; a
+    pair for an interval; else the word that the demand itself states, or WHAT.
+    """
     if isinstance(demand, Interval):
         return "LOW", "HIGH"
     if isinstance(demand, ByName):

@@ -37,7 +37,12 @@ class ProgressBar:
         self._bar: Any = None
 
     def __call__(self, *state: Any) -> None:
-        """Move the bar to a state of progress, in any form that functions of mistray report."""
+        """
+        Move the bar to a state of progress, in any form that functions of mistray report.
+
+        The bar never moves back within a plan, and is closed at the end. Without a terminal or notebook, nothing is
+        shown.
+        """
         done, total = _share(state)
         if self._bar is None:
             self._bar = _bar(self._what)

@@ -41,7 +41,12 @@ class _Shown:
         return f"{field}_percent" if self.percent is True else field
 
     def value(self, row: Any, field: str, in_table: bool = False) -> Any:
-        """Return the value of a field as shown in a DataFrame or, if `in_table`, in a page's table."""
+        """
+        Return the value of a field as shown in a DataFrame or, if `in_table`, in a page's table.
+
+        A tuple is joined to text, and a fraction shown in percent is multiplied by 100. None is NaN in a DataFrame
+        where the field holds an `Estimate`.
+        """
         value = getattr(row, field)
         if value is None:
             return UNKNOWN if "Estimate" in self.kind and not in_table else None

@@ -57,7 +57,7 @@ class TomlSection:
         Raises
         ------
         MistrayError
-            If the file is missing or is not valid TOML.
+            If the source is of another type, or the file is missing or is not valid TOML.
         """
         if isinstance(source, Mapping):
             return cls(kind, "", source, Path())

@@ -265,7 +265,7 @@ def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.flo
     """
     Return generatrix points (r, z), (n, 2), mm.
 
-    A plane parallel to the axis adds the point where it touches a circle.
+    A plane parallel to the axis adds the point where it touches a circle, if it does between the rims.
     """
     profile = np.asarray(shape.profile(rings), dtype=np.float64)
     if cut is None or abs(cut.normal @ shape.matrix[:3, 2]) > 1e-12:
@@ -292,7 +292,7 @@ def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[
     """
     Return the mesh of a rectangular `asphere`, cut open: vertices, faces, rims, as `clip` does.
 
-    A flat rectangle is lifted to the sag.
+    Where a curved one is cut, the new points are moved onto its sag too.
     """
     half = np.array([shape.values["half_width"], shape.values["half_height"]])
     cells = 1 if shape.plane else GRID

@@ -59,9 +59,9 @@ def named_bars(axes: Axes, names: Sequence[str], values: np.ndarray, errors: Any
 
 def magnitude_bars(values: Mapping[str, Estimate], label: str) -> Figure:
     """
-    Return a figure of the largest magnitudes as horizontal bars on a log10 scale; values below 0 are orange.
+    Return a figure of the `BARS` largest magnitudes as horizontal bars on a log10 scale.
 
-    Values that are 0 or not finite are left out.
+    Values below 0 are orange. Values that are 0 or not finite are left out.
     """
     known = {name: one for name, one in values.items() if np.isfinite(one.value) and one.value}
     shown = dict(sorted(known.items(), key=lambda item: -abs(item[1].value))[:BARS])

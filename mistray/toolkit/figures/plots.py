@@ -135,7 +135,7 @@ def _hatch(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
 
 
 def as_png(figure: Figure, of_maps: bool = False) -> bytes:
-    """Return a figure as PNG; with `of_maps` it gets a palette of 256 colours and is a third as large."""
+    """Return a figure as PNG; with `of_maps` it gets a palette of 256 colours, which makes it a third as large."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", bbox_inches="tight", pad_inches=0.1)
     if not of_maps:

@@ -140,7 +140,7 @@ class _Writer:
             self.rule()
 
     def title_block(self, report: model.Report) -> None:
-        """Write system, analysis, date, program and checksum of the numbers, between two lines."""
+        """Write system, analysis, date, program and, if there are tables, their checksum, between two lines."""
         tables = "".join(csv_text(frame, report.in_full) for frame in report.csv.values())
         program = ", ".join(f"{name} {version}" for name, version in versions().items())
         pairs = [

@@ -104,7 +104,11 @@ def _value(value: Any, column: str, error: Any) -> Value:
 
 
 def value_text(value: Any) -> str:
-    """Return a value of a table or of a setting as a report shows it; None and NaN as "–"."""
+    """
+    Return a value of a table or of a setting as a report shows it.
+
+    None and NaN are "–", True is "yes", False is empty.
+    """
     if isinstance(value, str):
         return value
     if isinstance(value, Estimate):

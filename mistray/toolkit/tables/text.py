@@ -73,6 +73,8 @@ def table_text(table: Table, most: int | None = None) -> str:
     """
     Return a table of a report as text of fixed width, with a line of units below the headings, if there are any.
 
+    A table without rows gives its `Table.empty`.
+
     Parameters
     ----------
     table : Table
@@ -96,7 +98,11 @@ def table_text(table: Table, most: int | None = None) -> str:
 
 
 def cell_text(value: Value) -> str:
-    """Return a cell of a table as printed: a value with its error, a link without its target, a fold's summary."""
+    """
+    Return a cell of a table as printed: a value with its error, without the note on it; else its text.
+
+    A link is printed without its target, and a fold as its summary.
+    """
     if isinstance(value, Noted):
         value = value.number
     if isinstance(value, Estimate):
