@@ -129,7 +129,11 @@ def _crashes(key: str, value: Any) -> str:
 
 
 def _special(name: Any) -> str:
-    """Return the reason why the file that a Mitsuba plugin names must not be opened (pipe, device); "" if it may."""
+    """
+    Return the reason why the file that a Mitsuba plugin names must not be opened; "" if it may.
+
+    It is a pipe or device, or its name is blank. A missing file is left to Mitsuba.
+    """
     if isinstance(name, str) and not name.strip():  # Mitsuba finds its own folder by it
         return f"{FILE} is {name!r}; name a file"
     file = str(mi.file_resolver().resolve(name)) if isinstance(name, str) else ""

@@ -38,7 +38,7 @@ def rewritten(
     text: str | None = None,
 ) -> str:
     """
-    Return the text of a scene with other values of parameters.
+    Return the text of a scene with other values of parameters; without values, only its search path may change.
 
     Parameters
     ----------

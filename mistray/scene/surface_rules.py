@@ -304,7 +304,7 @@ class Painter:
 
     def _named(self, item: Any) -> Any:
         """
-        Return a coating or scatter model under a name that the system does not use yet.
+        Return a coating or scatter model under a name that no different one of the system uses.
 
         One without a name is not shared and stays as it is.
         """
@@ -319,7 +319,11 @@ class Painter:
 
 
 def _design_nm(light_nm: Sequence[float]) -> float:
-    """Return the default reference wavelength, nm, of layers given in waves, for the source wavelengths, nm."""
+    """
+    Return the default reference wavelength, nm, of layers given in waves, for the source wavelengths, nm.
+
+    It is the default of a coating or, if all wavelengths are invisible, the middle of their range.
+    """
     if not light_nm or any(VISIBLE_NM[0] <= nm <= VISIBLE_NM[1] for nm in light_nm):
         return Coating.design_nm
     return (min(light_nm) + max(light_nm)) / 2

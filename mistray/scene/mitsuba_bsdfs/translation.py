@@ -118,7 +118,7 @@ def _properties(given: Mapping[str, Any], name: str) -> mi.Properties:
 
 
 def _translated(scene: _Scene, node: Any, side: str) -> dict[str, Any] | None:
-    """Return the dict of a mistray interface that scatters as a Mitsuba BSDF does; None if there is none."""
+    """Return the dict of a mistray interface that scatters as a Mitsuba BSDF does; None if none does so exactly."""
     kind = node.props.plugin_name()
     values = scene.values(node)
     if kind == "twosided":
