@@ -138,7 +138,11 @@ def printable(text: str) -> str:
 
 
 def one_line(message: object) -> str:
-    """Format a message as one line for a terminal; very long words in it are cut."""
+    """
+    Format a message as one line for a terminal.
+
+    Words of more than 300 letters are cut; in a line that is still too long, shorter ones are, too.
+    """
     words, line = str(message).split(), ""
     for most in LONGEST_WORDS:
         line = " ".join(word if len(word) <= most else f"{word[:most]}…" for word in words)

@@ -89,7 +89,11 @@ class Param(Demand):
         return -math.inf if low <= -UNBOUNDED else low, math.inf if high >= UNBOUNDED else high
 
     def usual_tolerance(self, value: float) -> float:
-        """Return the usual tolerance (±) for a nominal value, in the unit of the parameter."""
+        """
+        Return the usual tolerance (±) for a nominal value, in the unit of the parameter.
+
+        It is the absolute one, if stated; else a share of the value, or `AT_ZERO` where that would be 0.
+        """
         return self.tolerance * abs(value) or AT_ZERO if self.absolute is None else self.absolute
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:

@@ -193,7 +193,11 @@ def _bring_late(old: Path, new: Path, own: set[str]) -> None:
 
 
 def _obsolete(folder: Path, page: str) -> set[str]:
-    """Return names of unchanged files that the previous run of a page wrote, and of files in an incomplete set."""
+    """
+    Return names of unchanged files that the previous run of a page wrote, and of files in an incomplete set.
+
+    The page itself, scenes, and files that serve as input are left out.
+    """
     found = {*incomplete_sets(folder).get(page, ())} - {page}
     with contextlib.suppress(ValueError, AttributeError, RecursionError):  # a page of somebody else
         lists = _LIST.findall(read_file(folder / page, own=True))

@@ -269,13 +269,17 @@ class Settings:
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
     def resolved(self, scene: Any) -> Settings:
-        """Return the settings with `polarization` "auto" replaced by the choice for the scene's sources."""
+        """Return the settings with `polarization` "auto", if so, replaced by the choice for the scene's sources."""
         if self.polarization != "auto":
             return self
         return replace(self, polarization="stokes" if polarized_sources(scene) else "unpolarized")
 
     def with_unit(self, unit_W: float) -> Settings:
-        """Return the settings with `cut_below_W` merged into `cut_below`, for start rays of `unit_W` watts each."""
+        """
+        Return the settings with `cut_below_W` merged into `cut_below`, for start rays of `unit_W` watts each.
+
+        The larger of the two holds for each entry. Settings without `cut_below_W` are returned unchanged.
+        """
         if not any(self.cut_below_W):
             return self
         relative = (max(a, float(b) / float(unit_W)) for a, b in zip(self.cut_below, self.cut_below_W, strict=True))

@@ -114,7 +114,11 @@ def _interrupted(first: int | None) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """Ask Linux to kill this process when its parent ends, even by SIGKILL; do nothing on other systems."""
+    """
+    Ask Linux to kill this process when its parent ends, even by SIGKILL; do nothing on other systems.
+
+    If the parent has already ended, this process does too.
+    """
     if sys.platform != "linux":
         return
     import ctypes
