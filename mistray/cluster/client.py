@@ -182,7 +182,11 @@ class Cluster:
             job.close()
 
     def sending(self, action: Callable[[], Any]) -> Any:
-        """Return the result of an action that needs the scheduler. Raise `UnfinishedError` if the scheduler is lost."""
+        """
+        Return the result of an action that needs the scheduler.
+
+        Raise `UnfinishedError` if the scheduler is lost; other errors of the action pass.
+        """
         if self.client.status != "running":
             raise self.gone()
         try:

@@ -71,7 +71,7 @@ class _Pickler(cloudpickle.Pickler):
         self._known: dict[int, str] = {}
 
     def persistent_id(self, item: Any) -> Any:
-        """Return the hash of a scene; None for all other objects."""
+        """Return the hash of a scene, which is packed when it is first met; None for all other objects."""
         if not isinstance(item, mi.Scene):
             return None
         if id(item) not in self._known:
