@@ -150,7 +150,7 @@ def path_history(table: PathTable, path_id: int, most: int) -> RayHistory:
     """
     Return up to `most` rays of a path, spread over the beam, with hit points recomputed in float64, mm.
 
-    `path_id` is that of the table; a `most` below 1 raises `MistrayError`.
+    `path_id` is that of the table. Raise `MistrayError` if there is no such path, or if `most` is below 1.
     """
     if most < 1:
         raise MistrayError(f"n is {most}; ask for at least one ray")
@@ -236,7 +236,11 @@ def sample_rays(table: PathTable, path_ids: Sequence[int], most: int) -> dict[in
 
 
 def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
-    """Return at most `most` rays of each path of a run, by `path_id`, from a sample of its start rays."""
+    """
+    Return at most `most` rays of each path of a run, by `path_id`, from a sample of its start rays.
+
+    A path has fewer, or none, if the sample or the time ends before.
+    """
     run = own.run
     found: dict[int, list[Ray]] = {path_id: [] for path_id in own.ids.tolist()}
     # Start rays are numbered along a curve through the beam, once for each batch: equal steps would meet the same place

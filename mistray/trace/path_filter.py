@@ -102,7 +102,7 @@ class PathFilter:
     @classmethod
     def in_order(cls, words: Sequence[str]) -> PathFilter:
         """
-        Return a filter for light that meets these surfaces in this order.
+        Return a filter for light that meets these surfaces in this order, perhaps with others between.
 
         Each may end in an event letter, as ``lens:R``.
         """

@@ -302,7 +302,7 @@ def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
 
 
 def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
-    """Return the names of surfaces and media with a target that covers no detector."""
+    """Return the names of surfaces and media with a target that is not flat or covers no detector."""
     names = set()
     for run in runs:
         table = run.table
