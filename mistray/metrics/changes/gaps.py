@@ -152,7 +152,7 @@ def _opened(
 
 
 def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Contact) -> bool:
-    """True if two gaps lie at one place, and each surface of one touched a surface of the other."""
+    """True if two gaps lie at one place, and each surface of one is, or touched, a surface of the other."""
     if np.abs(one.place - other.place).max() > 2 * TOUCH:
         return False
     a, b = (here[k] for k in one.pair)
