@@ -165,7 +165,7 @@ def _is_given(value: Any) -> bool:
 
 
 def keywords(command: Command) -> dict[str, Keyword]:
-    """Return the keys of the request of a command, in the order of its help."""
+    """Return the keys of the request of a command, in the order of its help, without those about request files."""
     found: dict[str, Keyword] = {}
     names = [option.dest for option in command.options]
     for option in command.options:

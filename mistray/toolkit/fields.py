@@ -223,7 +223,7 @@ def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
 
 
 def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
-    """Return the default of a request field; raise `MistrayError` if the field must be given."""
+    """Return the default of a request field, empty for a `FieldSubset`; raise `MistrayError` if it must be given."""
     if isinstance(demand_of(declared), FieldSubset):
         return {}
     if declared.default is dataclasses.MISSING:

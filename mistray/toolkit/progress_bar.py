@@ -69,7 +69,11 @@ class ProgressBar:
 
 
 def _share(state: tuple[Any, ...]) -> tuple[float, float]:
-    """Return the amount done and the total, from the progress of a trace (rays), a PST, or counted steps."""
+    """
+    Return the amount done and the total, from the progress of a trace (rays), a PST, or counted steps.
+
+    Of any other state nothing is done.
+    """
     last = state[-1] if state else 0.0
     if hasattr(last, "share_done"):
         return float(last.share_done), 1.0

@@ -343,7 +343,11 @@ def _is_own(kind: type) -> bool:
 
 
 def _is_part_of(kind: type, name: str) -> bool:
-    """True if a name is an attribute of a class that an instance's saved state must not override."""
+    """
+    True if a class has an attribute of a name that an instance's saved state must not override.
+
+    So does any name with two leading underscores.
+    """
     own = inspect.getattr_static(kind, name, None)
     return name.startswith("__") or not isinstance(own, _PLAIN | functools.cached_property)
 
@@ -356,7 +360,11 @@ def _name(kind: type) -> str:
 
 
 def _class(name: str, base: type = object) -> Any:
-    """Return a class of mistray by module and name; raise `ValueError` for any other, or without the base."""
+    """
+    Return a class of mistray by module and name.
+
+    Raise `ValueError` for any other, or without the base, and what the import raises if there is no such one.
+    """
     found = _CLASS.fullmatch(name)
     kind: Any = getattr(importlib.import_module(found[1]), found[2]) if found else None
     if not isinstance(kind, type) or f"{kind.__module__}:{kind.__qualname__}" != name or not issubclass(kind, base):

@@ -27,7 +27,11 @@ MOST_ROWS = 10  # of the table
 
 
 def one_line(result: Result) -> str:
-    """Return class, scene and key numbers of a result in one line; numbers that do not fit in are left out."""
+    """
+    Return class, scene and key numbers of a result in one line; numbers that do not fit in are left out.
+
+    If it is still too long, it is cut.
+    """
     name = " ".join(result.scene_name.split())
     parts = [name if len(name) <= MOST_OF_NAME else f"{name[: MOST_OF_NAME - 1]}…"] if name else []
     parts += [" ".join(_text(*pair).split()) for pair in result.key_numbers().items()]
@@ -74,7 +78,7 @@ def html_summary(result: Result) -> str:
 
 
 def _parts(result: Result) -> Iterator[PagePart]:
-    """Yield key numbers, table and figure of a result as parts of an HTML summary."""
+    """Yield key numbers, first rows of the table, and figure of a result as parts of an HTML summary."""
     numbers = result.key_numbers()
     yield Terms([_pair(*pair) for pair in numbers.items()])
     found = main_table(result)

@@ -187,7 +187,7 @@ class TomlSection:
         """
         Return the distinct numbers of a key, given as a number, a list, or start, stop and step.
 
-        All must lie `within` the range, else `MistrayError` is raised.
+        All must lie `within` the range. Anything else raises `MistrayError`.
         """
         value = self.content[key]
         if isinstance(value, Mapping):

@@ -52,7 +52,11 @@ def typeset_html(text: str) -> Markup:
 
 
 def value_and_error(text: str) -> tuple[str, str]:
-    """Return the value and the error, with its sign ±, of a number as `with_error` writes it, each as in print."""
+    """
+    Return the value and the error, with its sign ±, of a number as `with_error` writes it, each as in print.
+
+    The error is empty if there is none.
+    """
     pair = _PAIR.fullmatch(text)
     if pair is None:
         value, _, error = text.partition(" ± ")

@@ -423,7 +423,11 @@ def triangulate(outline: npt.ArrayLike) -> Faces:
 
 
 def _is_ear(points: Points, ring: Sequence[int], k: int) -> bool:
-    """True if corner `k` of a polygon and its neighbours form a convex triangle that holds no other corner."""
+    """
+    True if corner `k` of a polygon and its neighbours form a convex triangle that holds no other corner.
+
+    It is also True if the three lie on one line.
+    """
     a, b, c = (points[ring[i]] for i in (k - 1, k, (k + 1) % len(ring)))
     size = _side(a, b, c)
     if size <= 0:

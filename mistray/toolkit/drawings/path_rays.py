@@ -83,7 +83,8 @@ def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None =
     """
     Return the `count` strongest rows of the path table, or all that `path_ids` requests by id, by name or by filter.
 
-    A path at several wavelengths counts once, with its strongest row: the rays of the others would lie on its own.
+    A path at several wavelengths, unless it is requested by id, counts once, with its strongest row: the rays of the
+    others would lie on its own.
 
     Raises
     ------

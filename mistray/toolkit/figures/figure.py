@@ -136,7 +136,11 @@ class Figure(figure.Figure):
             )
 
     def draw(self, renderer: Any) -> None:
-        """Draw the figure with all names as plain text; Matplotlib calls this for every file format."""
+        """
+        Draw the figure with all names as plain text; Matplotlib calls this for every file format.
+
+        If there is a layout engine, the first call only places everything.
+        """
         axes = [axis for panel in self.axes for axis in (panel.xaxis, panel.yaxis)]
         numbers = set()
         for axis in axes:

@@ -110,7 +110,11 @@ class _Writer:
             font.ttfont.close()
 
     def parts(self, parts: Sequence[model.PagePart], most: float = MOST_HEIGHT) -> None:
-        """Write parts of a report; pictures are at most `most` mm high."""
+        """
+        Write parts of a report; pictures are at most `most` mm high.
+
+        Of a folded part, only the summary is written.
+        """
         for part in parts:
             if isinstance(part, model.Table):
                 self.table(part)
@@ -259,7 +263,11 @@ class _Writer:
         self.pdf.ln(2)
 
     def _widths(self, rows: Sequence[Sequence[str]], left: Sequence[bool]) -> tuple[float, list[float]]:
-        """Return the size of the font, points, and the widths of the columns, mm, that fit a table on the page."""
+        """
+        Return the size of the font, points, and the widths of the columns, mm, that fit a table on the page.
+
+        If no size fits, the smallest is used, and columns of text are narrowed before all others.
+        """
         room, widths = self.pdf.epw, [0.0]
         for size in TABLE_SIZES:
             widths = []

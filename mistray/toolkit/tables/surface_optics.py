@@ -184,7 +184,7 @@ def scatter_words(interface: Any) -> str:
 
 
 def model_words(item: Any) -> str:
-    """Return a scatter model with its values other than defaults in words, such as "harvey_shack rms_nm 4"."""
+    """Return a scatter model with its numbers other than defaults in words, such as "harvey_shack rms_nm 4"."""
     model = item.model
     shown = []
     for f in dataclasses.fields(model) if dataclasses.is_dataclass(model) else ():

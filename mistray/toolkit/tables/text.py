@@ -113,7 +113,7 @@ def cell_text(value: Value) -> str:
 
 
 def parts_text(parts: Sequence[PagePart]) -> str:
-    """Return tables, notes and lists as text, and pictures as their captions."""
+    """Return tables, notes and lists as text, and pictures as their captions; groups and folded parts are left out."""
     texts = []
     for part in parts:
         if isinstance(part, Table):
