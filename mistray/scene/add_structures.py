@@ -88,7 +88,11 @@ def add_structures(
 
 
 def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
-    """Return coatings and scatter models with an id in a scene file, by id; ones with non-plain values are skipped."""
+    """
+    Return coatings and scatter models with an id in a scene file, by id.
+
+    Those with values that are not plain, or not values of a `Coating`, are skipped.
+    """
     found: dict[str, Shared] = {}
     for element in file.root.children:
         name, kind = element.values.get("id"), element.values.get("type")

@@ -220,7 +220,11 @@ def _crosses(shape: Any, axis: _Axis) -> bool:
 
 
 def _check_materials(axis: _Axis) -> None:
-    """Raise `MistrayError` if the material behind a surface differs from that in front of the next one on the axis."""
+    """
+    Raise `MistrayError` if the material behind a surface differs from that in front of the next one on the axis.
+
+    Surfaces that touch, or of which one is opaque, are not compared.
+    """
     for a, b in pairwise(item for item in axis.placed if item.inner == 0):
         touching = b.z - a.z <= TOLERANCE * max(a.outer, b.outer)
         if touching or a.shape.bsdf().opaque or b.shape.bsdf().opaque:

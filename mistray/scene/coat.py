@@ -205,7 +205,11 @@ def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated
 
 
 def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
-    """Return the text of a scene file with rules applied, to be stored in `folder`, and the changes to its surfaces."""
+    """
+    Return the text of a scene file with rules applied, to be stored in `folder`, and the changes to its surfaces.
+
+    Raise `MistrayError` as `check_source` and `Painter.apply` do.
+    """
     check_source(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))
@@ -231,7 +235,11 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
 
 
 def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescription, Coated]:
-    """Return the prescription of `coat`, and the changes to its surfaces."""
+    """
+    Return the prescription of `coat`, and the changes to its surfaces.
+
+    Raise `MistrayError` as `Painter.apply` does.
+    """
     shapes = list(system.shapes())
     shared: dict[str, Coating | Scatter] = {**system.shared_coatings(), **system.shared_scatter()}
     faces = [
@@ -270,7 +278,11 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
 
 
 def faces_of(file: SceneFile) -> list[Face]:
-    """Return a `Face` for each shape of a scene file that has an id."""
+    """
+    Return a `Face` for each shape of a scene file that has an id.
+
+    That of a shape without an interface states this as its fault.
+    """
     found = []
     for name, shape in file.ids.items():
         if shape.tag != "shape":

@@ -189,7 +189,7 @@ def _twice(element: SceneElement) -> str:
 
 
 def _mistake(element: SceneElement, values: Mapping[str, str]) -> str:
-    """Return a message on the first invalid number of a scene element; "" if all are valid."""
+    """Return a message on the first invalid number of a scene element; "" if all are valid, or hold a ``$``."""
     tag = element.tag
     for key in NUMBERS.get(tag, ()):
         name = printable(element.name) if tag == "float" else f"{key} of {_named(element)}"

@@ -103,7 +103,11 @@ class _Reader:
         return number
 
     def _surface(self, element: Element, label: str) -> Surface | None:
-        """Return an optical surface; None if the shape neither reflects as a mirror nor transmits light."""
+        """
+        Return an optical surface; None for a shape that neither reflects as a mirror nor transmits light.
+
+        So is one whose BSDF is not an ``interface``.
+        """
         found = self.file.surface(element)
         if found is None or found[1].values.get("type") != "interface":
             return None

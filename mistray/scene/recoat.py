@@ -221,7 +221,7 @@ def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
 
 
 def _refit(file: SceneFile, interface: Element, refit: Refit) -> Edit:
-    """Return the text edit that changes the interface of one shape as `refit` says."""
+    """Return the text edit that changes the interface of one shape as `refit` says; a ``thinfilm`` becomes one."""
     text = file.text(interface)
     tag = re.sub(
         rb"(\stype\s*=\s*[\"'])thinfilm([\"'])", rb"\1interface\2", text[: interface.inside - interface.start], count=1

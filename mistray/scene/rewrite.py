@@ -113,7 +113,11 @@ def write_rewritten(
 
 
 def _plugin(file: SceneFile, params: Any, key: str) -> Any:
-    """Return the plugin that has a parameter; raise `MistrayError` if a scene file holds no value for the parameter."""
+    """
+    Return the plugin that has a parameter.
+
+    Raise `MistrayError` if there is no such parameter, or if a scene file holds no value for it.
+    """
     if key not in params:
         hint = nearest_parameters(key, params.keys())
         raise MistrayError(f"scene '{file.path}': it has no parameter '{key}'; {hint}")
@@ -140,7 +144,11 @@ def _curvature(element: Element, curvature: float) -> str:
 
 
 def _layers(file: SceneFile, element: Element, film: Any, thickness_nm: np.ndarray) -> dict[str, str]:
-    """Return the XML values of a layered coating with these thicknesses, nm."""
+    """
+    Return the XML values of a layered coating with these thicknesses, nm.
+
+    They say ``opaque`` if the coating is so and the file does not say it.
+    """
     given = {child.values.get("name"): child.values.get("value", "") for child in element.children}
     numbers = [_number(value) for value in thickness_nm.astype(np.float32)]
     if "layers" in given and "$" not in given["layers"]:

@@ -144,7 +144,7 @@ def _diffuse(reflectance: Any, side: str) -> dict[str, Any] | None:
     """
     Return a Lambertian paint of this reflectance on one side or both; another side is black, as in Mitsuba.
 
-    A reflectance of 0 gives a black surface, and a colour or a texture None.
+    A reflectance of 0 gives a black surface, and a colour or a texture None. One outside 0 … 1 raises `MistrayError`.
     """
     number, paint = _number(reflectance), {"type": "paint", "side": side}
     if number is None and not _is_table(reflectance):
