@@ -116,7 +116,11 @@ def errors_of(owner: str) -> Iterator[None]:
 
 @contextmanager
 def foreign_errors(owner: str, remedy: str) -> Iterator[None]:
-    """Turn errors of another package in a block into a `MistrayError` of one line: owner, reason and remedy."""
+    """
+    Turn errors of another package in a block into a `MistrayError` of one line: owner, reason and remedy.
+
+    A `MistrayError` passes unchanged.
+    """
     try:
         yield
     except MistrayError:

@@ -101,7 +101,7 @@ class Range(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that a number must meet, in words, such as "must lie between 0 and 90 degrees"."""
+        """Condition that a number must meet, in words, such as "must lie between 0 and 90 degrees", and any remedy."""
         ends = {(True, True): ", both excluded", (True, False): f", {number_text(self.low)} excluded",
                 (False, True): f", {number_text(self.high)} excluded"}.get((self.above, self.below), "")  # fmt: skip
         unit = f" {self.unit}" if self.unit else ""

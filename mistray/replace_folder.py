@@ -147,7 +147,11 @@ def _exchange(target: Path, files: Mapping[str, bytes], gone: set[str]) -> None:
 
 
 def _check(target: Path) -> None:
-    """Raise `_Impossible` if a folder is the current one, a mount point, or holds other folders."""
+    """
+    Raise `_Impossible` if a folder is the current one, a mount point, unreadable, or holds other folders.
+
+    So does anything else in it than files and links.
+    """
     try:
         here = os.path.samefile(target, os.curdir)
         plain = target.is_dir() and not os.path.ismount(target)

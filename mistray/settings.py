@@ -77,7 +77,8 @@ class ByBranch(Demand):
         """
         Return flux thresholds as a tuple in the order of `BRANCHES`, relative to a start ray or in W, as given.
 
-        Raise `MistrayError` for an unknown branch, a wrong number of values, or one that is not a number ≥ 0.
+        A branch that a mapping or string leaves out has 0. Raise `MistrayError` for an unknown branch, a wrong number
+        of values, or one that is not a number ≥ 0.
         """
         given = value
         letters = ", ".join(BRANCHES)

@@ -64,7 +64,11 @@ def listen() -> None:
 
 
 def _wait(child: int, numbers: list[signal.Signals]) -> None:
-    """Wait for the child process, pass signals (`numbers`) on to it, and end this process with its exit status."""
+    """
+    Wait for the child process, pass signals (`numbers`) on to it, and end this process with its exit status.
+
+    A child still alive `PATIENCE` seconds after the first signal is killed.
+    """
     first, until = None, math.inf
     while True:
         left = min(until - time.monotonic(), DAY)
