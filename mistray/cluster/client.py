@@ -325,7 +325,7 @@ class DaskJob:
             future.release()
 
     def close(self) -> None:
-        """Cancel all unfinished parts."""
+        """Cancel all unfinished parts, unless the scheduler is lost, and forget them."""
         rest = list(self._waiting.values())
         if rest and self._cluster.client.status == "running":
             with contextlib.suppress(Exception):  # nobody needs them any more
