@@ -71,6 +71,8 @@ class ReplayedEvent(ScatterEvent):
 
     Attributes
     ----------
+    q : mi.Vector3d
+        Point in the frame of the surface, mm.
     active : mi.Bool
         Lanes that have an event.
     length : mi.Float64
