@@ -91,7 +91,8 @@ def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) 
     """
     Return rays of a run that reach named places and pass the filter, by tracing more and more start rays.
 
-    It stops once there are `n` of them; if `n` is None or the run has fewer, all are returned.
+    It stops once there are `n` of them; if `n` is None or the run has fewer, all are returned. Raise `MistrayError` for
+    places that do not go together.
     """
     check_where(words)
     departs = any(word in (ESCAPED, RETURNED) for word in words)
@@ -229,7 +230,11 @@ def check_columns(requested: PathFilter) -> None:
 
 
 def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, count: int) -> np.ndarray:
-    """Return masks of the first `count` branches of a recorder that each filter selects, (filters, count) bool."""
+    """
+    Return masks of the first `count` branches of a recorder that each filter selects, (filters, count) bool.
+
+    Raise `MistrayError` for a filter about a column that only light on the detector has.
+    """
     # Branches of one path have the same answer
     for requested in filters:
         check_columns(requested)

@@ -75,7 +75,7 @@ class Named:
     columns: ClassVar = frozenset({"label", "detector", "kind"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return masks of the table rows whose path has this name."""
+        """Return masks of the table rows whose path has this name; raise `UnknownError` as `check` does."""
         self.check(rows)
         fits = like_pattern(_typed_alike(self.text))
         labels = _way_labels(rows)

@@ -406,6 +406,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         PathTable
             Powers, centroids and radii within the rectangle. The `path_id` are ranks within it.
+
+        Raises
+        ------
+        MistrayError
+            If the rectangle is empty, or the trace has no path table.
         """
         box = check_box((x0, x1, y0, y1))
         return path_table([run.within(box) for run in self.paths.runs])

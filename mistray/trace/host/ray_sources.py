@@ -46,6 +46,13 @@ class DetectorView:
         Direction in which the light of the design travels to the detector.
     half_angle_deg : float
         Greatest angle between rays and the normal, degrees; 90 for a complete Lambertian source.
+    name : str
+        Name for tables.
+
+    Raises
+    ------
+    MistrayError
+        If `half_angle_deg` is out of range.
     """
 
     table: SurfaceTable
@@ -105,6 +112,11 @@ class DiskSource:
         Direction of the cone's axis, the normal of the disc.
     name : str
         Name for tables.
+
+    Raises
+    ------
+    MistrayError
+        If a value is out of range, a hole is not smaller than the disc or cone, or `axis` is 0.
 
     Examples
     --------
@@ -177,7 +189,11 @@ class Surroundings:
 
     @classmethod
     def cone(cls, table: SurfaceTable, axes: np.ndarray, half_angle_deg: float) -> Surroundings:
-        """Return a distant source within `half_angle_deg` of the axis of field angles; `axes` are from `field_axes`."""
+        """
+        Return a distant source within `half_angle_deg` of the axis of field angles; `axes` are from `field_axes`.
+
+        An angle out of range raises `MistrayError`.
+        """
         CONE_DEG.check("half_angle_deg", half_angle_deg)
         grid = _one_cell(0.0, half_angle_deg, 0.0, 360.0, axes)
         return cls(
