@@ -105,6 +105,11 @@ class Metric:
         -------
         list of Observation or PstObservation
             Observations, one for each view.
+
+        Raises
+        ------
+        MistrayError
+            If `times` is not above 0, or a setting is not allowed.
         """
         POSITIVE.check("times", times)
         with quiet():
@@ -367,11 +372,9 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
     """
     Return a metric: the RMS irradiance P / (π r²) of the brightest ghost, W/mm², mean over the fields.
 
-    Its RMS radius is r.
-
-    It is the smooth maximum over the single paths of a selection, as in the ghost table. A single path gives its own
-    value; a dark selection gives 0. Paths of less than 30 rays are left out. See `Observation.moments_of_each` and
-    `smooth_maximum`.
+    Its RMS radius is r. The metric is the smooth maximum over the single paths of a selection, as in the ghost table. A
+    single path gives its own value; a dark selection gives 0. Paths of less than 30 rays are left out. See
+    `Observation.moments_of_each` and `smooth_maximum`.
 
     Parameters
     ----------
@@ -596,7 +599,11 @@ def _metric(scene: Any, function: Callable[[list[Any]], Any], traced: dict[str, 
 
 
 def _angles(field_deg: float | Sequence[float] | None) -> tuple[float, ...] | None:
-    """Return one or several field angles, degrees, as a tuple; None stays None."""
+    """
+    Return one or several field angles, degrees, as a tuple; None stays None.
+
+    An angle out of range raises `MistrayError`.
+    """
     return None if field_deg is None else tuple(FIELD_DEG.check_each("field_deg", field_deg, "metric"))
 
 

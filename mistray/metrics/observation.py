@@ -380,6 +380,11 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
         Exponent p ≥ 1. A larger one is nearer to the maximum, and more of the derivative belongs to one value. 1 gives
         the sum.
 
+    Raises
+    ------
+    MistrayError
+        If `norm` is below 1.
+
     Examples
     --------
     >>> import mitsuba as mi
