@@ -173,7 +173,11 @@ class Pairs:
     repeats: bool = False
 
     def __call__(self, text: str) -> tuple[str, Any]:
-        """Return the name and the value of a word of the command line; raise `ArgumentTypeError` if it has none."""
+        """
+        Return the name and the value of a word of the command line.
+
+        Raise `ArgumentTypeError` if it has none, or the value is not allowed.
+        """
         found = name_and_value(text)
         if found is None or not found[1]:
             raise argparse.ArgumentTypeError(f"'{text}' is {self.wrong}")

@@ -26,6 +26,8 @@ class Nested(OfType):
 
     Attributes
     ----------
+    demand : str
+        Condition in words, from the name of `kind`.
     kind : type
         Dataclass of the object.
     one_of : tuple of str
@@ -147,7 +149,7 @@ def field(
     demand : Demand
         Condition on the value, unless it is None.
     default
-        Default value; None: nothing is requested.
+        Default value; None: nothing is requested. That of a `FieldSubset` is always an empty mapping.
     doc : str
         One sentence with the unit, for `help()`, the help of the command and the docs.
     option : str

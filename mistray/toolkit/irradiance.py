@@ -202,8 +202,8 @@ def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]
     Returns
     -------
     measured : float
-        Σ|E - E'| / Σ(E + E'), 0 … 1, E' being the mirrored map, over the pixels whose errors are known; NaN if there is
-        no light in them.
+        Σ|E - E'| / Σ(E + E'), 0 … 1, E' being the mirrored map, over the pixels whose errors are known. Both numbers
+        are NaN if there is no light in them.
     expected : float
         Value expected from the standard errors alone, for Gaussian noise: the mean of |N(0, s)| is s·sqrt(2/π).
 

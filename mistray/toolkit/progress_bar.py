@@ -22,6 +22,11 @@ class ProgressBar:
     what : str
         Description of the work.
 
+    Raises
+    ------
+    MistrayError
+        If `what` is not a string.
+
     Examples
     --------
     >>> scene = mistray.load("cooke_triplet")

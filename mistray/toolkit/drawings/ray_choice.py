@@ -33,7 +33,11 @@ class ChosenRow(Demand):
 
 @dataclass(frozen=True)
 class RayChoice(Request):
-    """Choice of the rays to draw from traces: those of the strongest paths, of chosen paths, or of classes of light."""
+    """
+    Choice of the rays to draw from traces: those of the strongest paths, of chosen paths, or of classes of light.
+
+    Fields that exclude each other raise `MistrayError`.
+    """
 
     _: KW_ONLY
     paths: int = field(ROWS, 8, "paths to draw, strongest first, each at its strongest wavelength")
