@@ -105,7 +105,11 @@ def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = Non
 
 
 def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sensors: Parts) -> mi.Scene:
-    """Load a scene from a dict, a file, or a string in place of a file's content, and warn of improbable numbers."""
+    """
+    Load a scene from a dict, a file, or a string in place of a file's content, and warn of improbable numbers.
+
+    Raise as `load` does.
+    """
     others, more = (
         [given_parts] if isinstance(given_parts, (str, Mapping)) else list(given_parts or ())
         for given_parts in (sources, sensors)
@@ -171,7 +175,11 @@ def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part
 
 
 def _from_file(name: str, text: str | None) -> Any:
-    """Build the scene in a file, or in a string that replaces it; includes are first searched in its folder."""
+    """
+    Build the scene in a file, or in a string that replaces it; includes are first searched in its folder.
+
+    Raise what Mitsuba raises.
+    """
     with _search(os.path.dirname(name)):
         state = mi.parser.parse_file(_config(), name) if text is None else mi.parser.parse_string(_config(), text)
         check_file(state)

@@ -199,7 +199,11 @@ def _owners(scene: mi.Scene) -> Iterator[Any]:
 
 
 def _packed(path: Path, text: bytes) -> PackedScene:
-    """Return a scene file packed together with the contents of all files that it names."""
+    """
+    Return a scene file packed together with the contents of all files that it names.
+
+    Raise `MistrayError` if one cannot be read.
+    """
     require_file(path, "scene")
     first, *others = scene_files(path, text)
     contents = {file: read_file(file) for file in others}

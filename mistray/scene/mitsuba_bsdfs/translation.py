@@ -190,7 +190,7 @@ def _conductor(values: Mapping[str, Any]) -> dict[str, Any] | None:
     Return a bare surface with a metal behind it, as seen from the side of the normal.
 
     Mitsuba's perfect mirror becomes an ideal one with its factor as R. Without a metal that is known as numbers or
-    tables, or with a factor other than 1, the result is None.
+    tables, or with a factor other than 1, the result is None. A mirror's factor outside 0 … 1 raises `MistrayError`.
     """
     factor, material = _number(values.get(FACTORS[0], 1.0)), values.get("material", "none")
     eta, k = (values.get(key, usual) for key, usual in (("eta", 0.0), ("k", 1.0)))
