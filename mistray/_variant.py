@@ -208,7 +208,7 @@ def _on_variant_change(old: str | None, new: str) -> None:
     """
     Register the plugins for a new variant; Mitsuba calls this after each switch.
 
-    A scalar variant gets a warning instead.
+    A scalar variant gets a warning instead. A variant without its backend raises `MistrayError`.
     """
     if new.startswith("scalar_"):
         warn_without_plugins()

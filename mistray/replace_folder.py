@@ -83,7 +83,11 @@ def replacing_folder(folder: str | Path) -> Iterator[None]:
 
 
 def _replace(target: Path, files: dict[str, bytes]) -> None:
-    """Replace files of a folder by exchanging the whole folder if possible, else one by one."""
+    """
+    Replace files of a folder by exchanging the whole folder if possible, else one by one.
+
+    Raise `MistrayError` if the folder or a file cannot be written.
+    """
     sweep_drafts(target)
     page = next((name for name in reversed(files) if name.endswith(PAGE)), None)
     gone: set[str] = set()

@@ -177,6 +177,11 @@ class Settings:
         trace finds that this changes a listed path or the stray light by more than 1 %, see
         `mistray.trace.polarization_choice`. Otherwise it is "unpolarized".
 
+    Raises
+    ------
+    MistrayError
+        If a value is not allowed.
+
     Examples
     --------
     >>> settings = mistray.trace.Settings(rays=20_000, max_reflections=1)
@@ -263,7 +268,11 @@ class Settings:
 
     @classmethod
     def unresolved(cls, scene: Any, **given: Any) -> Settings:
-        """Return the settings of a scene's ``straylight`` integrator, or defaults, with given values unless None."""
+        """
+        Return the settings of a scene's ``straylight`` integrator, or defaults, with given values unless None.
+
+        Raise `MistrayError` for a value that is unknown or not allowed.
+        """
         own = getattr(scene.integrator(), "settings", None) or cls()
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
         refuse_unknown(given, values, "Settings: ")
