@@ -228,7 +228,11 @@ def bundles(
 
 
 def sample_rays(table: PathTable, path_ids: Sequence[int], most: int) -> dict[int, list[Ray]]:
-    """Return at most `most` rays of each path by its id, from a sample of the start rays spread over the beam."""
+    """
+    Return at most `most` rays of each path by its id, from a sample of the start rays spread over the beam.
+
+    A path has fewer, or none, if the sample or the time ends before. Raise `MistrayError` for an unknown id.
+    """
     found: dict[int, list[Ray]] = {}
     for own in table.located(dict.fromkeys(path_ids)):
         found |= _sample_of_run(own, most) if len(own.ids) else {}

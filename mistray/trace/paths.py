@@ -323,6 +323,11 @@ class PathTable(
             Filter.
         by_ray : frozenset of str
             Columns of rays, whose values a path does not determine.
+
+        Raises
+        ------
+        MistrayError
+            If the filter names what does not exist.
         """
         of_runs = self.located()
         sources = list(dict.fromkeys(run.source.name for run in self.runs))
@@ -345,7 +350,7 @@ class PathTable(
         Return the total power of some paths and its standard error, W.
 
         The error of the sum over the paths of a run comes from the spread of its batches of start rays, and so it
-        includes the correlation of paths.
+        includes the correlation of paths. An unknown id raises `MistrayError`.
         """
         _, se = sum_of_runs([own.sums[:, :, ABSORBED].sum(axis=0) for own in self.located(path_ids)], self.runs)
         return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
@@ -528,7 +533,11 @@ class PathTable(
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")
 
     def to_parquet(self, path: str | Path) -> None:
-        """Write the path table as Parquet (extra ``tables``), with units; see `mistray.report.write_parquet`."""
+        """
+        Write the path table as Parquet (extra ``tables``), with units.
+
+        See `mistray.report.write_parquet`, also for errors.
+        """
         from mistray.files.parquet import write_parquet
 
         write_parquet(self.to_pandas(), path)

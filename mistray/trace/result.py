@@ -354,6 +354,12 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         list of dict
             Maps by the ids of their surfaces, for each selection.
+
+        Raises
+        ------
+        MistrayError
+            If a number is out of range, a name does not exist, no surface can be unrolled, or a filter is not valid or
+            compares another column.
         """
         filters = [PathFilter(text) for text in ([selections] if isinstance(selections, str) else selections)]
         return light_maps(self.runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
@@ -390,6 +396,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         ------
         Pixels
             Irradiance map of a group, (height, width), W/mm².
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, or a path is in two groups.
         """
         return path_images(self.paths, self.task, groups, with_noise)
 
@@ -425,6 +436,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
             Id of the path in the path table.
         n : int
             Largest number of rays.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, `n` is below 1, or the trace has no path table.
         """
         return path_history(self.paths, path_id, n)
 
@@ -479,6 +495,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         list of SampledHits
             One for each source and wavelength.
+
+        Raises
+        ------
+        MistrayError
+            If the trace has no path table.
         """
         return [sampled_hits(own, start_rays, n) for own in self.paths.located()]
 
@@ -551,6 +572,12 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         selection, n, events
             Filter, largest number of rays (None: all), and whether there is a row for each node, see `rays`. The filter
             may compare kind, order and the like, wavelength_nm, source, surface.
+
+        Raises
+        ------
+        MistrayError
+            If a name does not exist, places do not go together, the filter is not valid or compares another column, or
+            `n` is below 1.
         """
         return rays_elsewhere(self.runs, where, PathFilter(selection), n, events)
 

@@ -185,7 +185,7 @@ def light_cones(paths: PathTable, path_ids: Sequence[int]) -> dict[int, LightCon
     """
     Return the cone in which each path's light arrives at the detector, by path id.
 
-    Paths of fewer than two rays are left out.
+    Paths of fewer than two rays are left out. An unknown id raises `MistrayError`.
     """
     found: dict[int, LightCone] = {}
     for own in paths.located(path_ids):
