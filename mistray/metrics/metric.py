@@ -288,6 +288,11 @@ def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Met
     **traced
         Arguments `field_deg`, `wavelength_nm` and `weights` of `Metric`, and arguments of `mistray.trace`.
 
+    Raises
+    ------
+    MistrayError
+        If the scene cannot have such paths, or an argument is unknown; when it is evaluated, if one is not allowed.
+
     Examples
     --------
     >>> scene = mistray.load("cooke_triplet")
@@ -359,6 +364,11 @@ def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float =
     **traced
         Keywords of `path_power`.
 
+    Raises
+    ------
+    MistrayError
+        As for `path_power`; when it is evaluated, if `norm` is below 1.
+
     Examples
     --------
     >>> metric = mistray.optimize.peak_irradiance(mistray.load("cooke_triplet"), "ghost", rays=5000)
@@ -387,6 +397,11 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
     **traced
         Keywords of `path_power`.
 
+    Raises
+    ------
+    MistrayError
+        As for `path_power`; when it is evaluated, if `norm` is below 1, or no path has 30 rays.
+
     Examples
     --------
     >>> metric = mistray.optimize.ghost_rms_irradiance(mistray.load("cooke_triplet"), rays=5000)
@@ -408,7 +423,7 @@ def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NOR
     Return a metric: the RMS radius of the ghost with the sharpest focus, mm, mean over the fields; large is good.
 
     It is the smooth minimum over the single paths of a selection; a single path gives its own RMS radius. Parameters
-    are those of `ghost_rms_irradiance`.
+    and errors are those of `ghost_rms_irradiance`.
 
     Examples
     --------

@@ -215,12 +215,17 @@ class Observation:
         Return the smooth maximum of the irradiance of some paths over the pixels, W/mm², see `smooth_maximum`.
 
         `selection` is as for `power`, by default all light, and `norm` the exponent p. Like the brightest of noisy
-        pixels, the result is too high by about the standard error of that pixel.
+        pixels, the result is too high by about the standard error of that pixel. Raise `MistrayError` as `power` and
+        `smooth_maximum` do.
         """
         return smooth_maximum(self.map(selection), norm)
 
     def chosen(self, selection: Selection) -> np.ndarray:
-        """Return the row indices of selected paths in the path table, (n,), ascending; see `power` for selections."""
+        """
+        Return the row indices of selected paths in the path table, (n,), ascending.
+
+        See `power` for selections and errors.
+        """
         if callable(selection):
             return np.array([k for k, row in enumerate(self._rows) if selection(row)], dtype=np.int64)
         held = [own.ids for text in texts_of(selection) for own in self.trace.paths.chosen(PathFilter(text))]
@@ -406,6 +411,8 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
 def smooth_minimum(values: Any, norm: float = NORM) -> mi.Float64:
     """
     Return the smooth minimum (Σ v^-p)^(-1/p) of values v > 0, with p = `norm`: at most their minimum.
+
+    Raise `MistrayError` if `norm` is below 1.
 
     Examples
     --------
