@@ -47,7 +47,7 @@ def image_colours() -> Colormap:
 
 def scaled_map(axes: Axes, image: Pixels, extent: Extent, limits: Range | None, cells: int) -> None:
     """
-    Draw one map on a log10 scale with its own colour bar.
+    Draw one map on a log10 scale with its own colour bar, which is left out if nothing exceeds its floor.
 
     Parameters
     ----------
@@ -158,7 +158,11 @@ def _map_palette() -> Image.Image:
 
 
 def write_figure(figure: Figure, path: str | Path) -> Path:
-    """Write a figure in the format of the file's ending, complete or not at all, and return the path."""
+    """
+    Write a figure in the format of the file's ending, complete or not at all, and return the path.
+
+    Raise `MistrayError` if the file cannot be written, and what Matplotlib raises for another ending.
+    """
     buffer = io.BytesIO()
     figure.savefig(buffer, format=Path(path).suffix.lower().removeprefix("."), bbox_inches="tight", pad_inches=0.1)
     return replace_file(path, buffer.getvalue(), "picture")

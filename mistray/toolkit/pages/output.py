@@ -86,6 +86,11 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
     -------
     list of Path
         Written files; the scene is first, the page last.
+
+    Raises
+    ------
+    MistrayError
+        If the folder or a file cannot be written, or may not be replaced.
     """
     from mistray.toolkit.pages.own_sections import with_own_sections
     from mistray.toolkit.pages.render import html_page
