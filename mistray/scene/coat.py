@@ -160,7 +160,11 @@ def coat(
 def coated_scene(
     system: str | Path | ModuleType, rules: Rules, sources: Parts = None, sensors: Parts = None
 ) -> tuple[mi.Scene, Coated]:
-    """Return the scene of `coat`, with its sources and sensors, and the changes to its surfaces."""
+    """
+    Return the scene of `coat`, with its sources and sensors, and the changes to its surfaces.
+
+    Raise as `coat` does.
+    """
     path = find(system)
     text, found = coated_text(path, rules, path.parent)
     return load_text(path, text, sources, sensors), found

@@ -144,6 +144,8 @@ def with_parts(
     ------
     MistrayError
         If the scene already has an object with one of these ids.
+    RuntimeError
+        If Mitsuba refuses a dict.
     """
     parts: dict[str, Any] = {"type": "scene", "integrator": scene.integrator()}
     parts |= {shape.id() or f"shape_{number}": shape for number, shape in enumerate(scene.shapes())}

@@ -168,6 +168,8 @@ def write_recoated(source: str | Path, coatings: Sequence[SharedCoating], target
     """
     Write the text that `recoated` returns to a file, atomically: on an error an old file stays.
 
+    Raise `MistrayError` as `recoated` does, or if the file cannot be written.
+
     Returns
     -------
     Path

@@ -103,6 +103,8 @@ def write_rewritten(
     """
     Write the text that `rewritten` returns to a file, atomically: on an error an old file stays.
 
+    Raise `MistrayError` as `rewritten` does, or if the file cannot be written.
+
     Returns
     -------
     Path
