@@ -250,7 +250,7 @@ def claim_files(paths: Iterable[str | Path]) -> None:
 
 
 def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> Path:
-    """Write one file as `replace_files` does, and return its path."""
+    """Write one file as `replace_files` does, and return its path; raise as it does."""
     return replace_files({path: content}, what)[0]
 
 
