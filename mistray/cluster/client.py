@@ -150,7 +150,7 @@ class Cluster:
         return Counter(map(host_of, workers))
 
     def count(self) -> int:
-        """Return the number of workers, at least 1."""
+        """Return the number of workers, at least 1; raise `UnfinishedError` if the scheduler is gone."""
         return max(self.hosts().total(), 1)
 
     def wait(self) -> None:

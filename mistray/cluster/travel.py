@@ -92,7 +92,11 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _packed(scene: mi.Scene) -> bytes:
-    """Return the source of a scene and the current values of its parameters, packed as bytes."""
+    """
+    Return the source of a scene and the current values of its parameters, packed as bytes.
+
+    Raise `MistrayError` if the scene has no source that can be sent.
+    """
     buffer = io.BytesIO()
     _dump(_Pickler(buffer), source_of(scene))
     return pickle.dumps((buffer.getvalue(), read_numbers(scene)))
@@ -119,7 +123,8 @@ class Unpacked:
         """
         Return a task from its packed form, and the object that it makes.
 
-        Its scenes are loaded and get their values. If the task is still in memory, it is returned from there.
+        Its scenes are loaded and get their values. If the task is still in memory, it is returned from there. Raise as
+        loading the scenes does.
         """
         if digest in self._made:
             task, made, _ = self._made[digest]
