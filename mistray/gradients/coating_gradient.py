@@ -281,7 +281,6 @@ def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
     Return the derivatives of a coating's R and T at table nodes with respect to a real index beside it.
 
     `side` is 0 for the index in front, 1 for the one behind.
-
     The nodes are held fixed: they are cosines in the rarer material, or, between equal indices, cosines of incidence.
 
     Returns

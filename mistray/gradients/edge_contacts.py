@@ -102,6 +102,11 @@ class EdgeContacts:
     ----------
     table : SurfaceTable
         Surfaces of the scene.
+
+    Attributes
+    ----------
+    some : bool
+        Whether any surface may touch a rim.
     """
 
     def __init__(self, table: SurfaceTable) -> None:

@@ -61,7 +61,18 @@ def step_of(direction: SurfaceNumbers, sizes: np.ndarray) -> float:
 
 
 class Followed:
-    """Hit points of recorded rays, mm, recomputed in float64 event by event."""
+    """
+    Hit points of recorded rays, mm, recomputed in float64 event by event.
+
+    Attributes
+    ----------
+    rays : mi.UInt32
+        Number of rays.
+    points : list of mi.Float64
+        x, y and z of the hits, mm, (longest · rays,) each.
+    strayed : mi.Bool
+        Rays of which a hit is not where it was recorded.
+    """
 
     def __init__(self, rays: int, longest: int) -> None:
         self.rays = dr.opaque(mi.UInt32, rays)

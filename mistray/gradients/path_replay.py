@@ -84,6 +84,15 @@ class PathReplay:
     records : float
         Expected number of recorded rays for each start ray.
 
+    Attributes
+    ----------
+    recorder : BranchRecorder
+        Recorder of the rays that are replayed.
+    scatter : ScatterReplay or None
+        Scatter of the surfaces; None: no surface scatters.
+    edges : Edges or None
+        Boundary terms of rims; None: they are not requested.
+
     Raises
     ------
     MistrayError

@@ -156,6 +156,13 @@ class ReplaySurfaces:
         Source of the rays, or the surface from which backward rays start; None: the start does not move.
     real : type, optional
         Type of the values, ``mi.Float`` or, by default, ``mi.Float64``; derivatives are summed in float64.
+
+    Attributes
+    ----------
+    vector : type
+        Type of vectors of such values.
+    count : int
+        Number of surfaces.
     """
 
     def __init__(

@@ -109,6 +109,13 @@ class ScatterReplay(Scattering):
     ----------
     scattering : Scattering
         Scatter of the run; at least one surface must scatter.
+
+    Attributes
+    ----------
+    any : bool
+        True: a surface scatters.
+    tables : ReplayTables
+        Tables of the run, whose entries carry derivatives.
     """
 
     def __init__(self, scattering: Scattering) -> None:
@@ -234,6 +241,8 @@ class ReplayTables(ScatterTables):
 
     Attributes
     ----------
+    radial : ReplayRadial
+        Radial tables of the lobes.
     leaves : dict
         Name of an array → zeros that hold the derivatives with respect to its entries, (BATCHES · size) mi.Float64; of
         the ratio tables, to those that parameters change.
