@@ -264,7 +264,14 @@ _Term = _Not | _Join | _Flag | _Compare | _Sequence | Kind | Whole | Named
 
 
 class _Parser:
-    """Recursive-descent parser that turns the text of a path filter into its terms."""
+    """
+    Recursive-descent parser that turns the text of a path filter into its terms.
+
+    Attributes
+    ----------
+    columns : set of str
+        Names of the columns that the text compares, as far as it is parsed.
+    """
 
     def __init__(self, text: str) -> None:
         self._text, self._at, self._depth = text, 0, 0
