@@ -90,7 +90,8 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
     Raises
     ------
     MistrayError
-        If the folder or a file cannot be written, or may not be replaced.
+        If the folder or a file cannot be written, or may not be replaced, or a table of a section that a user added has
+        no name.
     """
     from mistray.toolkit.pages.own_sections import with_own_sections
     from mistray.toolkit.pages.render import html_page

@@ -79,7 +79,14 @@ def _write(report: model.Report, writer: _Writer) -> None:
 
 
 class _Writer:
-    """Writer that sets the parts of a report one below the other on PDF pages."""
+    """
+    Writer that sets the parts of a report one below the other on PDF pages.
+
+    Attributes
+    ----------
+    pdf : fpdf.FPDF
+        Document.
+    """
 
     def __init__(self, title: str) -> None:
         class Document(format_package("pdf").FPDF):  # type: ignore[misc]
