@@ -85,8 +85,8 @@ def check_dict(given: Mapping[str, Any]) -> None:
     Raises
     ------
     MistrayError
-        If a type is not allowed, a value is None, which would crash Mitsuba, or the dict is nested deeper than
-        `mistray.scene.xml_file.DEEPEST`. The message names the place as Mitsuba's own errors do.
+        If a type is not allowed, a file is a pipe or a device, a value is None, which would crash Mitsuba, or the dict
+        is nested deeper than `mistray.scene.xml_file.DEEPEST`. The message names the place as Mitsuba's own errors do.
     """
     for path, name, file in _types(given):
         reason = _special(file)

@@ -70,7 +70,20 @@ def check_source(path: Path, text: str | None = None) -> None:
 
 
 class _Look:
-    """Check of elements and numbers of a scene before Mitsuba reads them, file by file through its includes."""
+    """
+    Check of elements and numbers of a scene before Mitsuba reads them, file by file through its includes.
+
+    Attributes
+    ----------
+    path : Path
+        Scene file, for messages.
+    defaults : dict of str to str
+        Values of the parameters ``$name`` seen so far.
+    contents : dict of Path to bytes
+        Contents of the files read so far.
+    includes, text : int
+        Number of includes so far, and of bytes of text, parameters in place.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -105,7 +105,14 @@ class SceneDict:
 
 
 class _Folder:
-    """Temporary folder that is deleted together with this object, or at the end of the process."""
+    """
+    Temporary folder that is deleted together with this object, or at the end of the process.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    """
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="mistray-"))

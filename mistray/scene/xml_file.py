@@ -65,6 +65,19 @@ class SceneFile:
     data : bytes, optional
         Content to use instead of that of the file.
 
+    Attributes
+    ----------
+    path : Path
+        As given.
+    data : bytes
+        Content.
+    comments : list of (int, int)
+        Byte offsets at which each comment begins and ends.
+    root : Element
+        Element ``scene``.
+    ids : dict of str to Element
+        Elements with an id, but references, by id.
+
     Raises
     ------
     MistrayError
