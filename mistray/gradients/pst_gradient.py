@@ -143,7 +143,7 @@ class PstRays:
         Return derivatives of a metric by replay of the rays at one wavelength, with notes on what they leave out.
 
         The rays are the backward ones if `ends` has a sky, else the forward ones. `moves` says whether a requested
-        parameter moves paths.
+        parameter moves paths. Raise `MistrayError` as `PathReplay` does.
         """
         trace, backward = self.trace, ends.sky is not None
         scene = trace.split_scene(number) if backward else trace.forward_scene(number)

@@ -130,6 +130,12 @@ def run_gradient(
     request : GradientRequest
         Requested derivatives. Coatings alone take a second trace (see `mistray.recorders.adjoint`); for anything else
         rays are recorded and replayed (see `mistray.gradients.replay`).
+
+    Raises
+    ------
+    MistrayError
+        If the rays are replayed and the scene has what a replay cannot treat, see
+        `mistray.gradients.path_replay.PathReplay`.
     """
     # Coatings alone: one adjoint trace, nothing is recorded
     if not request.replays:
