@@ -137,7 +137,8 @@ def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilt
     """
     Return the rays among the first `count` recorded branches that pass the filter.
 
-    If the recorder holds rays that leave the scene, their last direction and flux are those after the last hit.
+    If the recorder holds rays that leave the scene, their last direction and flux are those after the last hit. Raise
+    as `passing` does.
     """
     slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
     slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]

@@ -267,7 +267,11 @@ def _spectral_choices(
 
 
 def _timed(scene: mi.Scene, settings: Settings, light: Light, rays: int, **lines: Any) -> None:
-    """Trace `rays` start rays and discard the result, so that the caller can time a trace at the given wavelengths."""
+    """
+    Trace `rays` start rays and discard the result, so that the caller can time a trace at the given wavelengths.
+
+    Raise as `trace` does.
+    """
     _execute(prepare(scene, replace(settings, rays=rays), replace(light, **lines)), True, None, ())
 
 

@@ -342,7 +342,11 @@ class PathTable(
         return self.located(np.concatenate([own.ids[here] for own, here in zip(of_runs, held, strict=True)]))
 
     def column(self, name: str) -> np.ndarray:
-        """Return one column of the table, an attribute of `PathRow` for all paths, (p,)."""
+        """
+        Return one column of the table, an attribute of `PathRow` for all paths, (p,).
+
+        Any other name raises `KeyError`.
+        """
         return self._columns[name]
 
     def power(self, path_ids: int | Sequence[int] | np.ndarray) -> tuple[float, float]:
@@ -476,6 +480,11 @@ class PathTable(
             Columns of `to_pandas`, strongest first, with the letters t and r for all scattered light, and ``path_ids``,
             the tuple of the `path_id` of a row; its own ``path_id`` is the strongest of them. The numbers of a row come
             from the sums of its paths in the ledger.
+
+        Raises
+        ------
+        MistrayError
+            As `mistray.trace.path_aliases.alias_names` does.
         """
         if aliases is None:
             return self._by_way.copy()
@@ -487,7 +496,7 @@ class PathTable(
         return self._merged(None)
 
     def _merged(self, aliases: Mapping[str, str] | str | None) -> pd.DataFrame:
-        """Compute the table of `by_way` for given aliases."""
+        """Compute the table of `by_way` for given aliases; raise as `by_way` does."""
         table = {name: column.copy() for name, column in self._columns.items()}
         for name, text in (("events", way_text), ("path", way_letters)):
             table[name][:] = text(table[name])

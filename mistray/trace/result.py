@@ -271,7 +271,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     @property
     def luminous_flux(self) -> tuple[float, float]:
-        """Luminous flux that the detectors absorb and its standard error, lm."""
+        """
+        Luminous flux that the detectors absorb and its standard error, lm.
+
+        Raise `MistrayError` if no wavelength is visible.
+        """
         return luminous_flux(self.runs)
 
     def irradiance_at(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
@@ -477,6 +481,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         dict
             Light cones by path; none of a path that is too rare to occur twice in the sample.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, or the trace has no path table.
         """
         return light_cones(self.paths, several(path_ids))
 
