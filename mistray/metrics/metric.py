@@ -156,7 +156,11 @@ class Metric:
         return value
 
     def differentiate(self, observations: list[Any]) -> tuple[float, Sampled]:
-        """Return the metric's value, and its noise by batch. Afterwards the observations hold its derivatives."""
+        """
+        Return the metric's value, and its noise by batch. Afterwards the observations hold its derivatives.
+
+        Raise `MistrayError` as `evaluate` does.
+        """
         value = self.evaluate(observations)
         dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
         noise = sum((observation.noise() for observation in observations), Sampled.of(np.zeros(BATCHES), EQUAL))
@@ -562,7 +566,11 @@ def require_known(given: Iterable[str], known: Iterable[str]) -> None:
 
 
 def _brightest(observation: Observation, selection: Selection, norm: float) -> Any:
-    """Return the smooth maximum of the RMS irradiance, W/mm², over the selected paths; 0 if they carry no light."""
+    """
+    Return the smooth maximum of the RMS irradiance, W/mm², over the selected paths; 0 if they carry no light.
+
+    Raise `MistrayError` as `moments_of_each` and `smooth_maximum` do.
+    """
     if not len(observation.chosen(selection)):
         return observation.power(selection)
     return smooth_maximum(observation.moments_of_each(selection).rms_irradiance, norm)
