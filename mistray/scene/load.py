@@ -233,7 +233,11 @@ def _search(*folders: str) -> Iterator[None]:
 
 
 def _built(state: Any) -> Any:
-    """Return the scene built from a parsed description, after checks and the translation of Mitsuba's BSDFs."""
+    """
+    Return the scene built from a parsed description, after checks and the translation of Mitsuba's BSDFs.
+
+    Raise `MistrayError` as these do, and what Mitsuba raises.
+    """
     check_values(state)
     config = _config()
     mi.parser.transform_all(config, state)

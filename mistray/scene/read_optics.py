@@ -210,7 +210,11 @@ class _Reader:
         return ObjectPoint(distance=distance, **_placed(pose), **self._light(where, values))
 
     def _light(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
-        """Return field, spectrum and polarisation of a source as arguments of `Source`."""
+        """
+        Return field, spectrum and polarisation of a source as arguments of `Source`.
+
+        A value that is not of numbers raises `MistrayError`.
+        """
         names = [key for key in ("wavelength_nm", "weights", "stokes") if key in values]
         lists = {key: values[key].replace(",", " ").split() for key in names}
         numbers = {key: tuple(self._number(where, {key: word}, key) for word in words) for key, words in lists.items()}

@@ -156,7 +156,7 @@ def remember(
     Attach the arguments with which a scene was loaded to one of its plugins.
 
     `text` is the text that replaced the content of the file, if any. In a scene without a plugin of mistray nothing is
-    kept.
+    kept. A file that cannot be read raises `MistrayError`.
     """
     for owner in _owners(scene):
         if isinstance(given, Path):

@@ -256,7 +256,8 @@ class Painter:
         """
         Return a coating preset as layers fitted to the substrate of a surface in air.
 
-        Any other coating, None included, is returned as it is, and so is a preset that needs no change.
+        Any other coating, None included, is returned as it is, and so is a preset that needs no change. A preset that
+        cannot be fitted raises `MistrayError`.
         """
         body = face.back if is_gas(face.front) else face.front
         if coating is None or coating.preset is None or coating.opaque or face.cemented or is_gas(body):

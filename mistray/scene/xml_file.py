@@ -278,7 +278,11 @@ class SceneFile:
         return (_ID.sub(b"", tag, count=1) + rest).replace(b"\n", b"\n" + deeper)
 
     def changed(self, edits: Iterable[Edit]) -> SceneFile:
-        """Return the file after edits, each a byte range and its new content; ranges must not overlap."""
+        """
+        Return the file after edits, each a byte range and its new content; ranges must not overlap.
+
+        Raise `MistrayError` if the result is not XML.
+        """
         data = self.data
         for start, end, new in sorted(edits, key=lambda edit: edit[:2], reverse=True):
             data = data[:start] + new + data[end:]

@@ -224,7 +224,11 @@ def _samples(name: str, wavelengths_nm: Sequence[float], values: Sequence[float]
 
 
 def _is_metal(material: str) -> bool:
-    """True if a material transmits no light at any wavelength at which its n and k are known."""
+    """
+    True if a material transmits no light at any wavelength at which its n and k are known.
+
+    Raise `MistrayError` for an unknown material.
+    """
     nodes = table_nodes_nm(material) or (DEFAULT_NM,)
     return min(complex_index(material, nearest_known_nm(material, nm, with_k=True)).imag for nm in nodes) > METAL_K
 
