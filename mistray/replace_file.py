@@ -376,7 +376,7 @@ def _marked(files: Sequence[Path], obsolete: Collection[Path]) -> Iterator[list[
     Keep the file `incomplete` up to date while a block renames several files; for a single one it is not needed.
 
     The block appends each renamed file to the yielded list. If it fails before the first, the old `incomplete` comes
-    back.
+    back. Raise `MistrayError` as `_mark` does.
     """
     several = len(files) + len(obsolete) > 1
     before = {folder: incomplete_sets(folder) for folder in sorted({path.parent for path in files})}
