@@ -238,7 +238,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         """
         Write `irradiance` and `irradiance_se` as .fits, .exr (both extra ``images``) or .npy, as the name ends.
 
-        See `mistray.files.irradiance_files` for the contents of the files.
+        See `mistray.files.irradiance_files` for the contents of the files, and `write_irradiance` there for errors.
         """
         from mistray.files.irradiance_files import IrradianceMap, write_irradiance
 
@@ -266,7 +266,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     @cached_property
     def illuminance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Illuminance of the detector by absorbed light and its standard error, (height, width) each, lx."""
+        """
+        Illuminance of the detector by absorbed light and its standard error, (height, width) each, lx.
+
+        Raise `MistrayError` if no wavelength is visible.
+        """
         return illuminance(self.runs).with_se
 
     @property
@@ -296,7 +300,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         return irradiance_of_runs(runs, [run.film for run in runs]).with_se
 
     def energy_at(self, wavelength_nm: float) -> Energy:
-        """Return the energy ledger, W, of one of the wavelengths of the trace, nm."""
+        """
+        Return the energy ledger, W, of one of the wavelengths of the trace, nm.
+
+        Any other wavelength raises `MistrayError`.
+        """
         runs = self._runs_at(wavelength_nm)
         return energy_ledger(runs, flux_report(runs))
 
@@ -316,7 +324,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         return energy_ledger(runs, flux_report(runs))
 
     def surfaces_at(self, wavelength_nm: float) -> FluxReport:
-        """Return the flux at every surface, W, at one of the wavelengths of the trace, nm."""
+        """
+        Return the flux at every surface, W, at one of the wavelengths of the trace, nm.
+
+        Any other wavelength raises `MistrayError`.
+        """
         return flux_report(self._runs_at(wavelength_nm))
 
     def irradiance_of(self, path_ids: int | Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -332,6 +344,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         irradiance, standard_error : (height, width) float64
             Irradiance of each pixel and its standard error, W/mm².
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, or the trace has no path table.
         """
         return self.maps([path_ids])[0]
 
@@ -381,6 +398,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         list of (irradiance, standard_error)
             One pair of (height, width) float64 for each group, W/mm².
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, a path is in two groups, or the trace has no path table.
         """
         return [found.with_se for found in self.each_map(groups, [True] * len(groups))]
 
@@ -465,6 +487,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         dict
             Rays by path; none of a path that no ray of the sample follows. When the time is up the sample is smaller.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, or the trace has no path table.
         """
         return sample_rays(self.paths, several(path_ids), n)
 
@@ -560,7 +587,8 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         Raises
         ------
         MistrayError
-            For a filter that cannot be parsed or names something that does not exist, an empty box, and n below 1.
+            For a filter that cannot be parsed or names something that does not exist, an empty box, pixels out of
+            range, n below 1, and a trace without a path table.
         """
         return ray_table(self.paths, PathFilter(selection), n, box, pixels, events)
 
