@@ -173,6 +173,7 @@ def turned(
     vertices : (k, 3) float64
         Vertices that faces use, mm; at most n·(steps + 1).
     faces : (m, 3) int
+        Vertex indices of each triangle.
     lines : list of (k, 3) float64
         First and last ring, and the two ends of all arcs where they lie on the plane.
     """
@@ -224,6 +225,7 @@ def clip(vertices: npt.ArrayLike, faces: npt.ArrayLike, cut: CutPlane | None) ->
     vertices : (k, 3) float
         Vertices, mm.
     faces : (l, 3) int
+        Vertex indices of each triangle.
     lines : list of (2, 3) float
         One segment for each triangle that is cut, mm.
     """
