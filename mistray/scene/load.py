@@ -178,7 +178,7 @@ def _from_file(name: str, text: str | None) -> Any:
     """
     Build the scene in a file, or in a string that replaces it; includes are first searched in its folder.
 
-    Raise what Mitsuba raises.
+    Raise `MistrayError` as `check_file` does, and what Mitsuba raises.
     """
     with _search(os.path.dirname(name)):
         state = mi.parser.parse_file(_config(), name) if text is None else mi.parser.parse_string(_config(), text)
@@ -190,7 +190,7 @@ def _from_dict(given: dict[str, Any]) -> Any:
     """
     Build the object that a scene dict describes, after checking its plugins.
 
-    Raise `MistrayError` if a folder of ``resources`` does not exist.
+    Raise `MistrayError` if a folder of ``resources`` does not exist, or as `check_dict` does, and what Mitsuba raises.
     """
     folders = {
         key: str(item.get("path", ""))
