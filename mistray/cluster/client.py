@@ -171,7 +171,11 @@ class Cluster:
 
     @contextlib.contextmanager
     def job(self, task: Any) -> Iterator[DaskJob]:
-        """Start a job for a task, and close it at the end of the block; see `mistray.execute.workers.Workers`."""
+        """
+        Start a job for a task, and close it at the end of the block; see `mistray.execute.workers.Workers`.
+
+        Raise `MistrayError` if the task cannot be packed, and `UnfinishedError` if the scheduler is lost.
+        """
         from mistray.cluster.travel import Parcel
 
         parcel = Parcel.of(task)
