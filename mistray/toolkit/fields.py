@@ -44,7 +44,8 @@ class Nested(OfType):
         """
         Return the object, built from a mapping of its fields if necessary.
 
-        Raise `MistrayError` if it is of another type.
+        Raise `MistrayError` if it is of another type, or if the mapping has an unknown field or a value that is not
+        allowed.
         """
         return super().check(name, object_of(self.kind, value, f"{name}: ") if isinstance(value, Mapping) else value)
 

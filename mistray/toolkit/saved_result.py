@@ -54,7 +54,7 @@ def save_result(result: Result, path: str | Path) -> Path:
     """
     Write a result to a file, complete or not at all, see `mistray.result.Result.save`.
 
-    If it holds an object that a file cannot, it raises `MistrayError`.
+    If it holds an object that a file cannot, or the file cannot be written, it raises `MistrayError`.
     """
     encoder = _Encoder()
     try:

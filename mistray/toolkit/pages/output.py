@@ -62,7 +62,7 @@ def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list
     Raises
     ------
     MistrayError
-        If the folder cannot be written, see `writable_directory`.
+        If the folder or a file cannot be written, see `writable_directory`, or may not be replaced.
     """
     target = writable_directory(directory)
     with told(directory), replacing_folder(target):
