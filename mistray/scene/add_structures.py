@@ -53,8 +53,8 @@ def add_structures(
     Raises
     ------
     MistrayError
-        If the scene cannot be read, if it already has an object named like a structure, or if a coating or scatter
-        model of a structure has the name of a different one in the scene.
+        If the scene cannot be read or a file cannot be written, if it already has an object named like a structure, or
+        if a coating or scatter model of a structure has the name of a different one in the scene.
 
     Examples
     --------

@@ -130,12 +130,20 @@ class _Reader:
         return None
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
-        """Return the values of a `thinfilm` or `interface` that define its coating; R and T as numbers (fractions)."""
+        """
+        Return the values of a `thinfilm` or `interface` that define its coating; R and T as numbers (fractions).
+
+        A value that is no number raises `MistrayError`.
+        """
         recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table") if key in values}
         return recipe | {key: self._number(where, values, key) for key in ("R", "T") if key in values}
 
     def _form(self, element: Element, label: str) -> dict[str, Any]:
-        """Return shape, clip and placement of a surface as arguments of `Surface`; lengths in mm."""
+        """
+        Return shape, clip and placement of a surface as arguments of `Surface`; lengths in mm.
+
+        A value that is no number raises `MistrayError`.
+        """
         where = f"shape '{label}'"
         values = self.file.values(element)
         radius = self._number(where, values, "radius", 0.0)
