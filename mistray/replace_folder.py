@@ -154,7 +154,7 @@ def _check(target: Path) -> None:
     """
     Raise `_Impossible` if a folder is the current one, a mount point, unreadable, or holds other folders.
 
-    So does anything else in it than files and links.
+    One that holds anything but files and links raises it as well.
     """
     try:
         here = os.path.samefile(target, os.curdir)
