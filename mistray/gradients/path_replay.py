@@ -145,6 +145,11 @@ class PathReplay:
         adjoint : Adjoint or None
             Adjoint of the metric for the boundary terms, without derivatives with respect to rows of coating tables;
             None: there are no boundary terms.
+
+        Raises
+        ------
+        MistrayError
+            If a single start ray has more records than the recorder has room for.
         """
         if not self.request.only_rims:
             for part, _ in self._portions.of(start, trace):
