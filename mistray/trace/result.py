@@ -56,7 +56,8 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
     rays_traced, rays_planned : int
         Number of start rays that were traced and planned; fewer where workers were lost, see `mistray.distribute`.
     paths : PathTable
-        Paths from the sources to the detectors, the strongest first; None if traced with ``ledger=False``.
+        Paths from the sources to the detectors, the strongest first; traced with ``ledger=False`` there are none, and
+        reading them raises `MistrayError`.
     energy : Energy
         Energy ledger: where the launched flux went, W.
     surfaces : FluxReport
