@@ -119,7 +119,7 @@ class FieldSubset(Demand):
         """
         Return the given values by name, without None.
 
-        Raise `MistrayError` for an unknown name or a value out of range.
+        Raise `MistrayError` for an unknown name, a value that is not allowed, or anything but a mapping.
         """
         OfType(Mapping, self.demand).check(name, value, owner)
         unknown = next((key for key in value if key not in self.names), None)

@@ -137,7 +137,7 @@ def rays_of_paths(trace: Trace, path_ids: int | Iterable[int] | None = None, n: 
     Raises
     ------
     MistrayError
-        If a row is unknown, or `n` is below 1.
+        If a row is unknown, `n` is below 1, or the trace has no path table.
 
     Examples
     --------
