@@ -91,7 +91,7 @@ def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
     """
     Return coatings and scatter models with an id in a scene file, by id.
 
-    Those with values that are not plain, or not values of a `Coating`, are skipped.
+    Those with values that are not plain are skipped, and so are coatings with values that a `Coating` does not have.
     """
     found: dict[str, Shared] = {}
     for element in file.root.children:

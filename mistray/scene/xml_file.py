@@ -179,7 +179,11 @@ class SceneFile:
         return found
 
     def values(self, element: Element) -> dict[str, str]:
-        """Return the values of an element's properties, keyed by name; ``$name`` is replaced by its default."""
+        """
+        Return the values of an element's properties, keyed by name; ``$name`` is replaced by its default.
+
+        Raise `MistrayError` as `filled` does.
+        """
         return {
             child.values["name"]: filled(child.values["value"], self.defaults)
             for child in element.children
