@@ -154,7 +154,11 @@ class Cluster:
         return max(self.hosts().total(), 1)
 
     def wait(self) -> None:
-        """Wait for the first worker; raise `MistrayError` after `patience_s` seconds without any."""
+        """
+        Wait for the first worker.
+
+        Raise `MistrayError` after `patience_s` seconds without any, and `UnfinishedError` if the scheduler is lost.
+        """
         started = time.monotonic()
         while not self.hosts():
             if time.monotonic() - started > self.patience_s:
@@ -245,7 +249,7 @@ class DaskJob:
         self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     def submit(self, part: Any) -> None:
-        """Send one more part of the task to the workers."""
+        """Send one more part of the task to the workers; raise `UnfinishedError` if the scheduler is lost."""
         task, *scenes = self._futures
         self._number += 1
         future = self._cluster.sending(
