@@ -296,6 +296,11 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     (height, width) float64
         Derivative of the flux in each pixel with respect to that variable, visibility held fixed, in units of the start
         ray's flux.
+
+    Raises
+    ------
+    MistrayError
+        If nothing moves, or the scene has what `PathReplay` cannot treat.
     """
     table, film = run.table, run.make_film()
     nothing = GradientRequest(rows=False)

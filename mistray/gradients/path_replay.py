@@ -159,7 +159,11 @@ class PathReplay:
                 self._replay_edges(part, events)
 
     def recorded(self, start: StartRays, trace: Trace) -> Iterator[RecordedRays]:
-        """Trace start rays again in portions, and yield the recorded rays of each portion that has any."""
+        """
+        Trace start rays again in portions, and yield the recorded rays of each portion that has any.
+
+        Raise `MistrayError` if a single start ray has more records than the recorder has room for.
+        """
         for part, count in self._portions.of(start, trace):
             if count:
                 yield RecordedRays.of(self.recorder, part, np.arange(count))
