@@ -427,7 +427,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         Raises
         ------
         MistrayError
-            If there is no such path, or a path is in two groups.
+            If there is no such path, a path is in two groups, or the trace has no path table.
         """
         return path_images(self.paths, self.task, groups, with_noise)
 
