@@ -320,6 +320,12 @@ def gradient_where_smooth(
         Parameters made by `chosen_parameters`.
     request : GradientRequest
         Request made by `gradient_request`.
+
+    Raises
+    ------
+    MistrayError
+        If the value or a derivative does not exist, see `Metric.evaluate` and
+        `mistray.gradients.path_replay.PathReplay`.
     """
     value, noise = metric.differentiate(observations)
     left_out = [LEFT_OUT]

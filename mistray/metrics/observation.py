@@ -292,7 +292,7 @@ class Observation:
         """
         Yield the requested derivatives of the metric's value, for each source and wavelength that contributes.
 
-        There are none if the value does not depend on this trace.
+        There are none if the value does not depend on this trace. Raise as `Trace.table_gradients` does.
         """
         derivative = self.hit_derivative()
         if derivative.pixel is None and derivative.path is None:

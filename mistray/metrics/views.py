@@ -39,7 +39,7 @@ class TraceView:
         """
         Trace the scene with `times` the rays, and return the `Observation`; `changes` replace arguments.
 
-        Polarisation "auto" is resolved by the sources alone, without a pilot.
+        Polarisation "auto" is resolved by the sources alone, without a pilot. Raise as `mistray.trace` does.
         """
         changes = {name: value for name, value in changes.items() if name != "paths"}  # a trace always has them
         arguments = self._arguments(scene, times, changes)

@@ -59,6 +59,11 @@ class Contacts:
     ----------
     scene : mi.Scene
         Scene before the change.
+
+    Attributes
+    ----------
+    surfaces : frozenset of str
+        Ids of the surfaces that touch another one.
     """
 
     def __init__(self, scene: mi.Scene) -> None:
