@@ -167,7 +167,7 @@ def _object_of(nested: Nested, options: Mapping[str, Any]) -> Any:
     """
     Return the nested object whose fields are given as options.
 
-    The result is None if none is given. Raise `MistrayError` if some are missing.
+    The result is None if none is given. Raise `MistrayError` if some are missing or not allowed.
     """
     fields = dataclasses.fields(nested.kind)
     given = {field.name: value for field in fields if (value := options.get(field.name)) is not None}

@@ -184,7 +184,11 @@ class Request:
 
     @classmethod
     def of(cls, **given: Any) -> Self:
-        """Create the request from keywords of its analysis function; raise `MistrayError` for an unknown one."""
+        """
+        Create the request from keywords of its analysis function.
+
+        Raise `MistrayError` for one that is unknown, missing or not allowed.
+        """
         return object_of(cls, given)
 
     @classmethod

@@ -346,7 +346,7 @@ def _is_part_of(kind: type, name: str) -> bool:
     """
     True if a class has an attribute of a name that an instance's saved state must not override.
 
-    So does any name with two leading underscores.
+    It is also True for any name with two leading underscores.
     """
     own = inspect.getattr_static(kind, name, None)
     return name.startswith("__") or not isinstance(own, _PLAIN | functools.cached_property)

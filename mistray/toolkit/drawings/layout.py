@@ -135,6 +135,11 @@ def layout(
     path_ids : int or sequence of int, optional
         Draw these paths of ``report.table(field_deg)`` instead; the first one in blue.
 
+    Raises
+    ------
+    MistrayError
+        If a path is not in the table of the field.
+
     Examples
     --------
     >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)

@@ -248,7 +248,11 @@ def rows_of(choice: RayChoice, trace: Trace) -> list[PathRow]:
 
 
 def ray_groups(choice: RayChoice, scene: mi.Scene, traces: Sequence[Trace], size_mm: float = 0.0) -> list[RayGroup]:
-    """Return the rays to draw, grouped by path or by class; rays that leave the scene are extended by `size_mm`."""
+    """
+    Return the rays to draw, grouped by path or by class; rays that leave the scene are extended by `size_mm`.
+
+    Raise `MistrayError` for an unknown path or surface, or a filter that is not valid or that no path passes.
+    """
     found = [group for trace in traces for group in _groups_of(choice, trace, size_mm, len(traces) > 1)]
     if traces and BACKWARD in (choice.classes or ()):  # at all fields the same
         found.append(RayGroup(BACKWARD, backward_lines(scene, traces[0], choice.rays, size_mm)))
