@@ -106,7 +106,7 @@ class _Reader:
         """
         Return an optical surface; None for a shape that neither reflects as a mirror nor transmits light.
 
-        So is one whose BSDF is not an ``interface``.
+        It is also None if the BSDF is not an ``interface``.
         """
         found = self.file.surface(element)
         if found is None or found[1].values.get("type") != "interface":

@@ -303,6 +303,11 @@ class SceneFile:
         folder : Path
             Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
             different one, the text gets a search path to it.
+
+        Raises
+        ------
+        MistrayError
+            If the result is not XML.
         """
         edits = list(edits)
         if folder.resolve() != self.path.resolve().parent and self._names_files():
