@@ -167,6 +167,11 @@ def unpolarized_notes(
     -------
     list of Note
         One note, or none: also where the sources of the scene cannot send such light.
+
+    Raises
+    ------
+    MistrayError
+        If a setting is unknown or not allowed.
     """
     chosen = Settings.unresolved(scene, polarization=polarization, **settings)
     if chosen.polarization != "auto" or not source_emitters(scene):
