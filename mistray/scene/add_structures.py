@@ -89,7 +89,7 @@ def add_structures(
 
 def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
     """
-    Return coatings and scatter models with an id in a scene file, by id.
+    Return coatings and scatter models with an id at the top level of a scene file, by id.
 
     Those with values that are not plain are skipped, and so are coatings with values that a `Coating` does not have.
     """
