@@ -49,7 +49,7 @@ def provide_libatomic() -> str | None:
     -------
     str or None
         Path under which this process and its children find the stand-in, as long as this process lives; None if the
-        machine has a libatomic, or if it is another one than Linux on x86-64.
+        machine has a libatomic, is not Linux on x86-64, or runs no code from memory.
     """
     if not on_linux_x86_64():
         return None

@@ -47,7 +47,7 @@ class Llvm:
 
 
 def version_text(version: tuple[int, ...]) -> str:
-    """Format a version as text: (19, 1, 7) becomes "19.1.7"."""
+    """Return a version in its usual notation: (19, 1, 7) becomes "19.1.7"."""
     return ".".join(str(number) for number in version)
 
 
@@ -92,7 +92,7 @@ def _remedy_for_given() -> str:
 
 
 def search_llvm() -> tuple[Llvm | None, list[str]]:
-    """Return the best libLLVM of this machine, None if there is none, and a line of text on each rejected one."""
+    """Return the best libLLVM of this machine, None if there is none, and a line on each rejected one."""
     candidates = []
     rejected = []
     wheel = _wheel()

@@ -40,6 +40,8 @@ def import_mitsuba() -> Any:
     ------
     MistrayError
         If Mitsuba is missing, broken or of another release.
+    KeyboardInterrupt
+        If a signal has come meanwhile; raised after the import.
     """
     if "HOME" not in os.environ:  # Dr.Jit asks nobody else where it keeps compiled kernels
         with contextlib.suppress(RuntimeError):
@@ -115,6 +117,8 @@ def build_mesh(mesh: Any, name: str, vertices: npt.ArrayLike, faces: npt.ArrayLi
     ------
     MistrayError
         If the sensor of the shape is attached to another shape too.
+    RuntimeError
+        If Mitsuba refuses the mesh for another reason.
     """
     import numpy as np
 
@@ -143,7 +147,7 @@ def write_mesh(mesh: Any, vertices: npt.ArrayLike, faces: npt.ArrayLike) -> None
     vertices : (n, 3) float
         Positions in world space, mm.
     faces : (m, 3) int
-        Vertex numbers of each triangle, counter-clockwise about its normal.
+        Vertex indices of each triangle, counter-clockwise about its normal.
     """
     import numpy as np
 
@@ -163,7 +167,7 @@ def mesh_arrays(mesh: Any) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint
     vertices : (n, 3) float32
         Positions in world space, mm.
     faces : (m, 3) uint32
-        Vertex numbers of each triangle.
+        Vertex indices of each triangle.
     """
     import numpy as np
 
@@ -173,7 +177,7 @@ def mesh_arrays(mesh: Any) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint
 
 
 def holds_numbers(value: Any) -> bool:
-    """Whether a value of ``mi.SceneParameters`` is an array of float32 or float64 numbers."""
+    """True if a value of ``mi.SceneParameters`` is an array of float32 or float64 numbers."""
     mi = import_mitsuba()
     return isinstance(value, mi.Float | mi.Float64)
 

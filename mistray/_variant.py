@@ -139,7 +139,11 @@ def active_variant() -> str | None:
 
 
 def plugin_modules() -> list[str]:
-    """Full names of the modules that hold plugins: all files in the folders of `mistray.plugins`."""
+    """
+    Full names of the modules that hold plugins: all files in the folders of `mistray.plugins`.
+
+    Without that package it raises `MistrayError`.
+    """
     try:
         root = importlib.import_module(PLUGIN_ROOT)
     except ModuleNotFoundError:
@@ -201,7 +205,11 @@ def _follow_variants(mi: ModuleType) -> None:
 
 
 def _on_variant_change(old: str | None, new: str) -> None:
-    """Register the plugins for a new variant; Mitsuba calls this after each switch."""
+    """
+    Register the plugins for a new variant; Mitsuba calls this after each switch.
+
+    A scalar variant gets a warning instead. A variant without its backend raises `MistrayError`.
+    """
     if new.startswith("scalar_"):
         warn_without_plugins()
         return

@@ -73,7 +73,7 @@ class Interrupted(KeyboardInterrupt):
 
 class UnfinishedError(MistrayError):
     """
-    Error for work that could not be completed, because a cluster has lost all of its workers.
+    Error for work that could not be completed: a cluster has lost all of its workers, or the time is up.
 
     Attributes
     ----------
@@ -116,7 +116,11 @@ def errors_of(owner: str) -> Iterator[None]:
 
 @contextmanager
 def foreign_errors(owner: str, remedy: str) -> Iterator[None]:
-    """Turn errors of another package in a block into a `MistrayError` of one line: owner, reason and remedy."""
+    """
+    Turn errors of another package in a block into a `MistrayError` of one line: owner, reason and remedy.
+
+    A `MistrayError` passes unchanged.
+    """
     try:
         yield
     except MistrayError:
@@ -133,12 +137,16 @@ def in_words(error: Exception) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text with characters that cannot be printed, such as control characters, replaced by codes."""
+    """Return a string with characters that cannot be printed, such as control characters, replaced by codes."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def one_line(message: object) -> str:
-    """Format a message as one line for a terminal; very long words in it are cut."""
+    """
+    Format a message as one line for a terminal.
+
+    Words of more than 300 letters are cut; in a line that is still too long, shorter ones are, too.
+    """
     words, line = str(message).split(), ""
     for most in LONGEST_WORDS:
         line = " ".join(word if len(word) <= most else f"{word[:most]}…" for word in words)

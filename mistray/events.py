@@ -1,7 +1,7 @@
 """
 Events of a path: interactions of its light with a surface or a medium.
 
-An event is one integer, ``place << EVENT_BITS | kind``. The place is the number of a surface or a medium. The functions
+An event is one integer, ``place << EVENT_BITS | kind``. The place is the index of a surface or a medium. The functions
 accept integers and arrays of NumPy and Dr.Jit.
 """
 
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 
 class EventKind(NamedTuple):
-    """A kind of event: its letter in the text of a path, and its name in ray history tables."""
+    """Kind of event: its letter in the notation of a path, and its name in ray history tables."""
 
     letter: str
     intercept: str
@@ -43,12 +43,12 @@ EVENT_LETTERS = "".join(LETTERS.values())
 
 
 def place_of(event: Any) -> Any:
-    """Return the number of the surface or medium of each event code."""
+    """Return the index of the surface or medium of each event code."""
     return event >> EVENT_BITS
 
 
 def kind_of(event: Any) -> Any:
-    """Return the number of the interaction (such as reflection) of each event code; see `EventKind`."""
+    """Return the kind of interaction (such as reflection) of each event code, as an index into `KINDS`."""
     return event & EVENT_MASK
 
 
@@ -60,10 +60,10 @@ def stays(event: Any) -> Any:
 
 
 def event_of(place: Any, kind: Any) -> Any:
-    """Return event codes made of the numbers of surfaces or media and of kinds of interaction."""
+    """Return event codes made of the indices of surfaces or media and of kinds of interaction."""
     return (place << EVENT_BITS) | kind
 
 
 def event_text(event: int, ids: Sequence[str]) -> str:
-    """Return the text of an event, such as ``L1_front:T``; `ids` are the ids of surfaces and media by number."""
+    """Return an event in letters, such as ``L1_front:T``; `ids` are the ids of surfaces and media by index."""
     return f"{ids[place_of(event)]}:{LETTERS[kind_of(event)]}"

@@ -1,4 +1,4 @@
-"""Rules for ids of objects, and splitting of a text into events."""
+"""Rules for ids of objects, and splitting of a string into events."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def event_words(text: str) -> list[str]:
     """
     Split a list of events such as ``L1 front:T window:R detector:A``, each an id, a colon and a letter.
 
-    Ids may contain blanks, because an event ends with its letter.
+    Ids may contain spaces, because an event ends with its letter. An empty string has no events.
     """
     return _BETWEEN.split(text.strip()) if text.strip() else []
 
@@ -31,7 +31,7 @@ def fits(name: str, pattern: str) -> bool:
 
 def hidden(text: str, breaks: str = "") -> str:
     """
-    Return the first character of a text that is invisible, or that controls or reverses its line; "" if none.
+    Return the first character of a string that is invisible, or that controls or reverses its line; "" if none.
 
     Parameters
     ----------
@@ -56,10 +56,10 @@ def hidden(text: str, breaks: str = "") -> str:
 
 def check_id(name: str, what: str = "object") -> None:
     """
-    Raise `MistrayError` if a text cannot be an id.
+    Raise `MistrayError` if a string cannot be an id.
 
-    Blanks, quotation marks, arrows, commas and letters of any script are allowed. Line breaks and other `hidden`
-    characters, blanks at the ends, a sign at the start that marks a formula in a spreadsheet, and text like the end of
+    Spaces, quotation marks, arrows, commas and letters of any script are allowed. Line breaks and other `hidden`
+    characters, spaces at the ends, a sign at the start that marks a formula in a spreadsheet, and text like the end of
     an event, as in ``a:T b``, are not allowed.
 
     Parameters
@@ -95,5 +95,5 @@ def check_written_id(name: str, what: str = "object") -> None:
 
 
 def plain_name(text: str) -> str:
-    """Return a text as a name of a file or part: runs of characters other than letters, digits, _ and - become _."""
+    """Return a string as a name of a file or part: runs of characters other than letters, digits, _ and - become _."""
     return re.sub(r"[^\w-]+", "_", text).strip("_")

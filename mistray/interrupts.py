@@ -27,6 +27,8 @@ _last = -math.inf  # and the last one
 def note(*_: Any) -> None:
     """Record a signal, and raise unless it is delayed: `importing` delays all signals, `later` only the first one.
 
+    Signals less than `AGAIN` seconds apart count as one.
+
     Raises
     ------
     KeyboardInterrupt
@@ -103,8 +105,8 @@ def later() -> Iterator[None]:
     """
     Delay the first Ctrl-C within a block, which polls `requested` and ends when it can; a second one raises.
 
-    If Python's own handler is installed, as in a script, ours replaces it within the block. Outside the main thread
-    nothing changes.
+    If Python's own handler is installed, as in a script, ours replaces it within the block. Outside the main thread, or
+    with the handler of another program, nothing changes.
     """
     global _held
     if threading.current_thread() is not threading.main_thread():

@@ -28,7 +28,7 @@ class Light:
         """
         Return the light given by keyword arguments of a call.
 
-        Arguments that are no attributes of `Light` are ignored.
+        Arguments that are not attributes of `Light` are ignored.
         """
         known = {f.name for f in fields(cls)}
         return cls(**{name: value for name, value in arguments.items() if name in known})

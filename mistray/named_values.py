@@ -1,4 +1,4 @@
-"""Texts of the form ``name=value``, as they stand in options, scene files and dicts."""
+"""Strings of the form ``name=value``, as they stand in options, scene files and dicts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mistray.errors import MistrayError, nearest
 
 
 def name_and_value(text: str) -> tuple[str, str] | None:
-    """Return both sides of the first ``=``, without blanks around them; None if there is no ``=``, or no name."""
+    """Return both sides of the first ``=``, without spaces around them; None if there is no ``=``, or no name."""
     name, sign, value = (part.strip() for part in text.partition("="))
     return (name, value) if sign and name else None
 
@@ -18,12 +18,12 @@ def named_values(
     parts: Iterable[str], owner: str, known: Collection[str] = (), like: str = "name=value"
 ) -> dict[str, str]:
     """
-    Parse texts of the form ``name=value`` into a dict from name to value, both texts.
+    Parse strings of the form ``name=value`` into a dict from name to value, both strings.
 
     Parameters
     ----------
     parts : iterable of str
-        Texts ``name=value``.
+        Strings ``name=value``.
     owner : str
         Owner of the values, for the start of messages.
     known : collection of str
@@ -34,7 +34,7 @@ def named_values(
     Raises
     ------
     MistrayError
-        If a text is not of the form ``name=value``, or a name is unknown or given twice.
+        If a string is not of the form ``name=value``, or a name is unknown or given twice.
     """
     found: dict[str, str] = {}
     for part in parts:
@@ -51,7 +51,7 @@ def named_values(
 
 
 def number_of(text: str) -> float | None:
-    """Parse a text as a number; None if it is not one."""
+    """Parse a string as a number; None if it is not one."""
     try:
         return float(text)
     except ValueError:
@@ -59,13 +59,13 @@ def number_of(text: str) -> float | None:
 
 
 def finite_of(text: str) -> float | None:
-    """Parse a text as a finite number; None if it is not one."""
+    """Parse a string as a finite number; None if it is not one."""
     number = number_of(text)
     return number if number is not None and math.isfinite(number) else None
 
 
 def as_number(text: str, name: str, owner: str) -> float:
-    """Parse a text as a number; raise `MistrayError`, with its name and owner in the message, if it is not one."""
+    """Parse a string as a number; raise `MistrayError`, with its name and owner in the message, if it is not one."""
     number = number_of(text)
     if number is None:
         raise MistrayError(f"{owner}: {name} is '{text}'; give a number")

@@ -31,8 +31,8 @@ class Param(Demand):
     """
     One parameter of a plugin or of a scatter model.
 
-    The plugin reads the value from a scene by it, and offers a number with derivatives to `mi.traverse`. The
-    constructor of a model checks its field by it. Sensitivities and optimizations use its range and tolerance. The
+    A plugin reads the value from a scene as it says, and offers a number with derivatives to `mi.traverse`. The
+    constructor of a model checks its field against it. Sensitivities and optimizations use its range and tolerance. The
     manual, `help`, options of the command line and suggestions for unknown parameters are made from it.
 
     Attributes
@@ -50,10 +50,10 @@ class Param(Demand):
     differentiable : bool
         Whether a trace has derivatives with respect to it, if it is a number.
     power : float
-        Exponent p such that scattered light grows as the number to the power p; used in fits, see
+        Exponent p such that scattered light grows as the p-th power of the value; used in fits, see
         `mistray.analyses.fit.run`.
     default : Any
-        Value without one in the scene; `REQUIRED`: there must be one.
+        Value if the scene states none; `REQUIRED`: it must state one.
     otherwise : str
         What holds without a value, in words, if the default does not say it: "plane", "shape id".
     within : str
@@ -89,7 +89,11 @@ class Param(Demand):
         return -math.inf if low <= -UNBOUNDED else low, math.inf if high >= UNBOUNDED else high
 
     def usual_tolerance(self, value: float) -> float:
-        """Return the usual tolerance (±) for a nominal value, in the unit of the parameter."""
+        """
+        Return the usual tolerance (±) for a nominal value, in the unit of the parameter.
+
+        It is the absolute one, if stated; else a share of the value, or `AT_ZERO` where that would be 0.
+        """
         return self.tolerance * abs(value) or AT_ZERO if self.absolute is None else self.absolute
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
@@ -97,7 +101,11 @@ class Param(Demand):
         return self.values.check(name, value, owner)
 
     def field(self, default: Any = MISSING, doc: str = "", kw_only: Any = MISSING) -> Any:
-        """Return a dataclass field for this parameter, see `Demand.field`; `default` is also that of the parameter."""
+        """
+        Return a dataclass field for this parameter with a help text, see `Demand.field`.
+
+        `default` is also that of the parameter.
+        """
         own = self if default is MISSING else replace(self, default=default)
         return Demand.field(own, default, doc, kw_only)
 
@@ -126,7 +134,11 @@ class Param(Demand):
         return self.default
 
     def typed(self, value: Any, name: str, owner: str) -> Any:
-        """Return a scene property converted to the parameter's type: a checked number, flag or word, else a text."""
+        """
+        Return a scene property converted to the parameter's type: a checked number, flag or word, else a string.
+
+        A value that is not allowed raises `MistrayError`.
+        """
         if isinstance(self.values, Range):
             if isinstance(value, bool | str) or (value != value and self.allowed == "±"):
                 whole = "whole " if self.values.whole else ""
@@ -139,7 +151,7 @@ class Param(Demand):
 
     @property
     def allowed(self) -> str:
-        """Allowed values as text for a table cell; empty if the type says it all."""
+        """Allowed values in words for a table cell; empty if the type says it all."""
         if self.within or isinstance(self.values, Words):
             return self.within or ", ".join(self.values.choices)  # type: ignore[attr-defined]
         if not isinstance(self.values, Range):
@@ -151,7 +163,7 @@ class Param(Demand):
 
     @property
     def usual(self) -> str:
-        """Default value as text for a table cell; "none" if there is none."""
+        """Default value in words for a table cell; "none" if there is none."""
         if self.otherwise or self.default in (None, ""):
             return self.otherwise or "none"
         if isinstance(self.default, tuple):

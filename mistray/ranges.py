@@ -54,7 +54,11 @@ class Demand:
                 self.check(name, value, owner)
 
     def field(self, default: Any = dataclasses.MISSING, doc: str = "", kw_only: Any = dataclasses.MISSING) -> Any:
-        """Make a dataclass field with this condition and a help text; None is always allowed, see `check_fields`."""
+        """
+        Return a dataclass field with this condition and the help text `doc`.
+
+        None is always allowed, see `check_fields`.
+        """
         return dataclasses.field(default=default, kw_only=kw_only, metadata={_KEY: self, _DOC: doc})
 
 
@@ -97,7 +101,7 @@ class Range(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that a number must meet, as text, such as "must lie between 0 and 90 degrees"."""
+        """Condition that a number must meet, in words, such as "must lie between 0 and 90 degrees", and any remedy."""
         ends = {(True, True): ", both excluded", (True, False): f", {number_text(self.low)} excluded",
                 (False, True): f", {number_text(self.high)} excluded"}.get((self.above, self.below), "")  # fmt: skip
         unit = f" {self.unit}" if self.unit else ""
@@ -121,7 +125,7 @@ class Range(Demand):
         Raises
         ------
         MistrayError
-            If the value is no number, or lies outside the range.
+            If the value is not a number, is not whole where it must be, or lies outside the range.
         """
         number, value = math.nan, _of_python(value)
         if not isinstance(value, bool | str | bytes):
@@ -150,7 +154,7 @@ class Range(Demand):
         Raises
         ------
         MistrayError
-            If the list is empty, or an entry is no number or lies outside the range.
+            If the list is empty, or an entry is not a number or lies outside the range.
         """
         numbers = [values]
         if not isinstance(values, str | bytes):
@@ -162,7 +166,7 @@ class Range(Demand):
         return [float(self.check(name, number, owner)) for number in numbers]
 
     def __call__(self, text: str) -> Any:
-        """Parse a command-line text as a number in the range; raise an `argparse` error if it is none."""
+        """Parse a word of the command line as a number in the range; raise an `argparse` error if it is not one."""
         number = math.nan
         with contextlib.suppress(ValueError):
             number = float(text)
@@ -177,23 +181,23 @@ class Range(Demand):
 @dataclass(frozen=True)
 class Words(Demand):
     """
-    Condition that a text is one of some choices.
+    Condition that a string is one of some choices.
 
     Attributes
     ----------
     choices : tuple of str
-        Allowed texts.
+        Allowed strings.
     """
 
     choices: tuple[str, ...]
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that a text must meet, as text, such as "must be one of a, b"."""
+        """Condition that a string must meet, in words, such as "must be one of a, b"."""
         return f"must be one of {', '.join(self.choices)}"
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the text if it is one of the choices; otherwise raise `MistrayError`, see `Range.check`."""
+        """Return the string if it is one of the choices; otherwise raise `MistrayError`, see `Range.check`."""
         if not isinstance(value, str) or value not in self.choices:
             raise MistrayError(f"{_titled(name, owner)} is {value!r}; {nearest(str(value), self.choices)}")
         return value
@@ -216,7 +220,7 @@ class OfType(Demand):
     demand: str
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the value; raise `MistrayError` if it is of another type or an empty text, see `Range.check`."""
+        """Return the value; raise `MistrayError` if it is of another type or an empty string, see `Range.check`."""
         value = _of_python(value) if self.kind is bool else value
         if not isinstance(value, self.kind) or value == "":
             raise MistrayError(f"{_titled(name, owner)} is {value!r}; it {self.demand}")
@@ -238,7 +242,7 @@ class OfRange(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each number must meet, as text for messages."""
+        """Condition that each number must meet, in words for messages."""
         return self.of.demand
 
 
@@ -294,7 +298,7 @@ class Interval(OfRange):
 @dataclass(frozen=True)
 class ByName(Demand):
     """
-    Condition on a mapping from names, or patterns of names, to numbers or texts.
+    Condition on a mapping from names, or patterns of names, to numbers or strings.
 
     Attributes
     ----------
@@ -309,11 +313,11 @@ class ByName(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each value of the mapping must meet, as text for messages."""
+        """Condition that each value of the mapping must meet, in words for messages."""
         return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
-        """Return the mapping as a dict; raise `MistrayError` if its keys are not texts, or a value is not allowed."""
+        """Return the mapping as a dict; raise `MistrayError` if a key is not a string, or a value is not allowed."""
         before = _titled(name, owner)
         if not isinstance(value, Mapping) or not all(isinstance(key, str) and key.strip() for key in value):
             raise MistrayError(f"{before} is {value!r}; give a mapping from names to values, as of {self.example}")
@@ -336,12 +340,12 @@ def demand_of(field: dataclasses.Field[Any]) -> Demand | None:
 
 
 def type_of(declared: Any) -> str:
-    """Return the name of a type annotation, given as text or as a type."""
+    """Return the name of a type annotation, given as a string or as a type."""
     return declared if isinstance(declared, str) else getattr(declared, "__name__", str(declared))
 
 
 def doc_of(field: dataclasses.Field[Any]) -> str:
-    """Return the help text of a field of a dataclass for the command line."""
+    """Return the help text of a field of a dataclass for the command line; "" if it has none."""
     return str(field.metadata.get(_DOC, ""))
 
 

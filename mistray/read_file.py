@@ -53,13 +53,13 @@ def open_input(path: str | Path, own: bool = False) -> BinaryIO:
     path : str or Path
         File to read.
     own : bool
-        Whether the file is a result of mistray, such as a saved state or a report, and no input. A result may be
+        Whether the file is a result of mistray, such as a saved state or a report, and not an input. A result may be
         replaced after it has been read.
 
     Raises
     ------
     OSError
-        If the file cannot be opened, or is no regular file; ``strerror`` says why.
+        If the file cannot be opened, or is not a regular file; ``strerror`` says why.
     """
     try:
         _refuse(path, os.stat(path).st_mode)
@@ -94,12 +94,12 @@ def read_file(
     most : int, optional
         Largest allowed size, bytes.
     own : bool
-        Whether it is a result and no input, see `open_input`.
+        Whether it is a result and not an input, see `open_input`.
 
     Raises
     ------
     MistrayError
-        If the file cannot be read, is no regular file, or is too large.
+        If the file cannot be read, is not a regular file, or is too large.
     """
     try:
         with open_input(path, own) as file:
@@ -112,7 +112,11 @@ def read_file(
 
 
 def read_text(path: str | Path, what: str = "file", remedy: str = REMEDY) -> str:
-    """Return the text of a UTF-8 file, with or without byte order mark, with line feeds as line ends."""
+    """
+    Return the text of a UTF-8 file, with or without byte order mark, with line feeds as line ends.
+
+    Raise `MistrayError` if the file cannot be read or is not in UTF-8.
+    """
     try:
         text = read_file(path, what, remedy).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -121,7 +125,7 @@ def read_text(path: str | Path, what: str = "file", remedy: str = REMEDY) -> str
 
 
 def require_file(path: str | Path, what: str = "file", remedy: str = REMEDY) -> None:
-    """Raise `MistrayError` if a file cannot be opened or is no regular file, before a library opens it by name."""
+    """Raise `MistrayError` if a file cannot be opened or is not a regular file, before a library opens it by name."""
     try:
         open_input(path).close()
     except OSError as error:

@@ -91,7 +91,7 @@ def sweep_drafts(place: Path) -> None:
 
 
 def _runs(process: str | None) -> bool:
-    """True if the process with this number is alive; False if no number is given."""
+    """True if the process with this number is alive; False without a number, or where processes cannot be looked up."""
     if process is None or os.name != "posix":
         return False
     try:
@@ -167,7 +167,11 @@ class Guard:
                 raise MistrayError(f"output '{path}' is a file that this command reads; write to another one")
 
     def in_the_way(self, paths: Iterable[str | Path]) -> list[Path]:
-        """Return the existing files among some paths that may not be replaced; raises as `refuse_read` does."""
+        """
+        Return the existing files among some paths that may not be replaced; none if `force` is set.
+
+        It raises as `refuse_read` does.
+        """
         # What is open already, a pipe or a device is written to, and a folder has its own message
         old = [Path(path) for path in paths if os.path.isfile(path) or _is_dangling(path)]
         old = [path for path in old if opened(path) is None and os.path.abspath(path) not in self._written]
@@ -236,19 +240,23 @@ def guarding(guard: Guard) -> Iterator[None]:
 
 
 def claim_files(paths: Iterable[str | Path]) -> None:
-    """Check that the active guard, if any, permits writing these files, before the first of them is written."""
+    """
+    Check that the active guard, if any, permits writing these files, before the first of them is written.
+
+    Raise `MistrayError` if it does not.
+    """
     if _guards:
         _guards[-1].claim(paths)
 
 
 def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> Path:
-    """Write one file as `replace_files` does, and return its path."""
+    """Write one file as `replace_files` does, and return its path; raise as it does."""
     return replace_files({path: content}, what)[0]
 
 
 def replace_files(files: Mapping[Any, str | bytes], what: str = "file") -> list[Path]:
     """
-    Write files through drafts beside them; on an error or interrupt, all old files stay as they were.
+    Write files through drafts beside them; if a draft cannot be written, all old files stay as they were.
 
     Drafts have unique names, so if two processes write the same file, the later one wins and the file is whole. Content
     for a device, a pipe or an open file such as /dev/stdout is written directly. Files in a folder that is being
@@ -270,6 +278,10 @@ def replace_files(files: Mapping[Any, str | bytes], what: str = "file") -> list[
     ------
     MistrayError
         If a file cannot be written, or the guard of this block protects it; see `guarding`.
+    BrokenPipeError
+        If the reader of a pipe has ended.
+    KeyboardInterrupt
+        On Ctrl-C; see `rename_drafts` for the state of the files.
     """
     whole = {Path(path): text.encode("utf-8") if isinstance(text, str) else text for path, text in files.items()}
     claim_files(whole)
@@ -299,7 +311,8 @@ def rename_drafts(files: Mapping[Path, bytes], what: str = "file", obsolete: Col
     Parameters
     ----------
     files : mapping of Path to bytes
-        Paths that are no folders, and contents. The last one names the set in the file `incomplete`.
+        Paths that are not folders, and contents. The last one names the set in the file `incomplete`, which is written
+        if there are several files, obsolete ones included.
     what : str
         Kind of file, for the message.
     obsolete : collection of Path
@@ -308,8 +321,13 @@ def rename_drafts(files: Mapping[Path, bytes], what: str = "file", obsolete: Col
     Raises
     ------
     MistrayError
-        If a file cannot be written; all old files then stay. If a later rename fails, some files are new, and
-        `incomplete` remains.
+        If a file cannot be written, or a file `incomplete` of another program is there; all old files then stay. If a
+        later rename fails, some files are new, and `incomplete` remains.
+    OSError
+        If an obsolete file cannot be removed; all files are new then, and `incomplete` remains.
+    KeyboardInterrupt
+        On Ctrl-C. While drafts are written, all old files stay. During the renames the first one is raised once all
+        files are new; a second one is raised at once, and `incomplete` remains if some files are old.
     """
     drafts: dict[Path, Path] = {}
     path = Path()
@@ -338,7 +356,11 @@ def rename_drafts(files: Mapping[Path, bytes], what: str = "file", obsolete: Col
 
 @contextlib.contextmanager
 def telling(path: Path, what: str) -> Iterator[None]:
-    """Turn an OSError from writing a file within a block into a one-line `MistrayError`."""
+    """
+    Turn an OSError from writing a file within a block into a one-line `MistrayError`.
+
+    A BrokenPipeError is passed on as it is.
+    """
     try:
         yield
     except BrokenPipeError:  # the reader, such as head, has seen enough
@@ -350,7 +372,12 @@ def telling(path: Path, what: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _marked(files: Sequence[Path], obsolete: Collection[Path]) -> Iterator[list[Path]]:
-    """Keep the file `incomplete` up to date while a block renames files and appends each to the yielded list."""
+    """
+    Keep the file `incomplete` up to date while a block renames several files; for a single one it is not needed.
+
+    The block appends each renamed file to the yielded list. If it fails before the first, the old `incomplete` comes
+    back. Raise `MistrayError` as `_mark` does.
+    """
     several = len(files) + len(obsolete) > 1
     before = {folder: incomplete_sets(folder) for folder in sorted({path.parent for path in files})}
     for folder, sets in before.items() if several else ():
@@ -381,7 +408,7 @@ def sets_without(sets: Mapping[str, Collection[str]], done: Collection[str]) -> 
 
 def incomplete_sets(folder: Path) -> dict[str, list[str]]:
     """
-    Sets of files in a folder that may mix old and new ones.
+    Return the sets of files in a folder that may mix old and new ones.
 
     Parameters
     ----------
@@ -434,7 +461,11 @@ def incomplete_bytes(sets: Mapping[str, Collection[str]]) -> bytes:
 
 
 def _mark(folder: Path, sets: Mapping[str, Collection[str]]) -> None:
-    """Write, update or remove the file `incomplete` of a folder and wait until it is on the disk."""
+    """
+    Write, update or remove the file `incomplete` of a folder and wait until it is on the disk.
+
+    Raise `MistrayError` if that fails, or if the file there is not from mistray.
+    """
     path = folder / INCOMPLETE
     if path.exists() and not incomplete_sets(folder):
         raise MistrayError(f"file '{path}' is none of mistray, which needs its name; rename it")

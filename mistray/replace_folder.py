@@ -66,6 +66,8 @@ def replacing_folder(folder: str | Path) -> Iterator[None]:
     MistrayError
         If a file cannot be written. The old folder is unchanged, apart from the case in
         `mistray.replace_file.rename_drafts`.
+    KeyboardInterrupt
+        On Ctrl-C, as in `mistray.replace_file.rename_drafts`.
     """
     target = Path(os.path.realpath(Path(folder).expanduser()))
     if str(target) in collected:
@@ -81,7 +83,11 @@ def replacing_folder(folder: str | Path) -> Iterator[None]:
 
 
 def _replace(target: Path, files: dict[str, bytes]) -> None:
-    """Replace files of a folder by exchanging the whole folder if possible, else one by one."""
+    """
+    Replace files of a folder by exchanging the whole folder if possible, else one by one.
+
+    Raise `MistrayError` if the folder or a file cannot be written.
+    """
     sweep_drafts(target)
     page = next((name for name in reversed(files) if name.endswith(PAGE)), None)
     gone: set[str] = set()
@@ -100,7 +106,12 @@ def _replace(target: Path, files: dict[str, bytes]) -> None:
 
 
 def _exchange(target: Path, files: Mapping[str, bytes], gone: set[str]) -> None:
-    """Replace a folder in one system call. Raise `_Impossible`, with nothing changed, if that is not possible."""
+    """
+    Replace a folder in one system call.
+
+    Raise `_Impossible`, with nothing changed, if that is not possible. A file that cannot be written raises
+    `MistrayError`.
+    """
     old = os.path.lexists(target)
     move: Callable[[Path, Path], None] = os.rename
     if old:
@@ -140,7 +151,11 @@ def _exchange(target: Path, files: Mapping[str, bytes], gone: set[str]) -> None:
 
 
 def _check(target: Path) -> None:
-    """Raise `_Impossible` if a folder is the current one, a mount point, or holds other folders."""
+    """
+    Raise `_Impossible` if a folder is the current one, a mount point, unreadable, or holds other folders.
+
+    One that holds anything but files and links raises it as well.
+    """
     try:
         here = os.path.samefile(target, os.curdir)
         plain = target.is_dir() and not os.path.ismount(target)
@@ -186,7 +201,11 @@ def _bring_late(old: Path, new: Path, own: set[str]) -> None:
 
 
 def _obsolete(folder: Path, page: str) -> set[str]:
-    """Return names of unchanged files that the previous run of a page wrote, and of files in an incomplete set."""
+    """
+    Return names of unchanged files that the previous run of a page wrote, and of files in an incomplete set.
+
+    The page itself, scenes, and files that serve as input are left out.
+    """
     found = {*incomplete_sets(folder).get(page, ())} - {page}
     with contextlib.suppress(ValueError, AttributeError, RecursionError):  # a page of somebody else
         lists = _LIST.findall(read_file(folder / page, own=True))

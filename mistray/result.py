@@ -77,6 +77,11 @@ class Result:
         -------
         Axes or tuple of Axes
             Axes of Matplotlib, a tuple if the figure has several panels; without those of colour bars.
+
+        Raises
+        ------
+        MistrayError
+            If the result has no figure.
         """
         from mistray.toolkit.summary import plotted
 

@@ -46,7 +46,11 @@ class RayControl(Demand):
     also = ({"enum": [*RAY_CONTROLS]}, {"type": "string", "pattern": f"^[ ,]*[{OPERATIONS}][{OPERATIONS} ,]*$"})
 
     def check(self, name: str, value: Any, owner: str = "") -> str:
-        """Return the name of a ray control, else its letters as in `OPERATIONS`; raise `MistrayError` if invalid."""
+        """
+        Return the name of a ray control, else its letters in the order of `OPERATIONS`.
+
+        Letters that have a name give the name. Raise `MistrayError` for anything else.
+        """
         if isinstance(value, str) and value in RAY_CONTROLS:
             return str(value)
         letters = value.replace(",", "").replace(" ", "") if isinstance(value, str) else ""
@@ -70,7 +74,12 @@ class ByBranch(Demand):
     )
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return flux thresholds as a tuple in the order of `BRANCHES`, relative to a start ray or in W, as given."""
+        """
+        Return flux thresholds as a tuple in the order of `BRANCHES`, relative to a start ray or in W, as given.
+
+        A branch that a mapping or string leaves out has 0. Raise `MistrayError` for an unknown branch, a wrong number
+        of values, or one that is not a number ≥ 0.
+        """
         given = value
         letters = ", ".join(BRANCHES)
         if isinstance(given, str):
@@ -136,7 +145,7 @@ class Settings:
         Smallest flux of branches relative to the start ray: specular reflection, specular transmission, scattered
         reflection, scattered transmission, and absorption by a surface. Weaker branches are cut, before and after
         scatter, and `Energy.cut` lists them by kind. Give five numbers, a mapping from the letters R, T, r, t and A, or
-        a text such as "R=1e-6, t=1e-9"; missing letters are 0, which cuts nothing. A scattered branch is one ray, and
+        a string such as "R=1e-6, t=1e-9"; missing letters are 0, which cuts nothing. A scattered branch is one ray, and
         it is weaker the more rays are sent. So unlike `scatter_threshold` this changes the result. Absorption that is
         cut is recorded at no surface, and such a hit of the detector does not count. Absorption within a medium is
         always recorded.
@@ -167,6 +176,11 @@ class Settings:
         every branch carries its Stokes vector. "auto" is "stokes" if a source of the scene is polarised, or if a pilot
         trace finds that this changes a listed path or the stray light by more than 1 %, see
         `mistray.trace.polarization_choice`. Otherwise it is "unpolarized".
+
+    Raises
+    ------
+    MistrayError
+        If a value is not allowed.
 
     Examples
     --------
@@ -254,20 +268,28 @@ class Settings:
 
     @classmethod
     def unresolved(cls, scene: Any, **given: Any) -> Settings:
-        """Return the settings of a scene's ``straylight`` integrator, or defaults, with given values unless None."""
+        """
+        Return the settings of a scene's ``straylight`` integrator, or defaults, with given values unless None.
+
+        Raise `MistrayError` for a value that is unknown or not allowed.
+        """
         own = getattr(scene.integrator(), "settings", None) or cls()
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
         refuse_unknown(given, values, "Settings: ")
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
     def resolved(self, scene: Any) -> Settings:
-        """Return the settings with `polarization` "auto" replaced by the choice for the scene's sources."""
+        """Return the settings with `polarization` "auto", if so, replaced by the choice for the scene's sources."""
         if self.polarization != "auto":
             return self
         return replace(self, polarization="stokes" if polarized_sources(scene) else "unpolarized")
 
     def with_unit(self, unit_W: float) -> Settings:
-        """Return the settings with `cut_below_W` merged into `cut_below`, for start rays of `unit_W` watts each."""
+        """
+        Return the settings with `cut_below_W` merged into `cut_below`, for start rays of `unit_W` watts each.
+
+        The larger of the two holds for each entry. Settings without `cut_below_W` are returned unchanged.
+        """
         if not any(self.cut_below_W):
             return self
         relative = (max(a, float(b) / float(unit_W)) for a, b in zip(self.cut_below, self.cut_below_W, strict=True))

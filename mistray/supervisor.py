@@ -41,7 +41,8 @@ def supervise() -> None:
     """
     Continue in a child process; the calling process waits for it and ends with its exit status.
 
-    The child blocks the signals until `listen`, so that none arrives before its handler is installed.
+    The child blocks the signals until `listen`, so that none arrives before its handler is installed. Where there is no
+    fork or `sigtimedwait`, nothing is done.
     """
     if not hasattr(os, "fork") or not hasattr(signal, "sigtimedwait"):
         return
@@ -57,13 +58,17 @@ def supervise() -> None:
 
 
 def listen() -> None:
-    """Unblock the signals in this process; called once their handlers are installed."""
+    """Unblock SIGINT and SIGTERM in this process; called once their handlers are installed."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 def _wait(child: int, numbers: list[signal.Signals]) -> None:
-    """Wait for the child process, pass signals (`numbers`) on to it, and end this process with its exit status."""
+    """
+    Wait for the child process, pass signals (`numbers`) on to it, and end this process with its exit status.
+
+    A child still alive `PATIENCE` seconds after the first signal is killed.
+    """
     first, until = None, math.inf
     while True:
         left = min(until - time.monotonic(), DAY)
@@ -86,7 +91,11 @@ def _wait(child: int, numbers: list[signal.Signals]) -> None:
 
 
 def _end_as(code: int, first: int | None) -> None:
-    """End this process with the exit code of the child, or by the child's signal if the code is negative."""
+    """
+    End this process with the exit code of the child, or by the child's signal if the code is negative.
+
+    After a signal `first` an interrupted child makes it 128 plus the number of that signal.
+    """
     if first is not None and code == INTERRUPTED:
         os._exit(128 + first)
     if code >= 0:
@@ -109,7 +118,11 @@ def _interrupted(first: int | None) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """Ask Linux to kill this process when its parent ends, even by SIGKILL; do nothing on other systems."""
+    """
+    Ask Linux to kill this process when its parent ends, even by SIGKILL; do nothing on other systems.
+
+    If the parent has already ended, this process does too.
+    """
     if sys.platform != "linux":
         return
     import ctypes

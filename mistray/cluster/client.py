@@ -150,11 +150,15 @@ class Cluster:
         return Counter(map(host_of, workers))
 
     def count(self) -> int:
-        """Return the number of workers, at least 1."""
+        """Return the number of workers, at least 1; raise `UnfinishedError` if the scheduler is gone."""
         return max(self.hosts().total(), 1)
 
     def wait(self) -> None:
-        """Wait for the first worker; raise `MistrayError` after `patience_s` seconds."""
+        """
+        Wait for the first worker.
+
+        Raise `MistrayError` after `patience_s` seconds without any, and `UnfinishedError` if the scheduler is lost.
+        """
         started = time.monotonic()
         while not self.hosts():
             if time.monotonic() - started > self.patience_s:
@@ -171,7 +175,11 @@ class Cluster:
 
     @contextlib.contextmanager
     def job(self, task: Any) -> Iterator[DaskJob]:
-        """Start a job for a task, and close it at the end of the block; see `mistray.execute.workers.Workers`."""
+        """
+        Start a job for a task, and close it at the end of the block; see `mistray.execute.workers.Workers`.
+
+        Raise `MistrayError` if the task cannot be packed, and `UnfinishedError` if the scheduler is lost.
+        """
         from mistray.cluster.travel import Parcel
 
         parcel = Parcel.of(task)
@@ -182,7 +190,11 @@ class Cluster:
             job.close()
 
     def sending(self, action: Callable[[], Any]) -> Any:
-        """Return the result of an action that needs the scheduler. Raise `UnfinishedError` if the scheduler is lost."""
+        """
+        Return the result of an action that needs the scheduler.
+
+        Raise `UnfinishedError` if the scheduler is lost; other errors of the action pass.
+        """
         if self.client.status != "running":
             raise self.gone()
         try:
@@ -237,7 +249,7 @@ class DaskJob:
         self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     def submit(self, part: Any) -> None:
-        """Send one more part of the task to the workers."""
+        """Send one more part of the task to the workers; raise `UnfinishedError` if the scheduler is lost."""
         task, *scenes = self._futures
         self._number += 1
         future = self._cluster.sending(
@@ -257,14 +269,22 @@ class DaskJob:
         future.add_done_callback(lambda _: self._news.put(part))
 
     def result(self, part: Any) -> Any:
-        """Wait for a part and return its result."""
+        """
+        Wait for a part and return its result.
+
+        Raise `MistrayError` if the part failed, and `UnfinishedError` if the scheduler or all workers are lost.
+        """
         while part not in self._done:
             self._done[self._next()] = None
         del self._done[part]
         return self._take(part)
 
     def results(self) -> Iterator[tuple[Any, Any]]:
-        """Yield all parts with their results, in the order in which they are completed."""
+        """
+        Yield all parts with their results, in the order in which they are completed.
+
+        Errors are those of `result`.
+        """
         while self._waiting:
             part = next(iter(self._done), None)
             if part is None:
@@ -273,7 +293,11 @@ class DaskJob:
             yield part, self._take(part)
 
     def _next(self) -> Any:
-        """Wait until a part has succeeded or failed, and return the part."""
+        """
+        Wait until a part has succeeded or failed, and return the part.
+
+        Raise `UnfinishedError` if there is no worker for `patience_s` seconds, or if the scheduler is lost.
+        """
         alone_since: float | None = None
         while True:
             try:
@@ -309,7 +333,7 @@ class DaskJob:
             future.release()
 
     def close(self) -> None:
-        """Cancel all unfinished parts."""
+        """Cancel all unfinished parts, unless the scheduler is lost, and forget them."""
         rest = list(self._waiting.values())
         if rest and self._cluster.client.status == "running":
             with contextlib.suppress(Exception):  # nobody needs them any more

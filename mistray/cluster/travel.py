@@ -58,7 +58,7 @@ class Parcel:
 
 
 def surroundings() -> dict[str, str]:
-    """Return what must agree in all processes, as text by name: package versions, variant, plugins of others."""
+    """Return the facts that must agree in all processes, by name: package versions, variant, plugins of others."""
     return {**versions(), "variant": mi.variant(), "plugins": ",".join(sorted(plugins_of_others()))}
 
 
@@ -71,7 +71,7 @@ class _Pickler(cloudpickle.Pickler):
         self._known: dict[int, str] = {}
 
     def persistent_id(self, item: Any) -> Any:
-        """Return the hash of a scene; None for all other objects."""
+        """Return the hash of a scene, which is packed when it is first met; None for all other objects."""
         if not isinstance(item, mi.Scene):
             return None
         if id(item) not in self._known:
@@ -92,7 +92,11 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _packed(scene: mi.Scene) -> bytes:
-    """Return the source of a scene and the current values of its parameters, packed as bytes."""
+    """
+    Return the source of a scene and the current values of its parameters, packed as bytes.
+
+    Raise `MistrayError` if the scene has no source that can be sent.
+    """
     buffer = io.BytesIO()
     _dump(_Pickler(buffer), source_of(scene))
     return pickle.dumps((buffer.getvalue(), read_numbers(scene)))
@@ -119,7 +123,8 @@ class Unpacked:
         """
         Return a task from its packed form, and the object that it makes.
 
-        Its scenes are loaded and get their values.
+        Its scenes are loaded and get their values. If the task is still in memory, it is returned from there. Raise as
+        loading the scenes does.
         """
         if digest in self._made:
             task, made, _ = self._made[digest]

@@ -1,10 +1,10 @@
 """
-Derivatives of R and T in coating tables by layer parameters and by adjacent indices, and the chain rule.
+Derivatives of R and T in coating tables with respect to layer parameters and adjacent indices, and their chain rule.
 
-The rows are exact values of the coating at the nodes, so the chain rule takes their derivatives by the thickness and
-the complex index of each layer. These come from Dr.Jit's forward mode through `mistray.physics.thinfilm`, in float64,
-one lane for each row that was used and each parameter. The index beside a coating moves the cosines at the nodes, which
-are singular at the critical angle: these derivatives are central differences.
+The rows are exact values of the coating at the nodes. The chain rule needs their derivatives with respect to the
+thickness and the complex index of each layer. These come from Dr.Jit's forward mode through `mistray.physics.thinfilm`,
+in float64, one lane for each row that was used and each parameter. An adjacent index moves the cosines at the nodes,
+which are singular at the critical angle: derivatives with respect to it are central differences.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def table_rows(optics: Optics, surface: int) -> slice:
 
 
 def layered_surfaces(optics: Optics, is_chosen: Callable[[Any, str], bool]) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number of each surface with a layered coating, and the requested names of its layer parameters."""
+    """Yield the index of each surface with a layered coating that has requested layer parameters, and their names."""
     for i, bsdf in enumerate(optics.bsdfs):
         names = [name for name in LAYER_PARAMETERS if bsdf.film is not None and is_chosen(bsdf.film, name)]
         if names and int(optics.host_words[i]) & 3 == TABLED:
@@ -72,8 +72,8 @@ def layer_gradient(
     Yields
     ------
     owner, name, gradient
-        The coating plugin, one of `LAYER_PARAMETERS`, and the derivatives by batch, (BATCHES, layers). A coating is
-        yielded once for each pair of materials beside it.
+        The coating plugin, one of `LAYER_PARAMETERS`, and the derivatives by batch, (BATCHES, layers), in the metric's
+        unit, per nm for a thickness. A coating is yielded once for each pair of materials beside it.
     """
     # Surfaces with the same coating between the same materials share a table, and its derivatives
     shared: dict[tuple[int, int], tuple[int, list[str], np.ndarray]] = {}
@@ -94,7 +94,8 @@ def layer_tangent(optics: Optics, tangents: Mapping[tuple[int, str], np.ndarray]
     """
     Return the rates of change of R and T in coating tables, (rows, 3) float64, for given rates of layer parameters.
 
-    See `mistray.gradients.parameter_gradient.number_tangent` for `tangents`.
+    They are per unit of the common variable, and 0 where no layer moves. See
+    `mistray.gradients.parameter_gradient.number_tangent` for `tangents`.
     """
     rows = np.zeros((optics.rows, TRANSMISSION + 1))
     asked = []
@@ -121,7 +122,8 @@ class _Side:
     cosines : (m,) float
         Cosines of incidence.
     put : callable
-        Takes the derivatives of R and T, (requested parameters · L, m) each, in the order of incidence.
+        Stores the derivatives of R and T, (requested parameters · L, m) each, in the order of incidence; those of T
+        only for light from the front of a surface that is not opaque.
     """
 
     indices: np.ndarray
@@ -140,14 +142,14 @@ def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray,
     optics : Optics
         Optical properties of the surfaces.
     asked : sequence of (int, (u,) int, sequence of str)
-        Surface, the requested rows, numbered through both parts of its table (refraction, total reflection), and the
-        requested parameters, of `LAYER_PARAMETERS`.
+        Index of the surface, the requested rows, numbered through both parts of its table (refraction, total
+        reflection), and the requested parameters, of `LAYER_PARAMETERS`.
 
     Returns
     -------
     list of (names · L, u, 3) float64
-        Derivatives with respect to each parameter of each layer, in the coating's own order, thickness in nm. The
-        columns are R from the front, R from the back and T.
+        Derivatives with respect to each parameter of each layer, in the coating's own order: 1/nm for a thickness, else
+        dimensionless. The columns are R from the front, R from the back and T; T of an opaque surface has 0.
     """
     groups: dict[tuple[int, tuple[int, ...]], list[_Side]] = {}
     results = []
@@ -164,7 +166,11 @@ def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray,
 
 
 def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...]) -> tuple[np.ndarray, list[_Side]]:
-    """Return zeros for derivatives of table rows, (names · L, u, 3), and the sides of incidence that fill them."""
+    """
+    Return zeros for derivatives of table rows, (names · L, u, 3), and the sides of incidence that fill them.
+
+    A side in a metal is left out, and so is the rarer side if only rows of total reflection are requested.
+    """
     _, last, _, total_last = (int(v) for v in optics.host_places[surface])
     refraction = last + 1
     n_front, n_back = optics.complex_indices[surface]
@@ -200,9 +206,10 @@ def _tangents(
     sides: Sequence[_Side], parts: tuple[int, ...], wavelength_nm: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """
-    Return derivatives of R and T, means of s and p, by one kind of layer parameter, for every layer and side.
+    Return derivatives of R and T, means of s and p, with respect to layer parameters, for every side and layer.
 
-    The coatings have equally many layers.
+    They are (parts · L, m) for each side; `parts` are places in `LAYER_PARAMETERS`, and thicknesses are in nm. All
+    coatings have equally many layers L.
     """
     layers = len(sides[0].indices)
     blocks = len(parts) * layers
@@ -259,8 +266,8 @@ def _cosines(
     """
     Return the cosines of incidence at the nodes of a coating table, for refraction and for total reflection.
 
-    They are those in front, behind and, in total reflection, on the denser side. With `same` light is not refracted:
-    the first two are the nodes, and the last are 0.
+    They are those in front, behind and, in total reflection, on the denser side. With `same`, for an opaque surface or
+    equal indices, light is not refracted: the first two are the nodes, and the last are 0.
     """
     nodes, dense = np.linspace(0.0, 1.0, last + 1), np.linspace(0.0, 1.0, total_last + 1)
     if same:
@@ -274,13 +281,13 @@ def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
     Return the derivatives of a coating's R and T at table nodes with respect to a real index beside it.
 
     `side` is 0 for the index in front, 1 for the one behind.
-
     The nodes are held fixed: they are cosines in the rarer material, or, between equal indices, cosines of incidence.
 
     Returns
     -------
     (rows, 3) float64
-        Derivatives of both parts of its table (refraction, total reflection): R from the front, R from the back and T.
+        Derivatives of both parts of the surface's table (refraction, total reflection): R from the front, R from the
+        back and T. Those of total reflection are 0 for an opaque surface or equal indices.
     """
     sides = optics.complex_indices[surface]
     coating = optics.bsdfs[surface].coating

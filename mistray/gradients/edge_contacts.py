@@ -102,6 +102,11 @@ class EdgeContacts:
     ----------
     table : SurfaceTable
         Surfaces of the scene.
+
+    Attributes
+    ----------
+    some : bool
+        Whether any surface may touch a rim.
     """
 
     def __init__(self, table: SurfaceTable) -> None:
@@ -205,7 +210,12 @@ class EdgeContacts:
     def corner(
         self, place: mi.UInt32, edge: Edge, d: mi.Vector3d, size: mi.Float64, starts: mi.Bool, active: mi.Bool
     ) -> Corner:
-        """Return start data of rays along d that just miss a rim's edge; `place` indexes (surfaces, rims) tables."""
+        """
+        Return start data of rays along d that just miss a rim's edge; `place` indexes (surfaces, rims) tables.
+
+        Where no surface touches the edge, they start beside it, at no surface, with the factor 1. `size` and `starts`
+        are those of `past`.
+        """
         count = dr.width(place)
         none, one = dr.full(mi.UInt32, NO_SURFACE, count), dr.full(mi.Float64, 1, count)
         found = Corner(mi.UInt32(none), mi.UInt32(none), mi.UInt32(none), one, mi.Vector3d(edge.outward))
@@ -279,7 +289,11 @@ class EdgeContacts:
 
 
 def may_touch(table: SurfaceTable) -> dict[tuple[int, int], list[int]]:
-    """Return, by surface and rim (position in `RIM_COLUMNS`), the surfaces whose bounding boxes touch that rim."""
+    """
+    Return, by surface and rim (place in `RIM_COLUMNS`), the indices of other surfaces that may touch that rim.
+
+    Bounding boxes, and radii about a common axis, decide. Rims that no surface may touch are left out.
+    """
     pieces, found = table.pieces, dict[tuple[int, int], list[int]]()
     if not pieces:
         return found

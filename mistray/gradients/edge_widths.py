@@ -5,7 +5,7 @@ A wide zone has little noise and much bias, a narrow one little bias and much no
 the bias of the wider one. The boundary kernel of a width has the least variance of all kernels within it that are exact
 for a linear density (J. Fan and I. Gijbels, Local Polynomial Modelling and Its Applications, 1996, section 3.2). So the
 difference is not correlated with the derivative of the wider one (J. A. Hausman, Econometrica 46, 1251, 1978), and a
-choice by the difference is no choice by the noise of the derivative that is kept.
+choice by the difference is not a choice by the noise of the derivative that is kept.
 
 One width serves all parameters: moves that do nothing together, such as those of all faces of a body along themselves,
 still cancel. If the rays of a trace choose the width, its zones and those of half the width then use further rays, up
@@ -35,7 +35,7 @@ def widths_of(edge_width: float | None) -> tuple[float, ...]:
     """
     Return the widths of the boundary zones along rims, as fractions of a rim's radius, the widest first.
 
-    They are a given width and half of it; without one, those that the automatic choice compares.
+    They are `edge_width` and half of it; if it is None, those that the automatic choice compares.
     """
     return AUTOMATIC if edge_width is None else (edge_width, 0.5 * edge_width)
 
@@ -67,6 +67,8 @@ def rim_zones(
 class WidthErrors:
     """
     Estimated noise and bias of derivatives of a metric, for each zone width but the narrowest.
+
+    All are in the unit of the derivatives.
 
     Attributes
     ----------
@@ -124,7 +126,7 @@ class WidthErrors:
 
 def further_samples(number: int) -> int:
     """
-    Return how many more ray samples a halved zone needs so that it has as many hits as the widest zone.
+    Return how many more ray samples a zone halved `number` times needs for as many hits as the widest zone has.
 
     It is at most `MOST_SAMPLES`. Each sample has as many rays as the trace.
     """
@@ -134,6 +136,8 @@ def further_samples(number: int) -> int:
 def least_error(derivatives: Iterable[np.ndarray], more: bool = False) -> int:
     """
     Return the index of the zone width with the least total error, by the geometric mean over derivatives.
+
+    Derivatives without an error do not count; if there are no derivatives at all, the index is 0, that of the widest.
 
     Parameters
     ----------

@@ -10,13 +10,13 @@ one-sided linear boundary kernel (J. Fan and I. Gijbels, Local Polynomial Modell
 
     k(Δ) = (4 - 6 Δ/ε)/ε,   ∫ k dΔ = 1,   ∫ k Δ dΔ = 0   over 0 … ε,
 
-so that the error goes with ε² where the density is smooth; `mistray.gradients.edge_widths` chooses ε. With
-c = k · (contribution of the hit - contribution past the rim) held fixed, the derivative of Σ c Δ by any parameter is
-that of the metric: Δ depends on the rim, on the surface and on all earlier hits of the path.
+so that the error goes with ε² where the density is smooth; `mistray.gradients.edge_widths` chooses ε. With c = k ·
+(contribution of the hit - contribution past the rim) held fixed, the derivative of Σ c Δ with respect to any parameter
+is that of the metric: Δ depends on the rim, on the surface and on all earlier hits of the path.
 
 A rim is the end of an analytic surface: clear radii, the sides of a rectangle, the ends of a cone or tube. A ray past
-the rim starts just outside of it, in the direction of the ray that hit. Where another surface touches the rim, the edge
-is the line in which both meet (see `mistray.gradients.edge_contacts`). A convex edge is described by the rays on either
+the rim starts just outside it, in the direction of the ray that hit. Where another surface touches the rim, the edge is
+the line in which both meet (see `mistray.gradients.edge_contacts`). A convex edge is described by the rays on either
 surface; if both end there, each contributes half. The same goes for a concave edge, but there the rim itself does not
 determine the edge. Δ follows from the distance D = F/|∇F| of the hit from the other surface, which `EdgeEvents.joined`
 names: Δ = -D s/(n · u). Here n is the direction of the gradient, u the direction in which the rim ends the surface, and
@@ -25,7 +25,7 @@ s the component of u along the coordinate of Δ. The coefficient of D replaces t
 Silhouettes of curved surfaces and the onset of total reflection are treated the same way, with a distance and a
 kernel of their own: see `mistray.gradients.grazing`.
 
-Not covered are lines in which surfaces cross away from their rims, and rims of meshes and other Mitsuba shapes.
+Lines in which surfaces cross away from their rims are not covered, nor are rims of meshes and other Mitsuba shapes.
 """
 
 from __future__ import annotations
@@ -101,20 +101,20 @@ class RimRecorder(Recorder):
     max_events : int
         Number of events of the longest path.
     limits : mapping, optional
-        See `rim_zones`.
+        Upper limits of the widths of some zones, mm, see `rim_zones`.
 
     Attributes
     ----------
     zones : dict
-        Result of `rim_zones`.
+        Widths of the zones, mm, from `rim_zones`.
     paths : BranchRecorder
         Paths up to and including the hit; `weight` is the throughput on arrival.
     columns : dict
-        Numbers of each hit, (capacity,) each: ``rim``, a place in `RIM_COLUMNS` or a jump of
-        `mistray.gradients.grazing`; ``delta``, the distance from the rim, mm, or from the jump; ``scale``, see
-        `mistray.gradients.grazing.Grazing.find`; ``copies``, the factor 1/p of a hit whose zone was chosen with
-        probability p: 1, or 2 for each choice between two zones; ``gain``, the contribution to the metric of the hit
-        and all events after it.
+        Values of each hit, (capacity,) each: ``rim``, a place in `RIM_COLUMNS` or a jump of
+        `mistray.gradients.grazing`; ``delta``, the distance from the rim or silhouette, mm, or the dimensionless one
+        from the critical angle; ``scale``, see `mistray.gradients.grazing.Grazing.find`; ``copies``, the factor 1/p of
+        a hit whose zone was chosen with probability p: 1, or 2 for each choice between two zones; ``gain``, the
+        contribution to the metric, in its unit, of the hit and all events after it.
     axis : (capacity, 3) mi.Float
         Normal at the hit, on the side of transmission.
     before : dict
@@ -196,7 +196,11 @@ class RimRecorder(Recorder):
         before.write(memory[GAIN], depth, near)
 
     def _nearest(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Float, mi.Bool, mi.Bool]:
-        """Return the nearest rim, the distance to it, mm, and masks: hits in its zone, hits in twice that zone."""
+        """
+        Return the rim whose zone each hit lies in, its distance, mm, and masks: hits in a zone, hits in two zones.
+
+        In two zones the last bit of a coordinate chooses the rim.
+        """
         bounds = dr.gather(mi.Vector4f, self._bounds, s, active)
         kind = dr.gather(mi.UInt32, self._kinds, s, active)
         rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))
@@ -246,10 +250,10 @@ class EdgeEvents:
     joined : (n,) mi.UInt32
         Surface that meets the rim in a concave edge; `NO_SURFACE` for all others.
     scale : (n,) mi.Float
-        Scale of a jump, see `mistray.gradients.grazing.Grazing.find`.
+        Radius of curvature at a silhouette, mm, or n_i/n_t at the critical angle; unset at rims.
     c : list of (n,) mi.Float64
-        Coefficients of Δ, 1/mm, for each width; where there is a `joined` surface those of the distance F/|∇F| from
-        it. In units of a start ray.
+        Coefficients of Δ for each width, in the metric's unit per mm, or per 1 at the critical angle. Where there is a
+        `joined` surface, they are those of the distance F/|∇F| from it.
     """
 
     paths: BranchRecorder
@@ -306,7 +310,7 @@ class Edges:
         start : StartRays
             Start rays to trace.
         adjoint : Adjoint
-            Metric; without rows.
+            Adjoint of the metric, without derivatives with respect to rows of coating tables.
 
         Yields
         ------
@@ -330,7 +334,11 @@ class Edges:
                 yield part, found
 
     def _gains(self, start: StartRays, adjoint: Adjoint, rims: RimRecorder | None = None) -> mi.Float64:
-        """Return each start ray's contribution to the metric, summed over its tree, in the metric's unit."""
+        """
+        Return each start ray's contribution to the metric, summed over its tree, in the metric's unit.
+
+        If `rims` is given, it records the hits close to rims on the way.
+        """
         trace_tree(self._scene, start, self._settings, [rims, adjoint])
         dr.eval(adjoint.gain)
         dr.sync_thread()
@@ -340,7 +348,7 @@ class Edges:
         """
         Trace rays that just miss the rims, to compare them with the recorded hits.
 
-        Return the recorded hits that matter, with their coefficients in the derivative.
+        Return the hits that change the metric, with their coefficients in the derivative; None if there is no such hit.
         """
         near, row = self._near, dr.arange(mi.UInt32, hits)
         rim, delta, scale, copies, found_gain = (dr.gather(type(v), v, row) for v in near.columns.values())
@@ -419,7 +427,11 @@ class Edges:
         s: mi.UInt32,
         others: tuple[Any, ...],
     ) -> Any:
-        """Return start data of rays past a jump: origin (mm), direction, surface that is left, surface that is met."""
+        """
+        Return start data of rays past a jump: origin (mm), direction, surface that is left, surface that is met.
+
+        Lanes without a jump keep those in `others`.
+        """
         (kind, delta, scale), (o, d, left, at) = jump, others
         grazes, critical = kind == SILHOUETTE, kind > SILHOUETTE
         jumps = grazes | critical

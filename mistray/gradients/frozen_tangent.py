@@ -1,8 +1,8 @@
 """Directional derivative of an image as scene parameters move together, with visibility held fixed, by path replay.
 
-Recorded rays are followed in float64 with the numbers moved a little to either side, through the same events. The
-tangent of the flux and of the place on the detector is a central difference of the two. See `mistray.gradients.replay`
-for the reverse mode.
+Recorded rays are followed in float64 with the parameters of the surfaces moved a little to either side, through the
+same events. The tangent of the flux and of the place on the detector is a central difference of the two. See
+`mistray.gradients.replay` for the reverse mode.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def step_of(direction: SurfaceNumbers, sizes: np.ndarray) -> float:
     Parameters
     ----------
     direction : SurfaceNumbers
-        Rates at which the numbers move.
+        Rates of change of the surfaces' geometry, indices, R and T.
     sizes : (surfaces,) float64
         Sizes of the surfaces, mm.
 
@@ -61,7 +61,18 @@ def step_of(direction: SurfaceNumbers, sizes: np.ndarray) -> float:
 
 
 class Followed:
-    """Hit points of recorded rays, mm, recomputed in float64 event by event."""
+    """
+    Hit points of recorded rays, mm, recomputed in float64 event by event.
+
+    Attributes
+    ----------
+    rays : mi.UInt32
+        Number of rays.
+    points : list of mi.Float64
+        x, y and z of the hits, mm, (longest · rays,) each.
+    strayed : mi.Bool
+        Rays of which a hit is not where it was recorded.
+    """
 
     def __init__(self, rays: int, longest: int) -> None:
         self.rays = dr.opaque(mi.UInt32, rays)
@@ -74,12 +85,12 @@ class Followed:
         return k * self.rays + dr.arange(mi.UInt32, self.rays[0])
 
     def write(self, k: mi.UInt32, p: mi.Vector3d, active: mi.Bool) -> None:
-        """Store the point, mm, of event number `k` of each ray."""
+        """Store the points, mm, of event `k` of each ray."""
         for values, value in zip(self.points, p, strict=True):
             dr.scatter(values, value, self._index(k), active)
 
     def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Return the stored point, mm, of event number `k` of each ray."""
+        """Return the stored points, mm, of event `k` of each ray."""
         return mi.Vector3d(*(dr.gather(mi.Float64, values, self._index(k), active) for values in self.points))
 
 
@@ -100,10 +111,10 @@ def march(
     rays : RecordedRays
         Recorded rays to follow.
     near : callable
-        (number, active) → points near the events, mm.
+        (k, active) → points near event k of each ray, mm.
     visit : callable
-        (number, event, last, *state) → origins of directions after scatter events, and the next state; `last` marks the
-        last events.
+        (k, event, last, *state) → origins of directions after scatter events, and the next state; `last` marks the last
+        events.
     state : tuple
         Variables of the loop.
 
@@ -174,11 +185,11 @@ def arrivals(
     Parameters
     ----------
     surfaces : ReplaySurfaces
-        Surfaces with present or moved numbers.
+        Surfaces with present or changed parameters.
     rays : RecordedRays
         Recorded rays that end at the detector.
     base : Followed
-        Result of `follow` with the present numbers.
+        Result of `follow` with the present parameters.
     media : SegmentMedia or None
         Media of the segments; None: none absorbs.
 
@@ -225,18 +236,21 @@ def add_tangent(
     """
     Add the directional derivative of the detected flux from recorded rays to an image, visibility held fixed.
 
+    Rays that strayed from their record are left out.
+
     Parameters
     ----------
     image : (height · width,) mi.Float64
-        Derivative of the flux in each pixel, in units of the start ray's flux.
+        Derivative of the flux in each pixel, in units of the start ray's flux per unit of the common variable of the
+        parameters.
     film : Film
         Pixel grid of the detector.
     rays, base, media
-        See `arrivals`.
+        Recorded rays, their hit points and the media of their segments, see `arrivals`.
     sides : (ReplaySurfaces, ReplaySurfaces)
-        Surfaces with their numbers moved back and forth.
+        Surfaces with their parameters moved back and forth.
     step : float
-        Factor of the direction by which they are moved, see `step_of`.
+        Move to either side, as a factor on the rates of the parameters, see `step_of`.
     flux : mi.Float64
         Flux with which each ray meets the detector, in units of the start ray's flux.
     """
@@ -280,7 +294,13 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     Returns
     -------
     (height, width) float64
-        Derivative of the flux in each pixel by that variable, visibility held fixed, in units of the start ray's flux.
+        Derivative of the flux in each pixel with respect to that variable, visibility held fixed, in units of the start
+        ray's flux.
+
+    Raises
+    ------
+    MistrayError
+        If nothing moves, or the scene has what `PathReplay` cannot treat.
     """
     table, film = run.table, run.make_film()
     nothing = GradientRequest(rows=False)

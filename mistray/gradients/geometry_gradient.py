@@ -1,5 +1,5 @@
 """
-Derivatives of surface geometry, as traced, by the parameters of shape plugins.
+Derivatives of surface geometry, as traced, with respect to the parameters of shape plugins.
 
 The tracer describes surfaces by the columns of `mistray.surfaces.gradient_columns`, in the frame of their vertex. A
 parameter of a shape moves the frame, the columns or both. The rates are central differences in float64 of the
@@ -25,7 +25,7 @@ def geometry_columns(names: Iterable[str]) -> frozenset[str]:
     Raises
     ------
     MistrayError
-        If a name is no parameter of a shape that has a derivative.
+        If a name is not that of a shape parameter with a derivative.
     """
     found: set[str] = set()
     for name in names:

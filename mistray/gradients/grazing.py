@@ -5,11 +5,12 @@ incidence, so that both have the same contribution. A wall, and an ideal coating
 angle, make a jump. So does an ideal coating at the critical angle. Both are treated like rims (see
 `mistray.gradients.edges`), with
 
-    Δ = cos²θ / (2 κ)      depth of the ray below the surface that it cuts, κ the curvature along the ray, mm
-    Δ = cos²θ_t            margin from the critical angle, θ_t the angle of refraction
+    Δ = cos²θ / (2 κ)      depth of the ray below the surface that it cuts, mm
+    Δ = cos²θ_t            margin from the critical angle
 
-The contribution of a ray varies with cos θ, that is with √Δ, so the boundary kernel over 0 … ε is the one that is exact
-for it:  k = (9 - 12 √(Δ/ε))/ε,  ∫ k dΔ = 1,  ∫ k √Δ dΔ = 0.
+θ and θ_t are the angles of incidence and of refraction, κ is the curvature along the ray, 1/mm. The contribution of a
+ray varies with cos θ, that is with √Δ, so the boundary kernel over 0 … ε is the one that is exact for it:
+k = (9 - 12 √(Δ/ε))/ε,  ∫ k dΔ = 1,  ∫ k √Δ dΔ = 0.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ FLAT = 1e-6  # curvature along the ray in units of that of the aperture, below w
 
 def grazing_kernel(delta: Any, width: Any) -> Any:
     """
-    Return the one-sided boundary kernel at a distance Δ from a silhouette or critical angle, in 1/Δ's unit.
+    Return the one-sided boundary kernel at a distance Δ from a silhouette or critical angle.
 
-    It is 0 beyond its width.
+    It is in the inverse of Δ's unit, and 0 beyond its width.
     """
     return dr.select(delta < width, (9 - 12 * dr.sqrt(delta / width)) / width, 0)
 
@@ -91,7 +92,7 @@ class Grazing:
         Parameters
         ----------
         s : mi.UInt32
-            Numbers of the surfaces.
+            Indices of the surfaces.
         it : Interaction
             Interaction at the hits.
         d : mi.Vector3f
@@ -102,7 +103,7 @@ class Grazing:
         Returns
         -------
         kind : mi.UInt32
-            `SILHOUETTE` or `CRITICAL`.
+            `SILHOUETTE` or `CRITICAL`; like `delta` and `scale` valid where `near` only.
         delta : mi.Float
             Distance Δ from the jump, in mm or dimensionless.
         scale : mi.Float
@@ -140,7 +141,9 @@ class Grazing:
         self, s: mi.UInt32, q: mi.Vector3f, d: mi.Vector3f, word: mi.UInt32, outer: mi.Float, active: mi.Bool
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
         """
-        Expand F(q + t d) = 2 t along + t² bend along the ray, to second order.
+        Expand the implicit function F along rays at their hits: F(q + t d) = 2 t along + t² bend, to second order.
+
+        q is the hit, mm, and d the direction, both in the frame of the surface; `outer` is the size of the surface, mm.
 
         Returns
         -------

@@ -1,7 +1,7 @@
 """
-Surface parameters in rows of a device table; parameters and derivatives are accessed as vectors of four.
+Surface parameters in rows of a device table; parameters and derivatives are read as vectors of four.
 
-A gather of one number costs as much as one of four. A row belongs to a surface; rows of tracked numbers, whose
+A gather of one value costs as much as one of four. A row belongs to a surface; rows of tracked parameters, whose
 derivatives are accumulated, are repeated for each batch of start rays.
 """
 
@@ -28,13 +28,13 @@ class NumberRows:
     Parameters
     ----------
     geometry : (surfaces, len(GEOMETRY)) float64
-        Numbers of all surfaces, in the units of the columns.
+        Values of all surfaces, in the units of the columns.
     columns : sequence of str
         Names of the columns; those that are 0 at all surfaces are left out unless they are tracked.
     moving : set of str
         Columns whose derivatives are accumulated.
     real : type, optional
-        Type of the numbers, ``mi.Float`` or, by default, ``mi.Float64``; derivatives are summed in float64.
+        Type of the values, ``mi.Float`` or, by default, ``mi.Float64``; derivatives are summed in float64.
 
     Attributes
     ----------
@@ -74,7 +74,11 @@ class NumberRows:
         return found
 
     def gradient(self) -> dict[str, np.ndarray]:
-        """Return the accumulated derivatives with respect to tracked columns, by name, each (BATCHES, surfaces)."""
+        """
+        Return the accumulated derivatives with respect to tracked columns, by name, each (BATCHES, surfaces).
+
+        The dictionary is empty if no column is tracked.
+        """
         if self._derivatives is None:
             return {}
         found = np.array(dr.grad(self._derivatives)).reshape(BATCHES, self._count, -1)
@@ -82,7 +86,7 @@ class NumberRows:
 
 
 def vectors_of(names: Sequence[str]) -> int:
-    """Return the number of vectors of `WIDTH` numbers needed for one number per name."""
+    """Return the number of vectors of `WIDTH` values needed for one value per name."""
     return -(-len(names) // WIDTH)
 
 
@@ -95,18 +99,18 @@ def tracked(count: int) -> mi.Float64:
 
 
 def derived(value: Any, zeros: mi.Float64, index: mi.UInt32, active: mi.Bool) -> Any:
-    """Return a value whose derivatives add to entry `index` of `zeros` from `tracked`; its number does not change."""
+    """Return a value whose derivatives add to entry `index` of `zeros` from `tracked`; the value itself is kept."""
     return dr.replace_grad(value, type(value)(dr.gather(mi.Float64, zeros, index, active)))
 
 
 def _rows(geometry: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """
-    Return geometry columns by name as rows, padded with zeros to a multiple of `WIDTH` numbers.
+    Return geometry columns by name as rows, padded with zeros to a multiple of `WIDTH` values.
 
     Returns
     -------
     (surfaces, length) float64
-        At least one vector of `WIDTH` numbers for each surface.
+        At least one vector of `WIDTH` values for each surface.
     """
     rows = np.zeros((len(geometry), max(1, -(-len(names) // WIDTH)) * WIDTH))
     for k, name in enumerate(names):

@@ -1,8 +1,8 @@
 """
 Chain rule between the surface properties that a trace uses and the parameters of plugins.
 
-The reverse mode converts derivatives of a metric by surface properties to derivatives by parameters. The forward mode
-converts rates of change of parameters to those of surface properties.
+The reverse mode converts derivatives of a metric with respect to surface properties to derivatives with respect to
+parameters. The forward mode converts rates of change of parameters to those of surface properties.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ NO_PARAMETERS = (
 
 def without_derivative(key: str) -> str:
     """
-    Return why a trace has no derivative by this key of ``mi.traverse``, with a remedy; "" if unknown.
+    Return why a trace has no derivative with respect to this key of ``mi.traverse``, with a remedy; "" if unknown.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ def number_rates(
     Yields
     ------
     owner, name, array, place, rates
-        The plugin, the name of its parameter, a field of `SurfaceNumbers`, the place of numbers in it that change, and
-        their rates. A parameter that changes several numbers is yielded several times.
+        The plugin, the name of its parameter, a field of `SurfaceNumbers`, the place of the values in it that change,
+        and their rates per unit of the parameter. A parameter that changes several fields is yielded several times.
     """
     optics = table.optics
     for piece in table.pieces:
@@ -113,7 +113,7 @@ def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = Fal
     Parameters
     ----------
     raw : TableGradient
-        Derivatives by the numbers of the surfaces.
+        Derivatives with respect to the properties of surfaces and sources.
     is_chosen : callable
         Takes a plugin and a name; returns whether that derivative is requested.
     rims : bool
@@ -125,6 +125,11 @@ def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = Fal
         The plugin that owns the parameter, its name, and the derivatives by batch, (BATCHES, entries); of rims
         (w, BATCHES, entries), one entry of the first axis for each width of the zones. A parameter may come several
         times; the parts add up.
+
+    Raises
+    ------
+    MistrayError
+        If the light is polarised, or a scatter parameter has no derivative at its value.
     """
     found, table = raw.rims if rims else raw.inner, raw.table
     arrays = {"geometry": found.geometry, "indices": found.indices, "rows": found.rows}
@@ -144,7 +149,11 @@ def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = Fal
 
 
 def _ideal(optics: Optics, rows: np.ndarray) -> np.ndarray:
-    """Return derivatives by R and T of ideal coatings, (BATCHES, surfaces, 2), from those by coating-table rows."""
+    """
+    Return derivatives with respect to R and T of ideal coatings, (BATCHES, surfaces, 2).
+
+    `rows` holds those with respect to rows of coating tables.
+    """
     own = rows[:, optics.host_places[:, 0]]
     both = own[..., REFLECTION_AND_TRANSMISSION]
     R = own[..., REFLECTION_FRONT] + own[..., REFLECTION_BACK] + both
@@ -168,7 +177,7 @@ def number_tangent(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.nd
     Returns
     -------
     SurfaceNumbers
-        Rates, in the unit of each number, per unit of the same variable.
+        Rates, in the unit of each property, per unit of the same variable.
     """
     pairs = np.zeros((2, table.count, 2))
     found = SurfaceNumbers(
@@ -183,7 +192,8 @@ def gathered(raws: Iterable[TableGradient], is_chosen: IsChosen) -> tuple[Sums, 
     """
     Return derivatives of a metric by plugin id and parameter name, summed over traces.
 
-    The first mapping has those with visibility held fixed, the second the boundary terms of rims.
+    The first mapping has those with visibility held fixed, by batch; the second the boundary terms of rims, by zone
+    width and batch.
     """
     inner, rims = Sums(), Sums()
     for raw in raws:

@@ -41,20 +41,24 @@ class Ends:
     """Base class of what recorded rays contribute to a metric at their ends, on the detector or out of the scene."""
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
-        """Return a mask of the paths that contribute to the metric, (n,) bool, by path keys, (n,) uint64 ascending."""
+        """
+        Return a mask of the paths that contribute to the metric, (n,) bool, by path keys, (n,) uint64 ascending.
+
+        Here all.
+        """
         return np.ones(len(keys), dtype=bool)
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
         """
         Return, for each ray, the index (below BATCHES) of the sum that its derivatives enter.
 
-        By default this is the number of its batch.
+        By default this is the index of its batch.
         """
         return rays.batch
 
     def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End | Exit:
         """
-        Return the contribution of each ray to the metric: a function of its last hit, or a number at its exit.
+        Return the contribution of each ray to the metric: a function of its last hit, or a value at its exit.
 
         `keys`, (n,) uint64, are those of the paths, and `path` is the place of each ray's path among them.
         """
@@ -79,6 +83,15 @@ class PathReplay:
         Source of the rays, or the surface from which backward rays start; None: the start does not move.
     records : float
         Expected number of recorded rays for each start ray.
+
+    Attributes
+    ----------
+    recorder : BranchRecorder
+        Recorder of the rays that are replayed.
+    scatter : ScatterReplay or None
+        Scatter of the surfaces; None: no surface scatters.
+    edges : Edges or None
+        Boundary terms of rims; None: they are not requested.
 
     Raises
     ------
@@ -119,6 +132,8 @@ class PathReplay:
         """
         Trace start rays again and accumulate derivatives: with visibility held fixed, then boundary terms of rims.
 
+        Either part is left out if the request does not ask for it.
+
         Parameters
         ----------
         start : StartRays
@@ -128,7 +143,13 @@ class PathReplay:
         ends : Ends
             Contributions of the recorded rays to the metric.
         adjoint : Adjoint or None
-            Metric for `edges`, without rows; None if there are none.
+            Adjoint of the metric for the boundary terms, without derivatives with respect to rows of coating tables;
+            None: there are no boundary terms.
+
+        Raises
+        ------
+        MistrayError
+            If a single start ray has more records than the recorder has room for.
         """
         if not self.request.only_rims:
             for part, _ in self._portions.of(start, trace):
@@ -138,13 +159,21 @@ class PathReplay:
                 self._replay_edges(part, events)
 
     def recorded(self, start: StartRays, trace: Trace) -> Iterator[RecordedRays]:
-        """Trace start rays again in portions, and yield the recorded rays of each portion."""
+        """
+        Trace start rays again in portions, and yield the recorded rays of each portion that has any.
+
+        Raise `MistrayError` if a single start ray has more records than the recorder has room for.
+        """
         for part, count in self._portions.of(start, trace):
             if count:
                 yield RecordedRays.of(self.recorder, part, np.arange(count))
 
     def _replay(self, start: StartRays, ends: Ends) -> None:
-        """Replay the recorded rays of one portion, and add derivatives with visibility held fixed."""
+        """
+        Replay the recorded rays of one portion, and add derivatives with visibility held fixed.
+
+        Rays on paths that do not contribute to the metric are left out.
+        """
         keys = np.array(self.recorder.path)[: int(self.recorder.count[0])]
         # Sorted by path, so that the lanes of a warp run through the same events
         order = np.argsort(keys, kind="stable")

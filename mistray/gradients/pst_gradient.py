@@ -50,7 +50,7 @@ class PstEnds(Ends):
     Attributes
     ----------
     groups : mi.UInt32 or None
-        A number for each cell by which derivatives are kept; None: they are kept by batch.
+        Index, below BATCHES, of the sum that the derivatives of each cell enter; None: they are kept by batch.
     sky : DirectionRecorder or None
         Cells in which backward rays leave the scene; None: forward rays, which end at the detector.
     """
@@ -66,7 +66,11 @@ class PstEnds(Ends):
         return dr.gather(mi.UInt32, self.groups, cell)
 
     def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End | Exit:
-        """Return the contribution of each ray to the metric: its recorded weight, wherever it hits or leaves."""
+        """
+        Return the contribution of each ray to the metric: its recorded weight, wherever it hits or leaves.
+
+        For backward rays it is an `Exit`, otherwise a function of the hit with the detector.
+        """
         gain = rays.weight  # the same anywhere on the detector
         return Exit(gain, rays.heading) if self.sky is not None else lambda *hit: gain
 
@@ -103,8 +107,8 @@ class PstRays:
         request : GradientRequest
             Requested derivatives.
         groups : (n, m) int, optional
-            A number below BATCHES for each cell: derivatives are kept by this number of their cell instead of by batch.
-            Boundary terms of rims hold no cell, so this is for requests without `edge_widths` only.
+            Index below BATCHES for each cell: derivatives are kept by this index of their cell instead of by batch.
+            Boundary terms of rims hold no cell, so `groups` is for requests without `edge_widths` only.
 
         Yields
         ------
@@ -115,7 +119,7 @@ class PstRays:
         Raises
         ------
         MistrayError
-            If the trace continues a saved run, whose rays are not available.
+            If the trace continues a saved run, whose rays are not available, or if `groups` come with `edge_widths`.
         """
         if self.trace.pass_rays is None:
             raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
@@ -135,7 +139,12 @@ class PstRays:
     def _replayed(
         self, number: int, derivative: np.ndarray, request: GradientRequest, moves: bool, ends: PstEnds
     ) -> TableGradient:
-        """Return derivatives of a metric by replay of all forward or backward rays at one wavelength, and notes."""
+        """
+        Return derivatives of a metric by replay of the rays at one wavelength, with notes on what they leave out.
+
+        The rays are the backward ones if `ends` has a sky, else the forward ones. `moves` says whether a requested
+        parameter moves paths. Raise `MistrayError` as `PathReplay` does.
+        """
         trace, backward = self.trace, ends.sky is not None
         scene = trace.split_scene(number) if backward else trace.forward_scene(number)
         start = scene.table.detector if backward else None
@@ -158,7 +167,12 @@ class PstRays:
     def _backward(
         self, number: int, derivative: np.ndarray, moves: bool, recorder: BranchRecorder
     ) -> Iterator[tuple[StartRays, Trace]]:
-        """Yield the backward start rays of each pass, with a function that traces them again into the recorder."""
+        """
+        Yield the backward start rays of each pass, with a function that traces them again into the recorder.
+
+        If paths move (`moves`), all paths of a path class have one MIS weight, else each has that of the balance
+        heuristic.
+        """
         trace = self.trace
         assert trace.pass_rays is not None
         # The metric by the flux of a start ray instead of PST_normal
@@ -183,7 +197,11 @@ class PstRays:
     def _forward(
         self, number: int, derivative: np.ndarray, moves: bool, recorder: BranchRecorder
     ) -> Iterator[tuple[StartRays, Trace]]:
-        """Yield the forward start rays of each pass, with a function that traces them again into the recorder."""
+        """
+        Yield the forward start rays of each pass, with a function that traces them again into the recorder.
+
+        MIS weights are as in `_backward`.
+        """
         trace, cells = self.trace, self.cells
         assert cells is not None
         # The metric by the flux of a start ray of each cell, with MIS weights
@@ -204,7 +222,8 @@ def _parts(request: GradientRequest) -> list[tuple[GradientRequest, bool]]:
     Returns
     -------
     list of (GradientRequest, bool)
-        Parts, and whether they move paths. Coatings belong to the second part where indices change their reflectance.
+        Parts that are not empty, and whether they move paths. Coatings belong to the second part where indices change
+        their reflectance.
     """
     still = replace(request, geometry=frozenset(), indices=False, rows=request.rows and not request.indices)
     moving = replace(request, rows=request.indices, scatter=False)

@@ -58,6 +58,11 @@ class Portions:
             Traces a portion of the start rays with the recorder, its second argument.
         most : callable, optional
             Returns an upper limit of the number of rays of the next portion.
+
+        Raises
+        ------
+        MistrayError
+            If a single start ray has more records than the recorder has room for.
         """
         done, count, capacity = 0, dr.width(start.lane), self._recorder.capacity
         while done < count:
@@ -93,7 +98,7 @@ class RecordedRays:
     o, d : mi.Vector3d
         Origins, mm, and unit directions.
     batch, length : mi.UInt32
-        Batch of the start ray, number of events.
+        Index of the start ray's batch, and number of events.
     longest : int
         Number of events of the longest ray.
     """
@@ -136,5 +141,5 @@ class RecordedRays:
         return mi.Vector3f(*(dr.gather(mi.Float, self.recorder.heading, 3 * self.row + k) for k in range(3)))
 
     def node(self, k: mi.UInt32, active: mi.Bool) -> Node:
-        """Return event number `k` of each recorded ray: point, mm, direction of arrival, and event code."""
+        """Return event `k` of each recorded ray: point, mm, direction of arrival, and event code."""
         return self.recorder.node(self.row, k, active)

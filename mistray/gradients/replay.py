@@ -1,14 +1,14 @@
 """
-Path replay: derivatives of a metric along recorded paths, by geometry, indices and all other parameters.
+Path replay: derivatives of a metric along recorded paths, with respect to all requested parameters.
 
 A recorded ray is a start ray, a list of events and its contribution G to the metric. G is the product of the flux
 factors f_k of the events, and each hit x_k follows from the one before by refraction or reflection. With parameters π
 
     ∂G/∂π = Σ_k [G ∂ ln f_k/∂π + (∂G/∂x_k) · ∂x_k/∂π + (∂G/∂d_k) · ∂d_k/∂π],
 
-where x_k and the outgoing direction d_k vary with the numbers of surface k alone, the incident ray held. The adjoints
-∂G/∂x_k and ∂G/∂d_k are carried back from the end of the path. In the code G is `weight`, ln f_k `factor`, and the
-adjoints are `by_p` and `by_d`. The replay goes back along the recorded hits and directions, and lets Dr.Jit
+where x_k and the outgoing direction d_k vary with the parameters of surface k alone, the incident ray held. The
+adjoints ∂G/∂x_k and ∂G/∂d_k are carried back from the end of the path. In the code G is `weight`, ln f_k `factor`, and
+the adjoints are `by_p` and `by_d`. The replay goes back along the recorded hits and directions, and lets Dr.Jit
 differentiate one event at a time, so that memory does not grow with the number of parameters. Source: reverse mode of a
 chain; compare D. Vicini et al., "Path replay backpropagation", ACM Trans. Graph. 40, 108 (2021).
 
@@ -56,7 +56,7 @@ class Exit:
 
 class SegmentMedia:
     """
-    Media that the segments of recorded rays run through, by medium number.
+    Media that the segments of recorded rays run through, by index.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class SegmentMedia:
         return k * self._count + dr.arange(mi.UInt32, self._count[0])
 
     def of(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Return the number of the medium of the segment that leads to event `k` of each ray."""
+        """Return the index of the medium of the segment that leads to event `k` of each ray."""
         return dr.gather(mi.UInt32, self._media, self._index(k), active)
 
 
@@ -96,18 +96,22 @@ def replay_rays(
     surfaces: ReplaySurfaces, rays: RecordedRays, end: End | Exit, scatter: ScatterReplay | None = None
 ) -> None:
     """
-    Accumulate derivatives of recorded rays' contributions to a metric with respect to the surfaces' numbers.
+    Accumulate derivatives of recorded rays' contributions to a metric with respect to the requested parameters.
+
+    Those with respect to surfaces, and to the source or the surface where rays start, are added to `surfaces`. Those
+    with respect to scatter parameters are added to `scatter`.
 
     Parameters
     ----------
     surfaces : ReplaySurfaces
-        Accumulates the derivatives.
+        Surfaces that the rays meet, with sums of the derivatives.
     rays : RecordedRays
         Recorded rays to replay.
     end : callable or Exit
-        Contribution of a ray as a differentiable function of its last hit, or that of rays that leave.
+        Contribution of rays to the metric: a differentiable function of their last hit, which ends them, or `Exit` for
+        rays that leave the scene after it.
     scatter : ScatterReplay, optional
-        Scatter of the scene; None: no surface scatters.
+        Scatter of the scene, with sums of its derivatives; None: scatter has no part in the flux.
     """
     real, vector = surfaces.real, surfaces.vector
     media = SegmentMedia(surfaces, rays) if surfaces.table.optics.absorbs else None
@@ -115,7 +119,11 @@ def replay_rays(
     def differentiate(
         k: mi.UInt32, node: Node, active: mi.Bool, gain: Callable[[ReplayedEvent, mi.Float], Any]
     ) -> tuple[Node, mi.Vector3f, mi.Vector3f, Any]:
-        """Return the event before event k, and `gain` with its derivatives by origin and direction of the segment."""
+        """
+        Return the event before event k, and `gain` with its derivatives.
+
+        They are those with respect to the origin (per mm) and the direction of the segment that leads to event k.
+        """
         first = k == 0
         before = rays.node(dr.maximum(k, 1) - 1, active & ~first)
         origin = dr.select(first, vector(rays.o), vector(before.p))

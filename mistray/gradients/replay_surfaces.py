@@ -1,17 +1,17 @@
 """
-Surfaces for recorded events: the hit, Snell's law, R and T, and derivatives by every number of a surface.
+Surfaces for recorded events: the hit, Snell's law, R and T, and derivatives with respect to surface parameters.
 
 The kernel looks for the next surface and keeps no derivatives. Here the surface is known, and so is the place x of the
 hit. In the frame of the surface let F(x) = 0 be its implicit equation, g = ½∇F, H = ½∇∇F, n = ±g/|g| the normal on the
 side of transmission, d the direction of the ray and t its length. Let λ_x, λ_d, λ_n and λ_t be the derivatives of a
-function of the event by x, d, n and t, found by Dr.Jit. With the part λ of λ_n across n, the adjoints are
+function of the event with respect to x, d, n and t, found by Dr.Jit. With the part λ of λ_n across n, the adjoints are
 
     ν = (n · g) λ/|g|²                                of g
     β = -((λ_x + Hν) · d + λ_t)/(2 g · d)             of F, as ∇F · dx + dF = 0 along the ray
     p = Hν + 2βg,   λ_x + p,   λ_d + t (λ_x + p)      of motions of the surface (less), of the origin and of d
 
-A number of the shape gets β ∂F + ν · ∂g, a displacement of the surface -p, and a rotation n × λ - x × p. Sources:
-A. Griewank and A. Walther, Evaluating Derivatives, 2nd ed., 2008, chapter 3; and the implicit function theorem. In the
+A parameter of the shape gets β ∂F + ν · ∂g, a displacement of the surface -p, and a rotation n × λ - x × p. Sources: A.
+Griewank and A. Walther, Evaluating Derivatives, 2nd ed., 2008, chapter 3; and the implicit function theorem. In the
 code F is `value`, g `gradient`, ν `by_gradient` and β `by_value`.
 
 A surface computes in float32 or in float64; derivatives are summed in float64.
@@ -71,12 +71,14 @@ class ReplayedEvent(ScatterEvent):
 
     Attributes
     ----------
+    q : mi.Vector3d
+        Point in the frame of the surface, mm.
     active : mi.Bool
         Lanes that have an event.
     length : mi.Float64
         Length of the segment that led to the hit, mm.
     turn : mi.Vector3d
-        Rotation of the frame (rad), zero but with derivatives.
+        Rotation vector of the frame (rad): its value is 0, but it carries derivatives.
     p : mi.Vector3d
         Point in the world, mm.
     scattered : mi.Bool
@@ -125,7 +127,11 @@ class Hit:
 
 
 def _backward(value: Any, adjoint: Any, keep: bool = False) -> None:
-    """Propagate the adjoint of a value back to its inputs; `keep` keeps the graph for another value."""
+    """
+    Propagate the adjoint of a value, if it depends on tracked inputs, back to them.
+
+    `keep` keeps the graph for another value.
+    """
     if dr.grad_enabled(value):
         dr.set_grad(value, adjoint)
         dr.enqueue(dr.ADMode.Backward, value)
@@ -145,11 +151,18 @@ class ReplaySurfaces:
     request : GradientRequest
         Requested derivatives.
     moved : SurfaceNumbers, optional
-        Numbers of the surfaces, if not the present ones.
+        Geometry, indices, R and T of the surfaces, if not the present ones.
     start : SceneSource or int, optional
         Source of the rays, or the surface from which backward rays start; None: the start does not move.
     real : type, optional
-        Type of the numbers, ``mi.Float`` or, by default, ``mi.Float64``; derivatives are summed in float64.
+        Type of the values, ``mi.Float`` or, by default, ``mi.Float64``; derivatives are summed in float64.
+
+    Attributes
+    ----------
+    vector : type
+        Type of vectors of such values.
+    count : int
+        Number of surfaces.
     """
 
     def __init__(
@@ -267,13 +280,17 @@ class ReplaySurfaces:
         return self.event(hit, code, batch, active)
 
     def axis(self, gradient: mi.Vector3f, d: mi.Vector3f, s: mi.UInt32, active: mi.Bool) -> tuple[Any, mi.Bool]:
-        """Return unit normals on the side that light along d is transmitted to, and a mask of light from the front."""
+        """
+        Return unit normals on the side that light along d is transmitted to, and a mask of light from the front.
+
+        `gradient` of F and `d` are in the frames of the surfaces s, and so are the normals.
+        """
         normal = dr.normalize(gradient) * self._place(s, active).w
         from_front = dr.dot(d, normal) > 0
         return dr.select(from_front, normal, -normal), from_front
 
     def event(self, hit: Hit, code: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> ReplayedEvent:
-        """Return the events at hits, differentiable by the values in `hit` and by indices, R and T."""
+        """Return the events at hits, differentiable with respect to the values in `hit` and to indices, R and T."""
         s, what = place_of(code), kind_of(code)
         transmitted, scattered = what == TRANSMITTED, what >= RANDOM_TRANSMITTED
         d, axis, shift, turn = hit.d, hit.axis, hit.shift, hit.turn
@@ -308,7 +325,7 @@ class ReplaySurfaces:
         self, origin: mi.Vector3f, node: Node, batch: mi.UInt32, active: mi.Bool, gain: Callable[[ReplayedEvent], Any]
     ) -> tuple[mi.Vector3f, mi.Vector3f, Any]:
         """
-        Accumulate derivatives of functions of recorded events by the numbers of the surfaces.
+        Accumulate derivatives of functions of recorded events with respect to the parameters of the surfaces.
 
         Parameters
         ----------
@@ -326,7 +343,7 @@ class ReplaySurfaces:
         Returns
         -------
         by_o, by_d : mi.Vector3f
-            Derivatives by origins and unit directions of the segments.
+            Derivatives with respect to origins (per mm) and unit directions of the segments.
         value : mi.Float or mi.Float64
             Values of the function.
         """
@@ -373,7 +390,11 @@ class ReplaySurfaces:
         return self.to_world(by_o, s, active), self.to_world(by_d + length * by_o, s, active), dr.detach(gained)
 
     def media(self, p: mi.Vector3d, d: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.UInt32]:
-        """Return the media numbers beside the surfaces s that rays along d meet at p: side of incidence first."""
+        """
+        Return the indices of the media on either side of surfaces s, for rays along d that meet them at p.
+
+        The medium on the side of incidence comes first.
+        """
         numbers = self.numbers(s, mi.UInt32(0), active, still=True)
         _, gradient = self.implicit(self.local_point(self.vector(p), s, active), numbers)
         cosine = dr.dot(self.to_local(self.vector(d), s, active), gradient) * self._place(s, active).w
@@ -407,7 +428,8 @@ class ReplaySurfaces:
         Return the implicit function F, zero on the surface, and half its gradient, in the surface's own frame.
 
         A conic of curvature c and conic constant k has F = c (x² + y² + (1 + k) z²) - 2z. An asphere replaces z by z
-        less the polynomial terms, which needs no root.
+        less the polynomial terms, which needs no root. A cone or tube of radius ρ(z) has F = x² + y² - ρ², any other
+        surface the residual of its family.
         """
         c, k1, coefficients = n["curvature"], 1 + n["conic"], n["coefficients"]
         r2 = q.x * q.x + q.y * q.y
@@ -440,7 +462,11 @@ class ReplaySurfaces:
         return self._rims.read(s, batch, active)
 
     def rim_distances(self, q: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
-        """Return distances of points in the surfaces' frames from the rims, mm, as in `RIM_COLUMNS`; ≥ 0 inside."""
+        """
+        Return distances of points in the surfaces' frames from the rims, mm, as in `RIM_COLUMNS`; ≥ 0 inside.
+
+        Distances from rims that a surface does not have mean nothing.
+        """
         rho = dr.sqrt(dr.maximum(q.x * q.x + q.y * q.y, 1e-24))
         x, y, z = dr.abs(q.x), dr.abs(q.y), q.z
         for here, family, own in self.numbers(s, batch, active)["families"]:
@@ -454,7 +480,7 @@ class ReplaySurfaces:
         """
         Return the distances of world points from the unbounded surfaces s, mm, and the unit gradients of F there.
 
-        The distance is F/|∇F|. It is infinite next to the far half of a quadric, which is no part of the surface.
+        The distance is F/|∇F|. It is infinite next to the far half of a quadric, which is not part of the surface.
         """
         numbers = self.numbers(s, mi.UInt32(0), active, still=True)
         value, gradient = self.implicit(self.local_point(p, s, active), numbers)
@@ -482,9 +508,10 @@ class ReplaySurfaces:
 
     def move_start(self, rays: RecordedRays, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
         """
-        Add the part of the derivatives by source parameters that comes from moving ray starts.
+        Add the derivatives that come from moving ray starts.
 
-        `by_o` and `by_d` are the derivatives of the metric with respect to origins and directions.
+        They are those with respect to parameters of the source, or to the pose of the surface that backward rays start
+        from. `by_o` and `by_d` are the derivatives of the metric with respect to origins and directions.
         """
         for name, sums in self._by_source.items():
             # Rate at which origin and direction move with the parameter, times the adjoints of both
@@ -518,7 +545,11 @@ class ReplaySurfaces:
         batch: mi.UInt32,
         active: mi.Bool,
     ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
-        """Return R and T of coatings (means of s and p), the cosine of refraction, and n_i/n_t."""
+        """
+        Return R and T of coatings (means of s and p), the cosine of refraction, and n_i/n_t.
+
+        In total reflection T and the cosine are 0; an opaque surface has T = 0.
+        """
         front, back = self._sides(s, batch, active)
         n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
         # Refraction

@@ -1,5 +1,5 @@
 """
-Derivatives of a metric by all scene parameters, for one source and wavelength.
+Derivatives of a metric with respect to scene parameters, for one source and wavelength.
 
 The rays of each pass are recorded, sorted by path and replayed, see `mistray.gradients.replay`.
 """
@@ -96,7 +96,7 @@ class DetectorEnds(Ends):
 
     def _image(self, x: mi.Float64, y: mi.Float64, first: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """
-        Return the metric's derivative by flux (in start rays' flux) at a place x, y, mm, on the detector.
+        Return the metric's derivative with respect to flux (in start rays' flux) at a place x, y, mm, on the detector.
 
         The value is that of the film's own filter, the slope that of bilinear interpolation between pixel centres.
         """
@@ -125,10 +125,17 @@ def run_gradient(
     paths : PathDerivative or None
         Coefficients by path; None: all hits contribute, to map 0.
     pixel : (maps, height, width) or None
-        Derivative of the metric with respect to the flux in each pixel, the flux in units of the start ray's.
+        Derivative of the metric with respect to the flux in each pixel, the flux in units of the start ray's. None: the
+        metric does not use the image.
     request : GradientRequest
-        Coatings alone take a second trace (see `mistray.recorders.adjoint`); for anything else rays are recorded and
-        replayed (see `mistray.gradients.replay`).
+        Requested derivatives. Coatings alone take a second trace (see `mistray.recorders.adjoint`); for anything else
+        rays are recorded and replayed (see `mistray.gradients.replay`).
+
+    Raises
+    ------
+    MistrayError
+        If the rays are replayed and the scene has what a replay cannot treat, see
+        `mistray.gradients.path_replay.PathReplay`.
     """
     # Coatings alone: one adjoint trace, nothing is recorded
     if not request.replays:

@@ -1,9 +1,9 @@
 """
-Chain rule from derivatives by scatter-table entries to derivatives by parameters of the scatter models.
+Chain rule from derivatives with respect to scatter-table entries to those with respect to scatter parameters.
 
 The tables are functions of the models' values, in float64 on the host. Each table is computed again a little to either
-side of a value, and the difference quotients are multiplied by the derivatives by the entries. The models are smooth:
-the relative error is about the square of the relative step.
+side of a value, and the difference quotients are multiplied by the derivatives with respect to the entries. The models
+are smooth: the relative error is about the square of the relative step.
 """
 
 from __future__ import annotations
@@ -92,10 +92,10 @@ def scatter_gradient(
 
 def fixed(plugin: Any, name: str) -> str | None:
     """
-    Return the reason why a scatter parameter cannot be differentiated in a trace, as text; None if it can.
+    Return the reason why a scatter parameter cannot be differentiated in a trace, as a phrase; None if it can.
 
-    It cannot where lobes appear or vanish at 0, such as at an amplitude of 0, or where the model allows only one
-    value.
+    It cannot where lobes appear or vanish at 0, such as at an amplitude of 0, or where the model allows only one value.
+    None is also returned where the model refuses the indices tried here: the trace raises an error of its own.
     """
     value = float(dr.detach(plugin.values[name])[0])
     try:
@@ -113,7 +113,9 @@ def fixed(plugin: Any, name: str) -> str | None:
 
 def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[float, Any]]:
     """
-    Return the terms of a difference quotient by a scatter parameter, central or one-sided at a range's end.
+    Return the terms of a difference quotient with respect to a scatter parameter.
+
+    It is central, or one-sided at the end of a range.
 
     Parameters
     ----------
@@ -154,9 +156,14 @@ def table_slopes(
     """
     Yield derivatives of scatter-table entries with respect to one parameter of a scatter plugin.
 
-    `models` are the terms of the difference quotient by that parameter, see `quotient`. Each item is the name of an
-    array of `Scattering.arrays`, the index of the first entry in the flattened array, and the derivatives from there
-    on. Tables that several lobes share are yielded once.
+    `models` are the terms of the difference quotient with respect to that parameter, see `quotient`. Each item is the
+    name of an array of `Scattering.arrays`, the index of the first entry in the flattened array, and the derivatives
+    from there on. Tables that several lobes share are yielded once.
+
+    Raises
+    ------
+    MistrayError
+        If the number or the kinds of lobes change with the parameter.
     """
     known: dict[tuple[float, float, bool], list[tuple[float, Side]]] = {}
     done: set[tuple[str, int]] = set()
@@ -197,6 +204,6 @@ def _sum(terms: Iterable[tuple[float, np.ndarray]]) -> np.ndarray:
 
 
 def _kind(lobe: Lobe) -> tuple[Any, ...]:
-    """Return properties of a scatter lobe that a parameter must not change: event, measure, centre, table shape."""
+    """Return properties of a lobe that a parameter must not change: event, measure, centre, factor, table shape."""
     shape = None if lobe.ratio is None else (lobe.ratio.axes, lobe.ratio.r_min, lobe.ratio.values.shape)
     return lobe.event, lobe.measure, lobe.centre, lobe.factor, shape

@@ -1,13 +1,13 @@
 """
-Flux factors of scatter along recorded paths, differentiable by directions, indices, coatings and scatter tables.
+Flux factors of scatter along recorded paths, differentiable with respect to indices, coatings and scatter tables.
 
 At an event of a path the surface keeps a fraction of the light in the specular beam, or scatters a flux per solid angle
 into the next direction. Their logarithms are evaluated here by the kernel's own functions. Directions are held
 ("detached sampling"): random numbers and sampling pdfs have no derivative, so they do not enter.
 
-Derivatives by the entries of the tables are kept for each batch of start rays. An entry is read as its value plus a
-zero that has a derivative: only the derivatives of these zeros take memory, and the values stay as the kernel has them.
-`mistray.gradients.scatter_gradient` continues from there to the values of the scatter models.
+Derivatives with respect to the entries of the tables are kept for each batch of start rays. An entry is read as its
+value plus a zero that has a derivative: only the derivatives of these zeros take memory, and the values stay as the
+kernel has them. `mistray.gradients.scatter_gradient` continues from there to the parameters of the scatter models.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ Coating = Callable[[mi.Bool, mi.Float], tuple[mi.Float, mi.Float]]
 @dataclass
 class ScatterEvent:
     """
-    Hits of recorded paths with surfaces, as input of scatter models; its numbers may carry derivatives.
+    Hits of recorded paths on surfaces, as input of scatter models; its values may carry derivatives.
 
     Attributes
     ----------
     s : mi.UInt32
-        Numbers of the surfaces.
+        Indices of the surfaces.
     batch : mi.UInt32
         Batches of the start rays.
     reflect : mi.Bool
         Whether the path continues on the side of incidence.
     from_front : mi.Bool
-        Whether it arrives from the front.
+        Whether the path arrives from the front.
     d : mi.Vector3f
         Unit direction of arrival.
     axis : mi.Vector3f
@@ -109,6 +109,13 @@ class ScatterReplay(Scattering):
     ----------
     scattering : Scattering
         Scatter of the run; at least one surface must scatter.
+
+    Attributes
+    ----------
+    any : bool
+        True: a surface scatters.
+    tables : ReplayTables
+        Tables of the run, whose entries carry derivatives.
     """
 
     def __init__(self, scattering: Scattering) -> None:
@@ -116,7 +123,7 @@ class ScatterReplay(Scattering):
         self.tables: ReplayTables = ReplayTables(scattering.tables)
 
     def derivatives(self) -> dict[str, np.ndarray]:
-        """Return the accumulated derivatives by scatter-table entries, (BATCHES, size) by array name."""
+        """Return the accumulated derivatives with respect to scatter-table entries, (BATCHES, size) by array name."""
         return {name: np.array(dr.grad(leaf)).reshape(BATCHES, -1) for name, leaf in self.tables.leaves.items()}
 
     def log_kept(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
@@ -165,7 +172,11 @@ class ScatterReplay(Scattering):
         )
 
     def _sample_axis(self, event: ScatterEvent, active: mi.Bool) -> mi.Vector3f | None:
-        """Return the sample's x axis at each hit, in the surface's frame; None if no scatter is anisotropic."""
+        """
+        Return the sample's x axis at each hit, in the surface's frame; None if it is not needed.
+
+        That is if no scatter is anisotropic, or if the event has no position `q`.
+        """
         if self.tables.frames is None or event.q is None:
             return None
         normal = dr.select(event.from_front, event.axis, -event.axis)
@@ -230,13 +241,15 @@ class ReplayTables(ScatterTables):
 
     Attributes
     ----------
+    radial : ReplayRadial
+        Radial tables of the lobes.
     leaves : dict
-        Name of an array → zeros that hold the derivatives by its entries, (BATCHES · size) mi.Float64; of ratios the
-        moving ones alone.
+        Name of an array → zeros that hold the derivatives with respect to its entries, (BATCHES · size) mi.Float64; of
+        the ratio tables, to those that parameters change.
     sizes : dict
         Name of an array → number of its entries that have derivatives.
     packed : PackedLobes
-        The lobes, by plugin.
+        Lobes of the tables, by plugin.
     batch : mi.UInt32
         Batch to which derivatives are added; to be set before anything is read.
     """
@@ -256,25 +269,34 @@ class ReplayTables(ScatterTables):
             dr.enable_grad(self.leaves)
 
     def _zero(self, name: str, index: mi.UInt32, active: mi.Bool) -> mi.Float:
-        """Return a zero that carries the derivative by entry `index` of the array `name` for the present batch."""
+        """
+        Return a zero that carries the derivative with respect to an entry of an array, for the present batch.
+
+        `name` is the array and `index` the entry.
+        """
         return mi.Float(dr.gather(mi.Float64, self.leaves[name], self.batch * self._sizes[name] + index, active))
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
-        """Return rows of total scatter, as `ScatterTables.total` does, with derivatives by the table's entries."""
+        """Return rows of total scatter, as `ScatterTables.total` does, with derivatives with respect to the entries."""
         zeros = mi.Vector4f(*(self._zero(TOTALS, TOTAL_FLOATS * row + k, active) for k in range(TOTAL_FLOATS)))
         return super().total(row, active) + zeros
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
-        """Return lobe parameters and flag words, as `ScatterTables.lobe` does, with derivatives by the entries."""
+        """
+        Return lobe parameters and flag words, as `ScatterTables.lobe` does.
+
+        The parameters carry derivatives with respect to the entries of the tables.
+        """
         shares, limit, log2_r_min, words = super().lobe(row, active)
         zeros = [self._zero(LOBES, LOBE_FLOATS * row + k, active) for k in range(LOBE_FLOATS)]
         return shares + mi.Vector4f(*zeros[:4]), limit + zeros[4], log2_r_min + zeros[5], words
 
     def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
         """
-        Return a ratio table's interpolated value at a place, with derivatives by place and entries.
+        Return a ratio table's interpolated value at a place, with derivatives with respect to place and entries.
 
-        Derivatives along the axes are central differences over one cell about the place.
+        Derivatives along the axes are differences over one cell about the place, one-sided at the ends of a table. Only
+        tables that parameters change have derivatives with respect to their entries.
         """
         sizes, held = self._ratio_sizes(place, len(places), active), [dr.detach(at) for at in places]
         turned = len(places) > 3
@@ -306,8 +328,8 @@ class ReplayRadial(RadialSampler):
     """
     Radial tables of scatter lobes whose logarithm carries a derivative at each node.
 
-    The slope of linear interpolation jumps at the nodes. The derivative by the radius is therefore that of parabolas
-    through neighbouring nodes, which is the profile's own to 1e-4.
+    The slope of linear interpolation jumps at the nodes. The derivative with respect to the radius is therefore that of
+    parabolas through neighbouring nodes, which is the profile's own to 1e-4.
     """
 
     def __init__(self, tables: Sequence[RadialTable], zero: Callable[[mi.UInt32, mi.Bool], mi.Float]) -> None:
@@ -315,7 +337,11 @@ class ReplayRadial(RadialSampler):
         self._zero = zero
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the value f of a table, 1/sr, at the squared radius r2, with derivatives by radius and entries."""
+        """
+        Return the value f of a table, 1/sr, at the squared radius r2.
+
+        It carries derivatives with respect to the radius and to the entries of the table.
+        """
         place = radial_place(r2)
         held = dr.detach(place)
         node = mi.UInt32(held)

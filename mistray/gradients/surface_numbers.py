@@ -1,7 +1,7 @@
 """Differentiable properties of surfaces as path replay reads them: geometry, refractive indices, R and T.
 
-Aspheric coefficients are scaled to the size of their surface, so that all numbers are within single precision. Tables
-of R and T have slopes beside their values: differences of neighbours, which need the host's float64.
+Aspheric coefficients are scaled to the size of their surface, so that all values are within single precision. Tables of
+R and T have slopes beside their values: differences of neighbours, which need the host's float64.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class SurfaceNumbers:
     geometry : (surfaces, len(GEOMETRY)) float64
         Columns of `mistray.surfaces.gradient_columns.GEOMETRY`, in their units.
     indices : (surfaces, 2) float64
-        Refractive indices in front and behind.
+        Real refractive indices in front and behind.
     rows : (rows, TABLE_CHANNELS) float64
         Rows of the tables of R and T.
     ideal : (surfaces, 2) float64
-        R and T of ideal coatings.
+        R and T of ideal coatings; not used for other coatings.
     """
 
     geometry: np.ndarray
@@ -66,7 +66,7 @@ def numbers_of(table: SurfaceTable) -> SurfaceNumbers:
 
 
 def of_four(rows: np.ndarray) -> np.ndarray:
-    """Return rows of three numbers padded with a zero, so that the device reads each as one vector of four."""
+    """Return rows of three values padded with a zero, so that the device reads each as one vector of four."""
     return np.pad(rows, ((0, 0), (0, 4 - rows.shape[1])))
 
 
@@ -81,7 +81,7 @@ def row_slopes(optics: Optics, rows: np.ndarray) -> np.ndarray:
 
 def proportions(table: SurfaceTable) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return factors that scale the numbers of surfaces to their own size, so that all are within single precision.
+    Return factors that scale the parameters of surfaces to their own size, so that all are within single precision.
 
     Returns
     -------
@@ -104,7 +104,8 @@ class AsphericTerms(dr.CustomOp):
     The terms are P = Σ a_i r^(2i), i = 2, 3, …, mm, or P' = dP/d(r²), 1/mm.
 
     With the adjoint p of P, or q of P', the adjoint of a_i is p r^(2i), or q i r^(2i-2); that of r² is p P', or q P''.
-    In the code u² = w r² with a factor w, 1/mm², and the coefficients are those of `in_proportion`.
+    a_i, mm^(1-2i), is the aspheric coefficient of order i. In the code u² = w r² with a factor w, 1/mm², and the
+    coefficients are those of `in_proportion`.
     """
 
     def eval(self, r2: Any, coefficients: Sequence[Any], still: Sequence[Any], per_area: Any, derivative: bool) -> Any:
@@ -116,9 +117,9 @@ class AsphericTerms(dr.CustomOp):
         r2 : mi.Float64
             Squared radius, mm².
         coefficients : sequence of mi.Float64
-            Coefficients a_i, which receive the derivatives.
+            Scaled coefficients a_i, which receive the derivatives.
         still : sequence of mi.Float64
-            Coefficients without derivatives; trailing zeros may be missing.
+            Scaled coefficients without derivatives, which the value is computed from; trailing zeros may be missing.
         per_area : mi.Float64
             Scale w of r², 1/mm², see `mistray.physics.geometry.sag.in_proportion`.
         derivative : bool

@@ -1,4 +1,4 @@
-"""Derivatives of a metric by data that the kernel reads: coating rows, geometry, indices, scatter tables."""
+"""Derivatives of a metric with respect to data of the kernel: coating rows, geometry, indices, scatter tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 @dataclass(frozen=True)
 class GradientRequest:
     """
-    Request of derivatives of a metric: by which quantities, and with which boundary zones along rims.
+    Request for derivatives of a metric: the quantities to differentiate, and the boundary zones along rims.
 
     Attributes
     ----------
@@ -26,16 +26,17 @@ class GradientRequest:
     geometry : frozenset of str
         Columns of `GEOMETRY` with respect to which derivatives are requested.
     indices : bool
-        Whether those with respect to the refractive indices on both sides of every surface are.
+        Whether derivatives with respect to the refractive indices on both sides of every surface are requested.
     scatter : bool
-        Whether those with respect to the entries of the scatter tables are.
+        Whether derivatives with respect to the entries of the scatter tables are requested.
     sources : frozenset of str
         Names of the parameters of sources with respect to which derivatives are requested.
     edge_widths : tuple of float
-        Widths of the zones along rims, in units of the rims' radii, the widest first. Empty: no boundary terms.
+        Widths of the zones along rims, in units of the rims' radii, the widest first. If it is empty, there are no
+        boundary terms.
     edge_samples : int
-        0: the rays of the trace. More: the sum over so many further samples of as many rays, of which only the
-        boundary terms of rims are accumulated.
+        Number of further samples of start rays, each of as many rays as the trace, over which boundary terms of rims
+        are summed; nothing else is then accumulated. With 0 the rays of the trace itself are used, for all derivatives.
     """
 
     rows: bool = True
@@ -59,7 +60,7 @@ class GradientRequest:
 
     @property
     def only_rims(self) -> bool:
-        """True if only boundary terms of rims are requested, or nothing else can differ from 0."""
+        """True if only boundary terms of rims are requested, or if all other derivatives are certain to be 0."""
         # A rim moves no hit: paths need no replay
         return self.edge_samples > 0 or (
             self.geometry <= set(RIM_COLUMNS) and not (self.rows or self.indices or self.scatter or self.sources)
@@ -69,20 +70,22 @@ class GradientRequest:
 @dataclass
 class Derivatives:
     """
-    Derivatives of a metric with respect to the parameters of a scene, by batch of start rays.
+    Derivatives of a metric with respect to the properties of a scene, by batch of start rays.
+
+    They are in the metric's unit per unit of the property; None or empty: not requested.
 
     Attributes
     ----------
     rows : (BATCHES, rows, CHANNELS) float64 or None
-        Derivatives by the rows of the tables of R and T, see `mistray.recorders.adjoint`.
+        Derivatives with respect to the rows of the tables of R and T, see `mistray.recorders.adjoint`.
     geometry : (BATCHES, surfaces, len(GEOMETRY)) float64 or None
-        Derivatives by the columns of `GEOMETRY`, in their units.
+        Derivatives with respect to the columns of `GEOMETRY`, in their units.
     indices : (BATCHES, surfaces, 2) float64 or None
-        Derivatives by the real indices in front and behind.
+        Derivatives with respect to the real indices in front and behind.
     scatter : dict
         Name of an array of `Scattering.arrays` (totals, lobes, ratios, logs) → (BATCHES, size) float64.
     sources : list of (mi.Emitter, str, (BATCHES,) float64)
-        Derivatives by the parameters of sources: owner, name, values.
+        Derivatives with respect to the parameters of sources: emitter, name of the parameter, derivatives.
     """
 
     rows: np.ndarray | None = None
@@ -93,7 +96,11 @@ class Derivatives:
 
     @classmethod
     def stacked(cls, parts: Sequence[Derivatives]) -> Derivatives:
-        """Return derivatives by geometry, indices and sources of several parts, stacked along a new first axis."""
+        """
+        Return derivatives with respect to geometry, indices and sources, stacked along a new first axis.
+
+        Each of `parts` is an entry of that axis; rows and scatter tables are left out.
+        """
         columns = ([getattr(part, name) for part in parts] for name in ("geometry", "indices"))
         geometry, indices = (np.stack(arrays) if arrays and arrays[0] is not None else None for arrays in columns)
         sources = zip(*(part.sources for part in parts), strict=True)
@@ -102,12 +109,16 @@ class Derivatives:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays of derivatives that are present, by name, those by scatter tables included."""
+        """Arrays of the derivatives that are present, by name; those with respect to sources are not among them."""
         named = {name: getattr(self, name) for name in ("rows", "geometry", "indices")}
         return {name: values for name, values in named.items() if values is not None} | self.scatter
 
     def add(self, other: Derivatives) -> None:
-        """Add the derivatives of another object with the same arrays, in place."""
+        """
+        Add the derivatives of another object with the same arrays, in place.
+
+        Derivatives with respect to sources are not added up: their lists are joined.
+        """
         for name, values in self.arrays.items():
             values += other.arrays[name]
         self.sources += other.sources
@@ -129,7 +140,7 @@ class TableGradient:
     rims : Derivatives
         Boundary terms of rims; their arrays have a first axis, that of the widths of the zones.
     full : list of FullRims
-        Rims that a beam just fills, where there are any.
+        Sources whose beam just fills rims, with these rims; empty if there are none.
     left_out : list of str
         Contributions that are left out, in words.
     seconds : float

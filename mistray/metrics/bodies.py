@@ -84,8 +84,8 @@ class Body:
         Returns
         -------
         dict
-            Change, mm or degrees, by the key of a number, such as "L1_front.tilt_x". A displacement of the body adds to
-            these changes, because a surface is displaced along its axes before its own tilts.
+            Change, mm or degrees, by the key of a parameter, such as "L1_front.tilt_x". A displacement of the body adds
+            to these changes, because a surface is displaced along its axes before its own tilts.
         """
         own, turn = np.eye(4), moved(np.eye(4), 0.0, 0.0, 0.0, *tilt_deg)
         own[:3, :3], own[:3, 3] = self.axes, self.pivot
@@ -124,7 +124,9 @@ class Body:
 
     def slopes(self, name: str) -> dict[str, float]:
         """
-        Return the derivatives of the surfaces' positions and tilts by one displacement or tilt of the body.
+        Return the derivatives of the surfaces' positions and tilts.
+
+        They are those with respect to one displacement or tilt of the body.
 
         Parameters
         ----------
@@ -134,7 +136,8 @@ class Body:
         Returns
         -------
         dict
-            Change per mm or degree, by the key of a number; numbers that do not change are left out.
+            Change, mm or degrees, per mm or degree of the body, by the key of a parameter. Parameters that do not
+            change are left out.
         """
         if name in ROTATION:
             step = STEP_DEG * np.eye(3)[ROTATION.index(name)]

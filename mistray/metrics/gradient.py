@@ -1,4 +1,4 @@
-"""A metric's value and its derivatives by scene parameters, with standard errors (`mistray.gradient`)."""
+"""A metric's value and its derivatives with respect to scene parameters, with standard errors (`mistray.gradient`)."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class Gradient(
 
     def along(self, slopes: Mapping[str, float]) -> Estimate:
         """
-        Return the derivative along a direction in which several numbers change at once, such as that of a body.
+        Return the derivative along a direction in which several parameters change at once, such as that of a body.
 
         Parameters
         ----------
@@ -308,7 +308,7 @@ def gradient_where_smooth(
     request: GradientRequest,
 ) -> Gradient:
     """
-    Return the `gradient` from observations already made; NaN if a beam just fills a rim.
+    Return the `gradient` from observations already made; NaN for parameters that move a rim which a beam just fills.
 
     Parameters
     ----------
@@ -320,6 +320,12 @@ def gradient_where_smooth(
         Parameters made by `chosen_parameters`.
     request : GradientRequest
         Request made by `gradient_request`.
+
+    Raises
+    ------
+    MistrayError
+        If the value or a derivative does not exist, see `Metric.evaluate` and
+        `mistray.gradients.path_replay.PathReplay`.
     """
     value, noise = metric.differentiate(observations)
     left_out = [LEFT_OUT]
@@ -382,7 +388,11 @@ def gradient_where_smooth(
 
 
 def _tables(observations: Sequence[Any], request: GradientRequest) -> list[TableGradient]:
-    """Return the metric's derivatives by the tracer's tables, for each source and wavelength, summed over fields."""
+    """
+    Return the metric's derivatives with respect to the tracer's tables, for each source and wavelength.
+
+    Those of several fields are added up.
+    """
     raws: dict[tuple[Any, ...], TableGradient] = {}
     for observation in observations:
         for raw in observation.table_gradients(request):
@@ -423,7 +433,11 @@ def chosen_parameters(
 def gradient_request(
     chosen: Iterable[Parameter], edges: bool = True, edge_width: float | None = None
 ) -> GradientRequest:
-    """Return the request for derivatives by the chosen parameters; `edges` and `edge_width` are as for `gradient`."""
+    """
+    Return the request for derivatives with respect to the chosen parameters.
+
+    `edges` and `edge_width` are as for `gradient`; a width out of range raises `MistrayError`.
+    """
     if edge_width is not None:
         ZONE.check("edge_width", edge_width)
     chosen = list(chosen)

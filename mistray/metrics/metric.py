@@ -1,4 +1,8 @@
-"""Metrics to be minimised or maximised: numbers computed from traces, and their derivatives by every detected flux."""
+"""
+Metrics to be minimised or maximised: numbers computed from traces, and their derivatives.
+
+Derivatives are those with respect to every detected flux, from which others follow by the chain rule.
+"""
 
 from __future__ import annotations
 
@@ -101,6 +105,11 @@ class Metric:
         -------
         list of Observation or PstObservation
             Observations, one for each view.
+
+        Raises
+        ------
+        MistrayError
+            If `times` is not above 0, or a setting is not allowed.
         """
         POSITIVE.check("times", times)
         with quiet():
@@ -147,7 +156,11 @@ class Metric:
         return value
 
     def differentiate(self, observations: list[Any]) -> tuple[float, Sampled]:
-        """Return the metric's value, and its noise by batch. Afterwards the observations hold its derivatives."""
+        """
+        Return the metric's value, and its noise by batch. Afterwards the observations hold its derivatives.
+
+        Raise `MistrayError` as `evaluate` does.
+        """
         value = self.evaluate(observations)
         dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
         noise = sum((observation.noise() for observation in observations), Sampled.of(np.zeros(BATCHES), EQUAL))
@@ -245,7 +258,7 @@ def log(metric: Metric) -> Metric:
     """
     Return a metric, the natural logarithm of another, whose derivatives are relative.
 
-    Evaluation raises `MistrayError` for values ≤ 0.
+    Evaluation raises `MistrayError` if the value of that metric is not above 0.
 
     Examples
     --------
@@ -278,6 +291,11 @@ def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Met
         Paths, see `Observation.power`.
     **traced
         Arguments `field_deg`, `wavelength_nm` and `weights` of `Metric`, and arguments of `mistray.trace`.
+
+    Raises
+    ------
+    MistrayError
+        If the scene cannot have such paths, or an argument is unknown; when it is evaluated, if one is not allowed.
 
     Examples
     --------
@@ -350,6 +368,11 @@ def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float =
     **traced
         Keywords of `path_power`.
 
+    Raises
+    ------
+    MistrayError
+        As for `path_power`; when it is evaluated, if `norm` is below 1.
+
     Examples
     --------
     >>> metric = mistray.optimize.peak_irradiance(mistray.load("cooke_triplet"), "ghost", rays=5000)
@@ -363,11 +386,9 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
     """
     Return a metric: the RMS irradiance P / (π r²) of the brightest ghost, W/mm², mean over the fields.
 
-    Its RMS radius is r.
-
-    It is the smooth maximum over the single paths of a selection, as in the ghost table. A single path gives its own
-    value; a dark selection gives 0. Paths of less than 30 rays are left out. See `Observation.moments_of_each` and
-    `smooth_maximum`.
+    Its RMS radius is r. The metric is the smooth maximum over the single paths of a selection, as in the ghost table. A
+    single path gives its own value; a dark selection gives 0. Paths of less than 30 rays are left out. See
+    `Observation.moments_of_each` and `smooth_maximum`.
 
     Parameters
     ----------
@@ -379,6 +400,11 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
         Exponent p ≥ 1; 1 for the sum over the paths.
     **traced
         Keywords of `path_power`.
+
+    Raises
+    ------
+    MistrayError
+        As for `path_power`; when it is evaluated, if `norm` is below 1, or no path has 30 rays.
 
     Examples
     --------
@@ -401,7 +427,7 @@ def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NOR
     Return a metric: the RMS radius of the ghost with the sharpest focus, mm, mean over the fields; large is good.
 
     It is the smooth minimum over the single paths of a selection; a single path gives its own RMS radius. Parameters
-    are those of `ghost_rms_irradiance`.
+    and errors are those of `ghost_rms_irradiance`.
 
     Examples
     --------
@@ -455,10 +481,11 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
     """
     Return a metric: the relative illumination of the image of a uniform scene, mean over the fields, dimensionless.
 
-    By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)). Φ is the power of the direct image for beams of equal
-    irradiance. Ω is the solid angle from which an area of the image collects, sin θ dθ / (r dr). Distances r and slopes
-    dr/dθ are those of the centroids of direct images, so that distortion is included. The beam must fill the entrance
-    pupil at every field, and the image must be centred on the axis of the source.
+    By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)) at the field angle θ; a field on the axis counts as 1. Φ is
+    the power of the direct image for beams of equal irradiance. Ω is the solid angle from which an area of the image
+    collects, sin θ dθ / (r dr). Distances r and slopes dr/dθ are those of the centroids of direct images, so that
+    distortion is included. The beam must fill the entrance pupil at every field, and the image must be centred on the
+    axis of the source.
 
     Parameters
     ----------
@@ -470,6 +497,11 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
         the field. The error of the slope is about step² d³r/dθ³ / 3.
     **traced
         Keywords of `path_power`, with `field_deg`; the axis is traced as well.
+
+    Raises
+    ------
+    MistrayError
+        If no field is off the axis, or the step is out of range.
 
     Examples
     --------
@@ -534,14 +566,18 @@ def require_known(given: Iterable[str], known: Iterable[str]) -> None:
 
 
 def _brightest(observation: Observation, selection: Selection, norm: float) -> Any:
-    """Return the smooth maximum of the RMS irradiance, W/mm², over the selected paths; 0 if they carry no light."""
+    """
+    Return the smooth maximum of the RMS irradiance, W/mm², over the selected paths; 0 if they carry no light.
+
+    Raise `MistrayError` as `moments_of_each` and `smooth_maximum` do.
+    """
     if not len(observation.chosen(selection)):
         return observation.power(selection)
     return smooth_maximum(observation.moments_of_each(selection).rms_irradiance, norm)
 
 
 def _signal(observation: Observation, name: str) -> Any:
-    """Return the power of the direct image, W, as a divisor; raise `MistrayError` if it is 0."""
+    """Return the power of the direct image, W, by which other values are divided; raise `MistrayError` if it is 0."""
     power = observation.power(DIRECT)
     if not float(dr.detach(power)[0]) > 0:
         raise MistrayError(
@@ -586,7 +622,11 @@ def _metric(scene: Any, function: Callable[[list[Any]], Any], traced: dict[str, 
 
 
 def _angles(field_deg: float | Sequence[float] | None) -> tuple[float, ...] | None:
-    """Return one or several field angles, degrees, as a tuple; None stays None."""
+    """
+    Return one or several field angles, degrees, as a tuple; None stays None.
+
+    An angle out of range raises `MistrayError`.
+    """
     return None if field_deg is None else tuple(FIELD_DEG.check_each("field_deg", field_deg, "metric"))
 
 

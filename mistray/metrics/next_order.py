@@ -29,7 +29,7 @@ class NextOrder:
     allowed : int
         Limit in the second measurement.
     names : tuple of str
-        Names of the numbers.
+        Names of the compared results.
     before, after : (n,) float64
         Values in the first and in the second measurement.
     before_se, after_se : (n,) float64
@@ -52,7 +52,7 @@ class NextOrder:
 
     @property
     def change(self) -> np.ndarray:
-        """Change of each number as a fraction of it, (n,); infinite for a change from 0, 0 if both are 0."""
+        """Change of each result as a fraction of its first value, (n,); 0 if both are 0, infinite if only that is."""
         apart = self.after - self.before
         known = (self.before != 0) | (apart == 0)
         return np.where(known, apart / np.where(self.before == 0, 1.0, np.abs(self.before)), np.inf)
@@ -68,7 +68,7 @@ class NextOrder:
 
     @property
     def worst(self) -> int:
-        """Index of the number that changes most, among the significant changes if there are any."""
+        """Index of the result that changes most, among the significant changes if there are any."""
         change = np.nan_to_num(np.abs(self.change), nan=-1.0, posinf=np.finfo(float).max)
         sure = self._significant
         return int(np.argmax(np.where(sure, change, -1.0) if sure.any() else change))
@@ -84,7 +84,7 @@ class NextOrder:
 
     @property
     def sentence(self) -> str:
-        """Finding in one sentence: the number that changes most, its two values, and the difference with its error."""
+        """Finding in one sentence: the result that changes most, its two values, and the difference with its error."""
         k = self.worst
         second, first = (
             f"{value:.3g} ± {percent_text(se / abs(value), 1) if value else f'{se:.1g}'}"
@@ -100,7 +100,7 @@ class NextOrder:
         return f"{text}; no number changes by more than {100 * MATTERS:g} % for certain."
 
     def record(self) -> dict[str, Any]:
-        """Return the comparison's fields as JSON-serialisable values, one row per number."""
+        """Return the comparison's fields as JSON-serialisable values, one row per result."""
         numbers = ("before", "before_se", "after", "after_se", "difference_se")
         rows = [
             {"name": name, **{key: float(getattr(self, key)[k]) for key in numbers}}

@@ -121,7 +121,7 @@ class Observation:
         return self.trace.seconds
 
     def first_light(self) -> dict[str, FirstLight]:
-        """Return the detected light, W, sorted by the first surface it meets, keyed by the field angle as text."""
+        """Return the detected light, W, sorted by the first surface it meets, under a key such as "field 5 deg"."""
         return {f"field {self.field_deg:g} deg": FirstLight.of_trace(self.trace)}
 
     @property
@@ -138,15 +138,15 @@ class Observation:
         Parameters
         ----------
         selection : str, sequence of str or callable
-            Paths to add. Possible texts are a `kind` of the path table ("direct", "ghost", "structure", …), "stray"
+            Paths to add. Possible strings are a `kind` of the path table ("direct", "ghost", "structure", …), "stray"
             (all but "direct"), "all", a path by its `label` ("L1_rear -> L1_front") or all its `events`, and a filter
             ("G(L1*) & !S", see `mistray.trace.path_filter`). Randomly scattered and aimed light on one way counts as
-            one path. Several texts, or a function of a `PathRow`, are possible, too.
+            one path. Several strings, or a function of a `PathRow`, are possible, too.
 
         Raises
         ------
         MistrayError
-            If a text matches no possible path of this scene, or the selection is empty.
+            If a string matches no possible path of this scene, or the selection is empty.
         """
         return self._sums_of([self.chosen(selection)])[0]
 
@@ -168,8 +168,9 @@ class Observation:
         """
         Return power (W), centroid and RMS radius (mm) of each of some paths, in arrays.
 
-        A path combines all wavelengths of its event list, and randomly scattered and aimed light. Paths of less than
-        `FEWEST_RAYS` rays are left out, because the RMS radius of a few rays is too small too often.
+        For `selection` see `power`. A path combines all wavelengths of its event list, and randomly scattered and aimed
+        light. Paths of less than `FEWEST_RAYS` rays are left out, because the RMS radius of a few rays is too small too
+        often.
 
         Raises
         ------
@@ -194,7 +195,7 @@ class Observation:
         Parameters
         ----------
         selection : str, sequence of str or callable
-            Paths, see `power`.
+            Paths, see `power`; if they are all paths, nothing is traced again.
         """
         return self._map(tuple(self.chosen(selection).tolist()))
 
@@ -213,12 +214,18 @@ class Observation:
         """
         Return the smooth maximum of the irradiance of some paths over the pixels, W/mm², see `smooth_maximum`.
 
-        Like the brightest of noisy pixels, it is too high by about the standard error of that pixel.
+        `selection` is as for `power`, by default all light, and `norm` the exponent p. Like the brightest of noisy
+        pixels, the result is too high by about the standard error of that pixel. Raise `MistrayError` as `power` and
+        `smooth_maximum` do.
         """
         return smooth_maximum(self.map(selection), norm)
 
     def chosen(self, selection: Selection) -> np.ndarray:
-        """Return the row indices of selected paths in the path table, (n,), ascending; see `power` for selections."""
+        """
+        Return the row indices of selected paths in the path table, (n,), ascending.
+
+        See `power` for selections and errors.
+        """
         if callable(selection):
             return np.array([k for k, row in enumerate(self._rows) if selection(row)], dtype=np.int64)
         held = [own.ids for text in texts_of(selection) for own in self.trace.paths.chosen(PathFilter(text))]
@@ -226,7 +233,7 @@ class Observation:
 
     @cached_property
     def _ways(self) -> np.ndarray:
-        """Event list of each path as text, (p,), in which aimed scatter is written as random scatter."""
+        """Event list of each path, (p,) strings, in which aimed scatter is written as random scatter."""
         return np.array(way_text(row.events for row in self._rows), dtype=object)
 
     def _sums_of(self, groups: Sequence[Sequence[int] | np.ndarray]) -> tuple[mi.Float64, ...]:
@@ -256,7 +263,11 @@ class Observation:
     # ---- derivatives, after dr.backward of a value
 
     def hit_derivative(self) -> HitDerivative:
-        """Return the derivative of the metric's value by the flux of a hit, in its unit per W, by path and position."""
+        """
+        Return the derivative of the metric's value with respect to the flux of a hit, in its unit per W.
+
+        It depends on path and position; without any dependence its parts are None.
+        """
         by_sum = self._by_sum()
         path = by_sum @ TERM_COEFFICIENTS if np.any(by_sum) else None
         images = [
@@ -278,7 +289,11 @@ class Observation:
         return HitDerivative(pixel[~dark], path, map_of_path=map_of_class[place.ravel()])
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Yield the requested derivatives of the metric's value, for each source and wavelength that contributes."""
+        """
+        Yield the requested derivatives of the metric's value, for each source and wavelength that contributes.
+
+        There are none if the value does not depend on this trace. Raise as `Trace.table_gradients` does.
+        """
         derivative = self.hit_derivative()
         if derivative.pixel is None and derivative.path is None:
             return iter(())
@@ -303,7 +318,11 @@ class Observation:
             dr.clear_grad(array)
 
     def _by_sum(self) -> np.ndarray:
-        """Return derivatives of the metric by the sums of each path, which are in W, W mm and W mm², (paths, TERMS)."""
+        """
+        Return derivatives of the metric with respect to the sums of each path, (paths, TERMS).
+
+        The sums are in W, W mm and W mm².
+        """
         total = np.zeros((len(self._rows), TERMS))
         for groups, terms in self._sums.items():
             by_group = np.stack([np.broadcast_to(np.array(dr.grad(term)), len(groups)) for term in terms], axis=1)
@@ -312,7 +331,11 @@ class Observation:
         return total
 
     def _by_pixel(self, image: mi.Float64) -> np.ndarray:
-        """Return the derivative of the metric's value by the flux in each pixel, (height, width), in its unit per W."""
+        """
+        Return the derivative of the metric's value with respect to the flux in each pixel, (height, width).
+
+        It is in the metric's unit per W.
+        """
         width, height, _ = self.trace.runs[0].table.film()
         by_irradiance = np.broadcast_to(np.array(dr.grad(image)), height * width).reshape(height, width)
         return np.asarray(by_irradiance / self._pixel_area)
@@ -320,9 +343,9 @@ class Observation:
 
 def texts_of(selection: Selection) -> list[str]:
     """
-    Return the names of path groups in a selection of paths as a list, empty for a function.
+    Return the strings in a selection of paths as a list, which is empty for a function.
 
-    Raise `MistrayError` for an empty list or an entry that is not a text.
+    Raise `MistrayError` for an empty list or an entry that is not a string.
     """
     if callable(selection):
         return []
@@ -333,13 +356,13 @@ def texts_of(selection: Selection) -> list[str]:
 
 
 def named(selection: Selection) -> str:
-    """Return the name of a selection of paths for messages: its text, or its function's name."""
+    """Return the name of a selection of paths for messages: its string or list, or its function's name."""
     return repr(getattr(selection, "__name__", selection))
 
 
 def leaf(values: np.ndarray) -> mi.Float64:
     """
-    Return numbers as a Dr.Jit array by which derivatives are computed.
+    Return values as a Dr.Jit array with respect to which derivatives are computed.
 
     Each selection of a trace gets a leaf of its own. Dr.Jit 1.5 loses derivatives if a value gathered from several
     gathers of one leaf is gathered once more.
@@ -357,10 +380,15 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
     Parameters
     ----------
     values : mi.Float64
-        Values v ≥ 0.
+        Values v ≥ 0; if all are 0, so are the result and its derivatives.
     norm : float
         Exponent p ≥ 1. A larger one is nearer to the maximum, and more of the derivative belongs to one value. 1 gives
         the sum.
+
+    Raises
+    ------
+    MistrayError
+        If `norm` is below 1.
 
     Examples
     --------
@@ -382,7 +410,9 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
 
 def smooth_minimum(values: Any, norm: float = NORM) -> mi.Float64:
     """
-    Return the smooth minimum (Σ v^-p)^(-1/p) of values v > 0: at most their minimum; see `smooth_maximum`.
+    Return the smooth minimum (Σ v^-p)^(-1/p) of values v > 0, with p = `norm`: at most their minimum.
+
+    Raise `MistrayError` if `norm` is below 1.
 
     Examples
     --------

@@ -60,7 +60,11 @@ class OneSided(NamedTuple):
 
 
 def full_keys(chosen: Mapping[str, Parameter], full: Iterable[FullRims]) -> dict[str, FullKey]:
-    """Return, by key, the parameters that move a rim relative to a beam that exactly fills it."""
+    """
+    Return, by key, the parameters that move a rim relative to a beam that exactly fills it.
+
+    Of several rims, the result names the one with the smallest step.
+    """
     alike = {(id(rims.source.emitter), tuple(rims.source.direction), *rims.names): rims for rims in full}
     found = {}
     for key, p in chosen.items():

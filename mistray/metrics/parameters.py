@@ -85,12 +85,12 @@ class Parameter:
 
 def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict[str, Parameter]:
     """
-    Return all parameters of a scene by which a trace has derivatives, with their present values.
+    Return all parameters of a scene with respect to which a trace has derivatives, with their present values.
 
-    Parameters of Mitsuba's own shapes have none, nor have coatings and scatter without a surface. R or T of 0 has none,
-    because a trace does not follow such light. The same holds for indices beside an opaque surface without layers, and
-    for holes of radius 0. ``z0`` and ``z1`` of a flat `frustum` have none, but ``z`` has one. Values of scatter at
-    which lobes appear or vanish have none.
+    Parameters of Mitsuba's own shapes have no derivative, nor have coatings and scatter without a surface. R or T of 0
+    has none, because a trace does not follow such light. The same holds for indices next to an opaque surface without
+    layers, and for holes of radius 0. ``z0`` and ``z1`` of a flat `frustum` have no derivative, but ``z`` has one.
+    Parameters of scatter have none at values at which lobes appear or vanish.
 
     Parameters
     ----------
@@ -170,7 +170,9 @@ def match(known: Mapping[str, Parameter], patterns: str | Iterable[str]) -> list
 
 def chosen_keys(scene: mi.Scene, known: Mapping[str, Parameter], keys: str | Iterable[str] | None) -> list[str]:
     """
-    Return the keys of the scene parameters to differentiate by: all, or those that patterns match.
+    Return the keys of the scene parameters to take derivatives with respect to.
+
+    They are all keys, or those that patterns match.
 
     Raises
     ------

@@ -50,7 +50,7 @@ class DirectImage:
         """
         Return power ("light") or RMS irradiance ("density") of paths over that of the direct image.
 
-        NaN without an image.
+        The ratio is NaN if there is no direct image.
         """
         if not self.path_ids:
             return Sampled(np.full_like(above.value, np.nan), np.full_like(above.apart, np.nan))
@@ -67,7 +67,8 @@ def direct_image(paths: PathTable, wavelength_nm: float | None = None) -> Direct
     paths : PathTable
         Paths of the trace.
     wavelength_nm : float, optional
-        Wavelength, nm, whose light alone counts; by default all light does.
+        Wavelength, nm, whose light alone counts; by default all light does. Without direct light the power is 0, and
+        the others are NaN.
     """
     ids = tuple(paths.ids(True, wavelength_nm).tolist())
     if not ids:
@@ -108,7 +109,7 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
     paths : PathTable
         Paths to which the rows refer by their ids.
     nominal : DirectImage
-        Direct image by whose RMS irradiance that of each row is divided.
+        Direct image; the RMS irradiance of each row is divided by that of this image.
 
     Returns
     -------
@@ -138,9 +139,9 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
 
 def bounds(table: pd.DataFrame) -> npt.NDArray[np.float64]:
     """
-    Return the lower and upper bounds, `SURE` standard errors apart, of RMS irradiances, (2, n), W/mm².
+    Return bounds of RMS irradiances, `SURE` standard errors below and above, (2, n), W/mm².
 
-    NaN if unknown.
+    A bound is NaN if the irradiance or its error is unknown.
     """
     value, se = (table[f"rms_irradiance{name}_W_mm2"].to_numpy(np.float64) for name in ("", "_se"))
     with np.errstate(invalid="ignore"):
@@ -156,7 +157,7 @@ def ranks(table: pd.DataFrame, order: npt.NDArray[np.int64]) -> npt.NDArray[np.i
     table : DataFrame
         Path table with the column ``kind``.
     order : (n,) int
-        Numbers of the rows, the worst first.
+        Indices of the rows, the worst first.
 
     Returns
     -------

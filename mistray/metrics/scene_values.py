@@ -40,7 +40,11 @@ def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
 
 @contextlib.contextmanager
 def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
-    """Set scene parameters to other values within a `with` block; they are restored at its end, also after an error."""
+    """
+    Set scene parameters to other values within a `with` block; they are restored at its end, also after an error.
+
+    Raise `MistrayError` as `assign` does.
+    """
     before = {key: np.array(params[key], dtype=np.float64) for key in values}
     try:
         assign(params, values)

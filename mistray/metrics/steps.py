@@ -23,6 +23,11 @@ class Steps:
         Number of all steps.
     seconds : float or None
         Time for all steps from now on, s; None: it is not limited.
+
+    Raises
+    ------
+    MistrayError
+        If `seconds` is out of range.
     """
 
     def __init__(self, progress: Progress | None, total: int, seconds: float | None = None) -> None:

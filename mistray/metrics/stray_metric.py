@@ -83,9 +83,9 @@ class StrayMetric:
         cls, quantity: str, estimate: Estimate, unit: str = "1", words: dict[str, Any] | None = None, **more: Any
     ) -> StrayMetric:
         """
-        Create a metric from an estimate.
+        Create a metric from an estimate in `unit`.
 
-        `words` fill placeholders of its definition; `more` are further attributes.
+        `words` fill placeholders of the definition of `quantity`; `more` are further attributes.
         """
         value, se = estimate
         return cls(quantity, float(value), float(se), unit, DEFINITIONS[quantity].format(**(words or {})), **more)
@@ -117,7 +117,7 @@ class MetricCurve:
     Attributes
     ----------
     quantity, unit, definition, facts
-        See `StrayMetric`.
+        Key of the quantity, unit of its values, definition in words and further facts, see `StrayMetric`.
     field_deg, value, se : (n,) float64
         Field angles, degrees; values and their standard errors, in `unit`.
     """

@@ -36,7 +36,11 @@ class TraceView:
         return type(self), sorted_arguments(given)
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Any:
-        """Trace the scene with `times` the rays, and return the `Observation`; `changes` replace arguments."""
+        """
+        Trace the scene with `times` the rays, and return the `Observation`; `changes` replace arguments.
+
+        Polarisation "auto" is resolved by the sources alone, without a pilot. Raise as `mistray.trace` does.
+        """
         changes = {name: value for name, value in changes.items() if name != "paths"}  # a trace always has them
         arguments = self._arguments(scene, times, changes)
         # The polarisation of the gradient's trace, without a pilot: a search and its verification use the same light
@@ -51,7 +55,7 @@ class TraceView:
         return arguments
 
     def rays(self, scene: Any) -> int:
-        """Return the number of start rays that the trace takes by default."""
+        """Return the number of start rays of the trace: that of its arguments, else the default of the scene."""
         return int(self.arguments.get("rays") or self._usual_rays(scene))
 
     def _usual_rays(self, scene: Any) -> int:
@@ -79,9 +83,9 @@ def added_light(one: Mapping[str, FirstLight], other: Mapping[str, FirstLight]) 
 
 def light_since(before: Mapping[str, FirstLight], after: Mapping[str, FirstLight]) -> dict[str, tuple[Entering, ...]]:
     """
-    Return light whose first surface met no light before a change, keyed by the field angle as text.
+    Return light whose first surface met no light before a change, keyed by place, such as "field 5 deg".
 
-    Angles without any are left out.
+    Places without such light, or that were not traced before, are left out.
     """
     found = {place: light.since(before[place]) for place, light in after.items() if place in before}
     return {place: entering for place, entering in found.items() if entering}

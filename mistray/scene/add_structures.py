@@ -53,8 +53,8 @@ def add_structures(
     Raises
     ------
     MistrayError
-        If the scene cannot be read, if it already has an object named like a structure, or if a coating or scatter
-        model of a structure has the name of a different one in the scene.
+        If the scene cannot be read or a file cannot be written, if it already has an object named like a structure, or
+        if a coating or scatter model of a structure has the name of a different one in the scene.
 
     Examples
     --------
@@ -88,7 +88,11 @@ def add_structures(
 
 
 def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
-    """Return coatings and scatter models with an id in a scene file, by id; ones with non-plain values are skipped."""
+    """
+    Return coatings and scatter models with an id at the top level of a scene file, by id.
+
+    Those with values that are not plain are skipped, and so are coatings with values that a `Coating` does not have.
+    """
     found: dict[str, Shared] = {}
     for element in file.root.children:
         name, kind = element.values.get("id"), element.values.get("type")
@@ -103,7 +107,7 @@ def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
 
 
 def _values(element: Element) -> dict[str, Value] | None:
-    """Return a scene element's property values by name, if all are plain numbers, texts or booleans; else None."""
+    """Return a scene element's property values by name, if all are plain numbers, strings or booleans; else None."""
     values: dict[str, Value] = {}
     for child in element.children:
         name, text = child.values.get("name"), child.values.get("value")

@@ -85,8 +85,8 @@ def check_dict(given: Mapping[str, Any]) -> None:
     Raises
     ------
     MistrayError
-        If a type is not allowed, a value is None, which would crash Mitsuba, or the dict is nested deeper than
-        `mistray.scene.xml_file.DEEPEST`. The message names the place as Mitsuba's own errors do.
+        If a type is not allowed, a file is a pipe or a device, a value is None, which would crash Mitsuba, or the dict
+        is nested deeper than `mistray.scene.xml_file.DEEPEST`. The message names the place as Mitsuba's own errors do.
     """
     for path, name, file in _types(given):
         reason = _special(file)
@@ -97,7 +97,11 @@ def check_dict(given: Mapping[str, Any]) -> None:
 
 
 def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield every nested dict that has a type: its path of keys, its type, and the value of its file name entry."""
+    """
+    Yield every nested dict that has a type: its path of keys, its type, and the value of its file name entry.
+
+    An entry that would crash Mitsuba, or dicts nested too deeply, raise `MistrayError`.
+    """
     waiting: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [((), given)]
     while waiting:
         path, item = waiting.pop()
@@ -125,7 +129,11 @@ def _crashes(key: str, value: Any) -> str:
 
 
 def _special(name: Any) -> str:
-    """Return the reason why the file that a Mitsuba plugin names must not be opened (pipe, device); "" if it may."""
+    """
+    Return the reason why the file that a Mitsuba plugin names must not be opened; "" if it may.
+
+    It is a pipe or device, or its name is blank. A missing file is left to Mitsuba.
+    """
     if isinstance(name, str) and not name.strip():  # Mitsuba finds its own folder by it
         return f"{FILE} is {name!r}; name a file"
     file = str(mi.file_resolver().resolve(name)) if isinstance(name, str) else ""

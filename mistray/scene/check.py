@@ -31,9 +31,9 @@ def check_values(state: Any) -> None:
     Raises
     ------
     MistrayError
-        If an id or a part is no valid name, a text holds invisible characters, a number is NaN, a transform or a vector
-        is not finite, or the last row of a transform is not 0 0 0 1. The message names the place as Mitsuba's own
-        errors do.
+        If an id or a part is not a valid name, a string holds invisible characters, a number is NaN, a transform or a
+        vector is not finite, or the last row of a transform is not 0 0 0 1. The message names the place as Mitsuba's
+        own errors do.
     """
     for node in state.nodes:
         kind = node.type.name.lower()
@@ -150,7 +150,7 @@ def check_overlaps(scene: mi.Scene) -> None:
     The check compares `asphere` shapes with a common axis, within the aperture that they share. Surfaces may touch, at
     the vertex or at the rim. Structure made of `frustum` shapes is not checked, because walls are often drawn into one
     another. If nothing else on the axis refracts, the materials must also fit together along it. This finds two
-    surfaces that have changed places.
+    surfaces that have changed places. It is not checked where a shape has a BSDF of Mitsuba's own.
 
     Parameters
     ----------
@@ -220,7 +220,11 @@ def _crosses(shape: Any, axis: _Axis) -> bool:
 
 
 def _check_materials(axis: _Axis) -> None:
-    """Raise `MistrayError` if the material behind a surface differs from that in front of the next one on the axis."""
+    """
+    Raise `MistrayError` if the material behind a surface differs from that in front of the next one on the axis.
+
+    Surfaces that touch, or of which one is opaque, are not compared.
+    """
     for a, b in pairwise(item for item in axis.placed if item.inner == 0):
         touching = b.z - a.z <= TOLERANCE * max(a.outer, b.outer)
         if touching or a.shape.bsdf().opaque or b.shape.bsdf().opaque:
@@ -234,7 +238,11 @@ def _check_materials(axis: _Axis) -> None:
 
 
 def _check_ends(axis: _Axis, around: Mapping[float, str]) -> None:
-    """Raise `MistrayError` if light along the axis would start and end in glass, as in a lens with swapped faces."""
+    """
+    Raise `MistrayError` if light along the axis would start and end in glass, as in a lens with swapped faces.
+
+    It would if the detector stands in the material between these surfaces, and nothing is checked without one.
+    """
     passed = [item for item in axis.placed if item.inner == 0 and not item.shape.bsdf().opaque]
     if len(passed) < 2 or not around:
         return

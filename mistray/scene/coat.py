@@ -160,7 +160,11 @@ def coat(
 def coated_scene(
     system: str | Path | ModuleType, rules: Rules, sources: Parts = None, sensors: Parts = None
 ) -> tuple[mi.Scene, Coated]:
-    """Return the scene of `coat`, and the changes to its surfaces."""
+    """
+    Return the scene of `coat`, with its sources and sensors, and the changes to its surfaces.
+
+    Raise as `coat` does.
+    """
     path = find(system)
     text, found = coated_text(path, rules, path.parent)
     return load_text(path, text, sources, sensors), found
@@ -178,6 +182,11 @@ def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated
         File to write; may be `source` itself.
     rules : Rules
         Coatings, paint and scatter models by patterns of names.
+
+    Returns
+    -------
+    Coated
+        Changes to the surfaces, and surfaces that stay as they are.
 
     Raises
     ------
@@ -200,7 +209,11 @@ def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated
 
 
 def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
-    """Return the text of a scene file with rules applied, to be stored in `folder`, and the changes to its surfaces."""
+    """
+    Return the text of a scene file with rules applied, to be stored in `folder`, and the changes to its surfaces.
+
+    Raise `MistrayError` as `check_source` and `Painter.apply` do.
+    """
     check_source(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))
@@ -226,7 +239,11 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
 
 
 def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescription, Coated]:
-    """Return the prescription of `coat`, and the changes to its surfaces."""
+    """
+    Return the prescription of `coat`, and the changes to its surfaces.
+
+    Raise `MistrayError` as `Painter.apply` does.
+    """
     shapes = list(system.shapes())
     shared: dict[str, Coating | Scatter] = {**system.shared_coatings(), **system.shared_scatter()}
     faces = [
@@ -265,7 +282,11 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
 
 
 def faces_of(file: SceneFile) -> list[Face]:
-    """Return a `Face` for each shape of a scene file that has an id."""
+    """
+    Return a `Face` for each shape of a scene file that has an id.
+
+    That of a shape without an interface states this as its fault.
+    """
     found = []
     for name, shape in file.ids.items():
         if shape.tag != "shape":

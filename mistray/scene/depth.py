@@ -70,7 +70,20 @@ def check_source(path: Path, text: str | None = None) -> None:
 
 
 class _Look:
-    """Check of elements and numbers of a scene before Mitsuba reads them, file by file through its includes."""
+    """
+    Check of elements and numbers of a scene before Mitsuba reads them, file by file through its includes.
+
+    Attributes
+    ----------
+    path : Path
+        Scene file, for messages.
+    defaults : dict of str to str
+        Values of the parameters ``$name`` seen so far.
+    contents : dict of Path to bytes
+        Contents of the files read so far.
+    includes, text : int
+        Number of includes so far, and of bytes of text, parameters in place.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -79,7 +92,11 @@ class _Look:
         self.includes = self.text = 0
 
     def read(self, path: Path, folders: list[Path], within: tuple[Path, ...], text: str | None = None) -> None:
-        """Check a file and the files that it includes; `folders` are searched for includes in order."""
+        """
+        Check a file, or `text` in its place, and the files that it includes; `folders` are searched for these in order.
+
+        Raise `MistrayError` as `check_source` does; broken XML is left to Mitsuba.
+        """
         data = self._content(path) if text is None else text.encode()
         self._grow(len(data), f"scene '{self.path}'")
         folders = [path.parent, *folders]
@@ -185,7 +202,7 @@ def _twice(element: SceneElement) -> str:
 
 
 def _mistake(element: SceneElement, values: Mapping[str, str]) -> str:
-    """Return a message on the first invalid number of a scene element; "" if all are valid."""
+    """Return a message on the first invalid number of a scene element; "" if all are valid, or hold a ``$``."""
     tag = element.tag
     for key in NUMBERS.get(tag, ()):
         name = printable(element.name) if tag == "float" else f"{key} of {_named(element)}"
@@ -212,7 +229,7 @@ def _named(element: SceneElement) -> str:
 
 
 def _no_number(text: str) -> str:
-    """Return the reason why Mitsuba would not read a text as the number it states; empty if it would."""
+    """Return the reason why Mitsuba would not read a string as the number it states; empty if it would."""
     match = _NUMBER.fullmatch(text.strip())
     if match is None:
         return "it must be a number"

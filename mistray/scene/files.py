@@ -34,7 +34,7 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
     Raises
     ------
     MistrayError
-        If the scene, or a scene that it includes, cannot be read or is no XML in UTF-8.
+        If the scene, or a scene that it includes, cannot be read or is not XML in UTF-8.
     """
     first = path.resolve()
     scenes = {first: None}
@@ -62,7 +62,7 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
 
 
 def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
-    """Yield existing files that a text may name, whole or by some of its words, relative to any of the folders."""
+    """Yield existing files that a string may name, whole or by some of its words, relative to any of the folders."""
     for name in _names(text):
         for folder in tuple(folders):
             # os.path.isfile, because that of Path raises for a text that is too long for a name
@@ -71,7 +71,7 @@ def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
 
 
 def _names(text: str) -> Iterator[str]:
-    """Yield possible file names in a text: the whole text, and runs of its words with or without ``:entry``."""
+    """Yield possible file names in a string: the whole text, and runs of its words with or without ``:entry``."""
     found = {text}
     for part in re.split(r"[,;\n]", text):
         words = part.split()

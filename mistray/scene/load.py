@@ -66,6 +66,8 @@ def load(
         If the file is missing, nested too deeply, or too large with its includes; if a number, an id or a part is
         invalid; if Mitsuba cannot read it; if surfaces overlap; or if a command is to replace a file that it has read.
         The message is one line.
+    KeyboardInterrupt
+        On Ctrl-C while Mitsuba builds the scene.
 
     Warns
     -----
@@ -87,7 +89,7 @@ def load(
 
 def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = None) -> mi.Scene:
     """
-    Load a scene from a text as if it were the content of a file.
+    Load a scene from a string as if it were the content of a file.
 
     Parameters
     ----------
@@ -103,7 +105,11 @@ def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = Non
 
 
 def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sensors: Parts) -> mi.Scene:
-    """Load a scene from a dict, a file, or a text in place of a file's content, and warn of improbable numbers."""
+    """
+    Load a scene from a dict, a file, or a string in place of a file's content, and warn of improbable numbers.
+
+    Raise as `load` does.
+    """
     others, more = (
         [given_parts] if isinstance(given_parts, (str, Mapping)) else list(given_parts or ())
         for given_parts in (sources, sensors)
@@ -118,7 +124,7 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
 
 
 def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], more: list[Any]) -> mi.Scene:
-    """Read and check a scene from a file, its text or a dict, with sources and sensors added."""
+    """Read and check a scene from a file, its text or a dict, with sources and sensors added. Raise as `load` does."""
     if isinstance(given, Path):
         check_source(given, text)
         name = _utf8(given)
@@ -138,7 +144,11 @@ def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], mor
 
 
 def _light_interfaces(scene: mi.Scene) -> None:
-    """Set the reference wavelength of every interface: the first wavelength, nm, of the scene's first source."""
+    """
+    Set the reference wavelength of every interface: the first wavelength, nm, of the scene's first source.
+
+    Without a source nothing is set.
+    """
     lines = [getattr(emitter, "wavelengths_nm", (DEFAULT_NM,)) for emitter in scene.emitters()]
     for shape in scene.shapes():
         if lines and hasattr(shape.bsdf(), "lit_by"):
@@ -146,7 +156,11 @@ def _light_interfaces(scene: mi.Scene) -> None:
 
 
 def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part]) -> mi.Scene:
-    """Return the scene with its sources replaced, if others are given, and further sensors added."""
+    """
+    Return the scene with its sources replaced, if others are given, and further sensors added.
+
+    Raise `MistrayError` if one is not valid, and KeyboardInterrupt on Ctrl-C.
+    """
     light, seen = source_dicts(sources), sensor_dicts(sensors)
     try:
         check_values(mi.parser.parse_dict(_config(), {"type": "scene"} | light | seen))
@@ -161,7 +175,11 @@ def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part
 
 
 def _from_file(name: str, text: str | None) -> Any:
-    """Build the scene in a file, or in a text that replaces it; includes are first searched in its folder."""
+    """
+    Build the scene in a file, or in a string that replaces it; includes are first searched in its folder.
+
+    Raise `MistrayError` as `check_file` does, and what Mitsuba raises.
+    """
     with _search(os.path.dirname(name)):
         state = mi.parser.parse_file(_config(), name) if text is None else mi.parser.parse_string(_config(), text)
         check_file(state)
@@ -169,7 +187,11 @@ def _from_file(name: str, text: str | None) -> Any:
 
 
 def _from_dict(given: dict[str, Any]) -> Any:
-    """Build the object that a scene dict describes, after checking its plugins."""
+    """
+    Build the object that a scene dict describes, after checking its plugins.
+
+    Raise `MistrayError` if a folder of ``resources`` does not exist, or as `check_dict` does, and what Mitsuba raises.
+    """
     folders = {
         key: str(item.get("path", ""))
         for key, item in given.items()
@@ -211,7 +233,11 @@ def _search(*folders: str) -> Iterator[None]:
 
 
 def _built(state: Any) -> Any:
-    """Return the scene built from a parsed description, after checks and the translation of Mitsuba's BSDFs."""
+    """
+    Return the scene built from a parsed description, after checks and the translation of Mitsuba's BSDFs.
+
+    Raise `MistrayError` as these do, and what Mitsuba raises.
+    """
     check_values(state)
     config = _config()
     mi.parser.transform_all(config, state)
@@ -221,7 +247,11 @@ def _built(state: Any) -> Any:
 
 
 def _utf8(path: Path) -> str:
-    """Return a file path as the UTF-8 text that Mitsuba expects, whatever the encoding of the locale."""
+    """
+    Return a file path as the UTF-8 text that Mitsuba expects, whatever the encoding of the locale.
+
+    Raise `MistrayError` if its bytes are not UTF-8.
+    """
     try:
         return os.fsencode(path).decode("utf-8")
     except UnicodeDecodeError:

@@ -259,12 +259,16 @@ def _choose(word: str, known: list[str], otherwise: str) -> str:
 
 
 def _short(text: str, most: int) -> str:
-    """Return a text cut to about `most` characters, keeping its beginning and its end."""
+    """Return a string cut to about `most` characters, keeping its beginning and its end."""
     return text if len(text) <= most else f"{text[: most * 2 // 3]} … {text[-most // 3 :]}"
 
 
 def _in_file(path: Path, line: int, column: int, data: bytes | None) -> SceneElement | None:
-    """Return the element at a line and column of an XML file; Mitsuba counts columns from the name of the tag."""
+    """
+    Return the element at a line and column of an XML file, None if there is none or the file cannot be read.
+
+    Mitsuba counts columns from the name of the tag.
+    """
     try:
         file = SceneFile(path, data)
     except MistrayError:  # the message then does without the object's name

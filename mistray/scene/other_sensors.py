@@ -1,4 +1,4 @@
-"""Sensors added to a scene, such as probes, far fields and maps of walls, from a text or a dict."""
+"""Sensors added to a scene, such as probes, far fields and maps of walls, from a string or a dict."""
 
 from __future__ import annotations
 
@@ -77,7 +77,11 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_surfaces(text: str) -> dict[str, Any]:
-    """Parse the text of a sensor `surface_maps` or `flux_split` into the dict of its plugin."""
+    """
+    Parse the text of a sensor `surface_maps` or `flux_split` into the dict of its plugin.
+
+    Raise `MistrayError` for an unknown name or a count that is not whole.
+    """
     kind, _, rest = text.partition(":")
     kind = kind.strip()
     owner, known = f"{kind.replace('_', ' ')} '{rest}'", OF_SURFACES[kind]
@@ -96,7 +100,11 @@ def _of_surfaces(text: str) -> dict[str, Any]:
 
 
 def _numbers(text: str, what: str, owner: str) -> np.ndarray:
-    """Return the vector, (3,), of three numbers in a text, scaled so that the largest magnitude is 1."""
+    """
+    Return the vector, (3,), of three numbers in a string, scaled so that the largest magnitude is 1.
+
+    Raise `MistrayError` if it is not three finite numbers, or all are 0.
+    """
     try:
         numbers = np.array([float(part) for part in text.split(",") if part])
     except ValueError:
@@ -107,7 +115,11 @@ def _numbers(text: str, what: str, owner: str) -> np.ndarray:
 
 
 def _whole(text: str, owner: str) -> tuple[int, int]:
-    """Parse the numbers of pixels across and down, and return them; a single number stands for both."""
+    """
+    Parse the numbers of pixels across and down, and return them; a single number stands for both.
+
+    Raise `MistrayError` if they are not whole numbers above 0.
+    """
     parts = [part for part in text.split(",") if part]
     if not 1 <= len(parts) <= 2 or not all(part.isdecimal() and int(part) for part in parts):
         raise MistrayError(

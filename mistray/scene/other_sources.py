@@ -36,7 +36,7 @@ def source_dict(source: str | Mapping[str, Any]) -> dict[str, Any]:
     ----------
     source : str or mapping
         A dict, or text such as ``"point:0,0,-500"``, ``"surface:0,0,-80,radius=5,radiance=2"``, ``"sun:field_deg=30"``:
-        a word of `KINDS` or the type of a plugin, its place in mm, and properties by their names. Blanks separate the
+        a word of `KINDS` or the type of a plugin, its place in mm, and properties by their names. Spaces separate the
         numbers of a list: ``"sun:wavelength_nm=450 550 650"``.
 
     Raises
@@ -56,7 +56,7 @@ def parsed(
     what: str, text: str, lists: Collection[str], words: Collection[str]
 ) -> tuple[str, list[float], dict[str, Any]]:
     """
-    Parse a text ``WORD:x,y,z,name=value,…`` into its word, its place, mm, and its properties.
+    Parse a string ``WORD:x,y,z,name=value,…`` into its word, its place, mm, and its properties.
 
     Parameters
     ----------
@@ -65,13 +65,14 @@ def parsed(
     text : str
         Text to parse.
     lists, words : collection of str
-        Names of properties that are lists, with blanks between the entries, and of properties that are texts. Any other
-        property is a number.
+        Names of properties that are lists, with spaces between the entries, and of properties that are strings. Any
+        other property is a number.
 
     Returns
     -------
     (str, list of float, dict)
-        The word; x, y and z, mm, or an empty list; properties by name: numbers, texts, and lists as texts with commas.
+        The word; x, y and z, mm, or an empty list; properties by name: numbers, strings, and lists as strings with
+        commas.
 
     Raises
     ------
@@ -101,14 +102,19 @@ def source_dicts(sources: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[s
 
 
 def given_dict(what: str, part: Any, example: str) -> dict[str, Any]:
-    """Return a source or sensor given as a dict; raise `MistrayError` if it is no dict or has no type."""
+    """Return a source or sensor given as a dict; raise `MistrayError` if it is not a dict or has no type."""
     if not isinstance(part, Mapping) or "type" not in part:
         raise MistrayError(f"{what} {part!r}: give a text such as '{example}', or a dict with a 'type'")
     return dict(part)
 
 
 def keyed(what: str, parts: Sequence[dict[str, Any]], words: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return sources or sensors by id. One without id is named by its word in `words`, numbered if the word repeats."""
+    """
+    Return sources or sensors by id.
+
+    One without id is named by its word in `words`, numbered if the word repeats. Raise `MistrayError` if two have the
+    same id, or a plugin is not allowed.
+    """
     result: dict[str, dict[str, Any]] = {}
     for number, (found, word) in enumerate(zip(parts, words, strict=True)):
         numbered = f"{word}_{list(words[:number]).count(word) + 1}"
@@ -138,6 +144,8 @@ def with_parts(
     ------
     MistrayError
         If the scene already has an object with one of these ids.
+    RuntimeError
+        If Mitsuba refuses a dict.
     """
     parts: dict[str, Any] = {"type": "scene", "integrator": scene.integrator()}
     parts |= {shape.id() or f"shape_{number}": shape for number, shape in enumerate(scene.shapes())}

@@ -103,7 +103,11 @@ class _Reader:
         return number
 
     def _surface(self, element: Element, label: str) -> Surface | None:
-        """Return an optical surface; None if the shape neither reflects as a mirror nor transmits light."""
+        """
+        Return an optical surface; None for a shape that neither reflects as a mirror nor transmits light.
+
+        It is also None if the BSDF is not an ``interface``.
+        """
         found = self.file.surface(element)
         if found is None or found[1].values.get("type") != "interface":
             return None
@@ -126,12 +130,20 @@ class _Reader:
         return None
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
-        """Return the values of a `thinfilm` or `interface` that define its coating; R and T as numbers (fractions)."""
+        """
+        Return the values of a `thinfilm` or `interface` that define its coating; R and T as numbers (fractions).
+
+        A value that is no number raises `MistrayError`.
+        """
         recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table") if key in values}
         return recipe | {key: self._number(where, values, key) for key in ("R", "T") if key in values}
 
     def _form(self, element: Element, label: str) -> dict[str, Any]:
-        """Return shape, clip and placement of a surface as arguments of `Surface`; lengths in mm."""
+        """
+        Return shape, clip and placement of a surface as arguments of `Surface`; lengths in mm.
+
+        A value that is no number raises `MistrayError`.
+        """
         where = f"shape '{label}'"
         values = self.file.values(element)
         radius = self._number(where, values, "radius", 0.0)
@@ -206,7 +218,11 @@ class _Reader:
         return ObjectPoint(distance=distance, **_placed(pose), **self._light(where, values))
 
     def _light(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
-        """Return field, spectrum and polarisation of a source as arguments of `Source`."""
+        """
+        Return field, spectrum and polarisation of a source as arguments of `Source`.
+
+        A value that is not of numbers raises `MistrayError`.
+        """
         names = [key for key in ("wavelength_nm", "weights", "stokes") if key in values]
         lists = {key: values[key].replace(",", " ").split() for key in names}
         numbers = {key: tuple(self._number(where, {key: word}, key) for word in words) for key, words in lists.items()}

@@ -50,7 +50,7 @@ class SharedCoating:
     design_nm: float = DESIGN_NM
 
     def as_shared(self, name: str) -> Coating:
-        """Return the coating under a name, with its layers as text, as scene files state it."""
+        """Return the coating under a name, with its layers as the string that scene files state."""
         layers = layer_text(self.stack.layers)
         return Coating(layers=layers, first=self.stack.first, design_nm=self.design_nm, name=name)
 
@@ -166,7 +166,9 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
 
 def write_recoated(source: str | Path, coatings: Sequence[SharedCoating], target: str | Path, note: str = "") -> Path:
     """
-    Write `recoated` text to a file, atomically: on an error an old file stays.
+    Write the text that `recoated` returns to a file, atomically: on an error an old file stays.
+
+    Raise `MistrayError` as `recoated` does, or if the file cannot be written.
 
     Returns
     -------
@@ -178,7 +180,11 @@ def write_recoated(source: str | Path, coatings: Sequence[SharedCoating], target
 
 
 def _interface(file: SceneFile, surface: str) -> tuple[Element, Element]:
-    """Return the BSDF child of a shape, and the ``interface`` or ``thinfilm`` that the child is or refers to."""
+    """
+    Return the BSDF child of a shape, and the ``interface`` or ``thinfilm`` that the child is or refers to.
+
+    Raise `MistrayError` if the file has no such shape, or the shape has no such BSDF.
+    """
     shape = file.ids.get(surface)
     if shape is None or shape.tag != "shape":
         raise MistrayError(
@@ -198,9 +204,9 @@ def _interface(file: SceneFile, surface: str) -> tuple[Element, Element]:
 
 def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
     """
-    Yield the edits that remove shared coatings, which nothing uses any more, from the scene text.
+    Yield the edits that remove shared coatings, which nothing uses any more, from the text of a scene.
 
-    For ones that `recoated` wrote, their note and empty line too.
+    If `recoated` wrote a coating, its comment and the empty line are removed, too.
     """
     end_of_ours = -1
     for coating in coatings:
@@ -217,7 +223,7 @@ def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
 
 
 def _refit(file: SceneFile, interface: Element, refit: Refit) -> Edit:
-    """Return the text edit that changes the interface of one shape as `refit` says."""
+    """Return the text edit that changes the interface of one shape as `refit` says; a ``thinfilm`` becomes one."""
     text = file.text(interface)
     tag = re.sub(
         rb"(\stype\s*=\s*[\"'])thinfilm([\"'])", rb"\1interface\2", text[: interface.inside - interface.start], count=1

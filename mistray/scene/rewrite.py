@@ -38,7 +38,7 @@ def rewritten(
     text: str | None = None,
 ) -> str:
     """
-    Return the text of a scene with other values of parameters.
+    Return the text of a scene with other values of parameters; without values, only its search path may change.
 
     Parameters
     ----------
@@ -101,7 +101,9 @@ def write_rewritten(
     source: str | Path, values: Mapping[str, npt.ArrayLike], target: str | Path, note: str = ""
 ) -> Path:
     """
-    Write `rewritten` text to a file, atomically: on an error an old file stays.
+    Write the text that `rewritten` returns to a file, atomically: on an error an old file stays.
+
+    Raise `MistrayError` as `rewritten` does, or if the file cannot be written.
 
     Returns
     -------
@@ -113,7 +115,11 @@ def write_rewritten(
 
 
 def _plugin(file: SceneFile, params: Any, key: str) -> Any:
-    """Return the plugin that has a parameter; raise `MistrayError` if a scene file holds no value for the parameter."""
+    """
+    Return the plugin that has a parameter.
+
+    Raise `MistrayError` if there is no such parameter, or if a scene file holds no value for it.
+    """
     if key not in params:
         hint = nearest_parameters(key, params.keys())
         raise MistrayError(f"scene '{file.path}': it has no parameter '{key}'; {hint}")
@@ -140,7 +146,11 @@ def _curvature(element: Element, curvature: float) -> str:
 
 
 def _layers(file: SceneFile, element: Element, film: Any, thickness_nm: np.ndarray) -> dict[str, str]:
-    """Return the XML values of a layered coating with these thicknesses, nm."""
+    """
+    Return the XML values of a layered coating with these thicknesses, nm.
+
+    They say ``opaque`` if the coating is so and the file does not say it.
+    """
     given = {child.values.get("name"): child.values.get("value", "") for child in element.children}
     numbers = [_number(value) for value in thickness_nm.astype(np.float32)]
     if "layers" in given and "$" not in given["layers"]:
@@ -159,7 +169,7 @@ def _layers(file: SceneFile, element: Element, film: Any, thickness_nm: np.ndarr
 
 
 def _number(value: float | np.floating[Any]) -> str:
-    """Return the shortest text that reads back as the same number, in its own precision."""
+    """Return the shortest string that reads back as the same number, in its own precision."""
     return str(value).removesuffix(".0") if isinstance(value, np.float32) else repr(float(value)).removesuffix(".0")
 
 

@@ -105,7 +105,14 @@ class SceneDict:
 
 
 class _Folder:
-    """Temporary folder that is deleted together with this object, or at the end of the process."""
+    """
+    Temporary folder that is deleted together with this object, or at the end of the process.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    """
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="mistray-"))
@@ -115,9 +122,20 @@ class _Folder:
 @dataclass(frozen=True)
 class _Origin:
     """
-    Arguments with which a scene was loaded: absolute path and text of its file, or a dict.
+    Arguments with which a scene was loaded.
 
-    Replaced sources, added sensors.
+    Attributes
+    ----------
+    path : Path or None
+        Absolute path of its file; None: it was loaded from a dict.
+    text : bytes
+        Content of the file; empty for a dict.
+    given : mapping
+        Scene dict; empty for a file.
+    sources : tuple
+        Sources that replaced those of the scene; empty if none did.
+    sensors : tuple
+        Sensors that were added to those of the scene.
     """
 
     path: Path | None
@@ -137,7 +155,8 @@ def remember(
     """
     Attach the arguments with which a scene was loaded to one of its plugins.
 
-    `text` is the text that replaced the content of the file, if any.
+    `text` is the text that replaced the content of the file, if any. In a scene without a plugin of mistray nothing is
+    kept. A file that cannot be read raises `MistrayError`.
     """
     for owner in _owners(scene):
         if isinstance(given, Path):
@@ -187,7 +206,11 @@ def _owners(scene: mi.Scene) -> Iterator[Any]:
 
 
 def _packed(path: Path, text: bytes) -> PackedScene:
-    """Return a scene file packed together with the contents of all files that it names."""
+    """
+    Return a scene file packed together with the contents of all files that it names.
+
+    Raise `MistrayError` if one cannot be read.
+    """
     require_file(path, "scene")
     first, *others = scene_files(path, text)
     contents = {file: read_file(file) for file in others}

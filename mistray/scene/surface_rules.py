@@ -71,9 +71,9 @@ class Face:
     opaque : bool
         Whether its coating transmits no light.
     mirror : bool
-        Whether the design path is reflected by it.
+        Whether the surface is a declared mirror of the design path.
     cemented : bool
-        Whether there is air on neither side.
+        Whether there is a gas on neither side.
     fault : str
         Reason why nothing can be put on it; empty if there is none.
     front, back : str
@@ -104,7 +104,7 @@ class Change:
     recoated : bool
         Whether its coating is replaced by `coating`.
     coating : Coating or None
-        New coating; None means bare.
+        New coating, if `recoated`; None means bare.
     scatter : tuple of Scatter
         Scatter models that are added.
     drops : frozenset of str
@@ -217,8 +217,10 @@ class Painter:
         """
         Return the surfaces that a pattern matches and that can take the coating, paint or scatter model of a rule.
 
-        A surface given by its exact name must be able to take it, else this raises. Other surfaces that cannot are left
-        as they are.
+        A surface given by its exact name must be able to take it, and so must the only match, and at least one of
+        several; else `MistrayError` is raised. It is also raised if nothing matches. With `coats` the rule is a
+        coating, with `transmits` one that transmits light, which opaque surfaces refuse. Other surfaces that cannot
+        take it are left as they are.
         """
         fitting = [face for face in self._faces if face.fits(pattern)]
         if not fitting:
@@ -251,7 +253,12 @@ class Painter:
         return able
 
     def _on_body(self, coating: Coating | None, face: Face, rule: str) -> Coating | None:
-        """Return a coating preset as layers fitted to the substrate of a surface in air; other coatings unchanged."""
+        """
+        Return a coating preset as layers fitted to the substrate of a surface in air.
+
+        Any other coating, None included, is returned as it is, and so is a preset that needs no change. A preset that
+        cannot be fitted raises `MistrayError`.
+        """
         body = face.back if is_gas(face.front) else face.front
         if coating is None or coating.preset is None or coating.opaque or face.cemented or is_gas(body):
             return coating
@@ -298,7 +305,7 @@ class Painter:
 
     def _named(self, item: Any) -> Any:
         """
-        Return a coating or scatter model under a name that the system does not use yet.
+        Return a coating or scatter model under a name that no different one of the system uses.
 
         One without a name is not shared and stays as it is.
         """
@@ -313,14 +320,22 @@ class Painter:
 
 
 def _design_nm(light_nm: Sequence[float]) -> float:
-    """Return the default reference wavelength, nm, of layers given in waves, for the source wavelengths, nm."""
+    """
+    Return the default reference wavelength, nm, of layers given in waves, for the source wavelengths, nm.
+
+    It is the default of a coating or, if all wavelengths are invisible, the middle of their range.
+    """
     if not light_nm or any(VISIBLE_NM[0] <= nm <= VISIBLE_NM[1] for nm in light_nm):
         return Coating.design_nm
     return (min(light_nm) + max(light_nm)) / 2
 
 
 def _refusal(face: Face, named: bool, transmits: bool) -> str:
-    """Return the reason why a surface takes no coating; empty if it takes one. `named`: its exact name was given."""
+    """
+    Return the reason why a surface takes no coating; "" if it takes one.
+
+    `named` says that its exact name was given, `transmits` that the coating transmits light.
+    """
     if face.opaque and (transmits or not (named or face.mirror)):
         return OPAQUE
     return CEMENTED if face.cemented and not named else ""
@@ -338,7 +353,7 @@ def _listed(given: str | Scatter | Sequence[str | Scatter]) -> Iterable[str | Sc
 
 
 def _shown(given: Any) -> str:
-    """Return the coating, paint or models of a rule as text, for messages."""
+    """Return the coating, paint or models of a rule in words, for messages."""
     if isinstance(given, str | float | int) or given is None:
         return str(given)
     if isinstance(given, Coating | Scatter | Finish):

@@ -28,7 +28,7 @@ class SceneText:
     Raises
     ------
     MistrayError
-        If the file cannot be read or is no XML.
+        If the file cannot be read or is not XML.
     """
 
     def __init__(self, source: str | Path, own: bool = True) -> None:

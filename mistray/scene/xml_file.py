@@ -65,10 +65,23 @@ class SceneFile:
     data : bytes, optional
         Content to use instead of that of the file.
 
+    Attributes
+    ----------
+    path : Path
+        As given.
+    data : bytes
+        Content.
+    comments : list of (int, int)
+        Byte offsets at which each comment begins and ends.
+    root : Element
+        Element ``scene``.
+    ids : dict of str to Element
+        Elements with an id, but references, by id.
+
     Raises
     ------
     MistrayError
-        If the file cannot be read or is no XML in UTF-8.
+        If the file cannot be read or is not XML in UTF-8.
     """
 
     def __init__(self, path: Path, data: bytes | None = None) -> None:
@@ -128,12 +141,16 @@ class SceneFile:
         return self.data[element.start : element.end]
 
     def indent(self, element: Element) -> str:
-        """Return the blanks before an element that is first on its line; "" otherwise."""
+        """Return the white space before an element that is first on its line; "" otherwise."""
         line = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
         return line.decode() if not line.strip() else ""
 
     def with_blanks(self, element: Element) -> tuple[int, int]:
-        """Return byte offsets of the start and end of an element, including the line break and the blanks before it."""
+        """
+        Return byte offsets of the start and end of an element, with the line break and white space before it.
+
+        An element that is not first on its line begins where it stands.
+        """
         before = len(self.data[: element.start].rstrip())
         return (before if b"\n" in self.data[before : element.start] else element.start), element.end
 
@@ -162,7 +179,11 @@ class SceneFile:
         return found
 
     def values(self, element: Element) -> dict[str, str]:
-        """Return the values of an element's properties, keyed by name; ``$name`` is replaced by its default."""
+        """
+        Return the values of an element's properties, keyed by name; ``$name`` is replaced by its default.
+
+        Raise `MistrayError` as `filled` does.
+        """
         return {
             child.values["name"]: filled(child.values["value"], self.defaults)
             for child in element.children
@@ -182,7 +203,11 @@ class SceneFile:
         return None
 
     def named(self, place: str) -> Element | None:
-        """Return the object whose values ``mi.traverse`` names by a place, such as ``L1_front.bsdf.particulate``."""
+        """
+        Return the object whose values ``mi.traverse`` names by a place, such as ``L1_front.bsdf.particulate``.
+
+        It is None if the file has no such object.
+        """
         first, *path = place.split(".")
         element = self.ids.get(first)
         for part in path:
@@ -257,7 +282,11 @@ class SceneFile:
         return (_ID.sub(b"", tag, count=1) + rest).replace(b"\n", b"\n" + deeper)
 
     def changed(self, edits: Iterable[Edit]) -> SceneFile:
-        """Return the file after edits, each a byte range and its new content; ranges must not overlap."""
+        """
+        Return the file after edits, each a byte range and its new content; ranges must not overlap.
+
+        Raise `MistrayError` if the result is not XML.
+        """
         data = self.data
         for start, end, new in sorted(edits, key=lambda edit: edit[:2], reverse=True):
             data = data[:start] + new + data[end:]
@@ -274,6 +303,11 @@ class SceneFile:
         folder : Path
             Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
             different one, the text gets a search path to it.
+
+        Raises
+        ------
+        MistrayError
+            If the result is not XML.
         """
         edits = list(edits)
         if folder.resolve() != self.path.resolve().parent and self._names_files():
@@ -297,7 +331,7 @@ def too_deep(path: Path, line: int, tag: str) -> MistrayError:
 
 
 def names_a_file(text: str, folder: Path) -> bool:
-    """True if a text is, or contains, the name of an existing file relative to a folder."""
+    """True if a string is, or contains, the name of an existing file relative to a folder."""
     words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
     # os.path.isfile, because that of Path raises for a text that is too long for a name, such as a list of layers
     return any(not os.path.isabs(word) and os.path.isfile(folder / word) for word in words)

@@ -86,7 +86,7 @@ def analysis(
 
 def _check_type(parameter: inspect.Parameter, value: Any, names: Mapping[str, Any]) -> None:
     """
-    Raise `MistrayError` if an argument of an analysis that is no request field has the wrong type.
+    Raise `MistrayError` if an argument of an analysis that is not a request field has the wrong type.
 
     `names` maps annotations to classes.
     """
@@ -137,7 +137,11 @@ def _docstring(doc: str, declared: list[Declared], signature: inspect.Signature)
 
 
 def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
-    """Return the annotation of a field as an argument, as text; it may be wider than the stored type."""
+    """
+    Return the type annotation, a string, of the argument that a field becomes.
+
+    It may be wider than the type of the field; with `optional`, or if the field's default is None, it allows None.
+    """
     demand = demand_of(field)
     kind = type_of(field.type).replace(" | None", "")
     if isinstance(demand, OfType) and demand.kind is str:
@@ -150,7 +154,11 @@ def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
 
 
 def range_text(demand: Demand | None) -> str:
-    """Return the allowed range of the numbers of a demand as text with its unit; empty without a lower limit."""
+    """
+    Return the allowed range of the numbers of a demand with its unit, such as "0 … 90 degrees".
+
+    It is empty if there is no range, no lower limit, or only the condition that numbers are positive.
+    """
     numbers = getattr(demand, "of", demand)
     if not isinstance(numbers, Range) or not math.isfinite(numbers.low) or numbers in (FINITE, POSITIVE):
         return ""

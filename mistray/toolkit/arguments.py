@@ -45,14 +45,18 @@ class Parser(argparse.ArgumentParser):
             self._later.pop(0)(self)
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
-        """Return the values of an action; refuse --option=--, for which argparse of 3.11 leaves an empty list."""
+        """
+        Return the values of an action; raise `ArgumentError` for --option=--.
+
+        For that argparse of Python 3.11 leaves an empty list.
+        """
         if action.option_strings and "--" in arg_strings:
             raise argparse.ArgumentError(action, "'--' is no value; give one, or leave the option out")
         return super()._get_values(action, arg_strings)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """
-        Return the namespace of parsed arguments and an empty list.
+        Return the namespace of parsed arguments, from `args` or the command line, and an empty list.
 
         Raise `MistrayError` for unrecognised arguments.
         """
@@ -98,7 +102,11 @@ class Angles:
         return "0:80:2" if 0 in self.within else "400:700:5"
 
     def __call__(self, text: str) -> list[float]:
-        """Parse one number or a range first:last:step with both ends; return the values in the unit of `within`."""
+        """
+        Parse one number or a range first:last:step with both ends; return the values in the unit of `within`.
+
+        Anything else, and a range that falls or has too many values, raises `ArgumentTypeError`.
+        """
         parts = text.split(":")
         if len(parts) == 1:
             return [self.within(text)]
@@ -130,7 +138,11 @@ class OrAlone(argparse.Action):
 
 
 def place(text: str) -> Path:
-    """Return a text as the path of a file or folder; an empty text, which would mean the current folder, is refused."""
+    """
+    Return the path of a file or folder that a string names.
+
+    An empty string, which would mean the current folder, raises `ArgumentTypeError`.
+    """
     if not text.strip():
         raise argparse.ArgumentTypeError(f"'{text}' names nothing; give a file or folder, . for the current folder")
     return Path(text)
@@ -149,9 +161,9 @@ class Pairs:
     Attributes
     ----------
     wrong : str
-        End of the message "'text' is …" for other texts: fault and remedy.
+        End of the message "'text' is …" for any other string: fault and remedy.
     kind : callable
-        Function that converts the text of the value.
+        Function that converts the string of the value.
     repeats : bool
         Whether a name may have several values.
     """
@@ -161,7 +173,11 @@ class Pairs:
     repeats: bool = False
 
     def __call__(self, text: str) -> tuple[str, Any]:
-        """Return the name and the value of a text of the command line."""
+        """
+        Return the name and the value of a word of the command line.
+
+        Raise `ArgumentTypeError` if it has none, or the value is not allowed.
+        """
         found = name_and_value(text)
         if found is None or not found[1]:
             raise argparse.ArgumentTypeError(f"'{text}' is {self.wrong}")

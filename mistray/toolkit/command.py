@@ -180,5 +180,9 @@ class AnalysisCommand(Command):
 
 
 def angles(name: str, help: str, within: Any = None) -> Option:
-    """Return an option that takes angles in degrees and ranges of them, all in one list."""
+    """
+    Return an option that takes angles in degrees and ranges of them, all in one list.
+
+    `within` is their allowed range; with a range in nm they are wavelengths instead.
+    """
     return Option(name, help, Angles(within) if within else Angles(), "DEG", "+")

@@ -88,7 +88,11 @@ class Keyword:
         return property_of(self.field, not self.required, self.options[0].of not in OF_SCENE)
 
     def parsed(self, value: Any) -> dict[str, Any]:
-        """Return the value as argparse would, by option; raise `MistrayError` if it fails its demand."""
+        """
+        Return the value as argparse would, by option; raise `MistrayError` if it fails its demand.
+
+        An empty string that is the default, and entries of an object that are None, give no option.
+        """
         if value == "" == self.field.default:
             return {}
         found = self.demand.check(self.name, value)
@@ -161,7 +165,7 @@ def _is_given(value: Any) -> bool:
 
 
 def keywords(command: Command) -> dict[str, Keyword]:
-    """Return the keys of the request of a command, in the order of its help."""
+    """Return the keys of the request of a command, in the order of its help, without those about request files."""
     found: dict[str, Keyword] = {}
     names = [option.dest for option in command.options]
     for option in command.options:
@@ -220,6 +224,7 @@ def take_request(command: Command, options: Any, path: Path) -> None:
     Parameters
     ----------
     command : Command
+        Command whose options are set.
     options : argparse.Namespace
         Parsed options, which are changed.
     path : Path
@@ -246,7 +251,11 @@ def take_request(command: Command, options: Any, path: Path) -> None:
 
 
 def _content(text: str, toml: bool) -> dict[str, Any]:
-    """Return the mapping in a JSON or TOML text, without the key ``$schema``."""
+    """
+    Return the mapping in the text of a TOML file if `toml`, else of a JSON file, without the key ``$schema``.
+
+    Of the JSON that a command has printed it is the request. Anything else raises `MistrayError`.
+    """
     try:
         content = tomllib.loads(text) if toml else json.loads(text, parse_constant=_refuse)
     except RecursionError:
@@ -265,7 +274,11 @@ def _refuse(name: str) -> NoReturn:
 
 
 def _nearest(wrong: str, known: Mapping[str, Keyword]) -> str:
-    """Return a suggestion for an unknown key: one of similar spelling, or that of the option with this name."""
+    """
+    Return a suggestion for an unknown key: one of similar spelling, or that of the option with this name.
+
+    For a key that belongs inside an object, it names that object; if nothing is similar, it lists all keys.
+    """
     word = wrong.lstrip("-").replace("-", "_")
     options = {option.dest: name for name, one in known.items() for option in one.options}
     inside = {option.of.name: name for name, one in known.items() for option in one.options if one.whole and option.of}

@@ -74,7 +74,12 @@ def _value_text(value: Any) -> str:
 
 
 def _metavar(demand: Any) -> Any:
-    """Return the placeholder of an option's value in the help text: its unit, NAME, or N for whole numbers."""
+    """
+    Return the placeholder of an option's value in the help text.
+
+    It is the unit of a number, or N for a whole and F for another number without unit; NAME, or NAME=…, for names; a
+    pair for an interval; else the word that the demand itself states, or WHAT.
+    """
     if isinstance(demand, Interval):
         return "LOW", "HIGH"
     if isinstance(demand, ByName):
@@ -162,7 +167,7 @@ def _object_of(nested: Nested, options: Mapping[str, Any]) -> Any:
     """
     Return the nested object whose fields are given as options.
 
-    The result is None if none is given. Raise `MistrayError` if some are missing.
+    The result is None if none is given. Raise `MistrayError` if some are missing or not allowed.
     """
     fields = dataclasses.fields(nested.kind)
     given = {field.name: value for field in fields if (value := options.get(field.name)) is not None}

@@ -26,6 +26,8 @@ class Nested(OfType):
 
     Attributes
     ----------
+    demand : str
+        Condition in words, from the name of `kind`.
     kind : type
         Dataclass of the object.
     one_of : tuple of str
@@ -42,7 +44,8 @@ class Nested(OfType):
         """
         Return the object, built from a mapping of its fields if necessary.
 
-        Raise `MistrayError` if it is of another type.
+        Raise `MistrayError` if it is of another type, or if the mapping has an unknown field or a value that is not
+        allowed.
         """
         return super().check(name, object_of(self.kind, value, f"{name}: ") if isinstance(value, Mapping) else value)
 
@@ -55,7 +58,7 @@ class Several(Demand):
     Attributes
     ----------
     of : Demand
-        Condition on each value; if it is callable, it converts a text of the command line to a value.
+        Condition on each value; if it is callable, it converts a word of the command line to a value.
     least : int
         Smallest number of values.
     """
@@ -65,7 +68,7 @@ class Several(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each value must meet, as words for messages."""
+        """Condition that each value must meet, in words for messages."""
         return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
@@ -104,7 +107,7 @@ class FieldSubset(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that the mapping must meet, as words for messages."""
+        """Condition that the mapping must meet, in words for messages."""
         return f"must be a mapping of fields of {self.kind.__name__}"
 
     @property
@@ -116,7 +119,7 @@ class FieldSubset(Demand):
         """
         Return the given values by name, without None.
 
-        Raise `MistrayError` for an unknown name or a value out of range.
+        Raise `MistrayError` for an unknown name, a value that is not allowed, or anything but a mapping.
         """
         OfType(Mapping, self.demand).check(name, value, owner)
         unknown = next((key for key in value if key not in self.names), None)
@@ -147,7 +150,7 @@ def field(
     demand : Demand
         Condition on the value, unless it is None.
     default
-        Default value; None: nothing is requested.
+        Default value; None: nothing is requested. That of a `FieldSubset` is always an empty mapping.
     doc : str
         One sentence with the unit, for `help()`, the help of the command and the docs.
     option : str
@@ -181,7 +184,11 @@ class Request:
 
     @classmethod
     def of(cls, **given: Any) -> Self:
-        """Create the request from keywords of its analysis function; raise `MistrayError` for an unknown one."""
+        """
+        Create the request from keywords of its analysis function.
+
+        Raise `MistrayError` for one that is unknown, missing or not allowed.
+        """
         return object_of(cls, given)
 
     @classmethod
@@ -223,7 +230,7 @@ def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
 
 
 def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
-    """Return the default of a request field; raise `MistrayError` if the field must be given."""
+    """Return the default of a request field, empty for a `FieldSubset`; raise `MistrayError` if it must be given."""
     if isinstance(demand_of(declared), FieldSubset):
         return {}
     if declared.default is dataclasses.MISSING:
@@ -250,7 +257,11 @@ def _plain(value: Any) -> Any:
 
 
 def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:
-    """Yield each field of a request that is a keyword of its own, with the `FieldSubset` that contains it, or None."""
+    """
+    Yield each field of a request that is a keyword of its own, with the `FieldSubset` that contains it.
+
+    With a field that no `FieldSubset` contains comes None.
+    """
     for declared in dataclasses.fields(request):
         part = demand_of(declared)
         if isinstance(part, FieldSubset):

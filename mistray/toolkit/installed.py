@@ -35,7 +35,7 @@ def analysis_commands() -> tuple[list[ModuleType], list[str]]:
 
 
 def modules_in(package: str) -> list[ModuleType]:
-    """Import and return all modules of a package."""
+    """Import and return all modules of a package; none if it is not installed."""
     return [importlib.import_module(name) for name, _ in _names_in(package)]
 
 

@@ -149,6 +149,11 @@ def log10_image(irradiance: Map, floor: float) -> npt.NDArray[np.float64]:
     floor : float
         Smallest irradiance shown, W/mm², > 0. Pixels below it are NaN, so that a plot leaves them empty.
 
+    Raises
+    ------
+    MistrayError
+        If the floor is not above 0.
+
     Examples
     --------
     >>> mistray.analysis.log10_image(np.array([[1e-3, 1e-9]]), floor=1e-6)
@@ -197,8 +202,8 @@ def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]
     Returns
     -------
     measured : float
-        Σ|E - E'| / Σ(E + E'), 0 … 1, E' being the mirrored map, over the pixels whose errors are known; NaN if there is
-        no light in them.
+        Σ|E - E'| / Σ(E + E'), 0 … 1, E' being the mirrored map, over the pixels whose errors are known. Both numbers
+        are NaN if there is no light in them.
     expected : float
         Value expected from the standard errors alone, for Gaussian noise: the mean of |N(0, s)| is s·sqrt(2/π).
 

@@ -35,7 +35,11 @@ def schema_of(kind: type) -> dict[str, Any]:
 
 
 def property_of(field: dataclasses.Field[Any], may_be_null: bool, has_default: bool = True) -> dict[str, Any]:
-    """Return the JSON schema of a field: its description, allowed values and default."""
+    """
+    Return the JSON schema of a field: its description, allowed values and default.
+
+    With `may_be_null`, or if the field may be None, null is allowed. Without `has_default` no default is stated.
+    """
     usual, kinds = field.default, _kinds(demand_of(field))
     if usual == "":
         kinds.append({"const": ""})

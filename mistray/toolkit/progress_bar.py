@@ -22,6 +22,11 @@ class ProgressBar:
     what : str
         Description of the work.
 
+    Raises
+    ------
+    MistrayError
+        If `what` is not a string.
+
     Examples
     --------
     >>> scene = mistray.load("cooke_triplet")
@@ -37,7 +42,12 @@ class ProgressBar:
         self._bar: Any = None
 
     def __call__(self, *state: Any) -> None:
-        """Move the bar to a state of progress, in any form that functions of mistray report."""
+        """
+        Move the bar to a state of progress, in any form that functions of mistray report.
+
+        The bar never moves back within a plan, and is closed at the end. Without a terminal or notebook, nothing is
+        shown.
+        """
         done, total = _share(state)
         if self._bar is None:
             self._bar = _bar(self._what)
@@ -64,7 +74,11 @@ class ProgressBar:
 
 
 def _share(state: tuple[Any, ...]) -> tuple[float, float]:
-    """Return the amount done and the total, from the progress of a trace (rays), a PST, or counted steps."""
+    """
+    Return the amount done and the total, from the progress of a trace (rays), a PST, or counted steps.
+
+    Of any other state nothing is done.
+    """
     last = state[-1] if state else 0.0
     if hasattr(last, "share_done"):
         return float(last.share_done), 1.0

@@ -41,7 +41,12 @@ class _Shown:
         return f"{field}_percent" if self.percent is True else field
 
     def value(self, row: Any, field: str, in_table: bool = False) -> Any:
-        """Return the value of a field as shown in a DataFrame or, if `in_table`, in a page's table."""
+        """
+        Return the value of a field as shown in a DataFrame or, if `in_table`, in a page's table.
+
+        A tuple is joined to text, and a fraction shown in percent is multiplied by 100. None is NaN in a DataFrame
+        where the field holds an `Estimate`.
+        """
         value = getattr(row, field)
         if value is None:
             return UNKNOWN if "Estimate" in self.kind and not in_table else None
@@ -66,8 +71,9 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
         ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
         ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``absent``,
         value that is shown as missing; ``percent``, whether a fraction is shown in percent: the column of "change" is
-        then "change_percent"; "shown" does so in tables of pages only; ``between``, separator of several texts. A table
-        shows a number with its standard error, which is an `Estimate` or stands in a column of its own, "power_se_W".
+        then "change_percent"; "shown" does so in tables of pages only; ``between``, separator of several strings. A
+        table shows a number with its standard error, which is an `Estimate` or stands in a column of its own,
+        "power_se_W".
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
 
@@ -128,7 +134,7 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
 
 
 def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
-    """Return rows as JSON-serialisable values by column, like `frame`; several texts are joined by blanks."""
+    """Return rows as JSON-serialisable values by column, like `frame`; several strings are joined by `between`."""
     declared = _declared(kind).items()
     return [flat({shown.name(name): shown.value(row, name) for name, shown in declared}) for row in rows]
 
@@ -150,7 +156,7 @@ def table(
     only : sequence of str
         Columns that are shown; all by default, an error with its value.
     **how
-        As for `Table`.
+        Further attributes of `Table`.
     """
     declared = _declared(kind)
     known = list(declared)
@@ -163,7 +169,7 @@ def table(
 
 
 def _head(name: str, shown: _Shown) -> Column:
-    """Return the heading of a column; columns of text are left-aligned."""
+    """Return the heading of a column; columns of text and of yes or no are left-aligned."""
     found = Column.of(shown.head) if shown.head else Column(*heading_of(shown.name(name)))
     return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool", "tuple[str, ...]") else "")
 

@@ -51,7 +51,11 @@ class _NotSaved(Exception):
 
 
 def save_result(result: Result, path: str | Path) -> Path:
-    """Write a result to a file, complete or not at all, see `mistray.result.Result.save`."""
+    """
+    Write a result to a file, complete or not at all, see `mistray.result.Result.save`.
+
+    If it holds an object that a file cannot, or the file cannot be written, it raises `MistrayError`.
+    """
     encoder = _Encoder()
     try:
         text = json.dumps({"form": FORM, "result": encoder.encoded(result)}, allow_nan=False)
@@ -76,7 +80,7 @@ def load_result(path: str | Path) -> Result:
     Parameters
     ----------
     path : str or Path
-        File of the result. To load it runs nothing of it. Scenes within it are read as `mistray.load` reads files.
+        File of the result. Loading it runs no code from it. Scenes within it are read as `mistray.load` reads files.
 
     Returns
     -------
@@ -86,7 +90,7 @@ def load_result(path: str | Path) -> Result:
     Raises
     ------
     MistrayError
-        If there is no such file, it is damaged or no result, or another version of mistray has written it.
+        If there is no such file, it is damaged or not a result, or another version of mistray has written it.
 
     Examples
     --------
@@ -138,7 +142,7 @@ class _Encoder:
     Attributes
     ----------
     arrays : list of ndarray
-        Arrays that the values of JSON refer to by number.
+        Arrays that the values of JSON refer to by index.
     """
 
     def __init__(self) -> None:
@@ -146,7 +150,7 @@ class _Encoder:
         self._known: dict[int, tuple[int, Any]] = {}  # numbers of objects by id, which the objects keep from reuse
 
     def encoded(self, value: Any) -> Any:
-        """Return a value in a JSON-serialisable form; raise `_NotSaved` for values that are no data."""
+        """Return a value in a JSON-serialisable form; raise `_NotSaved` for values that are not data."""
         inside = self.encoded
         match value:
             case Note():
@@ -188,7 +192,11 @@ class _Encoder:
         return self._object(value)
 
     def _object(self, value: Any) -> Any:
-        """Return an object of a class of its own in JSON form, or a reference to it if it was saved before."""
+        """
+        Return an object of a class of its own in JSON form, or a reference to it if it was saved before.
+
+        A class, a function, or an object that files cannot hold raises `_NotSaved`, with nothing kept of it.
+        """
         if id(value) in self._known:
             return {KIND: "known", "number": self._known[id(value)][0]}
         if isinstance(value, type) or inspect.isroutine(value):
@@ -217,7 +225,11 @@ class _Encoder:
         return {KIND: "maker", "of": _maker(value)} if inspect.isroutine(value) else self.encoded(value)
 
     def _state(self, value: Any) -> dict[str, Any]:
-        """Return the attributes of an object; fields that belong to the process become None where allowed."""
+        """
+        Return the attributes of an object in JSON form; fields that belong to the process become None where allowed.
+
+        Where they must not be None, it raises `_NotSaved`.
+        """
         kind = type(value)
         declared = {field.name: field for field in dataclasses.fields(value)} if dataclasses.is_dataclass(kind) else {}
         own = "__getstate__" in vars(kind) or not declared
@@ -303,7 +315,11 @@ class _Decoder:
         raise ValueError
 
     def _object(self, value: Any) -> Any:
-        """Return an instance of a class with its state, as copies are made: nothing is computed or checked."""
+        """
+        Return an instance of a class with its state, as copies are made: nothing is computed or checked.
+
+        Attributes that the class does not declare raise `ValueError`.
+        """
         kind = _class(value["of"])
         self._known[value["number"]] = made = object.__new__(kind)
         state = {name: self.decoded(item) for name, item in value["state"].items()}
@@ -327,7 +343,11 @@ def _is_own(kind: type) -> bool:
 
 
 def _is_part_of(kind: type, name: str) -> bool:
-    """True if a name is an attribute of a class that an instance's saved state must not override."""
+    """
+    True if a class has an attribute of a name that an instance's saved state must not override.
+
+    It is also True for any name with two leading underscores.
+    """
     own = inspect.getattr_static(kind, name, None)
     return name.startswith("__") or not isinstance(own, _PLAIN | functools.cached_property)
 
@@ -340,7 +360,11 @@ def _name(kind: type) -> str:
 
 
 def _class(name: str, base: type = object) -> Any:
-    """Return a class of mistray by module and name; raise `ValueError` for any other, or without the base."""
+    """
+    Return a class of mistray by module and name.
+
+    Raise `ValueError` for any other, or without the base, and what the import raises if there is no such one.
+    """
     found = _CLASS.fullmatch(name)
     kind: Any = getattr(importlib.import_module(found[1]), found[2]) if found else None
     if not isinstance(kind, type) or f"{kind.__module__}:{kind.__qualname__}" != name or not issubclass(kind, base):

@@ -84,7 +84,7 @@ FORCE = Option("--force", "replace existing files; never one that is read", bool
 
 
 def written(name: str, help: str, metavar: str = "FILE") -> Option:
-    """Return an option that names a file for the command to write."""
+    """Return an option that names a file for the command to write; `metavar` is the placeholder in the help."""
     return Option(name, help, Path, metavar, writes=())
 
 
@@ -92,7 +92,11 @@ PLOT = written("--plot", "write a picture: .png, .svg or .pdf")
 
 
 def saved_run(name: str, when: str = "") -> Group:
-    """Return the option --state for the file of a run that can be resumed; `name` is its usual file name."""
+    """
+    Return the options --state, for the file of a run that can be resumed, and --resume.
+
+    `name` is the usual name of the file; `when` is added to the heading of the group.
+    """
     state = Option(
         "--state", f"what is finished, renewed as the run goes on ({name} in --out)", Path, "FILE", writes=()
     )

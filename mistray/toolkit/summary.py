@@ -27,7 +27,11 @@ MOST_ROWS = 10  # of the table
 
 
 def one_line(result: Result) -> str:
-    """Return class, scene and key numbers of a result in one line; numbers that do not fit in are left out."""
+    """
+    Return class, scene and key numbers of a result in one line; numbers that do not fit in are left out.
+
+    If it is still too long, it is cut.
+    """
     name = " ".join(result.scene_name.split())
     parts = [name if len(name) <= MOST_OF_NAME else f"{name[: MOST_OF_NAME - 1]}…"] if name else []
     parts += [" ".join(_text(*pair).split()) for pair in result.key_numbers().items()]
@@ -42,7 +46,7 @@ def one_line(result: Result) -> str:
 
 
 def _text(name: str, value: KeyNumber) -> str:
-    """Return a key number as text with its name and unit, for the one-line summary of a result."""
+    """Return a key number with its name and unit, for the one-line summary of a result."""
     if isinstance(value, str):
         return f"{name}: {value}"
     if isinstance(value, int):
@@ -74,7 +78,7 @@ def html_summary(result: Result) -> str:
 
 
 def _parts(result: Result) -> Iterator[PagePart]:
-    """Yield key numbers, table and figure of a result as parts of an HTML summary."""
+    """Yield key numbers, first rows of the table, and figure of a result as parts of an HTML summary."""
     numbers = result.key_numbers()
     yield Terms([_pair(*pair) for pair in numbers.items()])
     found = main_table(result)
@@ -111,7 +115,11 @@ def has_figure(result: Result) -> bool:
 
 
 def main_figure(result: Result, title: str = "") -> Figure:
-    """Return the figure shown in the summary of a result."""
+    """
+    Return the figure shown in the summary of a result that has one, see `has_figure`, with the heading `title`.
+
+    The first of `figures` has its own heading.
+    """
     if "figure" in result.shown_by:
         drawn: Figure = _function(result, "figure")(result, title)
     else:
@@ -127,9 +135,9 @@ def _function(result: Result, what: str) -> Any:
 
 def plotted(result: Result, title: str = "") -> Axes | tuple[Axes, ...]:
     """
-    Draw the figure of a result with pyplot, and return the axes of its panels.
+    Draw the figure of a result with pyplot, under `title` or the name of its scene, and return the axes of its panels.
 
-    Raise `MistrayError` if it has none.
+    Several panels come as a tuple. Raise `MistrayError` if the result has no figure.
     """
     if not has_figure(result):
         raise MistrayError(f"{type(result).__name__} has no figure; use its numbers, see help({type(result).__name__})")

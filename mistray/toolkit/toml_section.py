@@ -57,7 +57,7 @@ class TomlSection:
         Raises
         ------
         MistrayError
-            If the file is missing or is not valid TOML.
+            If the source is of another type, or the file is missing or is not valid TOML.
         """
         if isinstance(source, Mapping):
             return cls(kind, "", source, Path())
@@ -99,7 +99,7 @@ class TomlSection:
         """
         Return the inner table at a key, empty if the key is missing.
 
-        Raise `MistrayError` if the value is no table.
+        Raise `MistrayError` if the value is not a table.
         """
         value = self.content.get(key, {})
         if not isinstance(value, Mapping):
@@ -110,7 +110,7 @@ class TomlSection:
         """
         Return the list of tables at a key, empty if the key is missing.
 
-        Raise `MistrayError` if it is no such list.
+        Raise `MistrayError` if it is not such a list.
         """
         value = self.content.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
@@ -118,7 +118,12 @@ class TomlSection:
         return [self.inner(f"{key}[{number}]", item) for number, item in enumerate(value, start=1)]
 
     def value(self, key: str, demand: Demand, default: Any = dataclasses.MISSING) -> Any:
-        """Return the checked value of a key; numbers become float unless whole. A key without default must be given."""
+        """
+        Return the checked value of a key; numbers become float unless whole.
+
+        If the key is missing it is the default; without one, or for a value that is not allowed, `MistrayError` is
+        raised.
+        """
         value = self.content.get(key)
         if value is None:
             if default is dataclasses.MISSING:
@@ -136,9 +141,14 @@ class TomlSection:
         kind : type
             Dataclass.
         read : mapping, optional
-            Fields that are known already. Without any, keys that are no fields are refused.
+            Fields that are known already. Without any, keys that are not fields are refused.
         **missing
             Values of fields whose keys are missing, where they are not the defaults.
+
+        Raises
+        ------
+        MistrayError
+            If a key is unknown or missing, or its value is not allowed.
         """
         if read is None:
             self.known(keys_of(kind))
@@ -153,7 +163,11 @@ class TomlSection:
             raise MistrayError(f"{self.title}: {self.place}{error}") from None
 
     def numbers(self, key: str, value: Any = None) -> tuple[float, ...]:
-        """Return a number or a list of numbers, all finite, as a tuple, from `value` or else from the key."""
+        """
+        Return a number or a list of numbers, all finite, as a tuple, from `value` or else from the key.
+
+        Anything else raises `MistrayError`.
+        """
         value = self.content.get(key) if value is None else value
         values = value if isinstance(value, list | tuple) else [value]
         if not values or any(isinstance(v, bool) or not isinstance(v, int | float) for v in values):
@@ -163,7 +177,7 @@ class TomlSection:
         return tuple(float(v) for v in values)
 
     def texts(self, key: str, form: str) -> tuple[str, ...]:
-        """Return the non-empty texts listed at a key; raise `MistrayError` for anything else, with remedy `form`."""
+        """Return the non-empty strings listed at a key; raise `MistrayError` for anything else, with remedy `form`."""
         value = self.content.get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
             raise self.fail(key, f"is {value!r}; give {form}")
@@ -173,7 +187,7 @@ class TomlSection:
         """
         Return the distinct numbers of a key, given as a number, a list, or start, stop and step.
 
-        All must lie `within` the range.
+        All must lie `within` the range. Anything else raises `MistrayError`.
         """
         value = self.content[key]
         if isinstance(value, Mapping):

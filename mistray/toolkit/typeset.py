@@ -26,7 +26,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def power_of_ten(exponent: int) -> str:
-    """Return a power of ten as text, "10⁻³"."""
+    """Return a power of ten as printed, such as "10⁻³"."""
     return f"10{str(exponent).translate(_RAISED)}"
 
 
@@ -52,7 +52,11 @@ def typeset_html(text: str) -> Markup:
 
 
 def value_and_error(text: str) -> tuple[str, str]:
-    """Return the value and the error, with its sign ±, of a number as `with_error` writes it, each as in print."""
+    """
+    Return the value and the error, with its sign ±, of a number as `with_error` writes it, each as in print.
+
+    The error is empty if there is none.
+    """
     pair = _PAIR.fullmatch(text)
     if pair is None:
         value, _, error = text.partition(" ± ")

@@ -62,13 +62,14 @@ class Branches:
     o, d, axis : (n, 3) float64
         Origins (mm), directions, and unit vectors across these to which the Stokes vectors refer.
     mean : (n,) float64
-        Flux by the means of s and p, in units of a start ray.
+        Flux by the mean of s and p, in units of a start ray.
     light : (n, 4) float64
         Stokes vectors I, Q, U, V in the same units.
     floor : (n,) float64
         Flux below which branches end, in units of a start ray.
     last, medium, reflections, ray : (n,) int
-        Surface and material that they come from, number of reflections that count, and number of the start ray.
+        Index of the surface that they come from (-1: none), index of their material, number of reflections that count,
+        and index of the start ray.
     scattered : (n,) bool
         Whether a surface has scattered them.
     codes : (n, k) int
@@ -144,7 +145,7 @@ class Arrivals:
     name: str = ""
 
     def plus(self, other: Arrivals) -> Arrivals:
-        """Return the flux of two paths at the detector, W, added up; the spread is the larger of the two."""
+        """Return two arrivals added up: flux, W, hits and residual; the spread is the larger of the two."""
         sums = {name: getattr(self, name) + getattr(other, name) for name in ("mean", "stokes", "residual", "hits")}
         return replace(self, **sums, spread=max(self.spread, other.spread))
 
@@ -155,23 +156,23 @@ class Arrivals:
 
     @property
     def change(self) -> float:
-        """Change of the absorbed flux, as a fraction, if Stokes vectors replace the mean of s and p."""
+        """Change of the absorbed flux, as a fraction, if Stokes vectors replace the mean of s and p; 0 without flux."""
         return self.stokes / self.mean - 1 if self.mean > 0 else 0.0
 
     @property
     def error(self) -> float:
-        """Standard error of `change` (a fraction), estimated from the branches."""
+        """Standard error of `change` (a fraction), estimated from the branches; 0 without flux."""
         return math.sqrt(self.residual) / self.mean if self.mean > 0 else 0.0
 
     @property
     def words(self) -> str:
-        """Text for messages: path name and change of its flux in percent, with the error where it matters."""
+        """Phrase for messages: path name and change of its flux in percent, with a standard error that is visible."""
         shown = self.error > ROUNDED * abs(self.change)
         return f"{self.name} by {100 * self.change:+.3g}{f' ± {100 * self.error:.1g}' if shown else ''} %"
 
 
 def started(run: Run, rays: int) -> tuple[Branches, float]:
-    """Return start rays of a run as `Branches`, and the flux of each, W."""
+    """Return start rays of a run as `Branches`, and the flux, W, of a start ray of weight 1."""
     pilot = replace(run, rays=run.source.count(rays), seed=SEED, parts=None)
     start = pilot.start_pass(0)
     if (given := dr.width(start.lane)) > 2 * rays:  # a source may have rays of its own
@@ -298,7 +299,11 @@ class _Tree:
                 break
 
     def scatter(self) -> Branches:
-        """Return scattered rays from recorded hits, drawn in proportion to scattered flux; empty the list of hits."""
+        """
+        Return scattered rays from recorded hits, drawn in proportion to scattered flux; empty the list of hits.
+
+        There are no rays if no flux is scattered.
+        """
         flux = np.concatenate([lit.flux for lit in self.dim])
         lit, self.dim = self.dim, []
         edges = np.cumsum(np.maximum(flux, 0))
@@ -318,7 +323,11 @@ class _Tree:
         return Branches.together(found)
 
     def _step(self, b: Branches) -> Branches:
-        """Return the specular children of branches at their next surface; record hits of detectors and scatterers."""
+        """
+        Return the specular children of branches at their next surface; record hits of detectors and scatterers.
+
+        Branches that leave the scene end.
+        """
         table, optics = self._table, self._table.optics
         # Intersect
         surface, p, normal = first_hit(table, b.o, b.d, b.last)
@@ -399,7 +408,12 @@ class _Tree:
         normal: Floats,
         sent: dict[str, tuple[Floats, Floats]],
     ) -> None:
-        """Record branches that meet scattering surfaces; `sent` maps events to R or T and children's Stokes vectors."""
+        """
+        Record branches that meet scattering surfaces, unless they were scattered before.
+
+        `sent` maps an event to R or T for s and p, (n, 2), and to the children's Stokes vectors. Events that the
+        settings do not allow are left out.
+        """
         for (number, side, event), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side) & ~b.scattered)
             reflects = event == "reflection"
@@ -412,7 +426,7 @@ class _Tree:
             self.dim.append(_Lit(case, b.take(here), outward, X[here].mean(axis=1), own))
 
     def _rays(self, lit: _Lit, chosen: Whole, weight: Floats) -> Branches:
-        """Return one scattered ray for each chosen hit, aimed at a target if there is one, else Lambertian."""
+        """Return one scattered ray for each chosen hit, aimed at a flat target if there is one, else Lambertian."""
         case, b, outward = lit.case, lit.branches.take(chosen), lit.outward[chosen]
         to_back = case.from_front == (case.event == "transmission")
         d, per_sr = self._directions(b.o, outward, self._aims.get((case.surface, to_back)))
@@ -446,7 +460,11 @@ class _Tree:
         )
 
     def _directions(self, o: Floats, outward: Floats, aim: AimSet | None) -> tuple[Floats, Floats]:
-        """Return sampled scattered rays at origins (mm), with outward normals: directions, (n, 3), pdf, (n,), 1/sr."""
+        """
+        Return directions, (n, 3), of scattered rays from origins o (mm), and their pdf, (n,), 1/sr.
+
+        They go to points on the flat targets of `aim`; without such targets they are Lambertian about `outward`.
+        """
         flat = [target for target in aim.targets if isinstance(target, Target)] if aim is not None else []
         if not flat:
             d = lambertian_directions(outward, self._rng)
@@ -505,7 +523,11 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _turned(b: Branches, normal: Floats) -> Branches:
-    """Return branches whose Stokes vectors refer to axes normal to the plane of incidence."""
+    """
+    Return branches whose Stokes vectors refer to axes normal to the plane of incidence.
+
+    At normal incidence, where there is no such plane, they keep their axes.
+    """
     s = _cross(b.d, normal)
     size = np.sqrt(np.einsum("ij,ij->i", s, s))[:, None]
     s = np.where(size**2 > NORMAL_INCIDENCE, s / np.maximum(size, 1e-30), b.axis)
@@ -528,7 +550,7 @@ def _child(light: Floats, X: Floats) -> Floats:
 
 
 class _Coatings:
-    """R and T for s and p light of every surface, by Fresnel's equations or tables over the angle of incidence."""
+    """R and T for s and p light of every surface: ideal values, Fresnel's equations, or tables over the angle."""
 
     def __init__(self, optics: Optics) -> None:
         self._indices = optics.host_indices
@@ -556,7 +578,7 @@ class _Coatings:
         Parameters
         ----------
         surface, from_front, opaque : (n,)
-            Numbers of the surfaces, whether the light comes from the front, and whether it ends behind.
+            Indices of the surfaces, whether the light comes from the front, and whether the surface is opaque.
         cos_i, eta : (n,) float64
             Cosine of the angle of incidence, and ratio of the indices n_i/n_t.
 
@@ -564,7 +586,7 @@ class _Coatings:
         -------
         reflection, transmission : (n, 4) float64
             R, or T, for s and for p, and real and imaginary part of the product of the amplitude of s with the
-            conjugate amplitude of p.
+            conjugate amplitude of p. Transmission is 0 in total reflection and at opaque surfaces.
         """
         kind, (front, back, R, T) = self._kind[surface], self._indices[surface].T
         sin2_t = eta**2 * (1 - cos_i**2)

@@ -31,9 +31,9 @@ def check_paths(scene: mi.Scene | None, selections: Iterable[str], of_rays: bool
     scene : mi.Scene or None
         Scene of the paths; None: the filters are only parsed.
     selections : iterable of str
-        Texts of the filters.
+        Filter expressions, path names or kinds.
     of_rays : bool
-        Whether they may also compare columns that only a ray has.
+        Whether filters may also compare columns that only a ray has.
 
     Raises
     ------

@@ -41,7 +41,13 @@ COLUMNS = ("wavelength_nm", "source", "type", "surface", "detector", *OF_EVENTS)
 def rays_elsewhere(
     runs: Sequence[Run], where: str | Sequence[str], requested: PathFilter, n: int | None, events: bool
 ) -> pd.DataFrame:
-    """Return a table of rays that arrive at surfaces or leave the scene, see `mistray.trace.Trace.rays_at`."""
+    """
+    Return a table of rays that arrive at surfaces or leave the scene, one row for each ray.
+
+    With `events` it has a row for each node of each ray. `n` is the most rays that are returned, spread over the beam;
+    None: all. Columns and units are those of `RayHistory.to_pandas` (mm, W), with source, kind and key; see
+    `mistray.trace.Trace.rays_at`. An `n` below 1 raises `MistrayError`.
+    """
     if n is not None and n < 1:
         raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
     words = [where] if isinstance(where, str) else list(where)
@@ -64,7 +70,12 @@ def rays_elsewhere(
 
 
 def _ends(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the last node of each ray of a node table, with the unit direction in which the ray arrives there."""
+    """
+    Return the last node of each ray of a node table, with the unit direction of the ray there.
+
+    It is the direction of arrival, or of departure where a ray leaves the scene. The column history lists the events of
+    the ray.
+    """
     last = table.groupby("ray").tail(1).reset_index(drop=True)
     before = table[table.node == table.groupby("ray").node.transform("max") - 1].reset_index(drop=True)
     # A ray that ends on a surface has no direction after its last node
@@ -77,7 +88,12 @@ def _ends(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) -> list[Ray]:
-    """Return at least `n` rays of a run that reach named places and pass the filter, by tracing more and more rays."""
+    """
+    Return rays of a run that reach named places and pass the filter, by tracing more and more start rays.
+
+    It stops once there are `n` of them; if `n` is None or the run has fewer, all are returned. Raise `MistrayError` for
+    places that do not go together.
+    """
     check_where(words)
     departs = any(word in (ESCAPED, RETURNED) for word in words)
     chosen = np.zeros(run.table.count, dtype=bool) if departs else _chosen(run, words)
@@ -100,7 +116,11 @@ def check_where(words: Sequence[str]) -> list[str]:
 
 
 def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
-    """Return a mask of the surfaces that words name, (s,) bool: ids, parts, patterns or `BLOCKED`."""
+    """
+    Return a mask of the surfaces that words name, (s,) bool: ids, parts, patterns or `BLOCKED`.
+
+    `BLOCKED` stands for all opaque surfaces but detectors. A word that names nothing raises `MistrayError`.
+    """
     ids, parts = run.table.ids, run.table.parts
     chosen = np.zeros(len(ids), dtype=bool)
     for word in words:
@@ -114,7 +134,12 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
 
 
 def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilter) -> list[Ray]:
-    """Return the rays among the first `count` recorded branches that pass the filter."""
+    """
+    Return the rays among the first `count` recorded branches that pass the filter.
+
+    If the recorder holds rays that leave the scene, their last direction and flux are those after the last hit. Raise
+    as `passing` does.
+    """
     slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
     slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
     rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
@@ -144,6 +169,13 @@ def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFil
     -------
     list of dict
         Maps by the ids of their surfaces, for each filter.
+
+    Raises
+    ------
+    MistrayError
+        If a filter compares a column that only light on a detector has.
+    UnfinishedError
+        If the time is up before all rays are traced.
     """
     for requested in filters:
         check_columns(requested)
@@ -155,7 +187,11 @@ def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFil
 
 
 def _flux_of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[Sampled]:
-    """Return the flux that each filter selects in every cell of the maps, with its noise, W, (cells,) each."""
+    """
+    Return the flux that each filter selects in every cell of the maps, with its noise, W, (cells,) each.
+
+    Incident flux comes first, then absorbed flux. If the time is up before, it raises `UnfinishedError`.
+    """
     maps.attach(run.scene)
     sums = np.zeros((len(filters), maps.groups, maps.cells))
     recorder = CellRecorder(MAP_CAPACITY, run.settings.max_events, maps=maps)
@@ -195,7 +231,11 @@ def check_columns(requested: PathFilter) -> None:
 
 
 def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, count: int) -> np.ndarray:
-    """Return masks of the first `count` branches of a recorder that each filter selects, (filters, count) bool."""
+    """
+    Return masks of the first `count` branches of a recorder that each filter selects, (filters, count) bool.
+
+    Raise `MistrayError` for a filter about a column that only light on the detector has.
+    """
     # Branches of one path have the same answer
     for requested in filters:
         check_columns(requested)

@@ -85,7 +85,7 @@ class Energy(Result, table="..toolkit.tables.traces:energy_table", figure="..too
 
     @property
     def greatest_loss(self) -> str:
-        """Name of the largest loss of flux and its percentage of the launched flux, as text: ``'stop' takes 93 %``."""
+        """Name of the largest loss of flux, with its percentage of the launched flux, such as ``'stop' takes 93 %``."""
         losses = {f"'{name}' takes": value for name, (value, _) in self.absorbed.items()}
         losses |= {f"{name} absorbs": value for name, (value, _) in self.absorbed_in.items()}
         losses |= {"the outside gets": self.escaped_W} | {f"{reason} cuts": value for reason, value in self.cut.items()}

@@ -45,7 +45,7 @@ class Rows:
     surfaces : int
         Number of places that are surfaces; the others are media.
     sources : sequence of str
-        Ids of all sources of the scene; empty: any text may be one.
+        Ids of all sources of the scene; empty: any string may be one.
     """
 
     events: Events
@@ -56,7 +56,7 @@ class Rows:
     sources: Sequence[str] = ()
 
     def texts_of(self, column: str) -> Sequence[str]:
-        """Return the texts that can occur in a column; empty if any text can."""
+        """Return the strings that can occur in a column; empty if any string can."""
         if column in SURFACE_COLUMNS:
             return [*self.events.ids, "-"]
         return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.events.ids}.get(column, ())
@@ -88,7 +88,7 @@ def unknown_name(name: str, ids: Sequence[str], parts: Sequence[str]) -> str:
 
 
 def like_pattern(name: str) -> Callable[[str], bool]:
-    """Return a function that tests whether a text matches `name`, where * stands for any text, ? for a character."""
+    """Return a function that tests whether a string matches `name`, where * stands for any text, ? for a character."""
     # Not `fnmatch`, in which square brackets would be classes of letters
     pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
     return lambda text: pattern.fullmatch(text) is not None

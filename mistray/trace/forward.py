@@ -104,11 +104,12 @@ def trace(
     max_generations, max_events, max_consecutive, max_segments
         Limits of a path and of a tree, see `mistray.trace.Settings`.
     scatter_rays, aimed_rays, aim
-        Numbers of scattered rays at every hit, and their targets, see there.
+        Numbers of scattered rays at every hit, and their targets, see `mistray.trace.Settings`.
     flux_threshold, cut_below, cut_below_W, scatter_threshold, below_threshold
-        Thresholds below which branches end or play Russian roulette, see there.
+        Thresholds below which branches end or play Russian roulette, see `mistray.trace.Settings`.
     splitting, seed, ray_control, polarization
-        See there; `polarization` may be a `mistray.trace.PolarizationChoice` that was made before.
+        Splitting of rays, seed of the random numbers, allowed events and treatment of polarisation, see
+        `mistray.trace.Settings`; `polarization` may be a `mistray.trace.PolarizationChoice` that was made before.
     detector : str or sequence of str
         Ids of the detectors, by default all of the scene; light on the others is absorbed. `Trace.on` returns the
         result of one of several detectors.
@@ -137,6 +138,11 @@ def trace(
         same name, or the beam misses every surface.
     Interrupted
         On Ctrl-C, after rays of every source and wavelength were traced: ``partial`` is a `Trace` of them.
+    KeyboardInterrupt
+        On Ctrl-C before that.
+    UnfinishedError
+        If workers end before all rays are traced; ``partial`` is a `Trace` of those that are, or None if they are too
+        few.
 
     Examples
     --------
@@ -200,9 +206,10 @@ def _traced(
     result: Callable[..., Trace],
 ) -> Trace:
     """
-    Return the runs traced in this process or on workers.
+    Return the result of the runs, traced in this process or on workers.
 
-    If interrupted, keep the finished part as a partial `result`.
+    An interrupt here raises `Interrupted` with a partial result, or KeyboardInterrupt without one. Workers that do not
+    finish raise `UnfinishedError`, with a partial result if there is one. With workers, recorders raise `MistrayError`.
     """
     workers = current_workers()
     if workers is None:
@@ -244,7 +251,7 @@ def _spectral_choices(
     runs_of: Callable[[Settings, Light], list[Run]],
 ) -> tuple[Light, WavelengthChoice | None, PolarizationChoice]:
     """
-    Resolve "auto" for wavelengths and polarisation.
+    Resolve "auto" for polarisation, and choose wavelengths if the time is `limited`.
 
     Return the light to trace, the choice of its wavelengths (None if all are traced), and the polarisation.
     """
@@ -260,12 +267,20 @@ def _spectral_choices(
 
 
 def _timed(scene: mi.Scene, settings: Settings, light: Light, rays: int, **lines: Any) -> None:
-    """Trace `rays` start rays and discard the result, so that the caller can time a trace at the given wavelengths."""
+    """
+    Trace `rays` start rays and discard the result, so that the caller can time a trace at the given wavelengths.
+
+    Raise as `trace` does.
+    """
     _execute(prepare(scene, replace(settings, rays=rays), replace(light, **lines)), True, None, ())
 
 
 def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> float | None:
-    """Return the field angle, degrees, given as angle or as image height `field_mm`; None keeps that of sources."""
+    """
+    Return the field angle, degrees, given as an angle or as the object height `field_mm`, mm; None: that of the source.
+
+    Both at once raise `MistrayError`.
+    """
     if field_mm is None:
         return field_deg
     if field_deg is not None:
@@ -300,9 +315,10 @@ def _execute(
     recorders: Sequence[Recorder],
 ) -> list[Run]:
     """
-    Trace runs in this process one by one and return those traced.
+    Trace runs in this process one by one and return those traced, with their paths if `ledger`.
 
-    Stop at a run without hits or at an interrupt; a run cut short is scaled to its full flux.
+    Stop at an interrupt; a run cut short is scaled to its full flux. An emitter whose rays all miss the scene raises
+    `MistrayError`.
     """
     planned = sum(run.rays for run in runs)
     forecast = Forecast(planned, not is_limited())
@@ -328,9 +344,9 @@ def _execute(
 
 def _check_budget(runs: Sequence[Run]) -> None:
     """
-    Raise `MistrayError` for a time limit on grid start rays of several passes.
+    Raise `MistrayError` if a time limit is set and start rays on a grid take several passes.
 
-    The first rows of a grid are no fair sample.
+    The first rows of a grid are not a fair sample.
     """
     for run in runs:
         # A grid comes row by row if it takes several passes
@@ -359,7 +375,11 @@ def _require_hits(runs: Sequence[Run]) -> None:
 
 
 def _keep(planned_runs: Sequence[Run], runs: list[Run], result: Callable[[list[Run]], Trace]) -> NoReturn:
-    """Raise `Interrupted` with the result of the rays traced so far, or KeyboardInterrupt if they are no sample."""
+    """
+    Raise `Interrupted` with the result of the rays traced so far.
+
+    If they are not a fair sample of all light, raise KeyboardInterrupt.
+    """
     if len(runs) < len(planned_runs) or not all(run.is_sample for run in runs):
         raise KeyboardInterrupt
     # Reading the ledger would take too long after an interrupt: more than `MOST_PATHS_KEPT` paths are left out
@@ -372,7 +392,11 @@ def _keep(planned_runs: Sequence[Run], runs: list[Run], result: Callable[[list[R
 
 
 def _explain(error: UnfinishedError, result: Callable[[list[Run]], Trace]) -> None:
-    """Replace the runs in `error.partial` by a `Trace` of them if their rays are a fair sample of all light."""
+    """
+    Replace the runs in `error.partial` by a `Trace` of them, or by None.
+
+    It is None if their rays are too few for a fair sample of all light; the message says which.
+    """
     runs, error.partial = error.partial, None
     planned = sum(run.rays for run in runs)
     if not all(run.is_sample for run in runs):
@@ -390,7 +414,11 @@ def _result(
     ledger: bool,
     task: SceneTask | None,
 ) -> Trace:
-    """Return the `Trace` of finished runs, with all settings needed to repeat it."""
+    """
+    Return the `Trace` of finished runs, with all settings needed to repeat it.
+
+    `ledger` says whether they hold paths. If they are dark at the sources' own field, a note says where the light went.
+    """
     emitter = source_emitters(scene)[0]
     # Everything that determines the result, so that it can be repeated
     wavelengths = sorted({run.source.wavelength_nm for run in runs})

@@ -36,17 +36,19 @@ class Ray(NamedTuple):
     Attributes
     ----------
     start_ray : int
-        Number of the start ray of which it is a branch.
+        Index of the start ray of which it is a branch.
     codes : (k,) uint32
         Events, see `mistray.events`.
     points : (k + 1, 3) float64
         Start and all hits, mm.
     directions : (k + 1, 3) float64
-        Unit direction in which the ray leaves each point; zero at the detector.
+        Unit direction in which the ray leaves each point; zero at the last point, unless the ray leaves the scene from
+        there.
     opl_mm : (k + 1,) float64
         Optical path length from the start, mm.
     flux_W : (k + 1,) float64
-        Flux with which the ray arrives at each point, W.
+        Flux with which the ray arrives at each point, W. For a ray that leaves the scene the last entry is the flux
+        after the last hit.
     """
 
     start_ray: int
@@ -104,7 +106,8 @@ class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..t
 
         Columns: ray, node, start_ray, intercept (Emitted, SpecTran, SpecRefl, TIR, RandTran, RandRefl, ImpTran,
         ImpRefl, Absorbed), object, surface, wavelength_nm, x_mm, y_mm, z_mm, flux_W (arriving), opl_mm (from the
-        start), dx, dy, dz (leaving).
+        start), dx, dy, dz (leaving, unit vector). At the last node of a ray that leaves the scene flux_W is that after
+        the hit.
         """
         import pandas as pd
 
@@ -144,7 +147,11 @@ def spread(count: int, most: int | None) -> np.ndarray:
 
 
 def path_history(table: PathTable, path_id: int, most: int) -> RayHistory:
-    """Return up to `most` rays of a path, spread over the beam, with hit points recomputed in float64, mm."""
+    """
+    Return up to `most` rays of a path, spread over the beam, with hit points recomputed in float64, mm.
+
+    `path_id` is that of the table. Raise `MistrayError` if there is no such path, or if `most` is below 1.
+    """
     if most < 1:
         raise MistrayError(f"n is {most}; ask for at least one ray")
     (own,) = (own for own in table.located([path_id]) if len(own.ids))
@@ -184,7 +191,7 @@ def rays_in_slots(
 
 class Bundle(NamedTuple):
     """
-    Recorded rays with equal events: start ray numbers, (n,), and the attributes of `Ray` for each.
+    Recorded rays with equal events: their indices among the requested slots, (n,), and the attributes of `Ray`.
 
     All but `codes` have a row per ray.
     """
@@ -197,7 +204,7 @@ class Bundle(NamedTuple):
     flux_W: np.ndarray
 
     def ray(self, row: int, start_ray: int) -> Ray:
-        """Return the ray in one row of the arrays as a `Ray`; `start_ray` is the number of its start ray."""
+        """Return the ray in one row of the arrays as a `Ray`; `start_ray` is the index of its start ray."""
         return Ray(start_ray, self.codes, *(values[row] for values in self[2:]))
 
 
@@ -221,7 +228,11 @@ def bundles(
 
 
 def sample_rays(table: PathTable, path_ids: Sequence[int], most: int) -> dict[int, list[Ray]]:
-    """Return at most `most` rays of each path by its id, from a sample of the start rays spread over the beam."""
+    """
+    Return at most `most` rays of each path by its id, from a sample of the start rays spread over the beam.
+
+    A path has fewer, or none, if the sample or the time ends before. Raise `MistrayError` for an unknown id.
+    """
     found: dict[int, list[Ray]] = {}
     for own in table.located(dict.fromkeys(path_ids)):
         found |= _sample_of_run(own, most) if len(own.ids) else {}
@@ -229,7 +240,11 @@ def sample_rays(table: PathTable, path_ids: Sequence[int], most: int) -> dict[in
 
 
 def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
-    """Return at most `most` rays of each path of a run, by `path_id`, from a sample of its start rays."""
+    """
+    Return at most `most` rays of each path of a run, by `path_id`, from a sample of its start rays.
+
+    A path has fewer, or none, if the sample or the time ends before.
+    """
     run = own.run
     found: dict[int, list[Ray]] = {path_id: [] for path_id in own.ids.tolist()}
     # Start rays are numbered along a curve through the beam, once for each batch: equal steps would meet the same place

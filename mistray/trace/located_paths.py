@@ -39,6 +39,6 @@ class LocatedPaths(NamedTuple):
         return Events.of(self.run.table, self.run.design, paths.events[self.places], paths.lengths[self.places])
 
     def ids_of(self, keys: np.ndarray) -> np.ndarray:
-        """Return the `path_id` for each of the path keys, (n,) uint64."""
+        """Return the `path_id` for each of some keys, (n,) uint64, which must be among those of the paths."""
         order = np.argsort(self.keys)
         return self.ids[order][np.searchsorted(self.keys[order], keys)]

@@ -69,13 +69,13 @@ class Whole:
 
 @dataclass(frozen=True)
 class Named:
-    """Filter that selects the paths whose name, as printed in tables and reports, matches a text."""
+    """Filter that selects the paths whose name, as printed in tables and reports, matches a string."""
 
     text: str
     columns: ClassVar = frozenset({"label", "detector", "kind"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return masks of the table rows whose path has this name."""
+        """Return masks of the table rows whose path has this name; raise `UnknownError` as `check` does."""
         self.check(rows)
         fits = like_pattern(_typed_alike(self.text))
         labels = _way_labels(rows)
@@ -110,9 +110,9 @@ class Named:
 
 def read_name(text: str) -> Kind | Whole | Named | None:
     """
-    Parse a text that is a kind, an event list or a path name into its filter.
+    Parse a string that is a kind, an event list or a path name into its filter.
 
-    None for other text, such as an expression.
+    The result is None for any other string, such as an expression.
     """
     text = text.strip()
     if text in KINDS:
@@ -129,7 +129,7 @@ def read_events(text: str) -> Whole | Named | None:
     """
     Parse a list of events: one exact path if it ends at a detector, else all paths of that name.
 
-    The result is None for other text.
+    The result is None for any other string.
     """
     text = text.strip()
     if not (":" in text and all(_EVENT.fullmatch(word) for word in _name_words(text))):
@@ -139,7 +139,7 @@ def read_events(text: str) -> Whole | Named | None:
 
 def warn_unless_one(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
     """
-    Warn if a path name matches several paths or none.
+    Warn if a path name matches several paths, or none of those that a trace has.
 
     `rows` are all paths of a trace, `held` the masks of those matched.
     """
@@ -162,7 +162,7 @@ def warn_unless_one(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray])
 
 
 def _typed_alike(text: str) -> str:
-    """Return a path name with ``->`` replaced by the printed arrow and with single blanks."""
+    """Return a path name with ``->`` replaced by the printed arrow and with single spaces."""
     return _ARROW.sub(ARROW, " ".join(text.split()))
 
 

@@ -27,7 +27,7 @@ KEPT_APART = ("kind", "order", "scatters", "diffractions", "structure_bounces", 
 
 def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[str]:
     """
-    Return the name under which each surface and medium is reported, an alias or its id, in order of their numbers.
+    Return the name under which each surface and medium is reported, an alias or its id, in order of their indices.
 
     Parameters
     ----------
@@ -103,7 +103,11 @@ def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.
 
 
 def _short(events: Sequence[int]) -> list[int]:
-    """Return event codes without transmissions beside another event at the same place; of several, the first stays."""
+    """
+    Return event codes without transmissions next to another event at the same place.
+
+    If a place has nothing but transmissions, the first stays.
+    """
     kept: list[int] = []
     for _, same in groupby(events, place_of):
         run = list(same)

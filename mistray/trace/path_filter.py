@@ -19,12 +19,12 @@ L(x)   meets x last before the detector
 ====== =============================================================================================================
 
 ``H(barrel) >= 2`` counts events. ``name operator value`` compares a column of the table, with ``= != < <= > >=``; text
-needs quotation marks if it is more than a word, and may have ``*`` and ``?``: ``kind = "single scatter"``. A text in
+needs quotation marks if it is more than a word, and may have ``*`` and ``?``: ``kind = "single scatter"``. A string in
 quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``. Or it is
 the name of a path or of a kind of paths in a report: ``"S22 -> S8" & power_W > 1e-9``. A filter that is nothing else
 needs no quotation marks, see `mistray.trace.named_paths`.
 
-A name with brackets or commas needs quotation marks of either kind: ``H("lens (1)")``. In a path a name with blanks
+A name with brackets or commas needs quotation marks of either kind: ``H("lens (1)")``. In a path a name with spaces
 stands in marks of the other kind: ``"detector:R 'window rear':R"``. For a name that holds both kinds write ``?`` for
 such a mark.
 
@@ -70,24 +70,24 @@ _TOKEN = re.compile(
 
 class PathFilter:
     """
-    Filter of paths and rays, parsed from a text; `mistray.trace.path_filter` describes the language.
+    Filter of paths and rays, parsed from an expression; `mistray.trace.path_filter` describes the language.
 
     Parameters
     ----------
     text : str
-        Text of the filter; empty: everything holds.
+        Filter expression; empty: everything holds.
 
     Attributes
     ----------
     columns : frozenset of str
         Names of the columns that the filter compares.
     name : str
-        Text of the filter if all of it is the name of a path; else empty.
+        Filter expression if all of it is the name of a path; else empty.
 
     Raises
     ------
     MistrayError
-        If the text is not in the language.
+        If the expression is not in the language.
     """
 
     def __init__(self, text: str) -> None:
@@ -102,7 +102,7 @@ class PathFilter:
     @classmethod
     def in_order(cls, words: Sequence[str]) -> PathFilter:
         """
-        Return a filter for light that meets these surfaces in this order.
+        Return a filter for light that meets these surfaces in this order, perhaps with others between.
 
         Each may end in an event letter, as ``lens:R``.
         """
@@ -122,7 +122,7 @@ class PathFilter:
             raise MistrayError(f"filter '{self.text}': {error}") from None
 
     def holds(self, rows: Rows) -> np.ndarray:
-        """Return a mask of the rows where the filter holds for every ray, (n,) bool."""
+        """Return a mask of the rows where the filter holds for every ray, (n,) bool; raise as `bounds` does."""
         return self.bounds(rows).certain
 
     def __repr__(self) -> str:
@@ -264,14 +264,25 @@ _Term = _Not | _Join | _Flag | _Compare | _Sequence | Kind | Whole | Named
 
 
 class _Parser:
-    """Recursive-descent parser that turns the text of a path filter into its terms."""
+    """
+    Recursive-descent parser that turns the text of a path filter into its terms.
+
+    Attributes
+    ----------
+    columns : set of str
+        Names of the columns that the text compares, as far as it is parsed.
+    """
 
     def __init__(self, text: str) -> None:
         self._text, self._at, self._depth = text, 0, 0
         self.columns: set[str] = set()
 
     def filter(self) -> _Term:
-        """Parse the whole text into a filter; a bare event list is accepted where it cannot be an expression."""
+        """
+        Parse the whole expression into a filter; a bare event list is accepted where it cannot be an expression.
+
+        Empty text gives a filter that everything passes, and text outside the language raises `MistrayError`.
+        """
         if not self._text.strip():
             return _Sequence(())  # everything holds
         try:
@@ -351,7 +362,11 @@ class _Parser:
         return _Compare(word, *compared)
 
     def _name(self, letter: str) -> str | None:
-        """Return the surface name in brackets after a flag letter; None if there are no brackets."""
+        """
+        Return the surface name in brackets after a flag letter; None if there are no brackets.
+
+        Brackets without a name raise `MistrayError`.
+        """
         if not self._take("("):
             return None
         rest = self._text[self._at :].lstrip()
@@ -382,7 +397,11 @@ class _Parser:
         return found["compare"], value["word"] or value["text"][1:-1]
 
     def _look(self) -> re.Match[str] | None:
-        """Return the next token of the filter text without consuming it; None at the end."""
+        """
+        Return the next token of the filter text without consuming it; None at the end.
+
+        A sign that means nothing in a filter raises `MistrayError`.
+        """
         if not self._text[self._at :].strip():
             return None
         found = _TOKEN.match(self._text, self._at)
@@ -406,5 +425,5 @@ class _Parser:
 
 
 def _short(text: str) -> str:
-    """Return a text cut to `MOST_SHOWN` characters for an error message."""
+    """Return a string cut to `MOST_SHOWN` characters for an error message."""
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"

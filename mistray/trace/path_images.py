@@ -20,7 +20,12 @@ from mistray.trace.paths import PathTable
 def path_images(
     table: PathTable, task: SceneTask | None, groups: Sequence[int | Sequence[int]], with_noise: Sequence[bool]
 ) -> Iterator[Pixels]:
-    """Yield the irradiance map of each group of paths, (height, width), W/mm², see `mistray.trace.Trace.each_map`."""
+    """
+    Yield the irradiance map of each group of paths, (height, width), W/mm².
+
+    `with_noise` says for each group whether its noise is computed, else it is NaN. Workers trace if there are any and
+    `task` is given. An unknown path, or one in two groups, raises `MistrayError`; see `mistray.trace.Trace.each_map`.
+    """
     counts = [len(table.runs[0].film) if noise else 1 for noise in with_noise]  # images of each map
     first = np.concatenate([[0], np.cumsum(counts)]).tolist()
     images: dict[int, int] = {}  # path → images of its map

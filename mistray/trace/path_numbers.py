@@ -49,8 +49,8 @@ class HitSums(NamedTuple):
         """
         Sums over all batches, (p, 9), and over all but each in turn, scaled to as many rays, (p, BATCHES, 9).
 
-        Columns: number of rays, incident and absorbed flux, W, moments of the latter by x and y, W mm, and by x² + y²,
-        W mm², and its Stokes parameters, W.
+        Columns: number of rays, incident and absorbed flux, W, moments of the absorbed flux (flux times x and times y,
+        W mm, flux times x² + y², W mm²), and its Stokes parameters, W, which are NaN if the trace was unpolarised.
         """
         total, rays = self.sums.sum(axis=1), self.started.sum()
         without = (total[:, None] - self.sums) * (rays / np.maximum(rays - self.started, 1))[:, None]
@@ -188,7 +188,7 @@ def _chunk(runs: Sequence[HitSums]) -> PathNumbers:
 
 def _shape(sums: np.ndarray) -> np.ndarray:
     """
-    Return eight numbers derived from `sums` (…, 9), as an array (8, …).
+    Return eight values derived from `sums` (…, 9), as an array (8, …); NaN without power.
 
     They are centroid x and y, mm, RMS radius, mm, RMS irradiance, W/mm², degree of polarisation, s1, s2 and s3.
     """
@@ -212,6 +212,6 @@ def percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndarr
 
 
 def alike(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Return a group number for each path, (p,) int; paths equal in all given columns have the same number."""
+    """Return a group index for each path, (p,) int; paths equal in all given columns have the same index."""
     keys = [np.unique(column, return_inverse=True)[1] for column in columns]
     return np.asarray(np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)[1]).ravel()

@@ -70,17 +70,19 @@ class PathRow:
         Number of ghost reflections: at refracting surfaces and at the detector, without mirrors and total reflection.
     kind : str
         "direct": a sequence of the design, see docs/design_path.md. "straight shot": any other sequence that reflects
-        only where the design does. "ghost". "structure": specular reflections at opaque surfaces that are no mirror.
+        only where the design does. "ghost". "structure": specular reflections at opaque surfaces that are not mirrors.
         "structure+ghost". "TIR": total reflection where the design has none. Paths that scatter: "single scatter",
         "multiple scatter", or, with specular reflections counted in ``ghost_1``, "ghost + scatter". Paths that an edge
         diffracts: "edge diffraction", or, with scatter or such reflections, "diffraction + others". Light that the
         instrument itself emits has no source and no path here, see `mistray.thermal`.
     ghost_1, ghost_2 : str
-        First and second surface that reflects specularly, without mirrors and total internal reflection, or "-".
+        First and second surface that reflects specularly, without mirrors and total internal reflection; "-" if there
+        is none.
     scatter_1 : str
-        First surface that scatters or diffracts, or "-".
+        First surface that scatters or diffracts; "-" if there is none.
     edges : str
-        Edges, bevels and flanges of lenses that the light meets, in this order, separated by blanks, or "-".
+        Edges, bevels and flanges of lenses that the light meets, in this order, separated by spaces, or "-" if there
+        are none.
     scatters : int
         Number of scatter events, including diffraction.
     diffractions : int
@@ -91,7 +93,7 @@ class PathRow:
         Number of surfaces that are met, including the detector: all hits, or each surface once. A body that scatters
         counts as a surface.
     last_object : str
-        Last surface before the detector, or "-".
+        Last surface before the detector; "-" if there is none.
     critical : str
         Critical surface: the last that scatters or diffracts the light or is a ghost's or a structure's reflection, so
         that the detector sees it lit; "-" if there is none.
@@ -201,7 +203,7 @@ class PathTable(
     """
     Table of the paths from the sources to the detectors, the strongest first.
 
-    A sequence of `PathRow`; `to_pandas`, `to_csv` and `to_parquet` return or write the whole table.
+    It is a sequence of `PathRow`; `to_pandas`, `to_csv` and `to_parquet` return or write the whole table.
 
     Parameters
     ----------
@@ -210,7 +212,7 @@ class PathTable(
     runs : sequence of Run
         Runs with a ledger.
     run, place : (p,) int
-        Number of the run of each path, and its place in the ledger of that run.
+        Index of the run of each path, and its place in the ledger of that run.
     numbers : PathNumbers
         Power, centroid, radius and polarisation of the paths.
 
@@ -236,7 +238,7 @@ class PathTable(
         self.runs, self._run, self._place = list(runs), run, place
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the number of paths, the stray power (W) and the name of the strongest path, by label."""
+        """Return the number of paths, the stray power (W) and the name of the strongest path, if any, by label."""
         found: dict[str, KeyNumber] = {"paths": len(self), "stray [W]": self.stray_W}
         return found | ({"strongest": self[0].label} if len(self) else {})
 
@@ -321,6 +323,11 @@ class PathTable(
             Filter.
         by_ray : frozenset of str
             Columns of rays, whose values a path does not determine.
+
+        Raises
+        ------
+        MistrayError
+            If the filter names what does not exist.
         """
         of_runs = self.located()
         sources = list(dict.fromkeys(run.source.name for run in self.runs))
@@ -335,7 +342,11 @@ class PathTable(
         return self.located(np.concatenate([own.ids[here] for own, here in zip(of_runs, held, strict=True)]))
 
     def column(self, name: str) -> np.ndarray:
-        """Return one column of the table, an attribute of `PathRow` for all paths, (p,)."""
+        """
+        Return one column of the table, an attribute of `PathRow` for all paths, (p,).
+
+        Any other name raises `KeyError`.
+        """
         return self._columns[name]
 
     def power(self, path_ids: int | Sequence[int] | np.ndarray) -> tuple[float, float]:
@@ -343,13 +354,17 @@ class PathTable(
         Return the total power of some paths and its standard error, W.
 
         The error of the sum over the paths of a run comes from the spread of its batches of start rays, and so it
-        includes the correlation of paths.
+        includes the correlation of paths. An unknown id raises `MistrayError`.
         """
         _, se = sum_of_runs([own.sums[:, :, ABSORBED].sum(axis=0) for own in self.located(path_ids)], self.runs)
         return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
-        """Return the ids of direct paths, or of all stray ones, (n,), optionally at one wavelength (nm) only."""
+        """
+        Return the ids of all direct paths if `direct`, else of all stray ones, (n,).
+
+        If `wavelength_nm` is given, only paths of that wavelength count.
+        """
         chosen = (self._columns["kind"] == DIRECT) == direct
         if wavelength_nm is not None:
             chosen &= self._columns["wavelength_nm"] == wavelength_nm
@@ -394,7 +409,7 @@ class PathTable(
         """
         Return the flux sums of one run's paths, added up by group of paths.
 
-        `group` is ascending, the group number of each of `ids`.
+        `group`, ascending, holds the group index of each of `ids`.
         """
         one, here = self.runs[run], self._run[ids] == run
         sums = np.zeros((int(group[-1]) + 1, *one.paths.sums.shape[1:]))
@@ -465,6 +480,11 @@ class PathTable(
             Columns of `to_pandas`, strongest first, with the letters t and r for all scattered light, and ``path_ids``,
             the tuple of the `path_id` of a row; its own ``path_id`` is the strongest of them. The numbers of a row come
             from the sums of its paths in the ledger.
+
+        Raises
+        ------
+        MistrayError
+            As `mistray.trace.path_aliases.alias_names` does.
         """
         if aliases is None:
             return self._by_way.copy()
@@ -476,7 +496,7 @@ class PathTable(
         return self._merged(None)
 
     def _merged(self, aliases: Mapping[str, str] | str | None) -> pd.DataFrame:
-        """Compute the table of `by_way` for given aliases."""
+        """Compute the table of `by_way` for given aliases; raise as `by_way` does."""
         table = {name: column.copy() for name, column in self._columns.items()}
         for name, text in (("events", way_text), ("path", way_letters)):
             table[name][:] = text(table[name])
@@ -522,7 +542,11 @@ class PathTable(
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")
 
     def to_parquet(self, path: str | Path) -> None:
-        """Write the path table as Parquet (extra ``tables``), with units; see `mistray.report.write_parquet`."""
+        """
+        Write the path table as Parquet (extra ``tables``), with units.
+
+        See `mistray.report.write_parquet`, also for errors.
+        """
         from mistray.files.parquet import write_parquet
 
         write_parquet(self.to_pandas(), path)

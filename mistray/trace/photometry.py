@@ -56,7 +56,11 @@ def check_visible(wavelengths_nm: Sequence[float]) -> None:
 
 
 def luminous_flux(runs: Sequence[Run]) -> tuple[float, float]:
-    """Return the luminous flux absorbed by the detectors and its standard error, lm; the runs must not share rays."""
+    """
+    Return the luminous flux absorbed by the detectors and its standard error, lm; the runs must not share rays.
+
+    If no wavelength is visible, it raises `MistrayError`.
+    """
     check_visible([run.source.wavelength_nm for run in runs])
     by_batch = [
         luminous_efficacy(run.source.wavelength_nm) * run.sums.surfaces[run.table.detectors, ABSORBED_HERE].sum(axis=0)
@@ -67,7 +71,11 @@ def luminous_flux(runs: Sequence[Run]) -> tuple[float, float]:
 
 
 def illuminance(runs: Sequence[Run]) -> Pixels:
-    """Return the illuminance map of the detector with its noise, (height, width), lx, from the absorbed flux."""
+    """
+    Return the illuminance map of the detector with its noise, (height, width), lx, from the absorbed flux.
+
+    If no wavelength is visible, it raises `MistrayError`.
+    """
     check_visible([run.source.wavelength_nm for run in runs])
     pixel_m2 = runs[0].pixel_area / MM2_PER_M2
     first, *others = (

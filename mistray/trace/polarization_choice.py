@@ -60,7 +60,7 @@ class PolarizationChoice:
     mode : {"unpolarized", "stokes"}
         Value of `polarization`.
     reason : str
-        Reason for the mode, as text.
+        Reason for the mode, as a phrase.
     change : float
         Largest relative change of a listed path, or of the stray light, by Stokes vectors instead of the means of s and
         p; 0 where nothing polarises, NaN where it was not measured.
@@ -82,13 +82,17 @@ class PolarizationChoice:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Return mode, reason and relative change of flux by Stokes vectors, as entries for `settings`."""
+        """
+        Mode, reason and relative change of flux by Stokes vectors, as entries for `settings`.
+
+        The change is left out if it was not measured.
+        """
         change = {} if math.isnan(self.change) else {"polarization_change": self.change}
         return {"polarization": self.mode, "polarization_reason": self.reason, **change}
 
 
 def words_of(settings: Mapping[str, Any]) -> str:
-    """Return a line of text with the polarisation mode of a trace and the reason for it, from its settings."""
+    """Return a line with the polarisation mode of a trace and the reason for it, from its settings."""
     return f"polarization: {settings['polarization']} ({settings['polarization_reason']})"
 
 
@@ -163,6 +167,11 @@ def unpolarized_notes(
     -------
     list of Note
         One note, or none: also where the sources of the scene cannot send such light.
+
+    Raises
+    ------
+    MistrayError
+        If a setting is unknown or not allowed.
     """
     chosen = Settings.unresolved(scene, polarization=polarization, **settings)
     if chosen.polarization != "auto" or not source_emitters(scene):
@@ -236,7 +245,11 @@ def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:
 
 
 def _name(found: Arrivals, table: SurfaceTable) -> str:
-    """Return the name of a path for messages: the direct light, or a ghost with the surfaces that reflect it."""
+    """
+    Return the name of a path for messages: the direct light, or a ghost with the surfaces that reflect it.
+
+    Surfaces of total reflection and mirrors are not named.
+    """
     if not found.reflections:
         return "the direct light"
     words = table.optics.host_words
@@ -255,7 +268,11 @@ def _polarizes(table: SurfaceTable) -> bool:
 
 
 def _with_few_wavelengths(beam: Light) -> Light:
-    """Return the light reduced to at most `MOST_RUNS` wavelengths spread over its spectrum."""
+    """
+    Return the light reduced to at most `MOST_RUNS` wavelengths spread over its spectrum.
+
+    Light without wavelengths of its own, or with few, is returned unchanged.
+    """
     if beam.wavelength_nm is None:
         return beam
     nm, shares = spectrum(beam.wavelength_nm, beam.weights)

@@ -59,7 +59,14 @@ def ray_table(
     pixels: Sequence[int] | None,
     events: bool,
 ) -> pd.DataFrame:
-    """Return a table of rays that reach the detector; for parameters and columns see `mistray.trace.Trace.rays`."""
+    """
+    Return a table of rays that reach the detector, one row for each ray, or for each node of each ray if `events`.
+
+    `n` is the most rays that are returned, spread over the beam; None: all. `box` is in mm, `pixels` are ranges of
+    columns and rows; None: the whole detector. Flux is in W, positions and optical path lengths in mm; see
+    `mistray.trace.Trace.rays` for the columns. An `n` below 1, an empty box and pixels out of range raise
+    `MistrayError`.
+    """
     import pandas as pd
 
     if n is not None and n < 1:
@@ -126,7 +133,7 @@ class _Search:
         self._box = _corners(own.run, box, pixels)
 
     def rays(self, n: int | None) -> tuple[Columns, list[Ray]]:
-        """Return columns of up to `n` selected rays, and the rays themselves if events were requested."""
+        """Return columns of up to `n` selected rays, and the rays themselves if events were requested; None: all."""
         parts, rays, found = [self._facts(Events.of(self._run.table, self._run.design, *padded([])), {})], [], 0
         if len(self._own.ids):
             recorder = self._run.recorder(CAPACITY, self._own.slots)
@@ -220,7 +227,7 @@ def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None
     """
     Return the rectangle of the detector to record, x0, x1, y0, y1, mm: the box, or what surrounds the pixels.
 
-    None for the whole detector.
+    The result is None for the whole detector, and limits may be infinite.
     """
     if box is None and pixels is None:
         return None
@@ -239,12 +246,17 @@ def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None
 
 def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Recorder | None) -> Iterator[int]:
     """
-    Trace start rays into a recorder, in halves if they overflow it; yield after each the number of branches held.
+    Trace start rays into a recorder, in halves if they overflow it.
 
     Yields
     ------
     int
-        Number of branches that the recorder holds now.
+        Number of branches that the recorder holds, after all start rays or after each part of them.
+
+    Raises
+    ------
+    MistrayError
+        If a single start ray has more branches than the recorder has room for.
     """
     recorder.clear()
     run.trace_trees(start, *before, recorder)

@@ -46,7 +46,7 @@ SAME_SIZE = 1e-6  # relative to the size of the detector: lengths that differ by
 
 def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """
-    Return notes on the reliability of traces, each note once with the numbers of the traces that it is about.
+    Return notes on the reliability of traces, each note once with the indices of the traces that it is about.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     Returns
     -------
     list of (list of int, Note)
-        Numbers of the traces, and the note, with the worst figures of any of them.
+        Indices of the traces, and the note, with the worst figures of any of them.
     """
     balance = worst_note(Message.OPEN, [abs(t.energy.closure) for t in traces], OPEN)
     coarse = worst_note(Message.COARSE_COATING, [t.coating_error for t in traces], COARSE)
@@ -161,7 +161,7 @@ class SamplingCheck:
 
 
 def _names(found: Sequence[str]) -> str:
-    """Return the first `NAMES_SHOWN` names as text, and the number of further ones."""
+    """Return the first `NAMES_SHOWN` names in one string, and how many there are beyond these."""
     more = f" and {len(found) - NAMES_SHOWN} more" if len(found) > NAMES_SHOWN else ""
     return ", ".join(found[:NAMES_SHOWN]) + more
 
@@ -190,7 +190,7 @@ def worst_note(
     """
     Return a note with the worst value beyond `limit`, and the indices of the traces beyond it.
 
-    The result is empty if there are none.
+    Beyond is above if `worst` is max, else below. The result is empty if there are none.
     """
     at = [k for k, value in enumerate(values) if (value > limit if worst is max else value < limit)]
     return [(at, message.note(value=worst(values[k] for k in at), limit=limit))] if at else []
@@ -198,7 +198,7 @@ def worst_note(
 
 def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """
-    Return advice on settings for scattered light, each note once with the numbers of the traces that it is about.
+    Return advice on settings for scattered light, each note once with the indices of the traces that it is about.
 
     Parameters
     ----------
@@ -208,13 +208,13 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     Returns
     -------
     list of (list of int, Note)
-        Numbers of the traces, and the note, with the worst figures of any of them.
+        Indices of the traces, and the note, with the worst figures of any of them.
     """
     found: list[tuple[list[int], Note]] = []
     rows = [_rows(t) for t in traces]
 
     def named(message: Message, values: Sequence[Mapping[str, float]], worst: Callable[..., float]) -> None:
-        """Add a note that lists the surfaces and media whose figure is bad, the worst first."""
+        """Add a note that lists the surfaces and media whose figure is bad, the worst first; none if all are good."""
         at = [k for k, each in enumerate(values) if each]
         if not at:
             return
@@ -302,7 +302,7 @@ def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
 
 
 def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
-    """Return the names of surfaces and media with a target that covers no detector."""
+    """Return the names of surfaces and media with a target that is not flat or covers no detector."""
     names = set()
     for run in runs:
         table = run.table
@@ -350,7 +350,7 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
     """
     Return the surfaces and media whose scattered light never reached the detector, most flux first.
 
-    The list is empty if paths were not kept or nothing may scatter.
+    The list is empty if paths were not kept, or if the settings allow no scatter or restrict it to some rays.
     """
     lit: dict[str, np.ndarray] = {}
     heard: set[str] = set()
@@ -378,7 +378,7 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
 
 def _lit_places(table: SurfaceTable, sums: np.ndarray) -> dict[int, np.ndarray]:
     """
-    Return hits and incident flux, W, of each scattering surface or medium, by its number.
+    Return hits and incident flux, W, of each scattering surface or medium, by its index.
 
     A medium has those of its brightest surface.
     """

@@ -56,7 +56,8 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
     rays_traced, rays_planned : int
         Number of start rays that were traced and planned; fewer where workers were lost, see `mistray.distribute`.
     paths : PathTable
-        Paths from the sources to the detectors, the strongest first; None if traced with ``ledger=False``.
+        Paths from the sources to the detectors, the strongest first; traced with ``ledger=False`` there are none, and
+        reading them raises `MistrayError`.
     energy : Energy
         Energy ledger: where the launched flux went, W.
     surfaces : FluxReport
@@ -175,8 +176,8 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         """
         Return the result for one detector alone: its irradiance, its paths and its energy ledger.
 
-        Only methods that always trace again do so (`maps`, `box`, `history`, `rays`, gradients). Light that the other
-        detectors absorb then counts as absorbed by surfaces.
+        Only those methods trace again that always do (`maps`, `box`, `history`, `rays`, gradients). Light that the
+        other detectors absorb then counts as absorbed by surfaces. With a single detector, the result is this trace.
 
         Parameters
         ----------
@@ -238,7 +239,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         """
         Write `irradiance` and `irradiance_se` as .fits, .exr (both extra ``images``) or .npy, as the name ends.
 
-        See `mistray.files.irradiance_files` for the contents of the files.
+        See `mistray.files.irradiance_files` for the contents of the files, and `write_irradiance` there for errors.
         """
         from mistray.files.irradiance_files import IrradianceMap, write_irradiance
 
@@ -266,12 +267,20 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
 
     @cached_property
     def illuminance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Illuminance of the detector by absorbed light and its standard error, (height, width) each, lx."""
+        """
+        Illuminance of the detector by absorbed light and its standard error, (height, width) each, lx.
+
+        Raise `MistrayError` if no wavelength is visible.
+        """
         return illuminance(self.runs).with_se
 
     @property
     def luminous_flux(self) -> tuple[float, float]:
-        """Luminous flux that the detectors absorb and its standard error, lm."""
+        """
+        Luminous flux that the detectors absorb and its standard error, lm.
+
+        Raise `MistrayError` if no wavelength is visible.
+        """
         return luminous_flux(self.runs)
 
     def irradiance_at(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
@@ -282,12 +291,21 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         irradiance, standard_error : (height, width) float64
             Irradiance of each pixel and its standard error, W/mm².
+
+        Raises
+        ------
+        MistrayError
+            If the wavelength was not traced.
         """
         runs = self._runs_at(wavelength_nm)
         return irradiance_of_runs(runs, [run.film for run in runs]).with_se
 
     def energy_at(self, wavelength_nm: float) -> Energy:
-        """Return the energy ledger, W, of one of the wavelengths of the trace, nm."""
+        """
+        Return the energy ledger, W, of one of the wavelengths of the trace, nm.
+
+        Any other wavelength raises `MistrayError`.
+        """
         runs = self._runs_at(wavelength_nm)
         return energy_ledger(runs, flux_report(runs))
 
@@ -307,7 +325,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         return energy_ledger(runs, flux_report(runs))
 
     def surfaces_at(self, wavelength_nm: float) -> FluxReport:
-        """Return the flux at every surface, W, at one of the wavelengths of the trace, nm."""
+        """
+        Return the flux at every surface, W, at one of the wavelengths of the trace, nm.
+
+        Any other wavelength raises `MistrayError`.
+        """
         return flux_report(self._runs_at(wavelength_nm))
 
     def irradiance_of(self, path_ids: int | Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -323,6 +345,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         irradiance, standard_error : (height, width) float64
             Irradiance of each pixel and its standard error, W/mm².
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, or the trace has no path table.
         """
         return self.maps([path_ids])[0]
 
@@ -349,6 +376,12 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         list of dict
             Maps by the ids of their surfaces, for each selection.
+
+        Raises
+        ------
+        MistrayError
+            If a number is out of range, a name does not exist, no surface can be unrolled, or a filter is not valid or
+            compares another column.
         """
         filters = [PathFilter(text) for text in ([selections] if isinstance(selections, str) else selections)]
         return light_maps(self.runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
@@ -366,6 +399,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         list of (irradiance, standard_error)
             One pair of (height, width) float64 for each group, W/mm².
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, a path is in two groups, or the trace has no path table.
         """
         return [found.with_se for found in self.each_map(groups, [True] * len(groups))]
 
@@ -385,6 +423,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         ------
         Pixels
             Irradiance map of a group, (height, width), W/mm².
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, a path is in two groups, or the trace has no path table.
         """
         return path_images(self.paths, self.task, groups, with_noise)
 
@@ -401,6 +444,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         PathTable
             Powers, centroids and radii within the rectangle. The `path_id` are ranks within it.
+
+        Raises
+        ------
+        MistrayError
+            If the rectangle is empty, or the trace has no path table.
         """
         box = check_box((x0, x1, y0, y1))
         return path_table([run.within(box) for run in self.paths.runs])
@@ -415,6 +463,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
             Id of the path in the path table.
         n : int
             Largest number of rays.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, `n` is below 1, or the trace has no path table.
         """
         return path_history(self.paths, path_id, n)
 
@@ -435,6 +488,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         dict
             Rays by path; none of a path that no ray of the sample follows. When the time is up the sample is smaller.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, or the trace has no path table.
         """
         return sample_rays(self.paths, several(path_ids), n)
 
@@ -451,6 +509,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         dict
             Light cones by path; none of a path that is too rare to occur twice in the sample.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, or the trace has no path table.
         """
         return light_cones(self.paths, several(path_ids))
 
@@ -469,6 +532,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         -------
         list of SampledHits
             One for each source and wavelength.
+
+        Raises
+        ------
+        MistrayError
+            If the trace has no path table.
         """
         return [sampled_hits(own, start_rays, n) for own in self.paths.located()]
 
@@ -520,7 +588,8 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         Raises
         ------
         MistrayError
-            For a filter that cannot be parsed or names something that does not exist, an empty box, and n below 1.
+            For a filter that cannot be parsed or names something that does not exist, an empty box, pixels out of
+            range, n below 1, and a trace without a path table.
         """
         return ray_table(self.paths, PathFilter(selection), n, box, pixels, events)
 
@@ -530,7 +599,8 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         """
         Return a table of rays that arrive at any surface or leave the scene, by tracing them again.
 
-        A row has the last node of a ray, with the columns of `RayHistory.to_pandas`, and source, kind, key and history.
+        A row has the last node of a ray, or with `events` one of its nodes, with the columns of `RayHistory.to_pandas`,
+        and source, kind, key and history.
 
         Parameters
         ----------
@@ -538,13 +608,20 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
             Surfaces or parts, with * for any letters and ? for one; or "blocked" (all opaque ones but detectors),
             "escaped", or "returned" (escaped backwards). Light that misses all surfaces is left out.
         selection, n, events
-            See `rays`; a filter may compare kind, order and the like, wavelength_nm, source, surface.
+            Filter, largest number of rays (None: all), and whether there is a row for each node, see `rays`. The filter
+            may compare kind, order and the like, wavelength_nm, source, surface.
+
+        Raises
+        ------
+        MistrayError
+            If a name does not exist, places do not go together, the filter is not valid or compares another column, or
+            `n` is below 1.
         """
         return rays_elsewhere(self.runs, where, PathFilter(selection), n, events)
 
     def table_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
         """
-        Yield the requested derivatives of a metric by scene parameters, by tracing the same rays again.
+        Yield the requested derivatives of a metric with respect to scene parameters, by tracing the same rays again.
 
         Parameters
         ----------
@@ -557,6 +634,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         ------
         TableGradient
             Derivatives for each source and wavelength on which the metric depends.
+
+        Raises
+        ------
+        MistrayError
+            If not all planned rays were traced.
         """
         if self.rays_traced != self.rays_planned:
             raise MistrayError(
@@ -587,7 +669,12 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
             yield raw
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return detected and stray flux (W) and the number of paths, by label; the largest loss if all is dark."""
+        """
+        Return detected and stray flux (W) and the number of paths, by label.
+
+        The rays traced are added if some are missing, and the largest loss if all is dark. Without a path table there
+        is no stray flux.
+        """
         found: dict[str, KeyNumber] = {}
         if self.rays_traced != self.rays_planned:
             found["unfinished"] = f"{self.rays_traced} of {self.rays_planned} rays"

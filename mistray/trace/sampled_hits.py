@@ -1,5 +1,5 @@
 """
-Samples of rays of all paths at once: hits of their surfaces, and numerical aperture of the light at the detector.
+Samples of rays of all paths at once: hits on surfaces, and numerical aperture of the light at the detector.
 
 `mistray.trace.history` computes the points of a few rays again in float64, one path after the other. Hits have the
 kernel's own points. These are good to 1e-7 of the system's size: enough for angles and drawings.
@@ -55,7 +55,7 @@ class SampledHits:
     length : (r,) int
         Number of hits of each ray.
     surface, event : (r, k) int
-        Numbers of the surfaces, and events there; -1 after the last hit.
+        Indices of the surfaces or media, and events there; -1 after the last hit.
     start : (r, 3) float64
         Start points, mm.
     points, arrival, normal : (r, k, 3) float64
@@ -185,7 +185,7 @@ def light_cones(paths: PathTable, path_ids: Sequence[int]) -> dict[int, LightCon
     """
     Return the cone in which each path's light arrives at the detector, by path id.
 
-    Paths of fewer than two rays are left out.
+    Paths of fewer than two rays are left out. An unknown id raises `MistrayError`.
     """
     found: dict[int, LightCone] = {}
     for own in paths.located(path_ids):
@@ -207,8 +207,9 @@ def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
     Return the numerical aperture and standard error of the light of one path at the detector, as a `LightCone`.
 
     A spot in the detector plane is the Fourier transform of the pupil over the direction cosines along that plane,
-    times n/λ. The direction cosines of a round, evenly filled cone lie evenly in a disc of radius sin u. Their mean
-    square distance from the centre is sin²u/2.
+    times n/λ, with the index n before the detector and the vacuum wavelength λ. The direction cosines of a round,
+    evenly filled cone of half angle u lie evenly in a disc of radius sin u. Their mean square distance from the centre
+    is sin²u/2.
     """
     way = bundle.points[:, -1] - bundle.points[:, -2]
     # Index of the last medium, from the optical and the geometric length of the last segment

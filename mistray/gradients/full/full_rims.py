@@ -7,7 +7,7 @@ hits are recorded, and run along it. Where the edge of the beam crosses a rim at
 smooth as anywhere, and the boundary kernel is exact for slopes. Where it runs along a rim farther away, but within the
 zone, the zone is narrowed so that it ends before the edge of the beam.
 
-Not found are rims that the shadow of another rim just fills.
+Rims that the shadow of another rim just fills are not found.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class FullRims:
 
     @cached_property
     def full(self) -> list[tuple[int, Key, np.ndarray]]:
-        """Rims that the beam exactly fills: number of the edge line, key of the rim, mask of rays there, (n,)."""
+        """Rims that the beam exactly fills: index of the edge line, key of the passage, mask of rays there, (n,)."""
         found = []
         for line, key, passage in self._along():
             here = passage.counts & (passage.slope < ALONG)
@@ -99,7 +99,7 @@ class FullRims:
 
     @property
     def names(self) -> list[str]:
-        """Names of the just-filled rims, in words, each once."""
+        """Descriptions of the just-filled rims, each once, as in `name`."""
         return list(dict.fromkeys(self.name(key) for _, key, _ in self.full))
 
     def name(self, key: Key) -> str:
@@ -108,7 +108,11 @@ class FullRims:
 
     @cached_property
     def limits(self) -> dict[Rim, float]:
-        """Widths, mm, of boundary zones narrowed to end before a beam edge that runs beside the rim."""
+        """
+        Widths, mm, of boundary zones narrowed to end before a beam edge that runs beside the rim.
+
+        The keys are surface and place in `RIM_COLUMNS`; zones that keep their width are left out.
+        """
         found: dict[Rim, float] = {}
         for _, key, passage in self._along():
             rim = key[2], key[3]
@@ -123,7 +127,7 @@ class FullRims:
         """
         Return the largest shift of a just-filled rim relative to the beam when a parameter takes a step.
 
-        The name of that rim comes with it.
+        The description of that rim comes with it.
 
         Parameters
         ----------
@@ -137,9 +141,10 @@ class FullRims:
         Returns
         -------
         share : float
-            Largest move, in units of the zone of the rim; 0 if no rim moves.
+            Largest shift, in units of the zone of the rim; 0 if no rim moves. Rays that no longer reach the rim count
+            as a shift by a whole zone.
         rim : str
-            Name of the rim that moves most.
+            Description of the rim that moves most; "" if none moves.
         """
         largest, rim = 0.0, ""
         if not any(owner is one for one in self._owners):
@@ -187,7 +192,11 @@ class FullRims:
         return found
 
     def _moved(self, rays: MarginalBundle, owner: Any, name: str, step: float) -> MarginalBundle:
-        """Return start rays after parameter `name` of `owner` changes by `step`; only the source's have an effect."""
+        """
+        Return start rays after parameter `name` of `owner` changes by `step`.
+
+        Rays of a source other than `owner` stay as they are.
+        """
         if owner is not self.source.emitter:
             return rays
         by_o, by_d = self.source.motion(name, mi.Vector3d(*rays.o.T), mi.Vector3d(*rays.d.T))
@@ -196,7 +205,11 @@ class FullRims:
         return rays._replace(o=o, d=d / np.linalg.norm(d, axis=1, keepdims=True))
 
     def _with(self, owner: Any, name: str, step: float) -> SurfaceTable:
-        """Return the surface table on the host after parameter `name` of plugin `owner` changes by `step`."""
+        """
+        Return the surface table on the host after parameter `name` of plugin `owner` changes by `step`.
+
+        Parameters of shapes and shifts of indices have an effect; all others leave the table as it is.
+        """
         table = copy(self.table)
         table.pieces, table.vertices, table.rotations = (
             list(table.pieces),

@@ -20,8 +20,8 @@ MOST_STEPS, MOST_FATES = 64, 2
 BESIDE = 1e-9  # relative distance by which a surface in the place of a hit may lie behind it
 
 Rim = tuple[int, int]
-"""Number of the surface, place in `RIM_COLUMNS`."""
-# Key of a passage by a rim: branches before it, hits since, the rim's two numbers, number of the sheet's crossing
+"""Index of the surface, place in `RIM_COLUMNS`."""
+# Key of a passage by a rim: branches before it, hits since, the rim's two indices, index of the sheet's crossing
 Key = tuple[tuple[int, ...], int, int, int, int]
 
 
@@ -98,7 +98,7 @@ class MarginalBundle(NamedTuple):
     last : (n,) int
         Surface that each ray comes from; -1: none.
     place : (n,) int
-        Numbers of the rays in the line.
+        Indices of the rays on the line.
     fates : tuple of int
         Surfaces at which they took the other branch: they hit one that they would have passed, or the reverse.
     way : tuple of Meeting
@@ -127,12 +127,12 @@ class MarginalRays:
     table : SurfaceTable
         Surfaces of the scene.
     zones : dict
-        Widths of the zones within which a ray is near a rim, mm.
+        Widths of the zones within which a ray is near a rim, mm, by surface and place in `RIM_COLUMNS`.
     close : float
         Fraction of a zone within which both branches are followed.
     inside : (n,) bool
-        Whether light continues from the end of the ray beside each, a little inside of the edge: a move of a rim may
-        let the light at the edge take the same path.
+        Whether light continues from the end of the ray beside each, a little inside the edge: a move of a rim may let
+        the light at the edge take the same path.
     passages : dict
         Key → `Passage`.
     met : set of int
@@ -158,7 +158,8 @@ class MarginalRays:
         Returns
         -------
         (n,) bool
-            Whether light continues from the end of each ray: not from a black surface, nor outside of the scene.
+            Whether light continues from the end of each ray: it does not from a black surface, nor outside the scene.
+            From trapped rays it does.
         """
         alive, lit, here = np.arange(len(rays.o)), np.zeros(len(rays.o), dtype=bool), rays
         legs, lengths, numbers, origins, way = [], [], [], [], rays.way
@@ -193,7 +194,11 @@ class MarginalRays:
         return lit
 
     def _after(self, rays: MarginalBundle, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the directions of rays beyond their surface, (n, 3), and a mask of rays that end there."""
+        """
+        Return the directions of rays beyond their surface, (n, 3), and a mask of rays that end there.
+
+        Rays end at the detector, and where they have no direction beyond the surface.
+        """
         after, _ = onward(self.table, rays.last, rays.d, normal)
         detects = (self.table.optics.host_words[rays.last] & DETECTOR) != 0
         return after, detects | ~np.isfinite(after[:, 0])
@@ -209,7 +214,11 @@ class MarginalRays:
     def _passing(
         self, legs: MarginalBundle, length: np.ndarray
     ) -> Iterator[tuple[tuple[int, int, int], np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield each rim that ray segments pass closely: its key, ray numbers, depths and points, (n,), mm."""
+        """
+        Yield each rim that ray segments pass closely, with the segments, depths and points.
+
+        They come as its key, the indices of the segments, (n,), depths, (n,), mm, and points, (n, 3), mm.
+        """
         for piece in self.table.pieces:
             rims = [rim for rim in piece.rim_sizes if (piece.index, rim) in self.zones]
             least = np.where(legs.last == piece.index, piece.self_hit, 0.0)
@@ -255,7 +264,7 @@ class MarginalRays:
         """
         Return a mask of rays whose light goes on when they take the other branch at a rim.
 
-        Rays hit a rim's surface where `hits`, else they pass it.
+        Rays hit the rim's surface where `hits` is True, else they go past it.
         """
         after, ends = self._after(rays, normals(self.table, int(rays.last[0]), rays.o))
         ends &= hits
@@ -278,7 +287,7 @@ def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: MarginalB
     table : SurfaceTable
         Moved surfaces.
     rim : (int, int)
-        Number of the surface, and place of the rim in `RIM_COLUMNS`.
+        Index of the surface, and place of the rim in `RIM_COLUMNS`.
     passage : Passage
         Passage before the move.
     rays : MarginalBundle
@@ -305,7 +314,7 @@ def _nearest(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray, th
     """
     Return the points at which rays cross a surface, (n, 3), mm, nearest to those before its move.
 
-    Mitsuba's own shapes do not move: their crossings are returned as they are.
+    Mitsuba's own shapes do not move: for them the earlier points `then` are returned.
     """
     if surface >= len(table.pieces):
         return then

@@ -138,7 +138,8 @@ class FirstLight:
         -------
         tuple of Entering
             New first surfaces; empty if either light is dark. A surface counts if less than 1 % of its light was there
-            before, and if its light is at least 0.1 % of all light and three standard errors.
+            before, and if its light is at least 0.1 % of all light and three standard errors. If paths were left out
+            before, one path must exceed `unseen`.
         """
         if not before.power or not self.power:
             return ()
@@ -195,7 +196,11 @@ def entering_text(entering: Sequence[Entering]) -> str:
 
 
 def entering_lines(entering: Mapping[str, Sequence[Entering]]) -> list[str]:
-    """Return lines of text on light by new first surfaces: one for each of the worst places, one for the rest."""
+    """
+    Return lines about light by new first surfaces: one for each of the worst places, one for the rest.
+
+    There is no line if there is no such light.
+    """
     ranked = sorted(entering.items(), key=lambda item: -sum(one.of_before for one in item[1]))
     lines = [
         f"{place}: {entering_text(here)}{'; less stray light is no gain here' if spoils(here) else ''}"

@@ -39,7 +39,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class _Contact:
-    """Rim of a surface that lies on another surface: numbers of both and of the rim, and its place and size, mm."""
+    """Rim of a surface that lies on another surface: indices of both and of the rim, and its place and size, mm."""
 
     owner: int
     rim: int
@@ -59,6 +59,11 @@ class Contacts:
     ----------
     scene : mi.Scene
         Scene before the change.
+
+    Attributes
+    ----------
+    surfaces : frozenset of str
+        Ids of the surfaces that touch another one.
     """
 
     def __init__(self, scene: mi.Scene) -> None:
@@ -79,7 +84,7 @@ class Contacts:
         scene : mi.Scene
             Changed scene; surfaces that it no longer has are ignored.
         moved : collection of str, optional
-            Ids of all changed surfaces, if known: only these are examined.
+            Ids of all changed surfaces, if known: only contacts of these are examined, so there may be no gap.
         """
         if moved is None:
             return _opened(self._found, self._contacts, outlines(scene))
@@ -91,7 +96,11 @@ class Contacts:
 
 
 def gaps_text(gaps: Sequence[Gap]) -> str:
-    """Return gaps as text for a message, at most `TOLD` of them and the number of the others; "" if there are none."""
+    """
+    Return a phrase that lists gaps for a message; "" if there are none.
+
+    It has at most `TOLD` of them and the number of the others.
+    """
     told = "; ".join(map(str, gaps[:TOLD]))
     return told + (f"; and {len(gaps) - TOLD} more" if len(gaps) > TOLD else "")
 
@@ -148,7 +157,7 @@ def _opened(
 
 
 def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Contact) -> bool:
-    """True if two gaps lie at one place, and each surface of one touched a surface of the other."""
+    """True if two gaps lie at one place, and each surface of one is, or touched, a surface of the other."""
     if np.abs(one.place - other.place).max() > 2 * TOUCH:
         return False
     a, b = (here[k] for k in one.pair)
@@ -169,7 +178,7 @@ class _Touching:
         self._low, self._high = np.array([one.low for one in found]), np.array([one.high for one in found])
 
     def touch(self, a: int, b: int) -> bool:
-        """True if a rim of one of two surfaces, given by number, lies on the other, or if they cross."""
+        """True if a rim of one of two surfaces, given by index, lies on the other, or if they cross."""
         key = min(a, b), max(a, b)
         if key not in self._known:
             one, other = self._found[a], self._found[b]

@@ -172,8 +172,8 @@ def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[Spac
     Parameters
     ----------
     scene : mi.Scene
-        Scene to read. Shapes that are neither surfaces of revolution nor triangles are left out, and so are large
-        meshes.
+        Scene to read. Targets and shapes that are neither surfaces of revolution nor triangles are left out, and so are
+        rectangles and large meshes.
     names : collection of str, optional
         Ids of the surfaces; by default all.
     """

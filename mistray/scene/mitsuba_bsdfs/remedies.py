@@ -33,7 +33,7 @@ _INSIDE = re.compile(r"TwoSided\[\s*brdf\[0\] = (.*)", re.DOTALL)
 
 def remedy(bsdf: Any) -> str:
     """
-    Return the name of a BSDF that is no interface, and what to write instead, in one line.
+    Return the name of a BSDF that is not an interface, and what to write instead, in one line.
 
     Parameters
     ----------

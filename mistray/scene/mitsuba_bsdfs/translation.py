@@ -66,7 +66,7 @@ class _Scene:
                 yield node
 
     def of_kind(self, node: Any, kind: str) -> list[int]:
-        """Return the numbers of the objects of a kind, such as "BSDF", that an object refers to."""
+        """Return the indices of the objects of a kind, such as "BSDF", that an object refers to."""
         references = (one for one in self.values(node).values() if isinstance(one, mi.Properties.ResolvedReference))
         return [one.index() for one in references if self.nodes[one.index()].type.name == kind]
 
@@ -118,7 +118,7 @@ def _properties(given: Mapping[str, Any], name: str) -> mi.Properties:
 
 
 def _translated(scene: _Scene, node: Any, side: str) -> dict[str, Any] | None:
-    """Return the dict of a mistray interface that scatters as a Mitsuba BSDF does; None if there is none."""
+    """Return the dict of a mistray interface that scatters as a Mitsuba BSDF does; None if none does so exactly."""
     kind = node.props.plugin_name()
     values = scene.values(node)
     if kind == "twosided":
@@ -141,7 +141,11 @@ def _translated(scene: _Scene, node: Any, side: str) -> dict[str, Any] | None:
 
 
 def _diffuse(reflectance: Any, side: str) -> dict[str, Any] | None:
-    """Return a Lambertian paint of this reflectance on one side or both; another side is black, as in Mitsuba."""
+    """
+    Return a Lambertian paint of this reflectance on one side or both; another side is black, as in Mitsuba.
+
+    A reflectance of 0 gives a black surface, and a colour or a texture None. One outside 0 … 1 raises `MistrayError`.
+    """
     number, paint = _number(reflectance), {"type": "paint", "side": side}
     if number is None and not _is_table(reflectance):
         return None
@@ -156,7 +160,11 @@ def _diffuse(reflectance: Any, side: str) -> dict[str, Any] | None:
 
 
 def _both(first: dict[str, Any] | None, second: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return the dict of one surface with the paint of `first` on its one side and that of `second` on the other."""
+    """
+    Return the dict of one surface with the paint of `first` on its one side and that of `second` on the other.
+
+    It is None if either is None.
+    """
     if first is None or second is None:
         return None
     paints = {f"paint_{k}": one["paint"] for k, one in enumerate((first, second), start=1) if "paint" in one}
@@ -164,7 +172,11 @@ def _both(first: dict[str, Any] | None, second: dict[str, Any] | None) -> dict[s
 
 
 def _dielectric(values: Mapping[str, Any], gas: float) -> dict[str, Any] | None:
-    """Return a bare refracting surface; its indices are relative to the gas around it."""
+    """
+    Return a bare refracting surface; its indices are relative to the gas around it.
+
+    It is None if an index is not known, or if a specular factor is not 1.
+    """
     inside, outside = (_ior(values.get(key, usual)) for key, usual in (("int_ior", "bk7"), ("ext_ior", "air")))
     if inside is None or outside is None or any(_number(values.get(key, 1.0)) != 1 for key in FACTORS):
         return None
@@ -174,7 +186,12 @@ def _dielectric(values: Mapping[str, Any], gas: float) -> dict[str, Any] | None:
 
 
 def _conductor(values: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return a bare surface with a metal behind it, as seen from the side of the normal."""
+    """
+    Return a bare surface with a metal behind it, as seen from the side of the normal.
+
+    Mitsuba's perfect mirror becomes an ideal one with its factor as R. Without a metal that is known as numbers or
+    tables, or with a factor other than 1, the result is None. A mirror's factor outside 0 … 1 raises `MistrayError`.
+    """
     factor, material = _number(values.get(FACTORS[0], 1.0)), values.get("material", "none")
     eta, k = (values.get(key, usual) for key, usual in (("eta", 0.0), ("k", 1.0)))
     if material == "none" and _number(eta) == 0 and factor is not None:  # the default, a perfect mirror
@@ -207,7 +224,11 @@ def _samples(name: str, wavelengths_nm: Sequence[float], values: Sequence[float]
 
 
 def _is_metal(material: str) -> bool:
-    """True if a material transmits no light at any wavelength at which its n and k are known."""
+    """
+    True if a material transmits no light at any wavelength at which its n and k are known.
+
+    Raise `MistrayError` for an unknown material.
+    """
     nodes = table_nodes_nm(material) or (DEFAULT_NM,)
     return min(complex_index(material, nearest_known_nm(material, nm, with_k=True)).imag for nm in nodes) > METAL_K
 
@@ -247,12 +268,12 @@ def _number(value: Any) -> float | None:
 
 
 def _is_table(value: Any) -> bool:
-    """Whether a value is a table over wavelength."""
+    """True if a value is a table over wavelength that is not the same everywhere."""
     return type(value).__name__ == SPECTRUM and not value.is_uniform()
 
 
 def _text(value: float) -> str:
-    """Return a number as text, without the digits that conversion from single precision adds."""
+    """Return a number in digits, without those that conversion from single precision adds."""
     return f"{float(value):.{DIGITS}g}"
 
 

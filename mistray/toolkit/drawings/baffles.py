@@ -174,7 +174,11 @@ def _draw_rays(axes: Axes, tube: BaffleTube) -> None:
 
 
 def _meeting(tube: BaffleTube, z: float, r: float, slope: float) -> float:
-    """Return z, mm, at which a line through (z, r) meets the wall, limited to the tube."""
+    """
+    Return z, mm, at which a line through (z, r) meets the wall, limited to the tube.
+
+    For a line parallel to the wall it is `z` itself.
+    """
     growth = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     if slope == growth:
         return z

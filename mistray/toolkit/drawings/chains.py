@@ -26,7 +26,7 @@ def route(start: Array, end: Array, steps: Sequence[Array]) -> list[tuple[int, b
     Returns
     -------
     list of (int, bool), or None
-        Number of each segment, and whether it is walked from its start to its end; None if no way leads there.
+        Index of each segment, and whether it is walked from its start to its end; None if no way leads there.
     """
     near = TOLERANCE * max(float(np.abs(start).max()), float(np.abs(end).max()), 1e-9)
     ways: list[tuple[Array, list[tuple[int, bool]]]] = [(start, [])]

@@ -72,7 +72,7 @@ class OpenSurface:
     vertices : (n, 3) float
         Vertices, mm; empty if nothing is left.
     faces : (m, 3) int
-        Vertex numbers of each triangle.
+        Vertex indices of each triangle.
     lines : list of (k, 3) float
         Rim curves, and the curves along which the plane cuts the surface, mm.
     """
@@ -136,7 +136,11 @@ def open_surfaces(scene: Any, cut: CutPlane | None) -> list[OpenSurface]:
 
 
 def triangles(shape: Any, name: str) -> tuple[Points, Faces]:
-    """Return vertices (n, 3), mm, and faces (m, 3) of a whole shape; `name` is for the error message."""
+    """
+    Return vertices (n, 3), mm, and faces (m, 3) of a whole shape.
+
+    A shape without formula or triangles raises `MistrayError`, in which `name` is its name.
+    """
     if hasattr(shape, "profile"):
         vertices, faces = mesh_arrays(shape)
         return vertices, faces.astype(np.int64)
@@ -169,6 +173,7 @@ def turned(
     vertices : (k, 3) float64
         Vertices that faces use, mm; at most n·(steps + 1).
     faces : (m, 3) int
+        Vertex indices of each triangle.
     lines : list of (k, 3) float64
         First and last ring, and the two ends of all arcs where they lie on the plane.
     """
@@ -209,7 +214,7 @@ def clip(vertices: npt.ArrayLike, faces: npt.ArrayLike, cut: CutPlane | None) ->
     Parameters
     ----------
     vertices : (n, 3) float
-        Vertices, mm; the numbers keep their type.
+        Vertices, mm; the values keep their data type.
     faces : (m, 3) int
         Vertex indices of each triangle.
     cut : CutPlane or None
@@ -220,6 +225,7 @@ def clip(vertices: npt.ArrayLike, faces: npt.ArrayLike, cut: CutPlane | None) ->
     vertices : (k, 3) float
         Vertices, mm.
     faces : (l, 3) int
+        Vertex indices of each triangle.
     lines : list of (2, 3) float
         One segment for each triangle that is cut, mm.
     """
@@ -261,7 +267,7 @@ def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.flo
     """
     Return generatrix points (r, z), (n, 2), mm.
 
-    A plane parallel to the axis adds the point where it touches a circle.
+    A plane parallel to the axis adds the point where it touches a circle, if it does between the rims.
     """
     profile = np.asarray(shape.profile(rings), dtype=np.float64)
     if cut is None or abs(cut.normal @ shape.matrix[:3, 2]) > 1e-12:
@@ -288,7 +294,7 @@ def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[
     """
     Return the mesh of a rectangular `asphere`, cut open: vertices, faces, rims, as `clip` does.
 
-    A flat rectangle is lifted to the sag.
+    Where a curved one is cut, the new points are moved onto its sag too.
     """
     half = np.array([shape.values["half_width"], shape.values["half_height"]])
     cells = 1 if shape.plane else GRID
@@ -319,7 +325,8 @@ def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Poi
     """
     Return the mesh of a shape of Mitsuba, cut open, as `clip` does.
 
-    It follows the shape's formula if `primitive` has one.
+    It follows the shape's formula if `primitive` has one. A shape with neither formula nor triangles raises
+    `MistrayError`.
     """
     kind, rigid, size = primitive(shape)
     if not kind:
@@ -350,7 +357,8 @@ def primitive(shape: Any) -> tuple[str, Points, Points]:
     Returns
     -------
     kind : str
-        "Rectangle", "Disk", "Sphere" or "Cylinder"; empty for other shapes.
+        "Rectangle", "Disk", "Sphere" or "Cylinder"; empty for other shapes, whose transform is the identity and whose
+        scale is 1.
     rigid : (4, 4) float64
         Transform from its frame to the world, without scale, mm.
     size : (3,) float64
@@ -381,7 +389,7 @@ def _used(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
 
 def triangulate(outline: npt.ArrayLike) -> Faces:
     """
-    Return the triangles of a simple polygon, by cutting off one corner after the other that holds no other corner.
+    Return the triangles of a simple polygon, by cutting off corners whose triangles contain no other corner.
 
     Parameters
     ----------
@@ -391,7 +399,7 @@ def triangulate(outline: npt.ArrayLike) -> Faces:
     Returns
     -------
     (m, 3) int
-        Corner numbers of each triangle; together they cover the polygon.
+        Corner indices of each triangle; together they cover the polygon.
 
     Notes
     -----
@@ -417,7 +425,11 @@ def triangulate(outline: npt.ArrayLike) -> Faces:
 
 
 def _is_ear(points: Points, ring: Sequence[int], k: int) -> bool:
-    """True if corner `k` of a polygon and its neighbours form a convex triangle that holds no other corner."""
+    """
+    True if corner `k` of a polygon and its neighbours form a convex triangle that holds no other corner.
+
+    It is also True if the three lie on one line.
+    """
     a, b, c = (points[ring[i]] for i in (k - 1, k, (k + 1) % len(ring)))
     size = _side(a, b, c)
     if size <= 0:

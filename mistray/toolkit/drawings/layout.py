@@ -135,6 +135,11 @@ def layout(
     path_ids : int or sequence of int, optional
         Draw these paths of ``report.table(field_deg)`` instead; the first one in blue.
 
+    Raises
+    ------
+    MistrayError
+        If a path is not in the table of the field.
+
     Examples
     --------
     >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
@@ -332,7 +337,11 @@ def _figure(
 
 
 def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN) -> list[tuple[int, str, str]]:
-    """Return path id, colour and label of the direct image, the worst stray paths of a field, and the strongest one."""
+    """
+    Return path id, colour and label of the direct image, the worst stray paths of a field, and the strongest one.
+
+    `ghosts` is the number of the worst; the direct image is left out if the field has none.
+    """
     table = report.table(field_deg)
     chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
     for number, row in enumerate(report.listed(field_deg, ghosts).itertuples(index=False), 1):
@@ -354,7 +363,7 @@ def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> li
 
 
 def _turns(report: GhostReport, field_deg: float, path_id: int) -> list[int]:
-    """Return the numbers of the ray points where a path is reflected or scattered; the start is point 0."""
+    """Return the indices of the ray points where a path is reflected or scattered; the start is point 0."""
     table = report.table(field_deg)
     words = event_words(str(table.events[table.path_id == path_id].iloc[0]))
     return [k for k, word in enumerate(words, 1) if word[-1] not in "TA"]
@@ -371,7 +380,7 @@ def meridional(rays: Sequence[Polyline], count: int, turn: tuple[int, int] = (0,
     count : int
         Largest number of rays.
     turn : (int, int)
-        Number of this path, and number of paths. Each takes other heights of the pupil, so that rays of paths that have
+        Index of this path, and number of paths. Each takes other heights of the pupil, so that rays of paths that have
         a part of their way in common do not hide each other.
     """
     number, paths = turn

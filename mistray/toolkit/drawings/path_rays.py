@@ -35,7 +35,7 @@ _LETTER = {INTERCEPTS[code]: letter for code, letter in LETTERS.items()}
 @dataclass(frozen=True, eq=False)
 class RayLine:
     """
-    Ray of one path as a polyline, from its source to its last hit.
+    Ray of one path as a polyline, from its source (backward: from the detector) to its last hit.
 
     Attributes
     ----------
@@ -46,11 +46,11 @@ class RayLine:
     wavelength_nm : float
         Wavelength, nm.
     start_ray : int
-        Number of its start ray.
+        Index of its start ray; of a backward ray, its index among those of its detector.
     points : (k + 1, 3) float64
-        Start and every hit, mm.
+        Start and every hit, mm; where a ray leaves the scene, perhaps one more point on its way out.
     flux_W : (k + 1,) float64
-        Flux arriving at each point, W.
+        Flux arriving at each point, W; 1 for backward rays.
 
     Examples
     --------
@@ -81,9 +81,10 @@ class RayLine:
 
 def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None = None) -> list[PathRow]:
     """
-    Return the `count` strongest rows of the path table, or those requested by id, by name or by filter.
+    Return the `count` strongest rows of the path table, or all that `path_ids` requests by id, by name or by filter.
 
-    A path at several wavelengths counts once, with its strongest row: the rays of the others would lie on its own.
+    A path at several wavelengths, unless it is requested by id, counts once, with its strongest row: the rays of the
+    others would lie on its own.
 
     Raises
     ------
@@ -136,7 +137,7 @@ def rays_of_paths(trace: Trace, path_ids: int | Iterable[int] | None = None, n: 
     Raises
     ------
     MistrayError
-        If a row is unknown, or `n` is below 1.
+        If a row is unknown, `n` is below 1, or the trace has no path table.
 
     Examples
     --------
@@ -223,7 +224,7 @@ def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0
 
 
 class RayGroup(NamedTuple):
-    """Group of drawn rays with a common colour: its name in the legend, rays, and row of the path table or None."""
+    """Drawn rays with a common colour: name in the legend, rays, and row of the path table (None: rays of a class)."""
 
     name: str
     lines: list[RayLine]
@@ -231,7 +232,11 @@ class RayGroup(NamedTuple):
 
 
 def rows_of(choice: RayChoice, trace: Trace) -> list[PathRow]:
-    """Return the drawn rows of the path table; none if rays are drawn by class."""
+    """
+    Return the drawn rows of the path table; none if rays are drawn by class.
+
+    If no path passes the filter, or a path is unknown, it raises `MistrayError`.
+    """
     if choice.classes is not None:
         return []
     if not choice.selection:
@@ -243,7 +248,11 @@ def rows_of(choice: RayChoice, trace: Trace) -> list[PathRow]:
 
 
 def ray_groups(choice: RayChoice, scene: mi.Scene, traces: Sequence[Trace], size_mm: float = 0.0) -> list[RayGroup]:
-    """Return the rays to draw, grouped by path or by class; rays that leave the scene are extended by `size_mm`."""
+    """
+    Return the rays to draw, grouped by path or by class; rays that leave the scene are extended by `size_mm`.
+
+    Raise `MistrayError` for an unknown path or surface, or a filter that is not valid or that no path passes.
+    """
     found = [group for trace in traces for group in _groups_of(choice, trace, size_mm, len(traces) > 1)]
     if traces and BACKWARD in (choice.classes or ()):  # at all fields the same
         found.append(RayGroup(BACKWARD, backward_lines(scene, traces[0], choice.rays, size_mm)))
@@ -251,7 +260,12 @@ def ray_groups(choice: RayChoice, scene: mi.Scene, traces: Sequence[Trace], size
 
 
 def _groups_of(choice: RayChoice, trace: Trace, size_mm: float, with_field: bool) -> list[RayGroup]:
-    """Return the rays to draw from the trace of one field, grouped by path or by class."""
+    """
+    Return the rays to draw from the trace of one field, grouped by path or by class.
+
+    Names begin with the field angle if `with_field`. Raise `MistrayError` as `rows_of` does, or if the filter is not
+    valid.
+    """
     field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
     if choice.classes is not None:
         names = [name for name in choice.classes if name != BACKWARD]
@@ -274,6 +288,10 @@ def _lines_of_class(choice: RayChoice, trace: Trace, name: str, size_mm: float) 
 
 
 def row_name(row: PathRow, with_wavelength: bool = False) -> str:
-    """Return the legend text of a row of the path table: id, name, optional wavelength (nm), and power (W)."""
+    """
+    Return the name of a row of the path table in a legend: id, name and power (W).
+
+    With `with_wavelength` the wavelength (nm) is added.
+    """
     wavelength = f", {row.wavelength_nm:g} nm" if with_wavelength else ""
     return f"{row.path_id} {row.label}{wavelength}, {row.power_W:.4g} W"

@@ -15,25 +15,29 @@ BACKWARD = "backward"  # rays from the detector
 
 
 class ChosenRow(Demand):
-    """Condition on a value that selects rows of the path table: a number for one, a name or filter for all that fit."""
+    """Condition on a value that selects rows of the path table: an index for one, a name or filter for all that fit."""
 
     demand = ROWS.demand
     metavar = "ID"
     also = ({"type": "integer", "minimum": ROWS.low, "maximum": ROWS.high}, {"type": "string"})
 
     def check(self, name: str, value: Any, owner: str = "") -> int | str:
-        """Return a value if it is a row number or a text; otherwise raise `MistrayError`."""
+        """Return a value if it is a row index or a string; otherwise raise `MistrayError`."""
         found: int | str = value if isinstance(value, str) else ROWS.check(name, value, owner)
         return found
 
     def __call__(self, text: str) -> int | str:
-        """Return the value of a command-line text: a row number, or else a name or filter."""
+        """Return the value of a word of the command line: a row index, or else a name or filter."""
         return int(ROWS(text)) if text.strip().lstrip("+-").isdigit() else text
 
 
 @dataclass(frozen=True)
 class RayChoice(Request):
-    """Choice of the rays to draw from traces: those of the strongest paths, of chosen paths, or of classes of light."""
+    """
+    Choice of the rays to draw from traces: those of the strongest paths, of chosen paths, or of classes of light.
+
+    Fields that exclude each other raise `MistrayError`.
+    """
 
     _: KW_ONLY
     paths: int = field(ROWS, 8, "paths to draw, strongest first, each at its strongest wavelength")

@@ -31,7 +31,7 @@ def bars(values: Mapping[str, Estimate], colours: Sequence[str], label: str) -> 
     colours : sequence of str
         Colour of each bar.
     label : str
-        What the values are, with their unit.
+        Name of the values, with their unit.
     """
     made, axes = Figure.of_panels(8.6, 1.2 + 0.32 * max(len(values), 3))
     value = np.array([one.value for one in values.values()])
@@ -58,7 +58,11 @@ def named_bars(axes: Axes, names: Sequence[str], values: np.ndarray, errors: Any
 
 
 def magnitude_bars(values: Mapping[str, Estimate], label: str) -> Figure:
-    """Return a figure of the largest magnitudes as horizontal bars on a log10 scale; values below 0 are orange."""
+    """
+    Return a figure of the `BARS` largest magnitudes as horizontal bars on a log10 scale.
+
+    Values below 0 are orange. Values that are 0 or not finite are left out.
+    """
     known = {name: one for name, one in values.items() if np.isfinite(one.value) and one.value}
     shown = dict(sorted(known.items(), key=lambda item: -abs(item[1].value))[:BARS])
     sizes = {name: Estimate(abs(one.value), one.se) for name, one in shown.items()}

@@ -80,7 +80,8 @@ class Figure(figure.Figure):
     ) -> tuple[Self, Any]:
         """Return a figure of a size in inches and its panels, which do not overlap.
 
-        `panels` are keywords of `subplots`.
+        There are `rows` and `columns` of them: a single Axes, or an array. `dpi` is the resolution, pixels per inch,
+        and `panels` are keywords of `subplots`.
         """
         made = cls(figsize=(width, height), dpi=dpi, layout="constrained")
         return made, made.subplots(rows, columns, **panels)
@@ -94,15 +95,15 @@ class Figure(figure.Figure):
         title, text : str
             Name of the optical system, and what the figure shows.
         small_print : str
-            See `small_print`; empty: there is none.
+            Text in small print below the panels; empty: there is none.
         right : bool
-            See `small_print`.
+            Whether the small print is on the right, else centred.
         """
         self.suptitle(f"{title}{': ' if title and text else ''}{text}", fontsize=10, x=0.02, ha="left")
         return self.small_print(small_print, right) if small_print else self
 
     def small_print(self, text: str, right: bool = False) -> Self:
-        """Write a text in small print below the panels, centred or on the right, and return the figure."""
+        """Write a text in small print below the panels, centred or with `right` on the right, and return the figure."""
         self.supxlabel(text, fontsize=7.5, color="#555555", **({"x": 0.99, "ha": "right"} if right else {}))
         return self
 
@@ -135,7 +136,11 @@ class Figure(figure.Figure):
             )
 
     def draw(self, renderer: Any) -> None:
-        """Draw the figure with all names as plain text; Matplotlib calls this for every file format."""
+        """
+        Draw the figure with all names as plain text; Matplotlib calls this for every file format.
+
+        If there is a layout engine, the first call only places everything.
+        """
         axes = [axis for panel in self.axes for axis in (panel.xaxis, panel.yaxis)]
         numbers = set()
         for axis in axes:

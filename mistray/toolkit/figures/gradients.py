@@ -9,6 +9,10 @@ from mistray.toolkit.tables.gradients import derivatives
 
 
 def gradient_figure(found: Gradient, title: str = "") -> Figure:
-    """Draw the largest derivatives as bars with errors, in metric per unit of the parameter."""
+    """
+    Draw the largest derivatives as bars with errors, in metric per unit of the parameter.
+
+    The heading begins with `title`; derivatives that are 0 or not finite are left out.
+    """
     made = magnitude_bars(derivatives(found), "size of the derivative [metric per unit of the parameter]")
     return made.headed(title, "derivatives", "blue: above 0, orange: below 0; bars of one standard error")

@@ -47,7 +47,7 @@ def image_colours() -> Colormap:
 
 def scaled_map(axes: Axes, image: Pixels, extent: Extent, limits: Range | None, cells: int) -> None:
     """
-    Draw one map on a log10 scale with its own colour bar.
+    Draw one map on a log10 scale with its own colour bar, which is left out if nothing exceeds its floor.
 
     Parameters
     ----------
@@ -101,6 +101,11 @@ def draw_map(
     -------
     AxesImage or None
         Drawn image, for a colour bar; None if there is no light.
+
+    Raises
+    ------
+    MistrayError
+        If the floor does not lie below the top.
     """
     axes.set_facecolor("black")
     axes.set_xlim(extent[0], extent[1])
@@ -130,7 +135,7 @@ def _hatch(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
 
 
 def as_png(figure: Figure, of_maps: bool = False) -> bytes:
-    """Return a figure as PNG; with `of_maps` it gets a palette of 256 colours and is a third as large."""
+    """Return a figure as PNG; with `of_maps` it gets a palette of 256 colours, which makes it a third as large."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", bbox_inches="tight", pad_inches=0.1)
     if not of_maps:
@@ -153,7 +158,11 @@ def _map_palette() -> Image.Image:
 
 
 def write_figure(figure: Figure, path: str | Path) -> Path:
-    """Write a figure in the format of the file's ending, complete or not at all, and return the path."""
+    """
+    Write a figure in the format of the file's ending, complete or not at all, and return the path.
+
+    Raise `MistrayError` if the file cannot be written, and what Matplotlib raises for another ending.
+    """
     buffer = io.BytesIO()
     figure.savefig(buffer, format=Path(path).suffix.lower().removeprefix("."), bbox_inches="tight", pad_inches=0.1)
     return replace_file(path, buffer.getvalue(), "picture")

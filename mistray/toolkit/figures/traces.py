@@ -19,7 +19,7 @@ LEDGER_COLOURS = {"detected": BLUE, "absorbed": GREY, "escaped": GREEN, "cut": O
 
 
 def trace_figure(trace: Trace, title: str = "") -> Figure:
-    """Draw the irradiance of all light on the detector, W/mm², on a log10 scale."""
+    """Draw the irradiance of all light on the detector, W/mm², on a log10 scale, under the heading `title`."""
     x0, x1, y0, y1 = trace.extent
     made, axes = Figure.of_panels(5.6, 0.9 + 4.3 * max((y1 - y0) / (x1 - x0), 0.45), dpi=110)
     scaled_map(axes, trace.light, trace.extent, None, CELLS)
@@ -29,7 +29,11 @@ def trace_figure(trace: Trace, title: str = "") -> Figure:
 
 
 def paths_figure(paths: PathTable, title: str = "") -> Figure:
-    """Draw the power of the strongest paths, W, as bars with standard errors."""
+    """
+    Draw the power of the strongest paths, W, as bars with standard errors, under the heading `title`.
+
+    At most `BARS` paths are drawn.
+    """
     rows = paths[:BARS]
     powers = {f"{row.path_id}  {row.label}": Estimate(row.power_W, row.power_se_W) for row in rows}
     colours = [BLUE if row.kind == DIRECT else VERMILION for row in rows]
@@ -40,7 +44,11 @@ def paths_figure(paths: PathTable, title: str = "") -> Figure:
 
 
 def energy_figure(energy: Energy, title: str = "") -> Figure:
-    """Draw the shares of the launched flux by destination, percent, as bars with standard errors."""
+    """
+    Draw the shares of the launched flux by destination, percent, as bars with standard errors.
+
+    At most `BARS` destinations with flux are drawn, under the heading `title`.
+    """
     flux = sorted(ledger(energy).items(), key=lambda item: -item[1].value)[:BARS]
     shares = {name: one.times(100 / energy.launched_W) for name, one in flux if one.value > 0}
     made = bars(shares, [LEDGER_COLOURS[name.split()[0]] for name in shares], "share of the launched flux [%]")
@@ -48,14 +56,18 @@ def energy_figure(energy: Energy, title: str = "") -> Figure:
 
 
 def flux_figure(found: FluxReport, title: str = "") -> Figure:
-    """Draw the flux that surfaces absorb, W, as bars with standard errors."""
+    """
+    Draw the flux that surfaces absorb, W, as bars with standard errors, under the heading `title`.
+
+    At most `BARS` surfaces that absorb flux are drawn.
+    """
     rows = sorted((row for row in found if row.absorbed_W > 0), key=lambda row: -row.absorbed_W)[:BARS]
     fluxes = {row.id: Estimate(row.absorbed_W, row.absorbed_se_W) for row in rows}
     return bars(fluxes, [GREY] * len(rows), "absorbed flux [W]").headed(title, "flux that surfaces absorb")
 
 
 def rays_figure(rays: RayHistory, title: str = "") -> Figure:
-    """Draw recorded rays projected onto the y-z plane, mm; dots mark their events."""
+    """Draw recorded rays projected onto the y-z plane, mm; dots mark their events, and `title` begins the heading."""
     made, axes = Figure.of_panels(8.6, 4.2)
     for points in rays.rays:
         axes.plot(points[:, 2], points[:, 1], color=BLUE, lw=0.8, marker=".", ms=4)

@@ -88,7 +88,11 @@ def decimals(low: npt.ArrayLike, high: npt.ArrayLike) -> int:
 
 
 def section_data(scene: Any) -> dict[str, Any]:
-    """Return the drawing of a system's section (mm), its bounds and map colours as data for page scripts."""
+    """
+    Return the drawing of a system's section (mm), its bounds and map colours as data for page scripts.
+
+    All are JSON-serialisable; coordinates are rounded to `DIGITS` digits of the system's size.
+    """
     lines = section(scene)
     low, high = bounds(lines)
     digits = decimals(low, high)
@@ -126,7 +130,7 @@ def palette_png(index: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8]) ->
     Parameters
     ----------
     index : (H, W) uint8
-        Number of the colour of each pixel, the top row first.
+        Index of the colour of each pixel, the top row first.
     palette : (n, 3) uint8
         Red, green and blue of each colour, 0 … 255.
     """

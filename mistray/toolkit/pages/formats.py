@@ -61,7 +61,7 @@ def write_formats(
     directory : str or Path
         Existing folder.
     tables : mapping of str to DataFrame
-        Tables by file name, whose ending, such as .csv, is replaced.
+        Tables by file name; an ending .csv is replaced.
     maps : mapping of str to IrradianceMap
         Irradiance maps, W/mm², by file name without ending.
     facts : mapping, optional
@@ -73,6 +73,11 @@ def write_formats(
     -------
     list of Path
         The files written.
+
+    Raises
+    ------
+    MistrayError
+        If a file cannot be written, or the package for a format is not installed.
 
     Examples
     --------

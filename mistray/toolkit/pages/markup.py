@@ -14,7 +14,11 @@ LONG_TEXT = 40  # letters from which on a cell may break its lines
 
 
 def cell(text: str, kind: str = "") -> str:
-    """Return the HTML of a table cell with text, which sorts by the number that it is; `kind` is its CSS class."""
+    """
+    Return the HTML of a table cell with text; `kind` is its CSS class.
+
+    If the text is a number, the cell sorts by its value.
+    """
     kind = f"{kind} long" if kind.split(" ")[0] == "t" and len(text) > LONG_TEXT else kind
     style = f' class="{kind}"' if kind else ""
     try:
@@ -25,7 +29,11 @@ def cell(text: str, kind: str = "") -> str:
 
 
 def number_cell(estimate: Estimate, note: str = "") -> str:
-    """Return a table cell with a value, its standard error and a note below, which sorts by the value."""
+    """
+    Return a table cell with a value, its standard error and a note below, which sorts by the value.
+
+    A value that is not finite is shown as "–", without a note.
+    """
     if not math.isfinite(estimate.value):
         return cell(ABSENT)
     value, *below = [*value_and_error(with_error(estimate)), typeset_html(note)]

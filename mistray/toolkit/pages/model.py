@@ -120,9 +120,9 @@ class Table(PagePart):
     fold : str
         Text of the line that opens the table on a page; empty: it is open.
     most : int, optional
-        Largest number of rows in text.
+        Largest number of rows in text; None: all rows.
     rest : sequence of Value
-        Row in text that replaces those left out.
+        Row in text that replaces those left out; empty: none does.
     empty : str
         Text in place of a table without rows.
     """
@@ -139,7 +139,11 @@ class Table(PagePart):
     kind: ClassVar[str] = "table"
 
     def rows_in_text(self, most: int | None = None) -> list[Sequence[Value]]:
-        """Return the rows printed as text: at most `most`, or the table's own number, and one for the rest."""
+        """
+        Return the rows printed as text: at most `most`, or if that is None at most as many as the table says.
+
+        If rows are left out, the row `rest` follows, unless it is empty.
+        """
         most = self.most if most is None else most
         rows = list(self.rows if most is None else self.rows[:most])
         return [*rows, self.rest] if len(self.rows) > len(rows) and self.rest else rows
@@ -149,13 +153,17 @@ class Table(PagePart):
         return self.kept([k for k, column in enumerate(self.columns) if column.head not in heads])
 
     def kept(self, kept: Sequence[int]) -> Table:
-        """Return a copy of the table with only the columns of these numbers."""
+        """Return a copy of the table with only the columns at the indices `kept`, in the order of these indices."""
         rows = [[row[k] for k in kept] for row in self.rows]
         rest = [self.rest[k] for k in kept] if self.rest else ()
         return replace(self, columns=[self.columns[k] for k in kept], rows=rows, rest=rest)
 
     def beside(self, *others: Table) -> Table:
-        """Return the table with the columns of other tables, which have as many rows, on its right."""
+        """
+        Return the table with the columns of other tables, which have as many rows, on its right.
+
+        Its row `rest` gets no further cells.
+        """
         rows = [[*chain(*parts)] for parts in zip(self.rows, *(one.rows for one in others), strict=True)]
         return replace(self, columns=[*self.columns, *(c for one in others for c in one.columns)], rows=rows)
 

@@ -25,7 +25,7 @@ def writable_directory(directory: str | Path) -> Path:
     Raises
     ------
     MistrayError
-        If the path is a file, is not writable, or its disk is full.
+        If the path is empty, is a file or is not writable, or its disk is full.
 
     Examples
     --------
@@ -62,7 +62,7 @@ def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list
     Raises
     ------
     MistrayError
-        If the folder cannot be written, see `writable_directory`.
+        If the folder or a file cannot be written, see `writable_directory`, or may not be replaced.
     """
     target = writable_directory(directory)
     with told(directory), replacing_folder(target):
@@ -86,6 +86,12 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
     -------
     list of Path
         Written files; the scene is first, the page last.
+
+    Raises
+    ------
+    MistrayError
+        If the folder or a file cannot be written, or may not be replaced, or a table of a section that a user added has
+        no name.
     """
     from mistray.toolkit.pages.own_sections import with_own_sections
     from mistray.toolkit.pages.render import html_page
@@ -98,7 +104,7 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
 
 
 def csv_text(table: pd.DataFrame, in_full: bool = False) -> str:
-    """Return a table as CSV without its index, numbers with nine digits or in full."""
+    """Return a table as CSV without its index, numbers with all digits if `in_full`, else with nine."""
     return str(table.to_csv(index=False, lineterminator="\n", float_format=None if in_full else "%.9g"))
 
 

@@ -37,7 +37,7 @@ def add_section(make: Made, of: type) -> Made:
 
 def remove_section(make: SectionMaker) -> None:
     """
-    Remove a section, added by `add_section`, from future reports.
+    Remove a section, added by `add_section`, from future reports; raise `KeyError` if it was not added.
 
     Examples
     --------
@@ -56,7 +56,12 @@ def own_sections(result: Any) -> list[Section]:
 
 
 def with_own_sections(report: Report) -> Report:
-    """Return a report with the user's sections for its result added before its last section, in all output files."""
+    """
+    Return a report with the user's sections for its result before its last section.
+
+    Their tables and values are added to its CSV and JSON files. A table without a name of its own raises
+    `MistrayError`.
+    """
     own = own_sections(report.result)
     return replace(
         report,
@@ -93,7 +98,11 @@ def section_tables(sections: Sequence[Section], taken: Container[str] = ()) -> d
 
 
 def section_record(sections: Sequence[Section]) -> dict[str, Any]:
-    """Return sections as JSON-serialisable values by anchor: title, rows of each table and range of each map."""
+    """
+    Return sections as JSON-serialisable values: title, rows of each table and range of each map, by anchor.
+
+    They are under the key "sections"; without sections the dictionary is empty.
+    """
     record: dict[str, Any] = {}
     for section in sections:
         record[section.anchor] = own = {"title": section.title}

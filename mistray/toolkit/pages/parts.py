@@ -67,7 +67,7 @@ def version_settings() -> dict[str, str]:
 
 
 def setting_text(value: Any) -> str:
-    """Return the value of a setting as text for a report."""
+    """Return the value of a setting as a report shows it; None as "–"."""
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, list | tuple):
@@ -76,5 +76,5 @@ def setting_text(value: Any) -> str:
 
 
 def thousands(value: Any) -> str:
-    """Return a whole number as text with a space before every three digits."""
+    """Return a whole number in digits with a space before every three of them; None as "–"."""
     return f"{int(value):,}".replace(",", " ") if value is not None else ABSENT

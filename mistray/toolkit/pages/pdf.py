@@ -79,7 +79,14 @@ def _write(report: model.Report, writer: _Writer) -> None:
 
 
 class _Writer:
-    """Writer that sets the parts of a report one below the other on PDF pages."""
+    """
+    Writer that sets the parts of a report one below the other on PDF pages.
+
+    Attributes
+    ----------
+    pdf : fpdf.FPDF
+        Document.
+    """
 
     def __init__(self, title: str) -> None:
         class Document(format_package("pdf").FPDF):  # type: ignore[misc]
@@ -110,7 +117,11 @@ class _Writer:
             font.ttfont.close()
 
     def parts(self, parts: Sequence[model.PagePart], most: float = MOST_HEIGHT) -> None:
-        """Write parts of a report; pictures are at most `most` mm high."""
+        """
+        Write parts of a report; pictures are at most `most` mm high.
+
+        Of a folded part, only the summary is written.
+        """
         for part in parts:
             if isinstance(part, model.Table):
                 self.table(part)
@@ -140,7 +151,7 @@ class _Writer:
             self.rule()
 
     def title_block(self, report: model.Report) -> None:
-        """Write system, analysis, date, program and checksum of the numbers, between two lines."""
+        """Write system, analysis, date, program and, if there are tables, their checksum, between two lines."""
         tables = "".join(csv_text(frame, report.in_full) for frame in report.csv.values())
         program = ", ".join(f"{name} {version}" for name, version in versions().items())
         pairs = [
@@ -225,7 +236,12 @@ class _Writer:
         self.pdf.ln(1)
 
     def table(self, table: model.Table) -> None:
-        """Write a table as wide as needed; if it is wider than the page, columns of text are wrapped."""
+        """
+        Write a table as wide as needed; if it is wider than the page, columns of text are wrapped.
+
+        A table without rows is left out, and so are columns of event letters. Of long tables the rows are written that
+        are also printed.
+        """
         from fpdf.enums import TableBordersLayout
         from fpdf.fonts import FontFace
 
@@ -254,7 +270,11 @@ class _Writer:
         self.pdf.ln(2)
 
     def _widths(self, rows: Sequence[Sequence[str]], left: Sequence[bool]) -> tuple[float, list[float]]:
-        """Return the size of the font, points, and the widths of the columns, mm, that fit a table on the page."""
+        """
+        Return the size of the font, points, and the widths of the columns, mm, that fit a table on the page.
+
+        If no size fits, the smallest is used, and columns of text are narrowed before all others.
+        """
         room, widths = self.pdf.epw, [0.0]
         for size in TABLE_SIZES:
             widths = []
@@ -281,7 +301,11 @@ class _Writer:
         bold: bool = False,
         family: str = FONT,
     ) -> None:
-        """Write a paragraph with a font size in points; in `Markup`, text within <b> is bold."""
+        """
+        Write a paragraph with a font size in points, in a colour (RGB) and a font family.
+
+        In `Markup`, text within <b> is bold.
+        """
         self.pdf.set_text_color(*colour)
         self.pdf.set_x(MARGIN)
         pieces = re.split(r"</?b>", text) if isinstance(text, Markup) else [text]

@@ -31,7 +31,11 @@ def heading_of(column: str) -> tuple[str, str]:
 
 
 def error_of(column: str, known: Sequence[str]) -> str | None:
-    """Return the name of the column with a column's standard error, or None: "pst" → "pst_se", "x_mm" → "x_se_mm"."""
+    """
+    Return the name of the column with a column's standard error: "pst" → "pst_se", "x_mm" → "x_se_mm".
+
+    It is None if `known` has no such column.
+    """
     name, _ = unit_of(column)
     end = column[len(name) :]
     return next((other for other in (f"{name}_se{end}", f"{column}_se") if other in known), None)
@@ -100,7 +104,11 @@ def _value(value: Any, column: str, error: Any) -> Value:
 
 
 def value_text(value: Any) -> str:
-    """Return a value of a table or of a setting as text."""
+    """
+    Return a value of a table or of a setting as a report shows it.
+
+    None and NaN are "–", True is "yes", False is empty.
+    """
     if isinstance(value, str):
         return value
     if isinstance(value, Estimate):
@@ -116,7 +124,11 @@ def value_text(value: Any) -> str:
 
 
 def flat(values: Mapping[str, Any], before_unit: bool = False) -> dict[str, Any]:
-    """Return values by column with each `Estimate` as two: "x_mm" and "x_mm_se" or, on request, "x_se_mm"."""
+    """
+    Return values by column with each `Estimate` as two: "x_mm" and "x_mm_se".
+
+    With `before_unit` the second is "x_se_mm".
+    """
     row: dict[str, Any] = {}
     for name, value in values.items():
         begin = unit_of(name)[0] if before_unit else name

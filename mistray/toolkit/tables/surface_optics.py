@@ -27,7 +27,7 @@ OPTIC, BEVEL, OTHER_OPTIC, STRUCTURE, DETECTOR = "optic", "bevel or edge", "othe
 
 
 def role(table: SurfaceTable, path: DesignPath | None, surface: int) -> str:
-    """Return a surface's role, as text: optic (of the design path), bevel or edge, other optic, structure, detector."""
+    """Return a surface's role: optic (of the design path), bevel or edge, other optic, structure, detector."""
     word = int(table.optics.host_words[surface])
     if surface == table.detector:
         return DETECTOR
@@ -90,7 +90,11 @@ def _rounded(values: Mapping[str, float]) -> tuple[float, ...]:
 def _totals(
     table: SurfaceTable, surface: int, models: Sequence[LobeModel], from_front: bool, cosine: float = 1.0
 ) -> Totals:
-    """Return specular loss and scattered fraction, 0 … 1, by scatter models of a surface at a cosine of incidence."""
+    """
+    Return specular loss and scattered fraction, 0 … 1, by scatter models of a surface at a cosine of incidence.
+
+    Light arrives from the front if `from_front`; through an opaque surface nothing is scattered.
+    """
     opaque = bool(table.optics.host_words[surface] & OPAQUE)
     sides = light_indices(table.optics, surface, from_front)
     particles = particle_indices(models, table.wavelength_nm)
@@ -114,7 +118,11 @@ def _known_totals(
 
 
 def _budget(table: SurfaceTable, surface: int, from_front: bool) -> dict[str, float]:
-    """Return specular R and T, TIS of reflection and transmission, and absorption, percent, at normal incidence."""
+    """
+    Return specular R and T, TIS of reflection and transmission, and absorption, percent, at normal incidence.
+
+    Light arrives from the front if `from_front`.
+    """
     r, t = (float(share[0]) for share in table.optics.shares(surface, from_front, np.ones(1)))
     sums = _totals(table, surface, table.interfaces[surface].scatter, from_front)
     x = {"reflection": r, "transmission": t}
@@ -131,7 +139,11 @@ def _budget(table: SurfaceTable, surface: int, from_front: bool) -> dict[str, fl
 
 
 def _models(table: SurfaceTable, surface: int, side: str, from_front: bool) -> list[dict[str, Any]]:
-    """Return table rows with the TIS of each scatter model of a surface alone, percent, at normal incidence."""
+    """
+    Return table rows with the TIS of each scatter model of a surface alone, percent, at normal incidence.
+
+    Light arrives from the front if `from_front`, the side called `side`; models without TIS are left out.
+    """
     r, t = table.optics.shares(surface, from_front, np.ones(1))
     rows = []
     for item in table.interfaces[surface].scatterers:
@@ -167,12 +179,12 @@ def coating_words(coating: Any) -> str:
 
 
 def scatter_words(interface: Any) -> str:
-    """Return the scatter models of an interface as text, "-" if it has none."""
+    """Return the scatter models of an interface in words; "-" if it has none."""
     return " + ".join(model_words(item) for item in interface.scatterers) or "-"
 
 
 def model_words(item: Any) -> str:
-    """Return a scatter model with its values other than defaults as text, such as "harvey_shack rms_nm 4"."""
+    """Return a scatter model with its numbers other than defaults in words, such as "harvey_shack rms_nm 4"."""
     model = item.model
     shown = []
     for f in dataclasses.fields(model) if dataclasses.is_dataclass(model) else ():
@@ -183,7 +195,11 @@ def model_words(item: Any) -> str:
 
 
 def _treatments(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return a DataFrame of groups of surfaces with equal coating, scatter, R, T and absorption, by size."""
+    """
+    Return a DataFrame of groups of surfaces with equal coating, scatter, R, T and absorption, percent.
+
+    Groups are sorted by role, then by the number of their surfaces.
+    """
     numbers = ["R_percent", "T_percent", *TIS, "A_percent"]
     keys = ["role", "side", "coating", "scatter", *numbers]
     rounded = frame.assign(**{name: frame[name].round(SAME_DIGITS) for name in numbers})

@@ -31,7 +31,7 @@ ABSENT = "–"
 
 def with_error(number: Estimate, digits: int = 2) -> str:
     """
-    Return a number and its standard error as text, "9.3548e-05 ± 1.2e-08".
+    Return a number and its standard error as printed, such as "9.3548e-05 ± 1.2e-08".
 
     The error has ``digits`` digits and the value ends at the same place, but has `SIGNIFICANT` digits at most. An error
     that is 0 there is left out. A number that is not finite is "–"; an unknown error is "± ?".
@@ -65,13 +65,15 @@ def with_error(number: Estimate, digits: int = 2) -> str:
 
 
 def number(value: float, digits: int = 5) -> str:
-    """Return a number without error as text; "–" if it is not finite."""
+    """Return a number without error as printed, with `digits` significant digits; "–" if it is not finite."""
     return f"{value:.{digits}g}" if math.isfinite(value) else ABSENT
 
 
 def table_text(table: Table, most: int | None = None) -> str:
     """
     Return a table of a report as text of fixed width, with a line of units below the headings, if there are any.
+
+    A table without rows gives its `Table.empty`.
 
     Parameters
     ----------
@@ -96,7 +98,11 @@ def table_text(table: Table, most: int | None = None) -> str:
 
 
 def cell_text(value: Value) -> str:
-    """Return a cell of a table as text."""
+    """
+    Return a cell of a table as printed: a value with its error, without the note on it; else its text.
+
+    A link is printed without its target, and a fold as its summary.
+    """
     if isinstance(value, Noted):
         value = value.number
     if isinstance(value, Estimate):
@@ -107,7 +113,7 @@ def cell_text(value: Value) -> str:
 
 
 def parts_text(parts: Sequence[PagePart]) -> str:
-    """Return tables, notes and lists as text, and pictures as their captions."""
+    """Return tables, notes and lists as text, and pictures as their captions; groups and folded parts are left out."""
     texts = []
     for part in parts:
         if isinstance(part, Table):
@@ -126,13 +132,13 @@ def parts_text(parts: Sequence[PagePart]) -> str:
 
 
 def first_of(texts: Sequence[str], most: int, between: str = ", ") -> str:
-    """Return the first `most` texts joined by `between`, and how many more there are."""
+    """Return the first `most` strings joined by `between`, followed by "and … more" if there are more."""
     more = len(texts) - most
     return between.join(texts[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def plain_sentences(texts: Sequence[str]) -> list[str]:
-    """Return the sentences of a verdict without markup."""
+    """Return the sentences of a verdict without markup; plain strings stay as they are."""
     return [text.striptags() if isinstance(text, Markup) else text for text in texts]
 
 

@@ -45,7 +45,7 @@ def ledger(energy: Energy) -> dict[str, Estimate]:
     """
     Return the parts of the launched flux by destination, W: detectors, surfaces, media, outside and cuts.
 
-    Each group has its largest part first.
+    Each group has its largest part first; parts that are 0 are left out. The errors of cuts are NaN.
     """
     unknown = float("nan")
     groups = (

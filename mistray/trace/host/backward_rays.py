@@ -19,13 +19,13 @@ class BackwardStep(NamedTuple):
     Attributes
     ----------
     ray : (n,) int
-        Numbers of the rays.
+        Indices of the rays.
     left, met : (n,) int
-        Numbers of the surfaces that the rays leave and meet; `met` is -1 if a ray leaves the scene.
+        Indices of the surfaces that the rays leave and meet; `met` is -1 if a ray leaves the scene.
     d : (n, 3) float64
         Unit directions of the segments.
     p : (n, 3) float64
-        Points at which the rays meet the next surface, mm.
+        Points at which the rays meet the next surface, mm; of no use for rays that leave the scene.
     reflects, stops : (n,) bool
         Whether the rays are reflected there, and whether they end, at an absorbing surface or the detector.
     """

@@ -32,9 +32,9 @@ class PointBundle:
     axis, u, v : (3,) float64
         Direction of the ray (0, 0), and the axes of the coordinates; unit vectors.
     near : bool
-        Whether the point is near.
+        Whether the object point is near, so that coordinates are slopes.
     along : (3,) float64
-        Direction in which the field grows: of the turn of the light, or of the motion of a near point.
+        Unit vector towards larger field angles: the change of the light's direction, or the motion of a near point.
     """
 
     origin: Array
@@ -45,20 +45,29 @@ class PointBundle:
     along: Array
 
     def rays(self, x: Array) -> tuple[Array, Array]:
-        """Return origins, mm, and unit directions, (n, 3) each, of the rays at coordinates x, (n, 2)."""
+        """Return origins, mm, and unit directions, (n, 3) each, of the rays at coordinates x, (n, 2): mm or slopes."""
         if self.near:
             d = self.axis + x[:, :1] * self.u + x[:, 1:] * self.v
             return np.tile(self.origin, (len(x), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
         return self.origin + x[:, :1] * self.u + x[:, 1:] * self.v, np.tile(self.axis, (len(x), 1))
 
     def density(self, x: Array) -> Array:
-        """Return relative flux per area of the ray coordinates (n, 2), (n,), for a uniform beam or isotropic point."""
+        """
+        Return relative flux per area of the ray coordinates (n, 2), (n,), for a uniform beam or isotropic point.
+
+        It is 1 for a point at infinity. For a near one the coordinates are slopes, and it falls off as they grow.
+        """
         if not self.near:
             return np.ones(len(x))
         return np.asarray((1 + (x**2).sum(axis=1)) ** -1.5)
 
     def shifted(self, shift: Array) -> PointBundle:
-        """Return rays of a neighbouring object point: shifted by (3,), mm, if near, else turned by (3,) tangents."""
+        """
+        Return the rays of a neighbouring object point.
+
+        `shift`, (3,), is the displacement of a near point, mm. For a point at infinity it is the vector added to the
+        unit direction of the light, before that is normalised again: tangents of small angles.
+        """
         if self.near:
             return replace(self, origin=self.origin + shift)
         axis = self.axis + shift
@@ -68,7 +77,11 @@ class PointBundle:
         return replace(self, axis=axis, u=u, v=np.cross(axis, u))
 
     def coordinates(self, sphere: Sphere) -> tuple[Array, float]:
-        """Return centre, (2,), and radius of a sphere in the bundle's coordinates: mm, or slopes if near."""
+        """
+        Return centre, (2,), and radius of a sphere in the bundle's coordinates: mm, or slopes if the point is near.
+
+        For a near point the radius is an upper limit of the slopes, at most `WIDEST`.
+        """
         away = sphere.centre - self.origin
         across = np.array([away @ self.u, away @ self.v])
         if not self.near:

@@ -56,7 +56,11 @@ def check_sheets(path: DesignPath) -> None:
 
 
 def media(path: DesignPath) -> list[complex]:
-    """Return the complex index n + ik of the medium before each step of a design path; 1 if all are mirrors."""
+    """
+    Return the complex index n + ik of the medium before each step of a design path.
+
+    Opaque surfaces, such as mirrors, take it from their neighbours; it is 1 if all are opaque.
+    """
     optics = path.table.optics
     before, behind = (np.full(len(path.steps), np.nan, dtype=complex) for _ in range(2))
     for k, step in enumerate(path.steps):
@@ -79,7 +83,7 @@ def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False)
     o, d : (n, 3) float64
         Origins (mm) and unit directions before the first step.
     throughput : bool
-        Whether to compute the throughput as well.
+        Whether to compute the throughput as well; else it is 1.
     """
     optics, wavelength = path.table.optics, path.table.wavelength_nm
     opl, left = np.zeros(len(o)), np.ones(len(o))
@@ -104,7 +108,11 @@ def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False)
 
 def stop_crossing(path: DesignPath, o: Array, d: Array, place: int, at_surface: bool, centre: Array,
                   normal: Array) -> Array:  # fmt: skip
-    """Return the points, (n, 3), mm, where rays cross the stop's plane before step `place`, or meet its surface."""
+    """
+    Return the points, (n, 3), mm, where rays cross the stop's plane before step `place` of the path.
+
+    With `at_surface` they are the points where the rays meet the surface of that step.
+    """
     for step in path.steps[:place]:
         p, along = path.meet(step, o, d)
         o, d = p, path.leave(step, d, along)

@@ -46,6 +46,13 @@ class DetectorView:
         Direction in which the light of the design travels to the detector.
     half_angle_deg : float
         Greatest angle between rays and the normal, degrees; 90 for a complete Lambertian source.
+    name : str
+        Name for tables.
+
+    Raises
+    ------
+    MistrayError
+        If `half_angle_deg` is out of range.
     """
 
     table: SurfaceTable
@@ -69,7 +76,11 @@ class DetectorView:
         return StartPoints(p, d, weight, number, normal, self._medium(bool(normal[0] @ self.light > 0)))
 
     def _medium(self, from_front: bool) -> int:
-        """Return the number of the material in front of or behind the detector; 0 if it is unknown."""
+        """
+        Return the index of the material on the front of the detector if `from_front`, else on its back.
+
+        It is 0 if the material is unknown.
+        """
         interface, media = self.table.interfaces[self.table.detector], self.table.optics.media
         material = (interface.front if from_front else interface.back).strip()
         return media.index(material) if material in media else 0
@@ -101,6 +112,11 @@ class DiskSource:
         Direction of the cone's axis, the normal of the disc.
     name : str
         Name for tables.
+
+    Raises
+    ------
+    MistrayError
+        If a value is out of range, a hole is not smaller than the disc or cone, or `axis` is 0.
 
     Examples
     --------
@@ -173,7 +189,11 @@ class Surroundings:
 
     @classmethod
     def cone(cls, table: SurfaceTable, axes: np.ndarray, half_angle_deg: float) -> Surroundings:
-        """Return a distant source within `half_angle_deg` of the axis of field angles; `axes` are from `field_axes`."""
+        """
+        Return a distant source within `half_angle_deg` of the axis of field angles; `axes` are from `field_axes`.
+
+        An angle out of range raises `MistrayError`.
+        """
         CONE_DEG.check("half_angle_deg", half_angle_deg)
         grid = _one_cell(0.0, half_angle_deg, 0.0, 360.0, axes)
         return cls(
@@ -183,7 +203,11 @@ class Surroundings:
 
     @classmethod
     def direction(cls, table: SurfaceTable, axes: np.ndarray, field_deg: float, azimuth_deg: float) -> Surroundings:
-        """Return a distant source at one field angle and azimuth, degrees; azimuth runs from +y to -x."""
+        """
+        Return a distant source at one field angle and azimuth, degrees; azimuth runs from +y to -x.
+
+        A field angle below 0 lies on the opposite azimuth. Raise `MistrayError` for an angle out of range.
+        """
         FIELD_DEG.check("field_deg", field_deg)
         AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
         turned = azimuth_deg + 180 if field_deg < 0 else azimuth_deg
@@ -215,7 +239,11 @@ class Surroundings:
 
 
 def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: float, axes: np.ndarray) -> DirectionGrid:
-    """Return a direction grid of one cell, from `low_deg` to `high_deg`, which may be a single direction."""
+    """
+    Return a direction grid of one cell, from `low_deg` to `high_deg` in field angle, about `azimuth_deg`.
+
+    With equal limits and no width in azimuth it is a single direction.
+    """
     middle = np.array([0.5 * (low_deg + high_deg)])
     return DirectionGrid(middle, np.array([[low_deg, high_deg]]), np.array([azimuth_deg]), width_deg, axes)
 

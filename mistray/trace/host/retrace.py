@@ -107,7 +107,11 @@ def _unit(v: np.ndarray) -> np.ndarray:
 def _hit(
     table: SurfaceTable, surface: int, origin: np.ndarray, d: np.ndarray, recorded: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the exact hits, mm, nearest to recorded ones, and the unit normals there, (n, 3) float64 each."""
+    """
+    Return the exact hits, mm, nearest to recorded ones, and the unit normals there, (n, 3) float64 each.
+
+    On a mesh, the hits are the recorded ones.
+    """
     if surface >= len(table.pieces):  # a mesh: Mitsuba's hit is all there is
         return recorded, table.mitsuba_normals(recorded, d)
     piece = table.pieces[surface]

@@ -37,11 +37,11 @@ class StartPoints:
     weight : (n,) float64
         Weights of the rays.
     left : int
-        Number of the surface that all of them start on; -1 for none.
+        Index of the surface that all of them start on; -1 for none.
     normal : (n, 3) float64, optional
         Unit normals of that surface, needed if it is a Mitsuba shape.
     medium : int
-        Number of the material in which they start; 0 for an unknown one without absorption.
+        Index of the material in which they start; 0 for an unknown one without absorption.
     """
 
     o: np.ndarray
@@ -60,11 +60,11 @@ class Hits:
     Attributes
     ----------
     number : int
-        Number of the step, from 0.
+        Index of the step, from 0.
     lane : (m,) int
-        Numbers of the rays.
+        Indices of the rays.
     surface : (m,) int
-        Numbers of the surfaces hit.
+        Indices of the surfaces hit.
     from_front : (m,) bool
         Whether the rays arrive from the front.
     point, direction : (m, 3) float64
@@ -95,7 +95,7 @@ class Hits:
 
 @dataclass(frozen=True, eq=False)
 class Escape:
-    """Rays that leave the scene: ray numbers, (m,), unit directions, (m, 3), and weights, (m,)."""
+    """Rays that leave the scene: indices of the rays, (m,), unit directions, (m, 3), and weights, (m,)."""
 
     lane: np.ndarray
     direction: np.ndarray
@@ -237,7 +237,11 @@ class ChainTracer:
     def _child(
         self, it: Interaction, s: mi.UInt32, R: mi.Float, T: mi.Float, rng: np.random.Generator, n: int, active: mi.Bool
     ) -> tuple[mi.Bool, mi.Bool, mi.Float]:
-        """Return masks of rays that go on transmitted and reflected, and the fraction of flux that each keeps."""
+        """
+        Return masks of rays that go on transmitted and reflected, and the fraction of flux that each keeps.
+
+        If R and T are both allowed, one is drawn in proportion to them and keeps the flux of both.
+        """
         opaque = (it.word & OPAQUE) != 0
         mirror = ((it.word & MIRROR) != 0) | dr.gather(mi.Bool, self.mirrors, s, active)
         total, by_mirror, other, onwards = (mi.Bool(letter in self.allowed) for letter in "IMRT")

@@ -34,9 +34,9 @@ class Region:
     Attributes
     ----------
     points : (n, 2) float64
-        Coordinates of rays that get through, see `PointBundle`.
+        Coordinates of rays that get through: mm, or slopes for a near point, see `PointBundle`.
     cell : float
-        Distance of neighbouring rays, in coordinates.
+        Distance of neighbouring rays, in the same coordinates.
     """
 
     points: Array
@@ -120,9 +120,9 @@ class PupilStop:
         bundle : PointBundle
             Rays of the field.
         start : (1, 2) float64
-            Coordinates of a ray that gets through.
+            Coordinates of a ray that gets through (mm or slopes).
         size : float
-            Size of the pupil, in coordinates of the bundle.
+            Size of the pupil, in coordinates of the bundle (mm or slopes).
         """
         x, step = start.copy(), STEP * size
         shifts = np.concatenate([np.zeros((1, 2)), step * np.eye(2), -step * np.eye(2)])
@@ -143,6 +143,8 @@ class PupilStop:
 def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str | None) -> PupilStop:
     """
     Find the aperture stop: the surface that blocks most of the rays just outside the light on the axis.
+
+    A mount around a lens or mirror stands for that lens or mirror. With `name`, that surface is the stop.
 
     Parameters
     ----------
@@ -200,7 +202,7 @@ def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str |
 
 
 def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
-    """Return surface and step number of the stop; for a mount, those of the lens or mirror in it."""
+    """Return the indices of the stop's surface and step; for a mount, those of the lens or mirror in it."""
     ring = outline(path.table.shapes[surface])
     for other in (place, place - 1):
         if not 0 <= other < len(path.steps) - 1:
@@ -214,7 +216,11 @@ def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
 
 
 def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """Return the stop with its axes along the images of the incoming light's x and y, as nearly as possible."""
+    """
+    Return the stop with its axes along the images of the incoming light's x and y, as nearly as possible.
+
+    It is returned unchanged where a ray close to the middle does not get through.
+    """
     h = 1e-3 * region.size
     x = region.points[np.argmin(np.linalg.norm(region.points - region.middle, axis=1))]
     shifts = h * np.concatenate([np.eye(2), -np.eye(2)])
