@@ -172,7 +172,7 @@ def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: n
     steps = STEP * np.concatenate([np.zeros((1, len(designed))), np.eye(len(designed)), -np.eye(len(designed))])
 
     def value(waves: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the mean reflectance in per mille, and its derivatives by layer thicknesses in quarter waves."""
+        """Return the mean R in per mille, and its derivatives with respect to layer thicknesses in quarter waves."""
         r = 1e3 * _mean_r((waves + steps) * quarter, index, substrate, lam)
         ahead, back = np.split(r[1:], 2)
         return float(r[0]), (ahead - back) / (2 * STEP)

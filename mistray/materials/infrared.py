@@ -88,7 +88,7 @@ OTHER_NAMES = {plain(word): name for name, words in _NAMES.items() for word in w
 
 def without_page(name: str) -> str | None:
     """
-    Return the reason, as text, that a known infrared material has no data here, with a remedy.
+    Return the reason why a known infrared material, a GASIR glass, has no data here, with a remedy.
 
     The result is None for other names.
     """

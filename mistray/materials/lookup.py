@@ -130,8 +130,8 @@ def refractive_index(material: str, wavelength_nm: float) -> float:
     Raises
     ------
     MistrayError
-        If the name is unknown, a number is out of its range, a file is not understood, or the wavelength lies outside
-        the material's range.
+        If the name is unknown, a value in the string is out of its range, a file is not understood, or the wavelength
+        lies outside the material's range.
 
     Examples
     --------
@@ -147,7 +147,8 @@ def refractive_index(material: str, wavelength_nm: float) -> float:
 
 def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) -> float:
     """
-    Return the wavelength, nm, nearest to a given one at which n of a material is known.
+    Return the wavelength, nm, nearest to a given one at which n of a material is known.\n\nIt is the given one if the
+    string has the suffix ``extrapolate``.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) 
     wavelength_nm : float
         Given vacuum wavelength, nm.
     with_k : bool
-        Whether k must be known, too, if it is known anywhere.
+        Whether k must be known there as well, if it is known anywhere.
 
     Raises
     ------
@@ -184,6 +185,8 @@ def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) 
 def bulk_scatter(material: str) -> BulkScatter:
     """
     Return the bulk scatter (coefficient, 1/mm, and asymmetry g) that the suffixes of a material string state.
+
+    Both are 0 without the suffix ``scatter=PER_MM``.
 
     Examples
     --------
@@ -251,12 +254,14 @@ def table_nodes_nm(material: str) -> tuple[float, ...]:
 
 def source(material: str) -> MaterialSource:
     """
-    Return the page and the literature reference of a material string.
+    Return the sources of n and k of a material string: page or file, literature reference and ranges, nm.
+
+    If the name stands for several pages, they are those of the first one; `MaterialSource.beyond` has the others.
 
     Raises
     ------
     MistrayError
-        If the string is not understood.
+        If the string is not understood, or the page or the file that it names cannot be read.
 
     Examples
     --------
@@ -285,7 +290,7 @@ def resolved(material: str, resolve: Callable[[str], str]) -> str:
     """
     Return a material string with the path of its file, if it names one, replaced by ``resolve(path)``.
 
-    It is meant for scenes, whose paths are relative to the scene file.
+    Other strings are returned as they are. It is meant for scenes, whose paths are relative to the scene file.
 
     Examples
     --------
@@ -324,7 +329,7 @@ def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
 
 def _known(spec: Spec) -> str:
     """
-    Return the wavelength ranges in which the index n of a material is known, as text such as "400 … 700 nm".
+    Return the wavelength ranges in which the index n of a material is known, such as "400 … 700 nm"; "" if everywhere.
 
     Overlapping ranges are joined.
     """

@@ -42,12 +42,18 @@ class Chance:
 
     def rays_for(self, confidence: float) -> float:
         """
-        Return the number of rays for at least one hit with a given probability, ln(1 - confidence)/ln(1 - p).
+        Return the number of rays for at least one hit with a given probability, ln(1 - confidence)/ln(1 - p).\n\np is
+        `total`. The result is 1 if p is 1, and infinite if p is 0.
 
         Parameters
         ----------
         confidence : float
             Probability of at least one hit, between 0 and 1.
+
+        Raises
+        ------
+        MistrayError
+            If `confidence` is not between 0 and 1.
         """
         if not 0 < confidence < 1:
             raise MistrayError(f"confidence {confidence:g}: give a probability between 0 and 1")
@@ -94,7 +100,7 @@ def chance(
     Raises
     ------
     MistrayError
-        If a number is out of range.
+        If an angle, the solid angle or `before` is out of range, or BSDF · cos θs · ΔΩ exceeds 1.
 
     Notes
     -----

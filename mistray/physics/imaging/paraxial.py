@@ -26,7 +26,7 @@ class Ghost:
     Attributes
     ----------
     first, second : int
-        Numbers of the surfaces of the first and the second reflection, from 0; ``second < first``.
+        Indices of the surfaces of the first and the second reflection, from 0; ``second < first``.
     spot_radius_mm : float
         Radius of the beam's marginal ray in the image plane, mm.
     focus_mm : float
@@ -57,6 +57,11 @@ class ParaxialSystem:
         Positions of the vertices along the axis, mm.
     index : sequence of float
         Refractive indices, one more than surfaces: before the first, between, after the last.
+
+    Raises
+    ------
+    MistrayError
+        If the numbers of curvatures, positions and indices do not fit.
     """
 
     def __init__(self, curvature: Sequence[float], z: Sequence[float], index: Sequence[float]) -> None:
@@ -119,6 +124,11 @@ class ParaxialSystem:
         -------
         (n, 2) float64
             Height at each surface, mm, and slope after it.
+
+        Raises
+        ------
+        MistrayError
+            If the stop lies in a focus of the surfaces before it.
         """
         u = math.tan(math.radians(field_deg))
         height_from_u = self._height_at(stop_z, 0.0, u)
@@ -154,12 +164,18 @@ class ParaxialSystem:
         reflectance : sequence of float
             Reflectance R of each surface; T = 1 - R.
         image_reflectance : float or None
-            Reflectance of the detector, which then counts as one more surface; None: it does not reflect.
+            Reflectance of the detector, which then counts as one more surface, behind the others; None: it does not
+            reflect.
 
         Returns
         -------
         list of Ghost
             Ghosts, n(n-1)/2 for n reflecting surfaces.
+
+        Raises
+        ------
+        MistrayError
+            If the number of reflectances is not that of the surfaces.
         """
         curvature, z, index, r = list(self.curvature), list(self.z), list(self.index), list(reflectance)
         if len(r) != len(self):

@@ -65,7 +65,8 @@ def fresnel(
     Raises
     ------
     MistrayError
-        If a size is not above 0, the surface ends within its semi-diameter, or there are more than 2000 rings.
+        If not just one of `groove_mm` and `depth_mm` is given, a size is not above 0, the conic ends within the
+        semi-diameter, or there are more than 2000 rings or none.
 
     Examples
     --------

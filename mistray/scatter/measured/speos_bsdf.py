@@ -47,7 +47,7 @@ class _Lines:
         return f"{self.title}, line {self._next}"
 
     def text(self) -> str:
-        """Return the text of the next line, without blanks at its ends."""
+        """Return the next line, without spaces at its ends; raise `MistrayError` at the end of the file."""
         if self._next >= len(self._lines):
             raise MistrayError(f"{self.title}: it ends after {self._next} lines, before its data; copy it again")
         self._next += 1
@@ -83,8 +83,9 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     Raises
     ------
     MistrayError
-        If the file is missing, binary, malformed or of another version. If it has transmission, totals that depend on
-        the wavelength, or rotations with different incidences. For errors of `BsdfSamples` and `by_rotation`, too.
+        If the file is missing, binary, malformed or of another version. The same holds if it has transmission, totals
+        that depend on the wavelength, or rotations with different incidences. It is also raised for the reasons of
+        `BsdfSamples` and `by_rotation`.
     """
     lines = _Lines(path)
     if not _HEADER.fullmatch(lines.text()):

@@ -137,7 +137,7 @@ class Tabulated(Placement):
         Raises
         ------
         MistrayError
-            If the file name has another ending, or for an error of the readers.
+            If the file name has another ending, the file is not valid, or for the reasons of the class.
         """
         readers = {".bsdf": read_zemax_bsdf, ".csv": read_bsdf_csv, SUFFIX: read_speos_bsdf}
         suffix = Path(path).suffix.lower()
@@ -281,7 +281,8 @@ class Tabulated(Placement):
 
         Returns
         -------
-        (incidences, m, k) float64
+        (a, m, k) float64\n    Values of `relative` for each measured angle of incidence, node of `second` and node of
+        `angle`.
         """
         planes, second = [], second[:, None]
         for index, specular in enumerate(np.radians(table.specular_deg)):

@@ -57,7 +57,11 @@ class _Lines:
         return words[1].lower()
 
     def values(self, count: int, expected: str) -> list[float]:
-        """Return the next `count` numbers, from one line or several; `expected` describes them in messages."""
+        """
+        Return the next `count` values, from one line or several; `expected` describes them in messages.
+
+        Raise `MistrayError` if the last line has more values than that, or the file ends.
+        """
         found: list[float] = []
         while len(found) < count:
             words = self.next(expected)
@@ -81,8 +85,8 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     Raises
     ------
     MistrayError
-        If the file is missing or malformed, with the number of the line. If it has colours, or anisotropic scatter that
-        is refused. For errors of `BsdfSamples`, too.
+        If the file is missing or malformed, with the number of the line, or if it has colours. It is also raised for
+        the reasons of `BsdfSamples` and `by_rotation`.
     """
     rows = (
         (n, line.split())
