@@ -11,7 +11,7 @@ Rules that give each face exactly one place:
 - Faces in contact, edges included, are opaque with the reflectance of the structure.
 - The stop comes from ``aperture_stop``; pieces of the barrel that repeat it (labels with "AS") are left out.
 - The board behind the detector becomes a frame of four rectangles around it.
-- Numbers in the barrel that were rounded are moved onto the rims that they meet (within 2 µm).
+- Points of the barrel with rounded coordinates are moved onto the rims that they meet (within 2 nm).
 - A coating is R and T, or a recipe of `Coating`: ``layers``, ``preset`` or ``table`` with its options.
 - Scatter is a list (``scatter``). An entry holds the plugin (``kind``), its properties, a ``name`` if the surfaces
   share the model, and the ``shapes``: names of faces or patterns such as ``barrel_*``.
@@ -67,7 +67,7 @@ def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pup
     Raises
     ------
     MistrayError
-        If the file is missing or broken, a key is missing, or the variant is unknown.
+        If the file is missing or broken, a key is missing, a name has another form, or the variant is unknown.
 
     Examples
     --------
@@ -128,7 +128,11 @@ class _Reader:
         return result
 
     def _changes(self, variant: str | None) -> dict[str, dict[str, float]]:
-        """Return the changed values of a variant by surface label and quantity, such as S13, radius → 5.272 mm."""
+        """
+        Return the changed values of a variant by surface label and quantity, such as S13, radius → 5.272 mm.
+
+        Without a variant there are none.
+        """
         if variant is None:
             return {}
         known = self.data.get("variants", {})

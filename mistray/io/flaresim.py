@@ -345,7 +345,7 @@ def _narrowed(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _opened(lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with clear apertures widened so that all axial light through the stop passes them."""
+    """Return the lens with clear apertures widened, by 15 % at most, for axial light that passes the stop."""
     data = first_order(lens)
     start = np.zeros((_AXIS_RAYS, 3))
     start[:, 1], start[:, 2] = np.linspace(0.0, 0.5 * (1 + _LARGER) * data.epd, _AXIS_RAYS), data.entrance_pupil_z
@@ -409,7 +409,11 @@ def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with fields, degrees, up to the angle where half of a fan of rays passes, and a fitting image."""
+    """
+    Return the lens with fields, degrees, up to the angle where half of a fan of rays passes, and a fitting image.
+
+    If even the smallest tried angle passes less, it is returned with the axis as its only field.
+    """
     widest = max(row.semi_diameter or 0.0 for row in lens.rows)
     fan = np.linspace(-widest, widest, _FAN)
 

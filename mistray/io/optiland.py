@@ -310,7 +310,7 @@ def _aperture(number: int, surface: Any, unread: list[Unread]) -> dict[str, Any]
 
 
 def _outline(aperture: Any) -> Outline | None:
-    """Convert optiland's aperture to an outline, mm; None if its kind is not known."""
+    """Return optiland's aperture as an outline, mm; None if its kind is not known or figures cannot express it."""
     kind = type(aperture).__name__
     x, y = (_float(getattr(aperture, f"offset_{axis}", 0.0)) for axis in "xy")
     if kind in ("RadialAperture", "OffsetRadialAperture"):
@@ -340,7 +340,7 @@ def _material(medium: Any, wavelengths_nm: tuple[float, ...]) -> str:
 
 
 def _float(value: Any) -> float:
-    """Convert a number of optiland, which may be an array of one element, to a float."""
+    """Return a number of optiland, which may be an array of one element, as a float."""
     return float(np.asarray(value, dtype=np.float64).reshape(-1)[0])
 
 

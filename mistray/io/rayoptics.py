@@ -51,7 +51,7 @@ def read_rayoptics(path: str | Path) -> Sequential:
     Raises
     ------
     MistrayError
-        If ray-optics is missing or cannot open the file.
+        If ray-optics is missing or cannot open the file, or for the reasons of `from_rayoptics`.
     """
     path = Path(path)
     require_file(path, "lens")

@@ -47,8 +47,9 @@ def to_sequential(prescription: Prescription) -> Sequential:
     Raises
     ------
     MistrayError
-        If there is no detector or no surface, if the material in front of a surface differs from the one behind the
-        surface before it, or if light would have to travel backwards.
+        If there is no detector or no surface, or if the material in front of a surface differs from the one behind the
+        surface before it. It is also raised if light would have to travel backwards, a surface that is not a mirror is
+        opaque, or no axial beam gets through.
 
     Examples
     --------
@@ -296,7 +297,7 @@ def _widest_beam(lens: Sequential) -> tuple[float, int]:
     Return the diameter, mm, of the widest round beam whose rim passes, and the index of the row that limits it.
 
     The beam travels along the axis, or comes from the middle of a near object. Its diameter is measured in the plane of
-    the first row.
+    the first row. Raise `MistrayError` if no beam passes.
     """
     low, high, limit = 0.0, max(_reach(row) for row in lens.rows), 0
     for _ in range(_REFINEMENTS):

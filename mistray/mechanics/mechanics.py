@@ -81,7 +81,7 @@ class Mechanics:
         Parameters
         ----------
         paint : mapping of str to Finish or str
-            Pattern such as ``"vane*"`` → a `Finish`, or its text for `finish`, such as ``"flat_black"``. A pattern is
+            Pattern such as ``"vane*"`` → a `Finish`, or a string for `finish`, such as ``"flat_black"``. A pattern is
             compared with the name of a part, its title, product and path in the file, and with the names of faces,
             ``<part>_face_<number>``. Later patterns override earlier ones. Unmatched faces absorb all light.
         space : mapping of str to int
@@ -281,7 +281,8 @@ def read_mechanics(
     Raises
     ------
     MistrayError
-        If the file is missing, damaged, empty or of another type, or a package is missing.
+        If the file is missing, damaged, empty or of another type, an option is out of range or does not suit the type,
+        or a package is missing.
 
     Examples
     --------

@@ -31,7 +31,7 @@ class RevolvedBand:
     Attributes
     ----------
     faces : tuple of int
-        Numbers of the faces that form the band.
+        Indices of the faces that form the band.
     triangles : (m,) int64
         Indices of its triangles in the part.
     foot : (3,) float64
@@ -111,7 +111,7 @@ def _key(surface: RoundSurface) -> tuple[object, ...]:
 
 
 def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[np.ndarray]:
-    """Yield connected groups of triangles, (m, 4): index in the part, and numbers of three welded vertices."""
+    """Yield connected groups of triangles, (m, 4): index in the part, and indices of three welded vertices."""
     corners = part.triangles[chosen]
     used, inverse = np.unique(corners, return_inverse=True)
     cells = np.round(part.vertices[used] / (0.1 * tolerance)).astype(np.int64)

@@ -113,6 +113,12 @@ def lens_edge(
         Faces ``<part>_bevel_1``, ``<part>_flange_1``, ``<part>_edge``, ``<part>_flange_2`` and ``<part>_bevel_2``,
         without faces of zero width.
 
+    Raises
+    ------
+    MistrayError
+        If the materials of the two surfaces differ, a contact radius does not lie between clear radius and edge, the
+        edge has no thickness, or a ring would cut into a surface.
+
     Examples
     --------
     >>> front = mistray.Surface("L1_front", radius=50, semi_diameter=10, back="N-BK7", part="L1")
@@ -180,12 +186,18 @@ def barrel(
         Start of the names: the wall in the k-th air space is ``<name>_<k>_wall``. A stop divides its space into two. If
         a straight cone would cut into a surface, the wall is a cylinder and a flat ring.
     first_space : int
-        Number of the first air space.
+        Index of the first air space.
 
     Returns
     -------
     tuple of Structure
         Edges and walls, from the first rim to the last.
+
+    Raises
+    ------
+    MistrayError
+        If the materials that two neighbours state for their space differ, or an edge or a wall would cut into a
+        surface.
 
     Examples
     --------
@@ -236,6 +248,11 @@ def detector_frame(
     -------
     tuple of Surface
         Rectangles left, right, below and above.
+
+    Raises
+    ------
+    MistrayError
+        If the detector is not rectangular, or `outer_radius` does not reach its corners.
 
     Examples
     --------

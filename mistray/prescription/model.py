@@ -87,7 +87,7 @@ class Surface(Placed):
     half_width, half_height : float or None
         Rectangular clip in x and y instead of ``semi_diameter``, mm.
     sag : mapping of str to float, and of "grid" to Grid
-        Numbers of a freeform sag beside those above, see `mistray.physics.sags.terms`.
+        Parameters of a freeform sag in addition to those above, see `mistray.physics.sags.terms`.
     outline : Outline or None
         Clear outline instead of ``semi_diameter`` and half sizes, in the frame of the vertex, mm.
     front, back : str
@@ -97,7 +97,7 @@ class Surface(Placed):
     scatter : tuple of Scatter
         Models that scatter a part of the light; their scatter adds up.
     mirror : bool
-        Whether the design path is reflected here, so that this reflection is no ghost.
+        Whether the design path is reflected here, so that this reflection does not count as a ghost.
     meets : str
         Direction of light that meets the surface: "both", "+z" or "-z". Light in the opposite direction passes through
         (freeform only).
@@ -173,7 +173,7 @@ class Surface(Placed):
 
     @property
     def sag_numbers(self) -> dict[str, Any]:
-        """Numbers that define the sag, lengths in mm, keyed by their names in `mistray.physics.sags.terms`."""
+        """Parameters that define the sag, keyed by their names and in their units in `mistray.physics.sags.terms`."""
         return with_even(self.curvature, self.conic, self.coefficients, self.sag)
 
     @property
@@ -335,7 +335,11 @@ class Stop:
             )
 
     def faces(self) -> tuple[Structure, ...]:
-        """Return the two annuli and the inner wall of the stop as structures; ``front`` of the wall is the opening."""
+        """
+        Return the faces of the stop: front annulus, inner wall and rear annulus, or one annulus for a thin stop.
+
+        `Structure.front` of the wall is the opening.
+        """
         profiles = [("front", self.outer_front, self.z_front, self.radius, self.z_front)]
         if self.z_rear > self.z_front:
             profiles.append(("wall", self.radius, self.z_front, self.radius, self.z_rear))
@@ -364,7 +368,7 @@ class Prescription:
     surfaces : tuple of Surface
         Optical surfaces, in the order in which light meets them on the design path.
     structures : tuple of Structure, Surface or MeshStructure
-        All mechanical parts, in any order. A `Surface` or a `MeshStructure` describes parts that are no frustum, such
+        All mechanical parts, in any order. A `Surface` or a `MeshStructure` describes parts that are not frusta, such
         as a board or a bracket.
     stop : Stop or None
         Aperture stop; its faces become part of the scene.
@@ -373,12 +377,13 @@ class Prescription:
     more_detectors : tuple of Detector
         Further detectors beside that of the design; `mistray.trace` records the light on all of them.
     provenance : str
-        Origin of the numbers; it is written to the XML file as a comment.
+        Origin of the data; it is written to the XML file as a comment.
 
     Raises
     ------
     MistrayError
-        If two names are equal, if coatings or scatter models of the same name differ, or if two coaxial surfaces cross
+        If a detector is not a `Detector`, if two names are equal, if coatings or scatter models of the same name
+        differ, or if two coaxial surfaces cross
         or coincide within their common aperture.
 
     Examples
@@ -440,7 +445,7 @@ class Prescription:
 
     def shared_coatings(self) -> dict[str, Coating]:
         """
-        Coatings that have a name, keyed by name.
+        Return the coatings that have a name, keyed by name.
 
         Raises
         ------
@@ -451,7 +456,7 @@ class Prescription:
 
     def shared_scatter(self) -> dict[str, Scatter]:
         """
-        Scatter models that have a name, keyed by name.
+        Return the scatter models that have a name, keyed by name.
 
         Raises
         ------
@@ -478,7 +483,13 @@ class Prescription:
         return scattering(self, rules)
 
     def with_source(self, **changes: Any) -> Prescription:
-        """Return a copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``."""
+        """Return a copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``.
+
+        Raises
+        ------
+        MistrayError
+            If there is no source, or a value is out of range.
+        """
         if self.source is None:
             raise MistrayError(f"prescription '{self.name}': it has no source; give it a Source first")
         return replace(self, source=replace(self.source, **changes))

@@ -309,14 +309,14 @@ def _at_origin(place: Placed) -> bool:
 
 
 def _number(value: float) -> str:
-    """Return the shortest text that reads back as the same double; raise `MistrayError` if it is not finite."""
+    """Return the shortest string that reads back as the same double; raise `MistrayError` if it is not finite."""
     if not math.isfinite(value):
         raise MistrayError(f"scene file: {value} cannot be written as a number; use a finite value")
     return repr(float(value)).removesuffix(".0")
 
 
 def comment_text(text: str) -> str:
-    """Escape a text so that it is valid within an XML comment."""
+    """Return a string escaped so that it is valid within an XML comment."""
     return escape(text).replace("--", "- -")
 
 

@@ -24,6 +24,11 @@ def clear_outline(obscuration: Any, radius: float, owner: str) -> Outline:
         Radius at which the clear area ends if the obscuration sets no limit, m.
     owner : str
         Name of the element, for messages.
+
+    Raises
+    ------
+    MistrayError
+        If the obscuration has no counterpart, or figures cannot express the clear area.
     """
     return _outline(obscuration, radius, owner, clear=True)
 
@@ -40,6 +45,11 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
         Radius at which the covered area ends if the obscuration sets no limit, m.
     owner : str
         Name of the element, for messages.
+
+    Raises
+    ------
+    MistrayError
+        If a part of the obscuration has no counterpart, or figures cannot express the covered area.
     """
     return [_outline(part, radius, owner, clear=False) for part in _parts(obscuration)]
 
@@ -95,7 +105,11 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[O
 
 
 def _within(parts: list[OutlineFigure], before: list[OutlineFigure], owner: str) -> list[OutlineFigure]:
-    """Return figures `parts` with "+" replaced by "&", so that they narrow the area of the figures before them."""
+    """
+    Return figures `parts` with "+" replaced by "&", so that they narrow the area of the figures before them.
+
+    Without figures before they stay. Raise `MistrayError` if a later part adds an area.
+    """
     if not before:
         return parts
     if any(figure.sign == "+" for figure in parts[1:]):

@@ -64,9 +64,10 @@ def from_batoid(
     optic : batoid.Optic, str or Path
         Usually a CompoundOptic, for example ``batoid.Optic.fromYaml("LSST_r.yaml")``, or a YAML file of one. A file is
         checked before batoid reads it, see `mistray.io.batoid.file`. Pass the path if you do not trust the author of
-        the file, because ``fromYaml`` runs code in it. Supported are Mirror, RefractiveInterface, Lens, CompoundOptic,
-        Detector, Baffle; Plane, Sphere, Paraboloid, Quadric, Asphere, Zernike, Tilted and sums of them; every
-        obscuration.
+        the file, because ``fromYaml`` runs code in it. The elements Mirror, RefractiveInterface, Detector and Baffle
+        are read, alone or in a Lens or a CompoundOptic. So are the surfaces Plane, Sphere, Paraboloid, Quadric,
+        Asphere, Zernike over a full disc, Bicubic, Tilted, and sums of them with one conic and one Bicubic at most.
+        Obscurations of every kind are read.
     wavelength_nm : float
         Vacuum wavelength, nm, at which media become constant indices.
     reflectance : float or None
@@ -92,7 +93,8 @@ def from_batoid(
     Raises
     ------
     MistrayError
-        If batoid is missing, the file cannot be read, or an element has no counterpart; the message names the element.
+        If batoid is missing, the file cannot be read, an element, surface or coating has no counterpart, or
+        `baffle_radius` is not greater than the opening of a baffle. The message names the element.
 
     Examples
     --------
@@ -212,7 +214,11 @@ class _Reader:
             )
 
     def close_group(self) -> None:
-        """Add walls between the refracting surfaces of the current group of lenses, and end the group."""
+        """
+        Add walls between the refracting surfaces of the current group of lenses, and end the group.
+
+        A group without a common axis gets a note instead, a single surface nothing.
+        """
         group, self.group = self.group, []
         if len(group) < 2:
             return
@@ -243,7 +249,7 @@ class _Reader:
         """
         Return radius, conic and sag of a surface as arguments of `Surface`, mm.
 
-        Raise `MistrayError` if unsupported.
+        Raise `MistrayError` for a surface that has no counterpart.
         """
         shape: dict[str, Any] = {}
         sag: dict[str, Any] = {}
@@ -359,7 +365,11 @@ class _Reader:
         return False
 
     def _rings(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface] | None:
-        """Return the centred rings of a baffle as structures, mm; None if its obscuration has other parts."""
+        """
+        Return the centred rings of a baffle as structures, mm; [] if light of the design crosses all of it out of turn.
+
+        It is None if the obscuration has other parts, or if a part to be cut away shades light in its turn.
+        """
         whole = self._centred(interface, interface.obscuration)
         if whole is None:
             return None
@@ -383,7 +393,12 @@ class _Reader:
         ]
 
     def _plates(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface]:
-        """Return a plate for each opaque outline of a baffle, as surfaces in mm that shade light from one side."""
+        """
+        Return a plate, a surface in mm, for each opaque outline of a baffle.
+
+        If light also crosses the plates in the opposite direction, they shade only light in the direction of the first
+        pass.
+        """
         owner = f"batoid element '{interface.name}'"
         end = self.light.beam_radius(interface)
         if is_open(interface.obscuration):
@@ -424,7 +439,11 @@ class _Reader:
             self.notes.append(text)
 
     def _centred(self, interface: Any, obscuration: Any) -> list[tuple[float, float]] | None:
-        """Return opaque rings as (inner, outer) radii, m; None if the obscuration is not made of centred rings."""
+        """
+        Return opaque rings as (inner, outer) radii, m; None if the obscuration is not made of centred rings.
+
+        Raise `MistrayError` if `baffle_radius` is not greater than the opening.
+        """
         o = self.batoid.obscuration
         if isinstance(obscuration, o.ObscUnion):
             parts = [self._centred(interface, item) for item in obscuration.items]

@@ -51,7 +51,11 @@ _FIELD_KINDS: dict[str, FieldKind] = {
 
 
 def _inverse(radius: float) -> float:
-    """Return the curvature for a radius, in the inverse of its unit; radius 0 means a plane."""
+    """
+    Return the curvature for a radius, in the inverse of its unit; radius 0 means a plane.
+
+    Raise `MistrayError` if the radius is too small for a finite curvature.
+    """
     curvature = 1 / radius if radius else 0.0
     if math.isinf(curvature):
         raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")

@@ -38,7 +38,7 @@ class CodevSurface:
     curvature_x : float
         Curvature in x, 1/unit.
     extra : dict of str to float
-        Further numbers of the surface type, by command name.
+        Further coefficients of the surface type, in units of the file, by command name.
     moves : dict of str to float
         Shifts (unit) and tilts (degrees), keyed by the first letters of XDE … CDE.
     mode : str
@@ -76,7 +76,7 @@ def rows_of(
     Parameters
     ----------
     surface, number
-        Surface and its number.
+        Surface, and its number as counted by the file.
     unit_mm : float
         Length of the file's unit, mm.
     before : str
@@ -85,6 +85,11 @@ def rows_of(
         List to which apertures without a counterpart are added.
     **more
         Further fields of the row, such as ``stop``.
+
+    Raises
+    ------
+    MistrayError
+        If an XTO is tilted or decentred, or a coefficient of the surface type is unknown.
     """
     material = before if surface.mirror else surface.material or "air"
     orders = range(max(surface.coefficients, default=-1) + 1)

@@ -20,7 +20,7 @@ have no effect.
 ``OBDC x y``               centre of the aperture
 ``COAT name``              name of a coating in a coating file
 ``COMM text``, ``STOP``    name; aperture stop
-``SCBD 1 o p …``           the frame moves before the surface: order, 0 for numbers of its own, then as COORDBRK
+``SCBD 1 o p …``           the frame moves before the surface: order, 0 for values of its own, then as COORDBRK
 =========================  ========================================================================================
 
 Tilts. OpticStudio rotates the frame about x, then about the new y, then about the newest z: R = Rx·Ry·Rz. Rotations are
@@ -99,7 +99,8 @@ def read_zemax(
     Raises
     ------
     MistrayError
-        If the file is missing or broken, is not sequential, has an unsupported surface type, or a glass is unknown. The
+        If the file is missing or broken, is not sequential, has an unsupported surface type, or a glass, a coating or
+        the configuration is unknown. The
         message names the line.
 
     Examples
@@ -239,7 +240,7 @@ class _Reader:
         return Decentre(x=x * self.unit, y=y * self.unit, tilt_deg=(tilt[0], tilt[1], tilt[2]), tilt_first=order != 0)
 
     def _rest(self, n: SagNumbers, kind: str) -> None:
-        """List as unread the numbers of a surface that its Zemax type `kind` does not use."""
+        """List as unread the values of a surface that its Zemax type `kind` does not use."""
         self.unread += [line.unread(f"{n.owner}: {kind} has no {what}") for what, line in n.left()]
 
     def _surface(self, number: int, section: ZemaxSection, before: str, image: bool, name: str) -> Row:

@@ -119,7 +119,8 @@ def to_prescription(
     Raises
     ------
     MistrayError
-        If a material is unknown, no ray gets through, surfaces cross, or there are more than `MOST_SURFACES`.
+        If an option is invalid, a material is unknown, no ray gets through, surfaces cross, or there are more than
+        `MOST_SURFACES`.
 
     Examples
     --------
@@ -205,7 +206,11 @@ def _structured(
 def _without_shadows(
     table: OpticalSurfaces, structures: list[Structure | Surface], detector: Detector
 ) -> list[Structure | Surface]:
-    """Return the structures except those walls that the folded design beam would have to cross."""
+    """
+    Return the structures except those walls that the folded design beam would have to cross.
+
+    A lens without mirrors keeps all of them. Notes on the walls left out are added to `table`.
+    """
     if not any(row.mirror for row in table.lens.rows):
         return structures
     segments = []
@@ -323,7 +328,7 @@ def _half_size(surface: Surface) -> float:
 
 
 def _cross(a: Surface | Structure, b: Surface | Structure) -> bool:
-    """True if two surfaces on a common axis cross within their clear radii."""
+    """True if two surfaces on a common axis cross within their clear areas; False for other pairs."""
     if not (isinstance(a, Surface) and isinstance(b, Surface) and on_axis(a.to_world(), b.to_world())):
         return False
     gap = float((np.linalg.inv(a.to_world()) @ b.to_world())[2, 3])

@@ -44,7 +44,7 @@ class SequentialFirstOrder:
     stop_radius : float
         Paraxial radius of the stop, mm.
     stop_number : int
-        Number of the row that is the stop.
+        Number of the stop's surface, as counted by the file.
     magnification : float
         Image height per object height; 0 for an object at infinity.
     wavelength_nm : float
@@ -91,7 +91,7 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> Sequent
     ------
     MistrayError
         If a material is unknown, if the kind of aperture is undefined for the lens, such as an F-number of an afocal
-        one, or if numbers overflow.
+        one, or if values overflow.
     """
     wavelength = lens.wavelength_nm if wavelength_nm is None else wavelength_nm
     system, sign = paraxial_system(lens, wavelength)
