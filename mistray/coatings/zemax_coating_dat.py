@@ -261,8 +261,8 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
     ------
     MistrayError
         If the file is missing, `design_nm` is not greater than 0, a head or a MATE section is malformed, a name occurs
-        twice, or a layer's material is not
-        in the file; with the number of the line. Other errors are raised when a coating is looked up.
+        twice, or a layer's material is not in the file; with the number of the line. Other errors are raised when a
+        coating is looked up.
 
     Examples
     --------

@@ -275,7 +275,11 @@ class _Walk:
         return name
 
     def _with_aperture(self, lens: Sequential) -> Sequential:
-        """Return the lens with its stop and the diameter of the axial beam that passes, in mm."""
+        """
+        Return the lens with its stop and the size of the axial beam that passes.
+
+        The size is a diameter, mm, or the object-space NA for a near object.
+        """
         source = self.prescription.source
         beam = math.inf
         if isinstance(source, Source):

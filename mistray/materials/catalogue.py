@@ -169,19 +169,18 @@ def names() -> list[str]:
 @lru_cache(maxsize=1024)
 def find(name: str) -> Entry:
     """
-    Return the catalogue entry of a name, of a glass with its maker (``schott/N-BK7``) or of a page
-    (``main/Ag/nk/Yang``).
+    Return the catalogue entry of a name.
 
-    A name spelt exactly as in a catalogue means that entry: ``LaF3`` is the fluoride, ``LAF3`` the glass. Otherwise
-    case does not matter, and infrared materials also have the names that lens files use. A glass without its maker is
-    that of the first maker in `MAKERS` who has it.
+    The name may have its maker in front (``schott/N-BK7``), or be that of a page (``main/Ag/nk/Yang``). A name spelt
+    exactly as in a catalogue means that entry: ``LaF3`` is the fluoride, ``LAF3`` the glass. Otherwise case does not
+    matter, and infrared materials also have the names that lens files use. A glass without its maker is that of the
+    first maker in `MAKERS` who has it.
 
     Raises
     ------
     MistrayError
         If no entry has that name, its material is known to have no data, or both a pinned material and a glass have it
-        when case is ignored. Whether a page
-        exists is checked by `read_page`.
+        when case is ignored. Whether a page exists is checked by `read_page`.
     """
     if name.startswith(_SHELVES) and ".." not in name:
         return Entry(name, name)

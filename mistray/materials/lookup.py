@@ -147,8 +147,9 @@ def refractive_index(material: str, wavelength_nm: float) -> float:
 
 def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) -> float:
     """
-    Return the wavelength, nm, nearest to a given one at which n of a material is known.\n\nIt is the given one if the
-    string has the suffix ``extrapolate``.
+    Return the wavelength, nm, nearest to a given one at which n of a material is known.
+
+    It is the given one if the string has the suffix ``extrapolate``.
 
     Parameters
     ----------

@@ -119,8 +119,9 @@ def at_wavelength(
 @dataclass(frozen=True)
 class AbgFromRms:
     """
-    ABg parameters of a polished surface, computed from its roughness, with intermediate quantities. The symbols σ, λ,
-    Δn and R are those of `abg_from_rms`; f is the spatial frequency, 1/µm.
+    ABg parameters of a polished surface, computed from its roughness, with intermediate quantities.
+
+    The symbols σ, λ, Δn and R are those of `abg_from_rms`; f is the spatial frequency, 1/µm.
 
     Attributes
     ----------

@@ -375,7 +375,7 @@ class Prescription:
     detector, source
         Detector of the design and source. They are needed only by `to_dict`, `to_xml` and `to_scene`.
     more_detectors : tuple of Detector
-        Further detectors beside that of the design; `mistray.trace` records the light on all of them.
+        Detectors in addition to that of the design; `mistray.trace` records the light on all of them.
     provenance : str
         Origin of the data; it is written to the XML file as a comment.
 
@@ -383,8 +383,7 @@ class Prescription:
     ------
     MistrayError
         If a detector is not a `Detector`, if two names are equal, if coatings or scatter models of the same name
-        differ, or if two coaxial surfaces cross
-        or coincide within their common aperture.
+        differ, or if two coaxial surfaces cross or coincide within their common aperture.
 
     Examples
     --------

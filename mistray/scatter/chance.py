@@ -42,8 +42,9 @@ class Chance:
 
     def rays_for(self, confidence: float) -> float:
         """
-        Return the number of rays for at least one hit with a given probability, ln(1 - confidence)/ln(1 - p).\n\np is
-        `total`. The result is 1 if p is 1, and infinite if p is 0.
+        Return the number of rays for at least one hit with a given probability, ln(1 - confidence)/ln(1 - p).
+
+        p is `total`. The result is 1 if p is 1, and infinite if p is 0.
 
         Parameters
         ----------

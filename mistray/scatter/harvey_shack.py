@@ -22,8 +22,9 @@ def index_step(event: str, n_in: Any, n_out: Any) -> Any:
 
 def need_smooth(title: str, event: str, rms_um: float, wavelength_um: float, step: float, remedy: str) -> None:
     """
-    Check that a surface is smooth enough for first-order scatter theory, 2π Δn σ ≪ λ.\n\nThe roughness σ and the vacuum
-    wavelength λ are in µm; Δn is that of `index_step`.
+    Check that a surface is smooth enough for first-order scatter theory, 2π Δn σ ≪ λ.
+
+    The roughness σ and the vacuum wavelength λ are in µm; Δn is that of `index_step`.
 
     Raises
     ------
@@ -67,8 +68,7 @@ class HarveyShack(Placement):
     ------
     MistrayError
         If a parameter is out of range, or not exactly one of `b0` and `rms_nm` is given. `lobes` raises it for a
-        surface
-        that is not smooth at a wavelength.
+        surface that is not smooth at a wavelength.
     """
 
     b0: float | None = PEAK.field(None)

@@ -52,8 +52,7 @@ class KCorrelation(RoughSurface):
     ------
     MistrayError
         If a parameter is out of range or parameters do not go together. `lobes` raises it for a surface that is too
-        rough
-        for the theory at a wavelength.
+        rough for the theory at a wavelength.
     """
 
     rms_nm: float = replace(

@@ -149,8 +149,9 @@ class Particulate(Placement):
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """
-        Return one lobe in transmission and two in reflection; parameters as in `LobeModel.lobes`.\n\nOnly events that
-        scatter have lobes, and reflection only if the particles lie on the side of incidence.
+        Return one lobe in transmission and two in reflection; parameters as in `LobeModel.lobes`.
+
+        Only events that scatter have lobes, and reflection only if the particles lie on the side of incidence.
 
         At an interface the transmitted lobe is that of normal incidence. At grazing incidence it is too strong by the
         light that is scattered away from the surface; particles that do not absorb then remove that much more light.

@@ -62,8 +62,7 @@ class RoughSurface(Placement):
         the last one is correct; the others are too low.
     substrate : complex, optional
         Index n + ik of the reflecting material of a mirror, as a number or a string, for "rayleigh_rice_vector". The
-        default is the
-        medium on the other side.
+        default is the medium on the other side.
 
     Raises
     ------

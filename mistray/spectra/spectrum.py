@@ -2,9 +2,9 @@
 Spectra of sources, and the few wavelengths that represent them in a trace.
 
 A spectrum is named in words: spectral lines ("F d C"), a blackbody ("blackbody:3000"), sunlight outside the atmosphere
-("am0"), daylight ("d65") or a table in a file. Lines are traced as they are. For a continuous spectrum, a
-band is traced in parts of equal width. Each part is traced at its energy-weighted mean wavelength, with its energy as
-weight. This is exact for quantities that depend linearly on wavelength within a part.
+("am0"), daylight ("d65") or a table in a file. Lines are traced as they are. For a continuous spectrum, a band is
+traced in parts of equal width. Each part is traced at its energy-weighted mean wavelength, with its energy as weight.
+This is exact for quantities that depend linearly on wavelength within a part.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ wrote. Here c is the curvature in y (CUY, RDY) and cx the curvature in x (CUX, R
     are coefficients of r, r², r³ …, as other programs have them.
 
 Places of the coefficients of ZRN and ZFR: macro ``cv2macos.seq`` of the repository nasa-jpl/MACOS_resources, which
-reads
-them from CODE V; the order of ZRN also follows from the files of its folder rodgers3, whose mirrors are symmetric.
+reads them from CODE V; the order of ZRN also follows from the files of its folder rodgers3, whose mirrors are
+symmetric.
 """
 
 from __future__ import annotations

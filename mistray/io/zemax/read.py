@@ -100,8 +100,7 @@ def read_zemax(
     ------
     MistrayError
         If the file is missing or broken, is not sequential, has an unsupported surface type, or a glass, a coating or
-        the configuration is unknown. The
-        message names the line.
+        the configuration is unknown. The message names the line.
 
     Examples
     --------

@@ -58,8 +58,7 @@ def write_zemax(lens: Sequential, path: str | Path) -> tuple[str, ...]:
     ------
     MistrayError
         If no surface type of .zmx files has all terms of a sag, the lens has more than 24 wavelengths, a material has
-        no index at
-        one of them, or the file cannot be written.
+        no index at one of them, or the file cannot be written.
 
     Examples
     --------

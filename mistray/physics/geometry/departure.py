@@ -112,8 +112,9 @@ class BoxDeparture:
         cls, sag: Sag, half: tuple[float, float], x: np.ndarray, y: np.ndarray, enough: float, form: Form | None = None
     ) -> BoxDeparture:
         """
-        Return the polynomial departure that approximates a given function; it has no terms if the function is
-        negligible.
+        Return the polynomial departure that approximates a given function.
+
+        It has no terms if the function is negligible.
 
         Parameters
         ----------

@@ -33,7 +33,8 @@ def pixel(side: int, directions: np.ndarray, nested: bool) -> np.ndarray:
 
     Returns
     -------
-    (n,) int64\n    Indices of the pixels.
+    (n,) int64
+        Indices of the pixels.
     """
     z, turn = directions[:, 2], np.arctan2(directions[:, 1], directions[:, 0])
     quarters = np.mod(turn, 2 * np.pi) / (0.5 * np.pi) % 4.0

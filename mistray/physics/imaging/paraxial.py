@@ -61,7 +61,7 @@ class ParaxialSystem:
     Raises
     ------
     MistrayError
-        If the numbers of curvatures, positions and indices do not fit.
+        If the numbers of curvatures, positions and indices do not match.
     """
 
     def __init__(self, curvature: Sequence[float], z: Sequence[float], index: Sequence[float]) -> None:

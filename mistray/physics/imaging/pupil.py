@@ -123,8 +123,9 @@ class Pupil:
 
     def removed(self, terms: str) -> Array:
         """
-        Return coefficients of 1, α, β and γ fitted to the wavefront, (4,), waves; α, β are relative to the grid's
-        middle.
+        Return coefficients of 1, α, β and γ fitted to the wavefront, (4,), waves.
+
+        α and β are relative to the middle of the grid.
 
         Parameters
         ----------

@@ -1,8 +1,7 @@
 """Sag of a surface by named parameters: a conic, or one for x and one for y, and all terms added to it.
 
 Every parameter has one name in scene files, prescriptions and gradients. Lengths are in mm; r² = x² + y². Only `grid`
-is
-not a number.
+is not a number.
 
 =============================== ============ ==========================================================================
 name                            unit         what it adds

@@ -7,8 +7,8 @@ design", Appl. Opt. 7, 479, 1968), here with traced rays instead of paraxial one
 through the axis:
 
 - A lies on the outermost ray from the primary to the secondary, so that it does not cut the beam. It is the ray through
-  the rims of both mirrors; where this one is outside the field, that of the field +w through the rim of the primary
-  or that of the field -w through the rim of the secondary, whichever limits the beam;
+  the rims of both mirrors; where this one is outside the field, that of the field +w through the rim of the primary or
+  that of the field -w through the rim of the secondary, whichever limits the beam;
 - B lies on the outermost ray from the secondary to the detector, the ray of the field +w at the upper edge of the
   beam;
 - the tube around B may not shadow more than A does: its outer wall at the mouth lies on the innermost ray from the

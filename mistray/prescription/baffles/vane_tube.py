@@ -216,8 +216,7 @@ def vane_tube(
     ------
     MistrayError
         If a parameter is out of range, the beam does not fit into the tube, more than 200 vanes are needed, the bevel
-        suits neither side of a vane, or vanes
-        are thicker than their distance.
+        suits neither side of a vane, or vanes are thicker than their distance.
 
     Examples
     --------
@@ -260,9 +259,11 @@ def vane_tube(
 def _tips(
     tube: BaffleTube, clearance: float, slope: float, steepness: float, overlap: float | None
 ) -> list[tuple[float, float]]:
-    """Return positions z and tip radii, mm, of the vanes that a tube with only its opening needs.
+    """
+    Return positions z and tip radii, mm, of the vanes that a tube needs, its opening among them.
 
-    `slope` is tan w, `steepness` tan ε. Raise `MistrayError` if there are too many, or the overlap is too large.
+    `tube` has the opening as its only vane. `slope` is tan w, `steepness` tan ε. Raise `MistrayError` if there are too
+    many, or the overlap is too large.
     """
     tips = [(vane.z, vane.radius) for vane in tube.vanes]
     at_optic = tube.optic_radius + clearance

@@ -22,8 +22,9 @@ _SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
 
 def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
     """
-    Return the source for the first field of a lens: collimated light, or a point for a near object.\n\nThe source of a
-    virtual object is collimated.
+    Return the source for the first field of a lens: collimated light, or a point for a near object.
+
+    The source of a virtual object is collimated.
 
     Notes on assumptions and on how it fills the stop go to `table`.
     """
@@ -99,8 +100,9 @@ def _direction(table: OpticalSurfaces) -> tuple[float, float]:
 
 def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
     """
-    Return the note that says how far the beam of the first field fills the stop, from real rays with clipping.\n\nIf
-    the file marks no stop, the note says so.
+    Return the note that says how far the beam of the first field fills the stop, from real rays with clipping.
+
+    If the file marks no stop, the note says so.
 
     Parameters
     ----------

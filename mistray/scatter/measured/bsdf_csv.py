@@ -71,8 +71,9 @@ def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> BsdfSamples | 
 
 def write_bsdf_csv(samples: BsdfSamples | RotatedSamples, path: str | Path, comment: str = "") -> None:
     """
-    Write a table in the frame "normal" as a CSV file that `read_bsdf_csv` reads.\n\nThe lines of `comment` stand at its
-    head.
+    Write a table in the frame "normal" as a CSV file that `read_bsdf_csv` reads.
+
+    The lines of `comment` stand at its head.
 
     Raises
     ------

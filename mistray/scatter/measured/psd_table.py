@@ -51,8 +51,7 @@ class PsdTable(RoughSurface):
     ------
     MistrayError
         If a parameter or a value of the table is out of range. `lobes` raises it for a surface that is too rough for
-        the theory at a wavelength,
-        and for a table that ends too early.
+        the theory at a wavelength, and for a table that ends too early.
     """
 
     frequency_1_um: tuple[float, ...]

@@ -289,7 +289,8 @@ def one_rotation(title: str, rotation_deg: np.ndarray, values: np.ndarray, aniso
     title : str
         Name of the table, for error messages.
     rotation_deg : (d,) float64
-        Rotations, ascending over a full turn, with or without 360° beside 0°, or over a part that represents it.
+        Rotations, ascending over a full turn, with or without 360° in addition to 0°, or over a part that represents
+        it.
     values : (d, …) float64
         Data at each rotation.
     anisotropy : {"error", "mean"}

@@ -1,4 +1,4 @@
-"""Anisotropic BSDF files of Ansys Speos (.anisotropicbsdf), in text.
+"""Reader of anisotropic BSDF files of Ansys Speos (.anisotropicbsdf) in text form.
 
 The layout follows Ansys' help, "Structure of Anisotropic BSDF Files". A file has a header, the mode, texts, the
 anisotropy vector, flags for reflection and transmission, and the kind of the values. Then follow the angles of the

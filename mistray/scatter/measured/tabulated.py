@@ -151,7 +151,7 @@ class Tabulated(Placement):
         return f"Tabulated '{self.name or self.samples.name}'"
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, or () if only the other was measured, see `Placement.event_lobes`."""
+        """Return the lobe of an event, or () if only the other event was measured, see `Placement.event_lobes`."""
         if self.samples.event not in (None, event):
             return ()
         return (Lobe(event, self._carrier, shares=self.shares, ratio=self._ratio),)
@@ -281,7 +281,8 @@ class Tabulated(Placement):
 
         Returns
         -------
-        (a, m, k) float64\n    Values of `relative` for each measured angle of incidence, node of `second` and node of
+        (a, m, k) float64
+            Values of `relative` for each measured angle of incidence, node of `second` and node of
         `angle`.
         """
         planes, second = [], second[:, None]
