@@ -81,6 +81,8 @@ class Cache:
         """
         Return the result of an entry, or None if there is no intact entry of the right form.
 
+        A damaged entry is removed. This and a folder that cannot be read are reported in `problems`.
+
         Parameters
         ----------
         key : str
@@ -166,7 +168,7 @@ class Cache:
         Raises
         ------
         MistrayError
-            If a file cannot be removed.
+            If the folder cannot be read, or a file cannot be removed.
         """
         entries = size = 0
         for file in list(self._files()):

@@ -154,7 +154,8 @@ def read_irradiance(path: str | Path) -> IrradianceMap:
     Raises
     ------
     MistrayError
-        If the path has another ending, the package for the format is not installed, or the file is no such map.
+        If the path has another ending, the package for the format is not installed, or the file does not hold such a
+        map.
 
     Examples
     --------

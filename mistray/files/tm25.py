@@ -90,7 +90,7 @@ def read_tm25(content: bytes) -> Rays:
     Raises
     ------
     MistrayError
-        If the content is no TM-25 file, has another version, or is cut off.
+        If the content is not a TM-25 file, has another version, is invalid, or is cut off.
     """
     if not content.startswith(MAGIC) or len(content) < HEADER.itemsize:
         raise MistrayError("it does not begin with TM25 and a header; give an IES TM-25 ray file")
@@ -153,7 +153,7 @@ def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
     """
     Return one wavelength, nm, for each ray, (n,), so that rays with a spectrum table together have its spectrum.
 
-    `number` is the table of each ray, from 1.
+    `number` is the index, from 1, of the table of each ray. Raise `MistrayError` for an index without a table.
     """
     wavelength = np.empty(len(number))
     for index in np.unique(number):
