@@ -178,7 +178,11 @@ class Interface(mi.BSDF):
     # -- the coating ---------------------------------------------------------------------------------------------
 
     def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:
-        """Return the nested `thinfilm` plugin, or None. Nested scatter plugins are stored in `scatterers`."""
+        """
+        Return the nested `thinfilm` plugin, or None without one.
+
+        Nested scatter plugins are stored in `scatterers`.
+        """
         self.scatterers = tuple(item for item in nested if hasattr(item, "scatterers") and item.scatterers == (item,))
         for item in self.scatterers:
             item.nest(self)
@@ -276,12 +280,12 @@ class Interface(mi.BSDF):
 
     @property
     def R(self) -> mi.Float:
-        """Reflectance of an ideal coating, 0 … 1."""
+        """Reflectance of an ideal coating, 0 … 1; 0 for other coatings."""
         return self._owner._R
 
     @property
     def T(self) -> mi.Float:
-        """Transmittance of an ideal coating, 0 … 1."""
+        """Transmittance of an ideal coating, 0 … 1; 0 for other coatings."""
         return self._owner._T
 
     @property
@@ -330,7 +334,7 @@ class Interface(mi.BSDF):
         Raises
         ------
         MistrayError
-            If k of a material is not known; the message names the interface.
+            If n or k of a material is not known at the wavelength; the message names the interface.
         """
         try:
             return complex_index(self.front, wavelength_nm), complex_index(self.back, wavelength_nm)
@@ -354,7 +358,11 @@ class Interface(mi.BSDF):
     def _meet(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: mi.Mask
     ) -> tuple[Interaction, RenderedScattering | None, list[mi.Float]]:
-        """Return the interaction at a hit, its scatter (or None), and the fraction of flux in each of `COMPONENTS`."""
+        """
+        Return the interaction at a hit, its scatter, and the fraction of flux in each of `COMPONENTS`.
+
+        Without scatter the second is None, and the third has two entries.
+        """
         surface, active = self._rendered_surface(), mi.Bool(active)
         it, scattering = surface.meet(-si.wi, active), None
         shares = [it.R, it.T]
@@ -485,7 +493,7 @@ class Interface(mi.BSDF):
         return f"{type(self).__name__}[{self.front} | {self.back}, {self._owner._summary()}{mirror}{scatter}]"
 
     def _summary(self) -> str:
-        """Return a short text on the coating: its R and T, "Fresnel" or "table"."""
+        """Return the string that describes the coating: its R and T, "Fresnel" or "table"."""
         if self._own_ideal:
             return f"R = {float(self._R[0]):g}, T = {float(self._T[0]):g}"
         return "Fresnel" if isinstance(self._own, Bare) else "table"

@@ -89,7 +89,11 @@ class Scatterer(Interface):
         raise MistrayError(f"{self.title}: a BSDF is nested in it; nest both in an 'interface' instead")
 
     def nest(self, interface: Interface) -> None:
-        """Attach this plugin to an interface, which then owns materials and coating."""
+        """
+        Attach this plugin to an interface, which then owns materials and coating.
+
+        Raise `MistrayError` if the plugin has properties that it may only have by itself.
+        """
         if self.alone:
             raise MistrayError(
                 f"{interface.title}: its {self.title} has {self.alone[0]} as well; give {self.alone[0]} at the "

@@ -147,7 +147,11 @@ class ThinFilm(Interface):
         self._rebuild()
 
     def _numbers(self, text: str, key: str) -> list[float]:
-        """Parse a text with one number per layer and return the numbers; zeros for an empty text."""
+        """
+        Return the values in a string, one for each layer; zeros for an empty string.
+
+        Raise `MistrayError` if they are not numbers, or there are not as many as layers.
+        """
         assert self._layers is not None
         if not text:
             return [0.0] * len(self._layers)
