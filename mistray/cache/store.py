@@ -188,7 +188,11 @@ class Cache:
         return self.folder / f"{key}{ENDING}"
 
     def _files(self) -> Iterator[_File]:
-        """Yield the files of the folder that belong to the cache."""
+        """
+        Yield the files of the folder that belong to the cache.
+
+        There are none if the folder does not exist. Raise `MistrayError` if the folder cannot be read.
+        """
         try:
             with os.scandir(self.folder) as listed:
                 for item in listed:

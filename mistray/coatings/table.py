@@ -203,7 +203,11 @@ class CoatingTable:
 
 
 def _header(names: Sequence[str], what: str) -> list[str]:
-    """Return the column names of a coating table's CSV file, after a check that they are known and complete."""
+    """
+    Return the column names of a coating table's CSV file.
+
+    Raise `MistrayError` if a column is unknown, missing, or there twice.
+    """
     given = list(names)
     unknown = [name for name in given if name not in COLUMNS]
     doubled = sorted({name for name in given if given.count(name) > 1})

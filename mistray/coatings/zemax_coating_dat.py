@@ -224,7 +224,11 @@ class CoatingFile(Mapping[str, CoatingModel]):
         return Stack(tuple(layers), name=section.name, opaque=mirror)
 
     def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:
-        """Return the layer that the words of a COAT line describe, and its loop index; 0 if it bounds no group."""
+        """
+        Return the layer that the words of a COAT line describe, and its loop index; 0 if it bounds no group.
+
+        Raise `MistrayError` if the line is malformed, a value is out of range, or the layer has a taper.
+        """
         if len(words) > 5 or len(words) < 2:
             raise MistrayError(f"{where}: '{shown(words)}'; expected material thickness is_absolute loop taper")
         if len(words) == 5:

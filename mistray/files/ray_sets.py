@@ -273,7 +273,8 @@ def _read_zemax_text(text: str, unit: str | None) -> RaySet:
     """
     Return the rays of a text file.
 
-    Its first line has their number and a number for the unit; each other line has seven or eight values.
+    Its first line has their number and a number for the unit; each other line has seven or eight values. Without a
+    number for the unit, `unit` is the unit. Raise `MistrayError` if the text has another form, or no unit is given.
     """
     lines = text.split("\n", 1)
     words = lines[0].split()

@@ -134,7 +134,11 @@ def _flux(header: np.void, column: dict[str, Array]) -> tuple[Array, bool]:
 
 
 def _tables(content: bytes, count: int) -> tuple[list[tuple[Array, Array]], int]:
-    """Return wavelengths (nm) and relative weights of each spectrum, and the byte offset after them."""
+    """
+    Return wavelengths (nm) and relative weights of each spectrum, and the byte offset after them.
+
+    Raise `MistrayError` if a spectrum is incomplete or not valid.
+    """
     tables, at = [], HEADER.itemsize
     for number in range(1, count + 1):
         pairs = int.from_bytes(content[at : at + 4], "little", signed=True)

@@ -131,7 +131,7 @@ class _Reader:
         """
         Return the changed values of a variant by surface label and quantity, such as S13, radius → 5.272 mm.
 
-        Without a variant there are none.
+        Without a variant there are none. Raise `MistrayError` if the file does not have the variant.
         """
         if variant is None:
             return {}
@@ -150,7 +150,8 @@ class _Reader:
         """
         Return the optical surfaces of the camera, one wherever the medium changes.
 
-        Store in `moves` pairs of rims (r, z), as printed and exact, mm.
+        Store in `moves` pairs of rims (r, z), as printed and exact, mm. Raise `MistrayError` if a name does not follow
+        the scheme of the file.
         """
         self.moves: list[tuple[Point, Point]] = []
         materials = {key: _material(key, value) for key, value in self.data["materials"].items()}
@@ -208,7 +209,11 @@ class _Reader:
         )
 
     def _barrel(self) -> dict[str, Structure]:
-        """Return the pieces of the barrel by name, fitted to the lens rims, without the faces of the stop."""
+        """
+        Return the pieces of the barrel by name, fitted to the lens rims, without the faces of the stop.
+
+        Raise `MistrayError` if a label does not follow the scheme of the file.
+        """
         pieces: dict[str, Structure] = {}
         for space, rows in self.data["barrel"]["optical_spaces"].items():
             for row in rows:

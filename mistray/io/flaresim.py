@@ -212,7 +212,11 @@ def _cemented(file: _File, notes: list[str]) -> list[_Line]:
 
 
 def _table(file: _File, notes: list[str]) -> Sequential:
-    """Return the lens table with the file's aperture column read as semi-diameters, mm; a later step verifies that."""
+    """
+    Return the lens table with the file's aperture column read as semi-diameters, mm; a later step verifies that.
+
+    Raise `MistrayError` if a thickness is negative, or glass extends from the last surface to the image.
+    """
     rows: list[Row] = []
     before, bare, coated = "air", 0, 0
     lines = _cemented(file, notes)
@@ -275,7 +279,11 @@ def _table(file: _File, notes: list[str]) -> Sequential:
 
 
 def _with_stop(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with a stop, chosen if the file marks none; its diameter is the aperture, mm."""
+    """
+    Return the lens with a stop, chosen if the file marks none; its diameter is the aperture, mm.
+
+    Raise `MistrayError` if there is nothing to choose a stop from, or the stop has no aperture.
+    """
     place = next((k for k, row in enumerate(lens.rows) if row.stop), None)
     if place is None:
         heights = np.abs(paraxial_system(lens)[0].trace(1.0, 0.0)[:-1, 0])
@@ -378,7 +386,12 @@ def _check_focus(file: _File, efl: float, bfl: float) -> None:
 
 
 def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with its image at the least axial rms spot, or at the paraxial focus if they differ much."""
+    """
+    Return the lens with its image at the least axial rms spot, or at the paraxial focus if they differ much.
+
+    If the focus lies just before the last surface, the image lies on that. Raise `MistrayError` if no axial ray reaches
+    the image, or the focus lies before the last surface.
+    """
     data = first_order(lens)
     height = 0.5 * data.epd * np.sqrt((np.arange(_AXIS_RAYS) + 0.5) / _AXIS_RAYS)  # equal shares of the light
     start = np.column_stack([np.zeros(_AXIS_RAYS), height, np.full(_AXIS_RAYS, data.entrance_pupil_z)])

@@ -169,7 +169,11 @@ def _shares(coating: Any) -> tuple[float, float]:
 
 
 def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
-    """Return radius, conic, coefficients and sag of a surface as arguments of `Row`; lengths in mm."""
+    """
+    Return radius, conic, coefficients and sag of a surface as arguments of `Row`; lengths in mm.
+
+    Raise `MistrayError` if the interaction or the kind of surface has no counterpart.
+    """
     geometry = surface.geometry
     what, kind = f"optiland lens '{name}', surface {number}", type(geometry).__name__
     interaction = getattr(surface.interaction_model, "interaction_type", "")
@@ -239,7 +243,11 @@ def _chebyshev(g: Any) -> dict[str, Any]:
 
 
 def _zernike(g: Any) -> dict[str, Any]:
-    """Return optiland's Zernike terms, in any order and norm, as `Row.sag`, mm, found by comparing values."""
+    """
+    Return optiland's Zernike terms, in any order and norm, as `Row.sag`, mm, found by comparing values.
+
+    Raise `MistrayError` if a term is beyond the known orders.
+    """
     radius = _float(g.norm_radius)
     orders = {noll_orders(j): j for j in range(1, LAST_STANDARD + 1)}
     found: dict[str, float] = {}

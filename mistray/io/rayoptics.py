@@ -169,7 +169,11 @@ def _pupil(what: str, lens: Sequential, pupil: Any, unit: float) -> tuple[Apertu
 
 
 def _surface(what: str, interface: Any) -> CodevSurface:
-    """Return shape, mode (refract or reflect) and decentres of an interface, in the model's units."""
+    """
+    Return shape, mode (refract or reflect) and decentres of an interface, in the model's units.
+
+    Raise `MistrayError` if its shape or mode has no counterpart, or the surface diffracts.
+    """
     profile: Any = getattr(interface, "profile", interface)  # a thin lens has none
     kind = type(profile).__name__
     if kind not in ("Spherical", "Conic", "EvenPolynomial", "RadialPolynomial", "YToroid"):

@@ -443,7 +443,11 @@ def _from_page(entry: Entry) -> _Material:
 
 @lru_cache(maxsize=64)
 def _from_mitsuba(name: str) -> _Material:
-    """Return the curves of n and k in the tables that come with Mitsuba, see its plugin `conductor`."""
+    """
+    Return the curves of n and k in the tables that come with Mitsuba, see its plugin `conductor`.
+
+    Raise `MistrayError` if Mitsuba has no tables of the name.
+    """
     found = importlib.util.find_spec("mitsuba")
     folder = Path(found.origin if found is not None and found.origin else "").parent / "data" / "ior"
     names = sorted(file.name.removesuffix(".eta.spd") for file in folder.glob("*.eta.spd"))
@@ -456,7 +460,11 @@ def _from_mitsuba(name: str) -> _Material:
 
 
 def _from_file(form: UserFile, text: str) -> _Material:
-    """Return the curves of n and k in a user's file, which is read again only if it has changed."""
+    """
+    Return the curves of n and k in a user's file, which is read again only if it has changed.
+
+    Raise `MistrayError` if the file cannot be read, or its content is not valid.
+    """
     path = Path(form.path)
     try:
         status = path.stat()
@@ -482,7 +490,11 @@ def _read_file(path: Path, form: UserFile, mtime_ns: int, size: int) -> _Materia
 
 
 def _coating_material(path: Path, name: str) -> tuple[Curve, Curve]:
-    """Return the curves of n and k of a material in a Zemax coating file; a single row holds at every wavelength."""
+    """
+    Return the curves of n and k of a material in a Zemax coating file; a single row holds at every wavelength.
+
+    Raise `MistrayError` if the file has no material of that name.
+    """
     tables = read_mate(path)
     found = [key for key in tables if key.lower() == name.lower()]
     if not found:

@@ -182,7 +182,11 @@ def _solve(
     wavelength_nm: Any,
     cos_incident: Any,
 ) -> tuple[Arithmetic, tuple[_Fields, _Fields]]:
-    """Return array functions, and for s and p the fields in front of a stack whose transmitted wave has amplitude 1."""
+    """
+    Return array functions, and for s and p the fields in front of a stack whose transmitted wave has amplitude 1.
+
+    Raise `MistrayError` if the numbers of indices and thicknesses differ.
+    """
     if len(n_layers) != len(d_nm):
         raise MistrayError(f"stack: {len(n_layers)} indices and {len(d_nm)} thicknesses; give one of each per layer")
     ops = arithmetic(n_incident, *n_layers, *d_nm, n_substrate, wavelength_nm, cos_incident)

@@ -318,7 +318,11 @@ def _name(item: Surface | Stop) -> str:
 
 
 def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
-    """Return wall points (r, z), mm, between two rims: a cone, or cylinder and ring if a cone would cut a surface."""
+    """
+    Return wall points (r, z), mm, between two rims: a cone, or cylinder and ring if a cone would cut a surface.
+
+    Raise `MistrayError` if neither clears the surfaces.
+    """
     start = a.rim if isinstance(a, Surface) else (a.outer_rear, a.z_rear)
     end = b.rim if isinstance(b, Surface) else (b.outer_front, b.z_front)
     corner = (start[0], end[1]) if start[0] > end[0] else (end[0], start[1])

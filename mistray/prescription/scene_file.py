@@ -154,7 +154,11 @@ def _source(s: Source | ObjectPoint) -> _Node:
 
 
 def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
-    """Yield each section of the scene file, its comment and its nodes, in the order of the file."""
+    """
+    Yield each section of the scene file, its comment and its nodes, in the order of the file.
+
+    Raise `MistrayError` if the prescription lacks its detector or source.
+    """
     for key, remedy in (("detector", "Detector(half_width=…, half_height=…)"), ("source", "Source(radius=…)")):
         if getattr(prescription, key) is None:
             raise MistrayError(f"prescription '{prescription.name}': it has no {key}; add {key}={remedy}")

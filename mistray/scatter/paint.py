@@ -180,7 +180,11 @@ class Paint(Placement):
 
 @lru_cache(maxsize=256)
 def _points(spectrum: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return wavelengths, nm, and reflectance factors from a string such as "400:0.02, 700:0.05"; empty for ""."""
+    """
+    Return wavelengths, nm, and reflectance factors from a string such as "400:0.02, 700:0.05"; empty for "".
+
+    Raise `MistrayError` if a pair is malformed or wavelengths do not ascend.
+    """
     found: list[tuple[float, float]] = []
     for word in spectrum.replace(",", " ").split():
         nm, factor = (finite_of(part) for part in word.partition(":")[::2])

@@ -181,7 +181,8 @@ class Interface(mi.BSDF):
         """
         Return the nested `thinfilm` plugin, or None without one.
 
-        Nested scatter plugins are stored in `scatterers`.
+        Nested scatter plugins are stored in `scatterers`. Raise `MistrayError` if nested plugins do not suit an
+        interface, or the coating is also given by parameters.
         """
         self.scatterers = tuple(item for item in nested if hasattr(item, "scatterers") and item.scatterers == (item,))
         for item in self.scatterers:
@@ -205,7 +206,11 @@ class Interface(mi.BSDF):
         return film
 
     def _read_coating(self, props: mi.Properties) -> None:
-        """Set the coating from the scene's parameters R and T or table, if any is given."""
+        """
+        Set the coating from the scene's parameters R and T or table, if any is given.
+
+        Raise `MistrayError` if `table` is given with R or T, T without R, or a value is not valid.
+        """
         given = [key for key in ("R", "T", "table") if key in props]
         if "table" in given and len(given) > 1:
             raise MistrayError(f"{self.title}: give R and T or table, not both")
@@ -233,7 +238,12 @@ class Interface(mi.BSDF):
         return {"R": self._R, "T": self._T} if self._own_ideal else {}
 
     def _rebuild(self) -> None:
-        """Rebuild the coating from the current parameters; an error leaves everything unchanged."""
+        """
+        Rebuild the coating from the current parameters.
+
+        If a parameter is not valid or has another number of entries, raise `MistrayError` and leave everything
+        unchanged.
+        """
         values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self._parameters().values())
         for name, value, held in zip(self._parameters(), values, self._held, strict=False):
             if len(value) != len(held):
@@ -306,7 +316,11 @@ class Interface(mi.BSDF):
         return self._glasses.back
 
     def _take_glasses(self) -> None:
-        """Apply new index shifts of the materials; an error leaves everything unchanged."""
+        """
+        Apply new index shifts of the materials.
+
+        If a shift is not valid, raise `MistrayError` and leave everything unchanged.
+        """
         try:
             if self._glasses.update(self.wavelength_nm):
                 self._rendered = None
@@ -379,7 +393,11 @@ class Interface(mi.BSDF):
         return it, scattering, [share if lit else mi.Float(0) for share, lit in zip(shares, enabled, strict=False)]
 
     def carried(self, by: Any, turned: bool) -> None:
-        """Register a shape that has this interface, and whether its mesh normals point to the front (`turned`)."""
+        """
+        Register a shape that has this interface, and whether its mesh normals point to the front (`turned`).
+
+        Raise `MistrayError` if a detector shares it with other shapes and its two sides have different materials.
+        """
         if self.turned not in (None, turned) and self.front != self.back:
             raise MistrayError(
                 f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector "

@@ -102,7 +102,11 @@ class Scatterer(Interface):
         self.is_nested = True
 
     def rebuild_model(self) -> None:
-        """Rebuild the scatter model from the current parameter values; an error leaves everything unchanged."""
+        """
+        Rebuild the scatter model from the current parameter values.
+
+        If a value is out of range or is not a single number, raise `MistrayError` and leave everything unchanged.
+        """
         given = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.values.values())
         for name, value in zip(self.values, given, strict=True):
             if value.shape != (1,):

@@ -166,7 +166,11 @@ class TargetMark(mi.BSDF):
 
 
 def _lengths(title: str, text: str) -> tuple[float, ...]:
-    """Return the three positive lengths in a string, mm; () for an empty string."""
+    """
+    Return the three positive lengths in a string, mm; () for an empty string.
+
+    Raise `MistrayError` if another string does not hold three positive numbers.
+    """
     if not text.strip():
         return ()
     try:

@@ -137,7 +137,11 @@ class ThinFilm(Interface):
         return read_coating(self._recipe, self.design_nm, self._opaque, _resolve)
 
     def _start_layers(self, stack: Stack, props: mi.Properties) -> None:
-        """Create the layers' parameters from a design: thicknesses in nm, and shifts of n and k."""
+        """
+        Create the layers' parameters from a design: thicknesses in nm, and shifts of n and k.
+
+        Raise `MistrayError` if the design has no layer.
+        """
         self._layers, self._opaque = stack.layers, stack.opaque or self._opaque
         if not stack.layers:
             raise MistrayError(f"{self.title}: it has no layer; leave it out for a bare surface")

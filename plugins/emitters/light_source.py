@@ -141,7 +141,11 @@ class LightSource(mi.Emitter):
         self.stokes = polarization_state(self.owner, **{key: props[key] for key in POLARIZATION if key in props})
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
-        """Return the source's wavelengths and weights, from its spectrum or from ``wavelength_nm`` and ``weights``."""
+        """
+        Return the source's wavelengths and weights, from its spectrum or from ``wavelength_nm`` and ``weights``.
+
+        Raise `MistrayError` if properties of the scene do not go together, or a value is not valid.
+        """
         given = {key: self._numbers(key, props[key]) for key in ("wavelength_nm", "weights") if key in props}
         band, bands = self._band(props)
         try:
@@ -288,7 +292,11 @@ class LightSource(mi.Emitter):
         raise MistrayError(f"{self.owner}: {what}")
 
     def _flux_given(self, props: mi.Properties, names: Sequence[str]) -> tuple[str, float]:
-        """Return name and value of the quantity in the scene that sets the flux; by default the first of `names`, 1."""
+        """
+        Return name and value of the quantity in the scene that sets the flux; by default the first of `names`, 1.
+
+        Raise `MistrayError` if the scene gives more than one, or a value that is not positive.
+        """
         found = [key for key in names if key in props]
         if len(found) > 1:
             self._fail(f"{' and '.join(found)} are given; give one of them")

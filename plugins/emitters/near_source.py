@@ -256,7 +256,11 @@ class ConeSource(NearSource):
 
     @property
     def solid_angle(self) -> float:
-        """Effective solid angle ∫ I dΩ for an intensity of 1 on the axis, sr."""
+        """
+        Effective solid angle ∫ I dΩ for an intensity of 1 on the axis, sr.
+
+        Raise `MistrayError` if a table is 0 on the axis.
+        """
         if self.table is not None:
             if not self.table.on_axis > 0:
                 self._fail(f"{self.given[0]} is that on the axis, where its light is 0; give power")

@@ -132,7 +132,11 @@ class FormulaShape(mi.Mesh):
 
     @staticmethod
     def vertex_frame(values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:
-        """Return the frame of the vertex, (4, 4) float64, mm, of a surface with given parameters and frame `matrix`."""
+        """
+        Return the frame of the vertex, (4, 4) float64, mm, of a surface with given parameters and frame `matrix`.
+
+        In the base class it is `matrix` itself.
+        """
         return matrix
 
     @property

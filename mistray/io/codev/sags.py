@@ -110,7 +110,7 @@ def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, f
     """
     Return Zernike coefficients and normalisation radius of a ZRN or ZFR surface, mm, by their names in `Row.sag`.
 
-    If all coefficients are 0, the result is empty.
+    If all coefficients are 0, the result is empty. Raise `MistrayError` if the normalisation radius is not above 0.
     """
     radius_place, first, terms = ("C69", 1, _ZRN_TERMS) if kind == "ZRN" else ("C2", 3, _ZFR_TERMS)
     radius = extra.get("NRADIUS") or extra.get(radius_place, 0.0)

@@ -179,7 +179,11 @@ class _Reader:
         return replace(lens, aperture_kind="object_na", aperture=cone, notes=(*lens.notes, note))
 
     def _object(self, section: ZemaxSection) -> tuple[float, str]:
-        """Return the distance of the object, mm, from its section, and the material behind it."""
+        """
+        Return the distance of the object, mm, from its section, and the material behind it.
+
+        Raise `MistrayError` if the object is not of type STANDARD.
+        """
         kind = section.take("TYPE")
         if kind is not None and kind.word(0).upper() != "STANDARD":
             raise kind.error(f"the object is of type '{kind.word(0)}'; mistray knows STANDARD objects")
@@ -284,7 +288,11 @@ class _Reader:
         return self.glasses.material(line, self.materials), False
 
     def _aperture(self, section: ZemaxSection) -> dict[str, Any]:
-        """Return the clear semi-diameter (mm), whether it stops light, and stated apertures, as arguments of `Row`."""
+        """
+        Return the clear semi-diameter (mm), whether it stops light, and stated apertures, as arguments of `Row`.
+
+        Raise `MistrayError` if there are two apertures, or the radii of a floating one do not ascend.
+        """
         diameter = section.take("DIAM")
         drawn = abs(diameter.value(0, "a semi-diameter")) * self.unit if diameter else 0.0
         floating = section.take("FLAP")
@@ -314,7 +322,8 @@ class _Reader:
         """
         Return the outline, mm, that a line of an aperture or obscuration in the Zemax file describes.
 
-        None, for an aperture from a user's file, means that it stops no light.
+        None, for an aperture from a user's file, means that it stops no light. Raise `MistrayError` if its radii or
+        half widths are not valid.
         """
         if line.key not in _FIGURES and line.key != "SPID":
             self.unread.append(

@@ -415,7 +415,7 @@ def signed_area(corners: np.ndarray) -> float:
 
 
 def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
-    """True if the segments a-b and c-d, of points (2,), cross at an inner point of both."""
+    """Return whether the segments a-b and c-d, of points (2,), cross at an inner point of both."""
 
     def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
         return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))

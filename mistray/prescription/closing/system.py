@@ -154,7 +154,11 @@ def build(
     beam: Beam = "pupil",
     detector_half_mm: tuple[float, float] | None = None,
 ) -> Built:
-    """Make a closed system as `to_prescription` does, and return it with first-order data and notes."""
+    """
+    Make a closed system as `to_prescription` does, and return it with first-order data and notes.
+
+    Raise `MistrayError` in the same cases.
+    """
     if edges not in EDGES:
         raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
     check_beam(beam, ("pupil", "front", "exact"))

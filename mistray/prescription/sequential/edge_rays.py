@@ -259,7 +259,7 @@ def _aimed_at(
     Return rays of a field aimed at points (n, 2) of the paraxial entrance pupil, mm from its centre.
 
     Starts, mm, and unit directions are (n, 3). If the pupil is at infinity, points lie in the plane of the first row,
-    relative to the chief ray.
+    relative to the chief ray. Raise `MistrayError` if object and entrance pupil coincide, or both lie at infinity.
     """
     z = data.entrance_pupil_z  # at infinity, points lie in the plane of the first row, from the chief ray
     if math.isinf(lens.object_distance):
@@ -285,7 +285,11 @@ def _aimed_at(
 
 
 def _object_point(lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float]) -> Array:
-    """Return the point (x, y), mm, of a field on an object at a finite distance."""
+    """
+    Return the point (x, y), mm, of a field on an object at a finite distance.
+
+    Raise `MistrayError` if the field has no such point because the magnification is 0 or the lens is telecentric.
+    """
     if lens.field_kind == "object_height":
         return np.array(field)
     if lens.field_kind == "image_height":

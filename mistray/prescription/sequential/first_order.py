@@ -211,6 +211,11 @@ def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: f
     to_stop : tuple of two float
         Height in the stop, mm, of a ray that meets the first row at height 1 mm and slope 0, and of one at height 0 and
         slope 1.
+
+    Raises
+    ------
+    MistrayError
+        If the aperture is out of range, or does not determine the beam of this lens.
     """
     kind, value, distance = lens.aperture_kind, lens.aperture, lens.object_distance
     if not 0 < value < math.inf:
