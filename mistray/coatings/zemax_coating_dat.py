@@ -45,7 +45,20 @@ BUILT_IN = ("AIR", "VACUUM")
 
 @dataclass
 class _Section:
-    """One coating of a Zemax coating file: its first line and the lines below, as words with line numbers."""
+    """
+    One coating of a Zemax coating file, as words.
+
+    Attributes
+    ----------
+    kind, name : str
+        First word of its first line, such as COAT, and name of the coating.
+    line : int
+        Line number of its first line, from 1.
+    words : list of str
+        Words of its first line.
+    lines : list of (int, list of str)
+        Line number and words of each line below.
+    """
 
     kind: str
     name: str

@@ -51,7 +51,24 @@ _INNER = 0.7  # of the edge of the field: the field between
 
 @dataclass(frozen=True)
 class _Line:
-    """Surface in the file, lengths in mm; `size` is its diameter or semi-diameter, which the format leaves open."""
+    """
+    Surface in a FlareSim file, lengths in mm.
+
+    Attributes
+    ----------
+    number, line : int
+        Position in the table, from 1, and line number in the file.
+    radius, thickness : float
+        Radius of curvature, ``inf`` for a plane, and distance to the next surface.
+    index, abbe : float
+        Index and Abbe number behind the surface.
+    size : float
+        Diameter or semi-diameter; the format leaves open which.
+    layers : int
+        Index in `COATINGS`, by number of coating layers.
+    stop : bool
+        Whether it is marked as the stop.
+    """
 
     number: int
     line: int
@@ -66,7 +83,24 @@ class _Line:
 
 @dataclass
 class _File:
-    """Content of a FlareSim lens file: name, remarks and surfaces."""
+    """
+    Content of a FlareSim lens file.
+
+    Attributes
+    ----------
+    what : str
+        Name of the file, for error messages.
+    name : str
+        Name of the lens, or of the file if it states none.
+    focal_mm : float
+        Stated focal length, mm; 0 if there is none or it is infinite.
+    remarks : list of str
+        Comments in front of the surfaces.
+    lines : list of _Line
+        Surfaces from front to rear.
+    unread : list of Unread
+        Lines that have no effect.
+    """
 
     what: str
     name: str

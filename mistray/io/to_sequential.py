@@ -236,7 +236,11 @@ class _Walk:
         return (surface.back, surface.front) if reversed_ else (surface.front, surface.back)
 
     def _stop_place(self) -> int | None:
-        """Return the index of the surface before which the stop stands, in the order in which light meets them."""
+        """
+        Return the index of the surface before which the stop stands, in the order in which light meets them.
+
+        It is the number of surfaces if the stop is behind all, and None without a stop.
+        """
         p = self.prescription
         if p.stop is None:
             return None

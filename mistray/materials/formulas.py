@@ -22,7 +22,8 @@ Formula = Callable[[Sequence[float], float], float]
 
 
 def cauchy_index(nd: float, vd: float, wavelength_nm: float) -> float:
-    """Return the index n of a glass of which only nd and Vd are known, at a wavelength λ in nm: n = A + B/λ².
+    """
+    Return the index n of a glass of which only nd and Vd are known, at a wavelength λ in nm: n = A + B/λ².
 
     A and B follow from n(d) = nd and n(F) - n(C) = (nd - 1)/Vd. nd and Vd say nothing about partial dispersion, so a
     third term would be a guess. Greatest error against the Sellmeier formulas of eleven glasses, from N-BK7 to N-SF11,

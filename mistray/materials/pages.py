@@ -135,7 +135,8 @@ def formula_curve(formula: Formula, coefficients: Sequence[float], range_nm: tup
 
 
 def _k_table(path: str, wavelength_nm: np.ndarray, k: np.ndarray) -> Curve | None:
-    """Return the extinction coefficient k over wavelength from a page; None if none of its values is informative.
+    """
+    Return the extinction coefficient k over wavelength from a page; None if none of its values is informative.
 
     The k of suppliers' pages are computed from catalogued internal transmittances. An exact 0 comes from a
     transmittance that was rounded to 1 or never filled in, as on 83 pages of Ohara and Hikari. A negative k comes from

@@ -234,7 +234,7 @@ class Mechanics:
     def _meshes(
         self, part: CadPart, looks: Mapping[int, tuple[Finish, int]], free: np.ndarray
     ) -> list[tuple[Structure | MeshStructure, bytes | None]]:
-        """Return a mesh, with its PLY file as bytes, of the triangles `free` of a part for each finish and space."""
+        """Return a mesh, with its PLY file as bytes, of the triangles `free` of a part, for each finish and space."""
         groups: dict[tuple[Finish, int], list[int]] = {}
         for face in np.unique(part.faces[free]):
             groups.setdefault(looks[int(face)], []).append(int(face))

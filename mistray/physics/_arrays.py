@@ -11,7 +11,8 @@ import numpy as np
 
 
 def sqrt(x: Any) -> Any:
-    """Return the square root of ``x``; NaN below zero, in the array library of ``x``.
+    """
+    Return the square root of ``x``; NaN below zero, in the array library of ``x``.
 
     Parameters
     ----------

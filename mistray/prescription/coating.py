@@ -15,7 +15,8 @@ from mistray.ranges import WAVELENGTH_NM, Words, check_fields
 
 @dataclass(frozen=True)
 class Coating:
-    """Coating of an interface; an interface without one is bare Fresnel.
+    """
+    Coating of an interface; an interface without one is bare Fresnel.
 
     Exactly one of ``R``, ``table``, ``layers`` and ``preset`` defines the coating; see the plugin `thinfilm` and
     docs/coatings.md.

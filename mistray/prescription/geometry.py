@@ -37,7 +37,8 @@ def wall(
     front: str = "air",
     back: str = "air",
 ) -> tuple[Structure, ...]:
-    """Make frusta along a profile; zero-length pieces are left out.
+    """
+    Make frusta along a profile; zero-length pieces are left out.
 
     Parameters
     ----------
@@ -86,7 +87,8 @@ def lens_edge(
     bevel_coating: Coating | None = None,
     contact_radii: tuple[float | None, float | None] = (None, None),
 ) -> tuple[Structure, ...]:
-    """Make the edge cylinder and the flat rings that close a lens body between its two surfaces.
+    """
+    Make the edge cylinder and the flat rings that close a lens body between its two surfaces.
 
     Each ring is split where the mount begins to touch it. Inside this radius it is a bevel between glass and air;
     outside it is a flange in contact, opaque like the edge.
@@ -171,7 +173,8 @@ def barrel(
     name: str = "barrel",
     first_space: int = 1,
 ) -> tuple[Structure, ...]:
-    """Close a coaxial group: lens edges in glass, opaque barrel walls in air, from the first rim to the last.
+    """
+    Close a coaxial group: lens edges in glass, opaque barrel walls in air, from the first rim to the last.
 
     Parameters
     ----------
@@ -229,7 +232,8 @@ def detector_frame(
     name: str = "board",
     space: int = -1,
 ) -> tuple[Surface, ...]:
-    """Make four rectangles around a rectangular detector, in its plane, that cover a tube of a given radius.
+    """
+    Make four rectangles around a rectangular detector, in its plane, that cover a tube of a given radius.
 
     They tile the plane without overlap, so that no face coincides with the detector.
 

@@ -40,7 +40,8 @@ MAX_COEFFICIENTS = 9
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """Placement in the world: the frame is tilted about x, then y, then z (fixed axes), then moved to (x, y, z).
+    """
+    Placement in the world: the frame is tilted about x, then y, then z (fixed axes), then moved to (x, y, z).
 
     Attributes
     ----------
@@ -70,7 +71,8 @@ class Placed:
 
 @dataclass(frozen=True)
 class Surface(Placed):
-    """An optical surface: a conic with polynomial terms or any other sag, clipped by radii or by any outline.
+    """
+    An optical surface: a conic with polynomial terms or any other sag, clipped by radii or by any outline.
 
     Attributes
     ----------
@@ -202,7 +204,8 @@ class Surface(Placed):
 
 @dataclass(frozen=True)
 class Structure(Placed):
-    """A frustum of a cone about the z axis of its frame; a cylinder and a flat annulus are special cases.
+    """
+    A frustum of a cone about the z axis of its frame; a cylinder and a flat annulus are special cases.
 
     Barrel walls, lens edges, bevels, stop faces and vanes are frusta.
 
@@ -254,7 +257,8 @@ class Structure(Placed):
 
 @dataclass(frozen=True)
 class Detector(Surface):
-    """A surface that records irradiance: plane, opaque, and perfectly absorbing by default.
+    """
+    A surface that records irradiance: plane, opaque, and perfectly absorbing by default.
 
     Attributes
     ----------
@@ -283,7 +287,7 @@ class Detector(Surface):
             FILM_SIDE.check("pixels", count, f"detector '{self.name}'")
 
     def notes(self) -> list[str]:
-        """Return notes on a detector from a lens file: one line if it absorbs all light."""
+        """Return notes on a detector from a lens file: one line if it absorbs all light; otherwise none."""
         if self.coating != BLACK or self.scatter:
             return []
         return [
@@ -294,7 +298,8 @@ class Detector(Surface):
 
 @dataclass(frozen=True)
 class Stop:
-    """An aperture stop of finite thickness: front annulus, inner wall, rear annulus.
+    """
+    An aperture stop of finite thickness: front annulus, inner wall, rear annulus.
 
     Attributes
     ----------
@@ -359,7 +364,8 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True)
 class Prescription:
-    """An optical system, ready to be written as a scene.
+    """
+    An optical system, ready to be written as a scene.
 
     Attributes
     ----------
@@ -482,7 +488,8 @@ class Prescription:
         return scattering(self, rules)
 
     def with_source(self, **changes: Any) -> Prescription:
-        """Return a copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``.
+        """
+        Return a copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``.
 
         Raises
         ------
@@ -494,7 +501,8 @@ class Prescription:
         return replace(self, source=replace(self.source, **changes))
 
     def paraxial(self, wavelength_nm: float) -> ParaxialSystem:
-        """Return the paraxial system of the refracting surfaces, in order, at a wavelength in nm.
+        """
+        Return the paraxial system of the refracting surfaces, in order, at a wavelength in nm.
 
         Raises
         ------

@@ -40,7 +40,22 @@ _BEAM = (
 
 @dataclass(frozen=True)
 class _Node:
-    """Node of a scene tree: a plugin or a reference to one. ``kind`` is its XML tag, ``plugin`` its type."""
+    """
+    Node of a scene tree: a plugin or a reference to one.
+
+    Attributes
+    ----------
+    kind, plugin : str
+        XML tag, and type of the plugin, "" for a reference.
+    id : str or None
+        Id of the plugin, or of the one referred to; None without one.
+    properties : dict of str to Value
+        Parameters by name.
+    place : Placed or None
+        Object whose frame gives ``to_world``; None without one.
+    children : tuple of _Node
+        Nested nodes.
+    """
 
     kind: str
     plugin: str

@@ -37,7 +37,11 @@ class Chance:
 
     @property
     def rays_for_one_hit(self) -> float:
-        """Number of start rays that give one hit on average; so many give at least one with 63 % probability."""
+        """
+        Number of start rays that give one hit on average; infinite if a hit has no chance.
+
+        So many rays give at least one hit with 63 % probability.
+        """
         return 1 / self.total if self.total > 0 else math.inf
 
     def rays_for(self, confidence: float) -> float:

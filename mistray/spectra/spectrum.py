@@ -131,7 +131,7 @@ class Spectrum:
 
     @property
     def lumens(self) -> float:
-        """Luminous flux of the whole spectrum, in lm if `energy` is in W."""
+        """Luminous flux of the whole spectrum, in lm if `energy` is in W; 0 if none of it is visible."""
         visible = observer()[0]
         low, high = max(self.low_nm, float(visible[0])), min(self.high_nm, float(visible[-1]))
         if not low < high:

@@ -141,7 +141,7 @@ class FormulaShape(mi.Mesh):
 
     @property
     def held(self) -> set[str]:
-        """Names of the parameters for which there are no derivatives."""
+        """Names of the parameters for which there are no derivatives; in the base class none."""
         return set()
 
     @property

@@ -155,7 +155,24 @@ def _source(optic: Any, wavelength_nm: float, beam: Fill) -> tuple[Source, list[
 
 @dataclass
 class _Reader:
-    """Converter of batoid's optics to surfaces and structures, element by element in the order of light."""
+    """
+    Converter of batoid's optics to surfaces and structures, element by element in the order of light.
+
+    Attributes
+    ----------
+    batoid, optic
+        The package, and the telescope to convert.
+    wavelength_nm, reflectance, baffle_radius, field_deg
+        Arguments of `from_batoid`, in nm, mm and degrees.
+    surfaces, structures, detector
+        Surfaces, structures and detector converted so far; the detector is None at first.
+    direction : (3,) float64
+        Unit vector along the light behind the last mirror so far.
+    group : list of Surface
+        Refracting surfaces since the last mirror, and the detector, which get walls from `close_group`.
+    notes : list of str
+        Assumptions.
+    """
 
     batoid: Any
     optic: Any

@@ -131,7 +131,8 @@ def _moves(surface: CodevSurface, unit_mm: float) -> tuple[Decentre | None, Dece
     """
     Return the moves of the frame, mm and degrees, before and behind a surface.
 
-    R is the rotation of the surface. REV applies the inverse of (shift, R) behind the surface. For BEN, the old axis ẑ
+    Either is None if there is no such move. R is the rotation of the surface. REV applies the inverse of (shift, R)
+    behind the surface. For BEN, the old axis ẑ
     is R⁻¹ẑ in the frame of the surface. Its reflection there, a half turn about z, is R_z(-γ) R_y(β) R_x(α) ẑ, since R
     = R_x(α) R_y(β) R_z(γ). So the angles α, β and -γ apply in the opposite order.
     """

@@ -322,7 +322,11 @@ class Outline:
         return found
 
     def with_numbers(self, numbers: Mapping[str, float]) -> Outline:
-        """Return the outline with new values of its figures' parameters, by the names and in the units of `numbers`."""
+        """
+        Return the outline with other parameters of its figures.
+
+        The mapping `numbers` has the names and units of the method `Outline.numbers`.
+        """
         figures = []
         for k, figure in enumerate(self.figures, start=1):
             x, y, angle, *sizes = (numbers[f"clip_{k}_{name}"] for name in figure.names)

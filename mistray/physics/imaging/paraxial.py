@@ -47,7 +47,8 @@ class Ghost:
 
 
 class ParaxialSystem:
-    """System of coaxial refracting surfaces in first order.
+    """
+    System of coaxial refracting surfaces in first order.
 
     Parameters
     ----------
@@ -78,7 +79,8 @@ class ParaxialSystem:
         return len(self.z)
 
     def trace(self, y: float, u: float) -> npt.NDArray[np.float64]:
-        """Return the heights and slopes of a ray through all surfaces.
+        """
+        Return the heights and slopes of a ray through all surfaces.
 
         Parameters
         ----------
@@ -111,7 +113,8 @@ class ParaxialSystem:
         return math.inf if u == 0 else -y / u
 
     def chief_ray(self, field_deg: float, stop_z: float) -> npt.NDArray[np.float64]:
-        """Return the heights and slopes of the ray of a field angle through the centre of the stop.
+        """
+        Return the heights and slopes of the ray of a field angle through the centre of the stop.
 
         Parameters
         ----------

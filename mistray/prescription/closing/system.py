@@ -246,7 +246,11 @@ def _stop(table: OpticalSurfaces, k: int) -> StopPlane:
 
 
 def _plates(table: OpticalSurfaces, k: int, widest: float) -> list[Surface | Structure]:
-    """Return opaque faces for stated apertures of row `k` outside its surface's clip, up to the radius `widest`, mm."""
+    """
+    Return opaque faces for stated apertures of row `k` outside its surface's clip, up to the radius `widest`, mm.
+
+    A coordinate break has none.
+    """
     row = table.lens.rows[k]
     if row.kind == "coordinate_break":
         return []
