@@ -207,7 +207,11 @@ class Cache:
             raise MistrayError(f"cache '{self.folder}': {error.strerror}; check MISTRAY_CACHE") from None
 
     def _make_room(self, newest: Path) -> None:
-        """Remove abandoned drafts, and the least recently read entries until the folder is below its limit."""
+        """
+        Remove abandoned drafts, and the least recently read entries until the folder is below its limit.
+
+        A folder that cannot be read is reported and left as it is.
+        """
         try:
             files = sorted(self._files(), key=lambda file: file.used)
         except MistrayError as error:

@@ -162,7 +162,11 @@ def _index(body: str, wavelength_nm: float) -> complex:
 
 
 def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: np.ndarray, centre: float) -> np.ndarray:
-    """Return rounded layer thicknesses, (L,), nm, of the least mean R, searched from the best of a grid."""
+    """
+    Return rounded layer thicknesses, (L,), nm, of the least mean R.
+
+    The search begins at the best of a grid and of the thicknesses `designed`, nm.
+    """
     from scipy.optimize import minimize
 
     quarter = centre / index.real.mean(axis=1)

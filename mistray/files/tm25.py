@@ -125,7 +125,11 @@ def read_tm25(content: bytes) -> Rays:
 
 
 def _flux(header: np.void, column: dict[str, Array]) -> tuple[Array, bool]:
-    """Return the flux of each ray, (n,), W or lm, and True if it is in lumens."""
+    """
+    Return the flux of each ray, (n,), W or lm, and True if it is in lumens.
+
+    It is scaled to the total of the header, if that is given.
+    """
     watts, lumens = (float(header[key]) for key in ("radiant_flux_W", "luminous_flux_lm"))
     relative = column["W"] if "W" in column else column["lm"]
     in_lumens = "W" not in column and not watts > 0

@@ -231,7 +231,11 @@ class _Reader:
         return pieces
 
     def _on_rim(self, r: float, z: float) -> Point:
-        """Return a barrel point (r, z), mm, moved to the exact lens rim if the file gives that rim rounded."""
+        """
+        Return a barrel point (r, z), mm, moved to the exact lens rim if the file gives that rim rounded.
+
+        If only its z is that of a rim, only z is moved.
+        """
         for (printed_r, printed_z), (rim_r, rim_z) in self.moves:
             if abs(z - printed_z) <= _ROUNDING_MM:
                 return (rim_r if abs(r - printed_r) <= _ROUNDING_MM else float(r)), rim_z

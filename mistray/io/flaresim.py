@@ -338,7 +338,11 @@ def _with_stop(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with semi-diameters, mm, after deciding whether the file holds full or semi-diameters."""
+    """
+    Return the lens with semi-diameters, mm, after deciding whether the file holds full or semi-diameters.
+
+    A dummy plane in air stops no light. A note says what was decided, and why.
+    """
     as_semi, stated = first_order(lens).f_number, file.f_number
     if any(_BENCH in text for text in file.remarks):
         full, why = True, "as of all files of the Optical Bench"

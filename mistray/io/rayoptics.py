@@ -213,7 +213,12 @@ def _surface(what: str, interface: Any) -> CodevSurface:
 
 
 def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -> dict[str, Any]:
-    """Return the intersection of the clear apertures, else the round edge of the body, mm, as arguments of `Row`."""
+    """
+    Return the intersection of the clear apertures, mm, as arguments of `Row`.
+
+    Without clear apertures it is the round, centred edge of the body, if there is one. Apertures that are left out go
+    to `unread`.
+    """
     result: dict[str, Any] = {}
     edges = getattr(interface, "edge_apertures", ())
     clear = getattr(interface, "clear_apertures", ())

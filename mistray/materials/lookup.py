@@ -344,7 +344,12 @@ def _known(spec: Spec) -> str:
 
 
 def _remedy(spec: Spec, wavelength_nm: float) -> str:
-    """Return advice for a wavelength, nm, without data: another page of the material, or the one of nearest index."""
+    """
+    Return advice for a wavelength, nm, at which a material has no data.
+
+    It names another page of the material that has data there, or else the clear material with the nearest index, if
+    there is one.
+    """
     inside = "use a wavelength inside"
     if not isinstance(spec.form, Name):
         return f"{inside}, or a material that is known there"

@@ -197,7 +197,11 @@ class Mechanics:
         return {part.name: bands(part) for part in self.parts}
 
     def _built(self) -> list[tuple[Structure | MeshStructure, bytes | None]]:
-        """Return the structures, each with the bytes of its PLY file ``<shape>.ply``, or None if it has none."""
+        """
+        Return the structures, each with the bytes of its PLY file ``<shape>.ply``, or None if it has none.
+
+        The largest bands of one finish, at most `most_analytic`, become exact structures, all other triangles meshes.
+        """
         found = self._bands
         sizes = sorted((band.area for each in found.values() for band in each), reverse=True)
         least = sizes[self.most_analytic - 1] if 0 < self.most_analytic < len(sizes) else 0.0

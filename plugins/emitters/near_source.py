@@ -216,7 +216,11 @@ class ConeSource(NearSource):
         return angles, values
 
     def edge_samples(self, count: int, within: float) -> np.ndarray | None:
-        """Return points along the edge of its cone, see `LightSource.edge_samples`; an extended source has no edge."""
+        """
+        Return points along the edge of its cone, see `LightSource.edge_samples`.
+
+        An extended source has no edge and returns None.
+        """
         if self.extended:
             return None
         return perimeter(count, within) if self.table is None else self.table.edge_samples(count, within)

@@ -277,7 +277,11 @@ class FreeformShape(FormulaShape):
         return Freeform.of(local, Outline(tuple(figures)), self._half, self.mechanics, self._way)
 
     def vertex_frame(self, values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:  # type: ignore[override, unused-ignore]
-        """Return the frame of the middle of the outline, (4, 4) float64, mm."""
+        """
+        Return the frame at the middle of the outline, on the surface, (4, 4) float64, mm.
+
+        Its axes are those of `matrix`.
+        """
         frame = np.array(matrix)
         ox, oy = self._middle
         height = float(sag(np.array(ox), np.array(oy), self._sag_numbers_of(values)))

@@ -79,7 +79,12 @@ def _parts(obscuration: Any) -> Iterator[Any]:
 
 
 def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[OutlineFigure]:
-    """Return the clear or covered area of an obscuration as figures, mm, on a disc of `radius`, m."""
+    """
+    Return the clear area of an obscuration, or the covered area without `clear`, as figures, mm.
+
+    If the first figure is cut away, the area is the rest of a disc of `radius`, m. Raise `MistrayError` if figures
+    cannot express the area.
+    """
     kind = type(obscuration).__name__
     if obscuration is None:
         return [OutlineFigure("circle", "+" if clear else "-", sizes=(radius * M_TO_MM,))]

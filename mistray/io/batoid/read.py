@@ -194,7 +194,12 @@ class _Reader:
         return BatoidLight(self.batoid, self.optic, self.wavelength_nm, edge)
 
     def add(self, element: tuple[str, Any]) -> None:
-        """Convert one pair (part, interface) to surfaces or structures, and add them to the telescope."""
+        """
+        Convert one pair (part, interface) to surfaces or structures, and add them to the telescope.
+
+        An interface without optical effect adds nothing. Raise `MistrayError` if the kind of an element has no
+        counterpart.
+        """
         part, interface = element
         kind = type(interface).__name__
         name = _id(interface.name)
@@ -297,7 +302,11 @@ class _Reader:
         return shape | ({"sag": sag} if sag else {})
 
     def _with_hole(self, interface: Any, shape: dict[str, Any]) -> dict[str, Any]:
-        """Return a mirror's shape, mm, with a central hole if it is round and light passes there to the detector."""
+        """
+        Return a mirror's shape, mm, with a central hole if it is round and light passes there to the detector.
+
+        A mirror that has a hole keeps it. No hole is made if it would take most of the mirror.
+        """
         if "semi_diameter" not in shape or shape.get("inner_semi_diameter"):
             return shape
         hole = max((outer for _, outer in self.light.crossings(interface)), default=0.0) * M_TO_MM
@@ -349,7 +358,11 @@ class _Reader:
         return Coating(R=float(both[0].reflectivity), T=float(both[0].transmissivity))
 
     def _baffle(self, name: str, interface: Any) -> list[Structure | Surface]:
-        """Return opaque plates, mm, of a baffle, without those already made for an earlier pass of light."""
+        """
+        Return opaque plates, mm, of a baffle, without those already made for an earlier pass of light.
+
+        The list is empty if the baffle has no obscuration, or is the central hole of a flat mirror.
+        """
         if interface.obscuration is None:
             return []
         placing = self._placing(interface)

@@ -190,7 +190,11 @@ def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> d
 
 
 def _figures(sizes: dict[str, float]) -> list[OutlineFigure]:
-    """Return outline figures, mm, for the sizes, mm by keyword, of one kind of aperture, centred at the origin."""
+    """
+    Return outline figures, mm, for the sizes, mm by keyword, of one kind of aperture, centred at the origin.
+
+    A half size that is missing is unlimited for a rectangle, and equal to the other one for an ellipse.
+    """
     found = []
     if "CIR" in sizes:
         found.append(OutlineFigure("circle", sizes=(sizes["CIR"],)))

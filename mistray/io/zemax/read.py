@@ -139,7 +139,11 @@ class _Reader:
         self.materials: dict[int, str] = {}
 
     def sequential(self, note: str = "") -> Sequential:
-        """Return the lens as read; a `note` is added to its notes."""
+        """
+        Return the lens as read; a `note` is added to its notes.
+
+        A paraxial working F-number of a near object is converted to the object-space NA.
+        """
         if note:
             self.notes.append(note)
         distance, material = self._object(self.sections.surfaces[0])

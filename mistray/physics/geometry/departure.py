@@ -42,7 +42,11 @@ class Form:
 
     @property
     def terms(self) -> tuple[tuple[int, int], ...]:
-        """Orders in x and in y of each polynomial, in the order of the coefficients; empty for no departure."""
+        """
+        Orders in x and in y of each polynomial, in the order of the coefficients; empty for no departure.
+
+        A coordinate in which the departure is even has even orders only.
+        """
         return tuple(
             (i, j)
             for j in range(0, self.degree + 1, 2 if self.even_y else 1)
@@ -180,7 +184,12 @@ def _polynomials(u: Any, degree: int) -> tuple[list[Any], list[Any]]:
 
 
 def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return Chebyshev coefficients of a sag by x and y order, (degree + 1, degree + 1), mm; 0 above total `degree`."""
+    """
+    Return Chebyshev coefficients of a sag by x and y order, (degree + 1, degree + 1), mm; 0 above total `degree`.
+
+    They interpolate over the box of half sizes `half`, mm. If the sag is not defined in all of it, they are fitted to
+    the points `x`, `y`, mm.
+    """
     count = 2 * degree + 2
     nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     values = sag(half[0] * nodes[:, None], half[1] * nodes[None, :])

@@ -201,7 +201,11 @@ class Outline:
             raise MistrayError(f"{owner}: its outline holds nothing; correct its figures")
 
     def bounds(self) -> tuple[float, float, float, float]:
-        """Return the least and greatest x, then y of a box around the outline, mm; ±1e30 where it is unbounded."""
+        """
+        Return the least and greatest x, then y of a box around the outline, mm; ±1e30 where it is unbounded.
+
+        Figures that are cut away do not reduce the box.
+        """
         box = (-ALL, ALL, -ALL, ALL)
         for number, figure in enumerate(self.figures):
             own = figure.bounds()

@@ -132,7 +132,11 @@ def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[st
 
 
 def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Surface:
-    """Return an opaque surface with the shape of a row and the outline `opaque`, its vertex at `z`; lengths in mm."""
+    """
+    Return an opaque surface with the shape of a row and the outline `opaque`, its vertex at `z`; lengths in mm.
+
+    An outline that extends beyond the radius `widest`, or beyond the end of the conic, is cut there.
+    """
     own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients, "sag": row.sag}
     ring, sides = opaque.annulus, opaque.sides
     if ring and opaque.bounded:

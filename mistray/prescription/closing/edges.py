@@ -118,7 +118,11 @@ class Closing:
                 self._wall(a, b, forward)
 
     def _bodies(self, chain: list[tuple[Item, bool]]) -> None:
-        """Add the edges of lens bodies; cemented bodies share a rim."""
+        """
+        Add the edges of lens bodies; cemented bodies share a rim.
+
+        Glass between surfaces without a common axis gets a note instead.
+        """
         run: list[Surface] = []
         forward = True
         done: set[tuple[str, str]] = set()

@@ -89,7 +89,11 @@ def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, f
 
 
 def _direction(table: OpticalSurfaces) -> tuple[float, float]:
-    """Return field angle and azimuth of the first field, degrees; in the yz plane a sign replaces the azimuth."""
+    """
+    Return field angle and azimuth of the first field, degrees; in the yz plane a sign replaces the azimuth.
+
+    If the field is off the axis, `table` gets a note.
+    """
     x, y = (float(slope) for slope in field_tangents(table.lens, table.rays.data)[0])
     slope, azimuth = (math.hypot(x, y), math.degrees(math.atan2(-x, y))) if x else (y, 0.0)
     field = round(math.degrees(math.atan(slope)), _SOURCE_DIGITS)
