@@ -151,6 +151,8 @@ def self_emission(
     """
     Return the irradiance on a detector in air by optics that fill its cone, ε L π/(4 F² + 1), W/mm².
 
+    L is the radiance of a blackbody at the temperature of the optics.
+
     Parameters
     ----------
     emissivity : array_like

@@ -329,7 +329,7 @@ class Outline:
         """
         Return the outline with other parameters of its figures.
 
-        The mapping `numbers` has the names and units of the method `Outline.numbers`.
+        The mapping `numbers` has the names and units that the method `Outline.numbers` gives.
         """
         figures = []
         for k, figure in enumerate(self.figures, start=1):

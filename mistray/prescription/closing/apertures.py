@@ -135,7 +135,8 @@ def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Sur
     """
     Return an opaque surface with the shape of a row and the outline `opaque`, its vertex at `z`; lengths in mm.
 
-    An outline that extends beyond the radius `widest`, or beyond the end of the conic, is cut there.
+    An outline that extends beyond the radius `widest`, or beyond the end of the conic, is cut there, unless it is an
+    annulus.
     """
     own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients, "sag": row.sag}
     ring, sides = opaque.annulus, opaque.sides
