@@ -78,6 +78,11 @@ def open_cache(where: bool | str | Path | None = None) -> Cache | None:
     -------
     Cache or None
         Cache; None if it is switched off. ``True`` does not override ``MISTRAY_CACHE=off``.
+
+    Raises
+    ------
+    MistrayError
+        If the user has no home folder, or ``MISTRAY_CACHE_MB`` is not a number above 0.
     """
     if where is False:
         return None

@@ -81,6 +81,8 @@ class Cache:
         """
         Return the result of an entry, or None if there is no intact entry of the right form.
 
+        A damaged entry is removed. This and a folder that cannot be read are reported in `problems`.
+
         Parameters
         ----------
         key : str
@@ -166,7 +168,7 @@ class Cache:
         Raises
         ------
         MistrayError
-            If a file cannot be removed.
+            If the folder cannot be read, or a file cannot be removed.
         """
         entries = size = 0
         for file in list(self._files()):
@@ -186,7 +188,11 @@ class Cache:
         return self.folder / f"{key}{ENDING}"
 
     def _files(self) -> Iterator[_File]:
-        """Yield the files of the folder that belong to the cache."""
+        """
+        Yield the files of the folder that belong to the cache.
+
+        There are none if the folder does not exist. Raise `MistrayError` if the folder cannot be read.
+        """
         try:
             with os.scandir(self.folder) as listed:
                 for item in listed:
@@ -201,7 +207,11 @@ class Cache:
             raise MistrayError(f"cache '{self.folder}': {error.strerror}; check MISTRAY_CACHE") from None
 
     def _make_room(self, newest: Path) -> None:
-        """Remove abandoned drafts, and the least recently read entries until the folder is below its limit."""
+        """
+        Remove abandoned drafts, and the least recently read entries until the folder is below its limit.
+
+        A folder that cannot be read is reported and left as it is.
+        """
         try:
             files = sorted(self._files(), key=lambda file: file.used)
         except MistrayError as error:

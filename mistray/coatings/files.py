@@ -38,9 +38,9 @@ def read_coating(
     design_nm : float
         Wavelength for thicknesses in waves in a Zemax file, nm.
     mirror : bool
-        Whether the last layer of a Zemax coating is the substrate, as for mirrors there.
+        Whether the last layer of a Zemax coating is the substrate, as for mirrors there; without effect on a CSV table.
     resolve : callable
-        Function that returns the path to open for the path in the text.
+        Function that returns the path to open for the path in `spec`.
 
     Raises
     ------
@@ -70,15 +70,15 @@ def read_coating(
 
 def coating_from_text(text: str, design_nm: float = 550.0) -> CoatingModel:
     """
-    Return the coating that a text names.
+    Return the coating that a string names or describes.
 
-    The text is ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`. Thicknesses in waves
+    The string is ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`. Thicknesses in waves
     are those at `design_nm`, nm.
 
     Raises
     ------
     MistrayError
-        If the text is none of these.
+        If the string is none of these, or the file or a layer that it names is not valid.
 
     Examples
     --------
@@ -133,7 +133,8 @@ def write_table(
     Raises
     ------
     MistrayError
-        If a material is unknown at a wavelength, or the file cannot be written.
+        If a material is unknown at a wavelength, both are metals, an angle is outside 0 … 90°, or the file cannot be
+        written.
 
     Examples
     --------

@@ -63,7 +63,7 @@ class Preset:
     substrate: float = 1.5168
 
     def centre_nm(self, design_nm: float) -> float:
-        """Return the wavelength, nm, of the optical thicknesses: `design_nm`, or the preset's own by default."""
+        """Return the wavelength, nm, of the optical thicknesses: `design_nm`, or the preset's own if that is 550 nm."""
         return self.design_nm if design_nm == DEFAULT_NM else design_nm
 
 

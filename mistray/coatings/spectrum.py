@@ -54,7 +54,7 @@ class CoatingSpectrum:
         return 1 - self.R - self.T
 
     def mean(self, share: str = "R") -> np.ndarray:
-        """Return the mean of s and p of R, T or A, (w, a), which holds for unpolarised light."""
+        """Return the mean over s and p of `share` ("R", "T" or "A"), (w, a), which holds for unpolarised light."""
         return np.asarray(getattr(self, share).mean(axis=2))
 
 
@@ -81,12 +81,14 @@ def spectrum(
     from_front : bool
         Whether the light comes from the front.
     rarer : bool
-        Whether the angles are those in the material of lower index, instead of those on the side of incidence.
+        Whether the angles are those in the material of lower index, instead of those on the side of incidence. If the
+        far material is a metal, they are always those on the side of incidence.
 
     Raises
     ------
     MistrayError
-        If an angle is outside 0 … 90°, a material is unknown at a wavelength, or the light would come from a metal.
+        If there is no wavelength or no angle, an angle is outside 0 … 90°, a material is unknown at a wavelength, or
+        the light would come from a metal.
 
     Examples
     --------

@@ -77,7 +77,7 @@ class Stack:
     Raises
     ------
     MistrayError
-        If `first` is unknown, or a number of a layer is negative or not finite.
+        If `first` is unknown, a thickness is negative, or a value of a layer is not finite.
 
     Examples
     --------
@@ -150,7 +150,7 @@ class Stack:
         d_nm : (L,) float64
             Thicknesses of the layers, nm.
         order : (L,) int
-            Number of each layer in the coating's own order, from 0.
+            Index of each layer in the coating's own order, from 0.
         """
         order = np.arange(len(self.layers))
         if self.first == "back" or (self.first == "outside" and not outside_first(n_front, n_back)):
@@ -162,7 +162,7 @@ class Stack:
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
-        """Return R, T and phases for light from one side, see `CoatingModel.response`."""
+        """Return R, T and phases for light from one side, see `CoatingModel.response`; T = 0 if `opaque`."""
         indices, thickness, _ = self.front_to_back(wavelength_nm, n_front, n_back)
         full = layered_response(indices, thickness, wavelength_nm, n_front, n_back, cos_incident, from_front)
         return Response(full.R, 0 * full.T, full.phase_r, full.phase_t) if self.opaque else full
@@ -177,7 +177,7 @@ def parse_layers(
     text: str, design_nm: float = 550.0, name: str = "", resolve: Callable[[str], str] = str
 ) -> tuple[Layer, ...]:
     """
-    Return the layers in a text such as ``MgF2 99.64, 2.1 0.5w, 1.63+0.001i 84.4``.
+    Return the layers that a string describes, such as ``MgF2 99.64, 2.1 0.5w, 1.63+0.001i 84.4``.
 
     Parameters
     ----------
@@ -194,7 +194,8 @@ def parse_layers(
     Raises
     ------
     MistrayError
-        If a layer has no thickness, or the material of an optical thickness is unknown at `design_nm`.
+        If `design_nm` is not greater than 0, a layer has no thickness, a material string is not valid, or the material
+        of an optical thickness is unknown at `design_nm`.
 
     Examples
     --------
@@ -221,7 +222,7 @@ def parse_layers(
 
 
 def moved_layers(text: str, seen: Callable[[str], str]) -> str:
-    """Return the text of layers with each path of a material file replaced by the result of `seen` for it."""
+    """Return the string of layers with each path of a material file replaced by the result of `seen` for it."""
     parts = [part.strip().rpartition(" ") for part in re.split(r"[,\n]", text)]
     return ", ".join(f"{resolved(material.strip(), seen)} {size}" for material, _, size in parts)
 
@@ -240,6 +241,11 @@ def waves(material: str, optical_thickness: float, design_nm: float, where: str 
         Design wavelength λ, nm.
     where : str
         Start of an error message.
+
+    Raises
+    ------
+    MistrayError
+        If the material, or its k, is unknown at the design wavelength.
     """
     with errors_of(where):
         n = complex_index(material, design_nm).real
@@ -248,12 +254,12 @@ def waves(material: str, optical_thickness: float, design_nm: float, where: str 
 
 def layer_text(layers: Sequence[Layer]) -> str:
     """
-    Return the text of layers, from which `parse_layers` reads the same numbers back.
+    Return the string of layers, from which `parse_layers` reads the same thicknesses back.
 
     Raises
     ------
     MistrayError
-        If a layer has a shift, or a material with a comma in its name (a file), which the text cannot hold.
+        If a layer has a shift, or a material with a comma in its name (a file), which the string cannot hold.
 
     Examples
     --------

@@ -75,8 +75,8 @@ class CoatingTable:
         Raises
         ------
         MistrayError
-            If the file or a column is missing, a column is unknown, a cell is no number, the rows are no full grid, or
-            R + T exceeds 1.
+            If the file or a column is missing, a column is unknown, a cell is not a number, the rows are not a full
+            grid, an angle or a wavelength is out of range, or R + T exceeds 1.
         """
         what = f"coating table '{path}'"
         (_, head), *below = read_cells(path, "coating table") or [(0, [])]
@@ -100,7 +100,8 @@ class CoatingTable:
         Raises
         ------
         MistrayError
-            If the rows are no full grid, an angle or a wavelength is out of range, or R + T exceeds 1.
+            If the rows are not a full grid, an angle or a wavelength is out of range, a fraction is negative, or R + T
+            exceeds 1.
         """
         what = f"coating table '{name}'"
         lam, angle = (np.asarray(columns[key], dtype=np.float64) for key in REQUIRED)
@@ -182,7 +183,11 @@ class CoatingTable:
         return Response(np.where(beyond, r + t, r), np.where(beyond, 0.0, t), phase_r, phase_t)
 
     def _slab(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return R and T, (a, 3, 2), and phase factors, (a, 3), at the table's angles, for a wavelength, nm."""
+        """
+        Return R and T, (a, 3, 2), and phase factors, (a, 3), at the table's angles, for a wavelength, nm.
+
+        Raise `MistrayError` outside the table, unless it has one wavelength.
+        """
         lam = self.wavelength_nm
         if len(lam) == 1:
             return self.shares[0], self.phasors[0]
@@ -198,7 +203,11 @@ class CoatingTable:
 
 
 def _header(names: Sequence[str], what: str) -> list[str]:
-    """Return the column names of a coating table's CSV file, after a check that they are known and complete."""
+    """
+    Return the column names of a coating table's CSV file.
+
+    Raise `MistrayError` if a column is unknown, missing, or there twice.
+    """
     given = list(names)
     unknown = [name for name in given if name not in COLUMNS]
     doubled = sorted({name for name in given if given.count(name) > 1})

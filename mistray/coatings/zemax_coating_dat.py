@@ -45,7 +45,20 @@ BUILT_IN = ("AIR", "VACUUM")
 
 @dataclass
 class _Section:
-    """One coating of a Zemax coating file: its first line and the lines below, as words with line numbers."""
+    """
+    One coating of a Zemax coating file, as words.
+
+    Attributes
+    ----------
+    kind, name : str
+        First word of its first line, such as COAT, and name of the coating.
+    line : int
+        Line number of its first line, from 1.
+    words : list of str
+        Words of its first line.
+    lines : list of (int, list of str)
+        Line number and words of each line below.
+    """
 
     kind: str
     name: str
@@ -83,7 +96,8 @@ class CoatingFile(Mapping[str, CoatingModel]):
         Raises
         ------
         MistrayError
-            If no coating has that name, or it needs an unsupported feature: a taper, or an encrypted file.
+            If no coating has that name, its lines are malformed, or it needs an unsupported feature: a taper, or an
+            encrypted file.
         """
         return self._make(self._find(name), mirror=False)
 
@@ -223,7 +237,11 @@ class CoatingFile(Mapping[str, CoatingModel]):
         return Stack(tuple(layers), name=section.name, opaque=mirror)
 
     def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:
-        """Return the layer that the words of a COAT line describe, and the number of its loop; 0: none."""
+        """
+        Return the layer that the words of a COAT line describe, and its loop index; 0 if it bounds no group.
+
+        Raise `MistrayError` if the line is malformed, a value is out of range, or the layer has a taper.
+        """
         if len(words) > 5 or len(words) < 2:
             raise MistrayError(f"{where}: '{shown(words)}'; expected material thickness is_absolute loop taper")
         if len(words) == 5:
@@ -259,8 +277,9 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
     Raises
     ------
     MistrayError
-        If the file is missing, a head or a MATE section is malformed, a name occurs twice, or a layer's material is not
-        in the file; with the number of the line. Other errors are raised when a coating is looked up.
+        If the file is missing, `design_nm` is not greater than 0, a head or a MATE section is malformed, a name occurs
+        twice, or a layer's material is not in the file; with the number of the line. Other errors are raised when a
+        coating is looked up.
 
     Examples
     --------

@@ -37,7 +37,7 @@ def check_arrays(data: bytes, most: int) -> io.BytesIO:
     MistrayError
         If it is too large or too short; the message does not name the file.
     ValueError, EOFError, zipfile.BadZipFile
-        If it is no NumPy file.
+        If it is not a NumPy file.
     """
     stream = io.BytesIO(data)
     if not zipfile.is_zipfile(stream):

@@ -47,7 +47,7 @@ class Intensities:
     Raises
     ------
     MistrayError
-        If the angles do not rise or leave their range, or a value is negative or not finite.
+        If the angles do not rise or leave their range, a value is negative or not finite, or all values are 0.
     """
 
     theta_deg: np.ndarray
@@ -114,7 +114,7 @@ def whole_circle(phi_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, n
     Raises
     ------
     MistrayError
-        If the azimuths have another range.
+        If the azimuths have another range, or the values at 0 and 360 differ.
     """
     first, last = float(phi_deg[0]), float(phi_deg[-1])
     if len(phi_deg) == 1:

@@ -11,7 +11,7 @@ facts about its origin.
     8.2 (WCS).
 .exr
     Channels "Y" (irradiance, which viewers show as grey) and "standard_error.Y", 32-bit floats, the widest that OpenEXR
-    has: numbers are rounded to seven digits. Row 0 of the file is at the largest y, because EXR is drawn from the top.
+    has: values are rounded to seven digits. Row 0 of the file is at the largest y, because EXR is drawn from the top.
     Attributes: unit, extent_mm ("x0 x1 y0 y1"), facts (JSON). Source: openexr.com, "Technical Introduction".
 .npy
     One record with the fields irradiance_W_mm2 and irradiance_se_W_mm2, (height, width) float64, extent_mm (4,), and
@@ -129,7 +129,7 @@ def write_irradiance(irradiance_map: IrradianceMap, path: str | Path) -> Path:
     ------
     MistrayError
         If the path has another ending, the package for the format is not installed, the file cannot be written, or a
-        number is too large for EXR.
+        value is too large for EXR.
 
     Examples
     --------
@@ -154,7 +154,8 @@ def read_irradiance(path: str | Path) -> IrradianceMap:
     Raises
     ------
     MistrayError
-        If the path has another ending, the package for the format is not installed, or the file is no such map.
+        If the path has another ending, the package for the format is not installed, or the file does not hold such a
+        map.
 
     Examples
     --------
@@ -179,7 +180,7 @@ def _format(path: Path) -> tuple[Callable[[IrradianceMap], bytes], Callable[[Pat
 
 
 def _unit(path: Path, name: Any) -> str:
-    """Return the unit of a map from its name in a FITS or EXR file."""
+    """Return the unit of a map from its name in a FITS or EXR file; raise `MistrayError` for an unknown name."""
     found = next((unit for unit, words in UNITS.items() if name in (words.fits, words.exr)), None)
     if found is None:
         raise MistrayError(f"irradiance map '{path}': its unit is '{name}'; give a file that mistray wrote")

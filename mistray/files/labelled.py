@@ -59,7 +59,7 @@ def dataset(
     arrays: Mapping[str, Labelled], coordinates: Mapping[str, Labelled], title: str, facts: Mapping[str, Any]
 ) -> xarray.Dataset:
     """
-    Return an `xarray.Dataset` of arrays that share axes.
+    Return an `xarray.Dataset` of arrays that share axes; standard errors are arrays of their own, ``NAME_se``.
 
     Parameters
     ----------

@@ -12,7 +12,11 @@ from mistray.read_file import read_text
 
 
 def read_lines(path: str | Path, what: str) -> list[tuple[int, str]]:
-    """Return the lines of a text file with their numbers, from 1; `what` starts the error message."""
+    """
+    Return the lines of a text file with their line numbers, from 1; `what` starts the error message.
+
+    Raise `MistrayError` if the file cannot be read.
+    """
     return list(enumerate(read_text(path, what, "check the path, relative to the scene file").splitlines(), start=1))
 
 

@@ -78,7 +78,7 @@ def read_parquet(path: str | Path, what: str = "table") -> pd.DataFrame:
     Raises
     ------
     MistrayError
-        If pyarrow is not installed, or the file is no Parquet file.
+        If pyarrow is not installed, or the file cannot be read as Parquet.
     """
     arrow = format_package("parquet")
     import pyarrow.parquet

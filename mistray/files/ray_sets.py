@@ -72,7 +72,7 @@ class RaySet:
     Raises
     ------
     MistrayError
-        If there is no ray, the numbers of entries differ, or a value is out of range.
+        If there is no ray, the lengths of the arrays differ, a value is out of range, or no ray carries flux.
     """
 
     origins: np.ndarray
@@ -132,7 +132,7 @@ class RaySet:
         Raises
         ------
         MistrayError
-            If a column or its unit is missing.
+            If a column or its unit is missing, a value is not a number, or for the reasons of the class.
         """
         unit = next((unit for unit in UNITS if all(f"{axis}_{unit}" in table for axis in PLACES)), None)
         if unit is None:
@@ -169,12 +169,13 @@ def read_ray_set(path: str | Path, unit: str | None = None, power_W: float | Non
     unit : str, optional
         Unit of the origins in a text ``.dat`` that states none: m, cm, mm, um, in or ft.
     power_W : float, optional
-        Total flux of all rays, W, instead of the value in the file. A file in lumens needs it.
+        Total flux of all rays, W, to which their fluxes are scaled; by default they stay. A file in lumens needs it.
 
     Raises
     ------
     MistrayError
-        If the file is none of these or is cut off, or a ray is invalid; the message is one line that names the file.
+        If the file is none of these or is cut off, a ray is invalid, or a file in lumens has no `power_W`; the message
+        is one line that names the file.
     """
     path = Path(path)
     reader = READERS.get(path.suffix.lower())
@@ -203,7 +204,8 @@ def save_ray_set(path: str | Path, rays: RaySet) -> Path:
     Raises
     ------
     MistrayError
-        If the path has another ending, or the file cannot be written.
+        If the path has another ending, the file cannot be written, or only some wavelengths are known for a ``.dat``
+        file.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -271,7 +273,8 @@ def _read_zemax_text(text: str, unit: str | None) -> RaySet:
     """
     Return the rays of a text file.
 
-    Its first line has their number and a number for the unit; each other line has seven or eight values.
+    Its first line has their number and a number for the unit; each other line has seven or eight values. Without a
+    number for the unit, `unit` is the unit. Raise `MistrayError` if the text has another form, or no unit is given.
     """
     lines = text.split("\n", 1)
     words = lines[0].split()

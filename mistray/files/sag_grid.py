@@ -44,7 +44,7 @@ def read_sag_grid(path: str | Path) -> Values:
     Raises
     ------
     MistrayError
-        If the file cannot be read or holds an invalid number.
+        If the file cannot be read or holds an invalid value, or the grid is too large.
     """
     path = Path(path)
     content = read_file(path, "grid", most=MOST_BYTES)

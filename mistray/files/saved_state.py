@@ -47,6 +47,11 @@ def save_state(path: str | Path, arrays: Mapping[str, np.ndarray], facts: Mappin
     -------
     Path
         Saved file.
+
+    Raises
+    ------
+    MistrayError
+        If an array holds objects, the folder cannot be made, or the file cannot be written.
     """
     entries = {_ARRAY + name: np.asarray(values) for name, values in arrays.items()}
     objects = [name for name, values in arrays.items() if np.asarray(values).dtype.hasobject]
@@ -76,7 +81,8 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
     Raises
     ------
     MistrayError
-        If there is no such file, it is no state or damaged, or it was written by another version of mistray.
+        If the file does not exist or cannot be read, it is not a state or is damaged, or it was written by another
+        version of mistray.
     """
     try:
         with open_input(path, own=True) as file:
@@ -100,7 +106,7 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
 
 def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[str, Any]) -> None:
     """
-    Raise `MistrayError` unless a saved state belongs to the run that is to be continued.
+    Check that a saved state belongs to the run that is to be continued.
 
     Parameters
     ----------

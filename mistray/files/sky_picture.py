@@ -21,7 +21,7 @@ def is_healpix(file: str) -> bool:
 
 def check_picture(file: str, owner: str) -> None:
     """
-    Raise `MistrayError` for a picture that is no regular file, before Mitsuba opens it.
+    Check that a picture is a regular file, before Mitsuba opens it.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def read_healpix(file: str, owner: str) -> tuple[np.ndarray, bool]:
     values : (n,) float64
         Values of the pixels, ≥ 0.
     nested : bool
-        Whether pixels are numbered in the nested scheme; else along rings.
+        Whether the indices of pixels follow the nested scheme; else they count along rings.
 
     Raises
     ------

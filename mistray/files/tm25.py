@@ -90,7 +90,7 @@ def read_tm25(content: bytes) -> Rays:
     Raises
     ------
     MistrayError
-        If the content is no TM-25 file, has another version, or is cut off.
+        If the content is not a TM-25 file, has another version, is invalid, or is cut off.
     """
     if not content.startswith(MAGIC) or len(content) < HEADER.itemsize:
         raise MistrayError("it does not begin with TM25 and a header; give an IES TM-25 ray file")
@@ -125,7 +125,11 @@ def read_tm25(content: bytes) -> Rays:
 
 
 def _flux(header: np.void, column: dict[str, Array]) -> tuple[Array, bool]:
-    """Return the flux of each ray, (n,), W or lm, and True if it is in lumens."""
+    """
+    Return the flux of each ray, (n,), W or lm, and True if it is in lumens.
+
+    It is scaled to the total of the header, if that is given.
+    """
     watts, lumens = (float(header[key]) for key in ("radiant_flux_W", "luminous_flux_lm"))
     relative = column["W"] if "W" in column else column["lm"]
     in_lumens = "W" not in column and not watts > 0
@@ -134,7 +138,11 @@ def _flux(header: np.void, column: dict[str, Array]) -> tuple[Array, bool]:
 
 
 def _tables(content: bytes, count: int) -> tuple[list[tuple[Array, Array]], int]:
-    """Return wavelengths (nm) and relative weights of each spectrum, and the byte offset after them."""
+    """
+    Return wavelengths (nm) and relative weights of each spectrum, and the byte offset after them.
+
+    Raise `MistrayError` if a spectrum is incomplete or not valid.
+    """
     tables, at = [], HEADER.itemsize
     for number in range(1, count + 1):
         pairs = int.from_bytes(content[at : at + 4], "little", signed=True)
@@ -153,7 +161,7 @@ def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
     """
     Return one wavelength, nm, for each ray, (n,), so that rays with a spectrum table together have its spectrum.
 
-    `number` is the table of each ray, from 1.
+    `number` is the index, from 1, of the table of each ray. Raise `MistrayError` for an index without a table.
     """
     wavelength = np.empty(len(number))
     for index in np.unique(number):

@@ -11,7 +11,7 @@ Rules that give each face exactly one place:
 - Faces in contact, edges included, are opaque with the reflectance of the structure.
 - The stop comes from ``aperture_stop``; pieces of the barrel that repeat it (labels with "AS") are left out.
 - The board behind the detector becomes a frame of four rectangles around it.
-- Numbers in the barrel that were rounded are moved onto the rims that they meet (within 2 µm).
+- Points of the barrel with rounded coordinates are moved onto the rims that they meet (within 2 nm).
 - A coating is R and T, or a recipe of `Coating`: ``layers``, ``preset`` or ``table`` with its options.
 - Scatter is a list (``scatter``). An entry holds the plugin (``kind``), its properties, a ``name`` if the surfaces
   share the model, and the ``shapes``: names of faces or patterns such as ``barrel_*``.
@@ -67,7 +67,7 @@ def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pup
     Raises
     ------
     MistrayError
-        If the file is missing or broken, a key is missing, or the variant is unknown.
+        If the file is missing or broken, a key is missing, a name has another form, or the variant is unknown.
 
     Examples
     --------
@@ -128,7 +128,11 @@ class _Reader:
         return result
 
     def _changes(self, variant: str | None) -> dict[str, dict[str, float]]:
-        """Return the changed values of a variant by surface label and quantity, such as S13, radius → 5.272 mm."""
+        """
+        Return the changed values of a variant by surface label and quantity, such as S13, radius → 5.272 mm.
+
+        Without a variant there are none. Raise `MistrayError` if the file does not have the variant.
+        """
         if variant is None:
             return {}
         known = self.data.get("variants", {})
@@ -146,7 +150,8 @@ class _Reader:
         """
         Return the optical surfaces of the camera, one wherever the medium changes.
 
-        Store in `moves` pairs of rims (r, z), as printed and exact, mm.
+        Store in `moves` pairs of rims (r, z), as printed and exact, mm. Raise `MistrayError` if a name does not follow
+        the scheme of the file.
         """
         self.moves: list[tuple[Point, Point]] = []
         materials = {key: _material(key, value) for key, value in self.data["materials"].items()}
@@ -204,7 +209,11 @@ class _Reader:
         )
 
     def _barrel(self) -> dict[str, Structure]:
-        """Return the pieces of the barrel by name, fitted to the lens rims, without the faces of the stop."""
+        """
+        Return the pieces of the barrel by name, fitted to the lens rims, without the faces of the stop.
+
+        Raise `MistrayError` if a label does not follow the scheme of the file.
+        """
         pieces: dict[str, Structure] = {}
         for space, rows in self.data["barrel"]["optical_spaces"].items():
             for row in rows:
@@ -222,7 +231,11 @@ class _Reader:
         return pieces
 
     def _on_rim(self, r: float, z: float) -> Point:
-        """Return a barrel point (r, z), mm, moved to the exact lens rim if the file gives that rim rounded."""
+        """
+        Return a barrel point (r, z), mm, moved to the exact lens rim if the file gives that rim rounded.
+
+        If only its z is that of a rim, only z is moved.
+        """
         for (printed_r, printed_z), (rim_r, rim_z) in self.moves:
             if abs(z - printed_z) <= _ROUNDING_MM:
                 return (rim_r if abs(r - printed_r) <= _ROUNDING_MM else float(r)), rim_z

@@ -47,7 +47,7 @@ def choose_position(
     wanted: int | str | None, saved: int, names: Mapping[int, str], count: int, what: str
 ) -> tuple[int, str]:
     """
-    Choose one of several configurations of a lens file; return its number and name.
+    Choose one of several configurations of a lens file; return its number and a note on the others.
 
     Parameters
     ----------

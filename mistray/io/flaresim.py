@@ -51,7 +51,24 @@ _INNER = 0.7  # of the edge of the field: the field between
 
 @dataclass(frozen=True)
 class _Line:
-    """Surface in the file, lengths in mm; `size` is its diameter or semi-diameter, which the format leaves open."""
+    """
+    Surface in a FlareSim file, lengths in mm.
+
+    Attributes
+    ----------
+    number, line : int
+        Position in the table, from 1, and line number in the file.
+    radius, thickness : float
+        Radius of curvature, ``inf`` for a plane, and distance to the next surface.
+    index, abbe : float
+        Index and Abbe number behind the surface.
+    size : float
+        Diameter or semi-diameter; the format leaves open which.
+    layers : int
+        Index in `COATINGS`, by number of coating layers.
+    stop : bool
+        Whether it is marked as the stop.
+    """
 
     number: int
     line: int
@@ -66,7 +83,24 @@ class _Line:
 
 @dataclass
 class _File:
-    """Content of a FlareSim lens file: name, remarks and surfaces."""
+    """
+    Content of a FlareSim lens file.
+
+    Attributes
+    ----------
+    what : str
+        Name of the file, for error messages.
+    name : str
+        Name of the lens, or of the file if it states none.
+    focal_mm : float
+        Stated focal length, mm; 0 if there is none or it is infinite.
+    remarks : list of str
+        Comments in front of the surfaces.
+    lines : list of _Line
+        Surfaces from front to rear.
+    unread : list of Unread
+        Lines that have no effect.
+    """
 
     what: str
     name: str
@@ -212,7 +246,11 @@ def _cemented(file: _File, notes: list[str]) -> list[_Line]:
 
 
 def _table(file: _File, notes: list[str]) -> Sequential:
-    """Return the lens table with the file's aperture column read as semi-diameters, mm; a later step verifies that."""
+    """
+    Return the lens table with the file's aperture column read as semi-diameters, mm; a later step verifies that.
+
+    Raise `MistrayError` if a thickness is negative, or glass extends from the last surface to the image.
+    """
     rows: list[Row] = []
     before, bare, coated = "air", 0, 0
     lines = _cemented(file, notes)
@@ -275,7 +313,11 @@ def _table(file: _File, notes: list[str]) -> Sequential:
 
 
 def _with_stop(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with a stop, chosen if the file marks none; its diameter is the aperture, mm."""
+    """
+    Return the lens with a stop, chosen if the file marks none; its diameter is the aperture, mm.
+
+    Raise `MistrayError` if there is nothing to choose a stop from, or the stop has no aperture.
+    """
     place = next((k for k, row in enumerate(lens.rows) if row.stop), None)
     if place is None:
         heights = np.abs(paraxial_system(lens)[0].trace(1.0, 0.0)[:-1, 0])
@@ -296,7 +338,11 @@ def _with_stop(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with semi-diameters, mm, after deciding whether the file holds full or semi-diameters."""
+    """
+    Return the lens with semi-diameters, mm, after deciding whether the file holds full or semi-diameters.
+
+    A dummy plane in air stops no light. A note says what was decided, and why.
+    """
     as_semi, stated = first_order(lens).f_number, file.f_number
     if any(_BENCH in text for text in file.remarks):
         full, why = True, "as of all files of the Optical Bench"
@@ -345,7 +391,7 @@ def _narrowed(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _opened(lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with clear apertures widened so that all axial light through the stop passes them."""
+    """Return the lens with clear apertures widened, by 15 % at most, for axial light that passes the stop."""
     data = first_order(lens)
     start = np.zeros((_AXIS_RAYS, 3))
     start[:, 1], start[:, 2] = np.linspace(0.0, 0.5 * (1 + _LARGER) * data.epd, _AXIS_RAYS), data.entrance_pupil_z
@@ -378,7 +424,12 @@ def _check_focus(file: _File, efl: float, bfl: float) -> None:
 
 
 def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with its image at the least axial rms spot, or at the paraxial focus if they differ much."""
+    """
+    Return the lens with its image at the least axial rms spot, or at the paraxial focus if they differ much.
+
+    If the focus lies just before the last surface, the image lies on that. Raise `MistrayError` if no axial ray reaches
+    the image, or the focus lies before the last surface.
+    """
     data = first_order(lens)
     height = 0.5 * data.epd * np.sqrt((np.arange(_AXIS_RAYS) + 0.5) / _AXIS_RAYS)  # equal shares of the light
     start = np.column_stack([np.zeros(_AXIS_RAYS), height, np.full(_AXIS_RAYS, data.entrance_pupil_z)])
@@ -409,7 +460,11 @@ def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
-    """Return the lens with fields, degrees, up to the angle where half of a fan of rays passes, and a fitting image."""
+    """
+    Return the lens with fields, degrees, up to the angle where half of a fan of rays passes, and a fitting image.
+
+    If even the smallest tried angle passes less, it is returned with the axis as its only field.
+    """
     widest = max(row.semi_diameter or 0.0 for row in lens.rows)
     fan = np.linspace(-widest, widest, _FAN)
 

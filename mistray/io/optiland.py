@@ -169,7 +169,11 @@ def _shares(coating: Any) -> tuple[float, float]:
 
 
 def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
-    """Return radius, conic, coefficients and sag of a surface as arguments of `Row`; lengths in mm."""
+    """
+    Return radius, conic, coefficients and sag of a surface as arguments of `Row`; lengths in mm.
+
+    Raise `MistrayError` if the interaction or the kind of surface has no counterpart.
+    """
     geometry = surface.geometry
     what, kind = f"optiland lens '{name}', surface {number}", type(geometry).__name__
     interaction = getattr(surface.interaction_model, "interaction_type", "")
@@ -239,7 +243,11 @@ def _chebyshev(g: Any) -> dict[str, Any]:
 
 
 def _zernike(g: Any) -> dict[str, Any]:
-    """Return optiland's Zernike terms, in any order and norm, as `Row.sag`, mm, found by comparing values."""
+    """
+    Return optiland's Zernike terms, in any order and norm, as `Row.sag`, mm, found by comparing values.
+
+    Raise `MistrayError` if a term is beyond the known orders.
+    """
     radius = _float(g.norm_radius)
     orders = {noll_orders(j): j for j in range(1, LAST_STANDARD + 1)}
     found: dict[str, float] = {}
@@ -310,7 +318,7 @@ def _aperture(number: int, surface: Any, unread: list[Unread]) -> dict[str, Any]
 
 
 def _outline(aperture: Any) -> Outline | None:
-    """Convert optiland's aperture to an outline, mm; None if its kind is not known."""
+    """Return optiland's aperture as an outline, mm; None if its kind is not known or figures cannot express it."""
     kind = type(aperture).__name__
     x, y = (_float(getattr(aperture, f"offset_{axis}", 0.0)) for axis in "xy")
     if kind in ("RadialAperture", "OffsetRadialAperture"):
@@ -340,7 +348,7 @@ def _material(medium: Any, wavelengths_nm: tuple[float, ...]) -> str:
 
 
 def _float(value: Any) -> float:
-    """Convert a number of optiland, which may be an array of one element, to a float."""
+    """Return a number of optiland, which may be an array of one element, as a float."""
     return float(np.asarray(value, dtype=np.float64).reshape(-1)[0])
 
 

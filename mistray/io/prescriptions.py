@@ -52,7 +52,7 @@ def from_zemax(
     Raises
     ------
     MistrayError
-        If the file cannot be read, or holds something without a counterpart.
+        If the file cannot be read, holds something without a counterpart, or the lens cannot be closed.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def from_codev(
     Raises
     ------
     MistrayError
-        If the file cannot be read, or holds something without a counterpart.
+        If the file cannot be read, holds something without a counterpart, or the lens cannot be closed.
 
     Examples
     --------
@@ -137,7 +137,7 @@ def from_optiland(optic: Any, **options: Any) -> Prescription:
     Raises
     ------
     MistrayError
-        If the lens holds something without a counterpart.
+        If the lens holds something without a counterpart, or cannot be closed.
 
     Examples
     --------
@@ -215,7 +215,7 @@ def from_rayoptics(model: Any, **options: Any) -> Prescription:
     Raises
     ------
     MistrayError
-        If the lens holds something without a counterpart, or a file cannot be read.
+        If the lens holds something without a counterpart or cannot be closed, or a file cannot be read.
 
     Examples
     --------
@@ -247,7 +247,7 @@ def from_flaresim(path: str | Path, **options: Any) -> Prescription:
     Raises
     ------
     MistrayError
-        If the file cannot be read, or the lens has no real focus.
+        If the file cannot be read, or the lens has no real focus or cannot be closed.
 
     Examples
     --------

@@ -51,7 +51,7 @@ def read_rayoptics(path: str | Path) -> Sequential:
     Raises
     ------
     MistrayError
-        If ray-optics is missing or cannot open the file.
+        If ray-optics is missing or cannot open the file, or for the reasons of `from_rayoptics`.
     """
     path = Path(path)
     require_file(path, "lens")
@@ -169,7 +169,11 @@ def _pupil(what: str, lens: Sequential, pupil: Any, unit: float) -> tuple[Apertu
 
 
 def _surface(what: str, interface: Any) -> CodevSurface:
-    """Return shape, mode (refract or reflect) and decentres of an interface, in the model's units."""
+    """
+    Return shape, mode (refract or reflect) and decentres of an interface, in the model's units.
+
+    Raise `MistrayError` if its shape or mode has no counterpart, or the surface diffracts.
+    """
     profile: Any = getattr(interface, "profile", interface)  # a thin lens has none
     kind = type(profile).__name__
     if kind not in ("Spherical", "Conic", "EvenPolynomial", "RadialPolynomial", "YToroid"):
@@ -209,7 +213,12 @@ def _surface(what: str, interface: Any) -> CodevSurface:
 
 
 def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -> dict[str, Any]:
-    """Return the intersection of the clear apertures, else the round edge of the body, mm, as arguments of `Row`."""
+    """
+    Return the intersection of the clear apertures, mm, as arguments of `Row`.
+
+    Without clear apertures it is the round, centred edge of the body, if there is one. Apertures that are left out go
+    to `unread`.
+    """
     result: dict[str, Any] = {}
     edges = getattr(interface, "edge_apertures", ())
     clear = getattr(interface, "clear_apertures", ())

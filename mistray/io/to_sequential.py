@@ -47,8 +47,9 @@ def to_sequential(prescription: Prescription) -> Sequential:
     Raises
     ------
     MistrayError
-        If there is no detector or no surface, if the material in front of a surface differs from the one behind the
-        surface before it, or if light would have to travel backwards.
+        If there is no detector or no surface, or if the material in front of a surface differs from the one behind the
+        surface before it. It is also raised if light would have to travel backwards, a surface that is not a mirror is
+        opaque, or no axial beam gets through.
 
     Examples
     --------
@@ -235,7 +236,11 @@ class _Walk:
         return (surface.back, surface.front) if reversed_ else (surface.front, surface.back)
 
     def _stop_place(self) -> int | None:
-        """Return the index of the surface before which the stop stands, in the order in which light meets them."""
+        """
+        Return the index of the surface before which the stop stands, in the order in which light meets them.
+
+        It is the number of surfaces if the stop is behind all, and None without a stop.
+        """
         p = self.prescription
         if p.stop is None:
             return None
@@ -274,7 +279,11 @@ class _Walk:
         return name
 
     def _with_aperture(self, lens: Sequential) -> Sequential:
-        """Return the lens with its stop and the diameter of the axial beam that passes, in mm."""
+        """
+        Return the lens with its stop and the size of the axial beam that passes.
+
+        The size is a diameter, mm, or the object-space NA for a near object.
+        """
         source = self.prescription.source
         beam = math.inf
         if isinstance(source, Source):
@@ -296,7 +305,7 @@ def _widest_beam(lens: Sequential) -> tuple[float, int]:
     Return the diameter, mm, of the widest round beam whose rim passes, and the index of the row that limits it.
 
     The beam travels along the axis, or comes from the middle of a near object. Its diameter is measured in the plane of
-    the first row.
+    the first row. Raise `MistrayError` if no beam passes.
     """
     low, high, limit = 0.0, max(_reach(row) for row in lens.rows), 0
     for _ in range(_REFINEMENTS):

@@ -47,8 +47,9 @@ def to_optiland(prescription: Prescription, field_deg: float | Sequence[float] |
     Raises
     ------
     MistrayError
-        If optiland is not installed, or a surface has no counterpart: a freeform, one off the axis, an outline that is
-        neither a circle, a ring nor a rectangle.
+        If optiland is not installed, `field_deg` is given for a near object, or for the reasons of `to_sequential`. It
+        is also raised if a surface has no counterpart: a freeform, one off the axis, an outline that is neither a
+        circle, a ring nor a rectangle.
 
     Examples
     --------
@@ -126,7 +127,7 @@ def _aperture(what: str, row: Row) -> Any:
 
 
 def _medium(lens: Sequential, material: str, media: dict[str, Any]) -> Any:
-    """Return an optiland material: its own if its index agrees at all wavelengths, else a table of mistray's values."""
+    """Return an optiland material: a constant index, optiland's own if it agrees at all wavelengths, or mistray's."""
     if material not in media:
         media[material] = _new_medium(lens, material)
     return media[material]

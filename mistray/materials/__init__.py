@@ -20,11 +20,14 @@ string                        n                                                 
 ``COATING.DAT:MGF2``          MATE section of a Zemax coating file, see `mate`                         of the section
 ============================  ======================================================================== ==============
 
-followed, if wanted, by `` k=VALUE`` (k is this number, whatever the data say), `` extrapolate`` (wavelengths outside of
-the data's range are allowed: formulas are evaluated there, tables keep the value of their nearest end),
-`` shift=VALUE`` (added to n at every wavelength), and
-`` scatter=PER_MM g=G`` (the material scatters this share of the light per mm, with the phase function of Henyey and
-Greenstein of asymmetry g).
+Further words may follow, separated by spaces:
+
+- ``k=VALUE`` sets k, whatever the data say.
+- ``extrapolate`` allows wavelengths outside the data's range: formulas are evaluated there, tables keep the value of
+  their nearest end.
+- ``shift=VALUE`` is added to n at every wavelength.
+- ``scatter=PER_MM g=G``: the material scatters this share of the light per mm, with the phase function of Henyey and
+  Greenstein of asymmetry g.
 
 Wavelengths are in nm, in vacuum. If k is unknown, `complex_index` raises an error and never assumes 0.
 docs/materials.md has the names, their pages and their sources.

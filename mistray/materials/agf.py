@@ -88,7 +88,11 @@ def glass_names(path: Path) -> list[str]:
 
 
 def _blocks(path: Path) -> dict[str, _Block]:
-    """Return the lines of each glass of a file, keyed by the name of the glass in lower case."""
+    """
+    Return the lines of each glass of a file, keyed by the name of the glass in lower case.
+
+    Raise `MistrayError` if a line NM is incomplete, a name occurs twice, or the file holds no glass.
+    """
     blocks: dict[str, _Block] = {}
     current, last = None, ""
     for number, text in enumerate(decode(read_file(path, "glass catalogue")).splitlines(), 1):

@@ -169,17 +169,18 @@ def names() -> list[str]:
 @lru_cache(maxsize=1024)
 def find(name: str) -> Entry:
     """
-    Return the entry of a name, of a glass with its maker (``schott/N-BK7``) or of a page (``main/Ag/nk/Yang``).
+    Return the catalogue entry of a name.
 
-    A name spelt exactly as in a catalogue means that entry: ``LaF3`` is the fluoride, ``LAF3`` the glass. Otherwise
-    case does not matter, and infrared materials also have the names that lens files use. A glass without its maker is
-    that of the first maker in `MAKERS` who has it.
+    The name may have its maker in front (``schott/N-BK7``), or be that of a page (``main/Ag/nk/Yang``). A name spelt
+    exactly as in a catalogue means that entry: ``LaF3`` is the fluoride, ``LAF3`` the glass. Otherwise case does not
+    matter, and infrared materials also have the names that lens files use. A glass without its maker is that of the
+    first maker in `MAKERS` who has it.
 
     Raises
     ------
     MistrayError
-        If no entry has that name, or both a pinned material and a glass have it when case is ignored. Whether a page
-        exists is checked by `read_page`.
+        If no entry has that name, its material is known to have no data, or both a pinned material and a glass have it
+        when case is ignored. Whether a page exists is checked by `read_page`.
     """
     if name.startswith(_SHELVES) and ".." not in name:
         return Entry(name, name)
@@ -231,7 +232,11 @@ def _unknown(name: str, close: list[str]) -> MistrayError:
 
 
 def _close(wanted: str, spellings: Iterable[str]) -> list[str]:
-    """Return up to three of the names `spellings` that contain `wanted` or resemble it, the most likely first."""
+    """
+    Return up to three of the names `spellings` that contain `wanted` or resemble it, the most likely first.
+
+    For an everyday word such as "silver" it is the name of that material alone.
+    """
     wanted = wanted.lower()
     if wanted in _WORDS:
         return [_WORDS[wanted]]

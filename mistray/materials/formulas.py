@@ -22,11 +22,12 @@ Formula = Callable[[Sequence[float], float], float]
 
 
 def cauchy_index(nd: float, vd: float, wavelength_nm: float) -> float:
-    """Return the index n of a glass of which only nd and Vd are known, at a wavelength λ in nm: n = A + B/λ².
+    """
+    Return the index n of a glass of which only nd and Vd are known, at a wavelength λ in nm: n = A + B/λ².
 
-    A and B follow from n(d) = nd and n(F) - n(C) = (nd - 1)/Vd. The two numbers say nothing about partial dispersion,
-    so a third term would be a guess. Greatest error against the Sellmeier formulas of eleven glasses, from N-BK7 to
-    N-SF11, fused silica and sapphire:
+    A and B follow from n(d) = nd and n(F) - n(C) = (nd - 1)/Vd. nd and Vd say nothing about partial dispersion, so a
+    third term would be a guess. Greatest error against the Sellmeier formulas of eleven glasses, from N-BK7 to N-SF11,
+    fused silica and sapphire:
 
     ============  ==================  =======================
     range, nm     crowns (Vd > 50)    dense flints (Vd = 25)
@@ -48,7 +49,7 @@ def cauchy_index(nd: float, vd: float, wavelength_nm: float) -> float:
 
 
 def _pairs(c: Sequence[float]) -> Iterable[tuple[float, float]]:
-    """Return the pairs (c0, c1), (c2, c3), … without those whose first number is 0; catalogues pad rows with them."""
+    """Return the pairs (c0, c1), (c2, c3), … without those whose first value is 0; catalogues pad rows with them."""
     return ((a, b) for a, b in zip(c[::2], c[1::2], strict=True) if a != 0)
 
 

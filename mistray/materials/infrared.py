@@ -87,11 +87,7 @@ OTHER_NAMES = {plain(word): name for name, words in _NAMES.items() for word in w
 
 
 def without_page(name: str) -> str | None:
-    """
-    Return the reason, as text, that a known infrared material has no data here, with a remedy.
-
-    The result is None for other names.
-    """
+    """Return why an infrared glass of the name GASIR… has no data here, with a remedy; None for other names."""
     if not plain(name).startswith("GASIR"):
         return None
     return (

@@ -130,8 +130,8 @@ def refractive_index(material: str, wavelength_nm: float) -> float:
     Raises
     ------
     MistrayError
-        If the name is unknown, a number is out of its range, a file is not understood, or the wavelength lies outside
-        the material's range.
+        If the name is unknown, a value in the string is out of its range, a file is not understood, or the wavelength
+        lies outside the material's range.
 
     Examples
     --------
@@ -149,6 +149,8 @@ def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) 
     """
     Return the wavelength, nm, nearest to a given one at which n of a material is known.
 
+    It is the given one if the string has the suffix ``extrapolate``.
+
     Parameters
     ----------
     material : str
@@ -156,7 +158,7 @@ def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) 
     wavelength_nm : float
         Given vacuum wavelength, nm.
     with_k : bool
-        Whether k must be known, too, if it is known anywhere.
+        Whether k must be known there as well, if it is known anywhere.
 
     Raises
     ------
@@ -184,6 +186,8 @@ def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) 
 def bulk_scatter(material: str) -> BulkScatter:
     """
     Return the bulk scatter (coefficient, 1/mm, and asymmetry g) that the suffixes of a material string state.
+
+    Both are 0 without the suffix ``scatter=PER_MM``.
 
     Examples
     --------
@@ -251,12 +255,14 @@ def table_nodes_nm(material: str) -> tuple[float, ...]:
 
 def source(material: str) -> MaterialSource:
     """
-    Return the page and the literature reference of a material string.
+    Return the sources of n and k of a material string: page or file, literature reference and ranges, nm.
+
+    If the name stands for several pages, they are those of the first one; `MaterialSource.beyond` has the others.
 
     Raises
     ------
     MistrayError
-        If the string is not understood.
+        If the string is not understood, or the page or the file that it names cannot be read.
 
     Examples
     --------
@@ -285,7 +291,7 @@ def resolved(material: str, resolve: Callable[[str], str]) -> str:
     """
     Return a material string with the path of its file, if it names one, replaced by ``resolve(path)``.
 
-    It is meant for scenes, whose paths are relative to the scene file.
+    Other strings are returned as they are. It is meant for scenes, whose paths are relative to the scene file.
 
     Examples
     --------
@@ -324,7 +330,7 @@ def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
 
 def _known(spec: Spec) -> str:
     """
-    Return the wavelength ranges in which the index n of a material is known, as text such as "400 … 700 nm".
+    Return the wavelength ranges in which the index n of a material is known, such as "400 … 700 nm"; "" if everywhere.
 
     Overlapping ranges are joined.
     """
@@ -338,7 +344,12 @@ def _known(spec: Spec) -> str:
 
 
 def _remedy(spec: Spec, wavelength_nm: float) -> str:
-    """Return advice for a wavelength, nm, without data: another page of the material, or the one of nearest index."""
+    """
+    Return advice for a wavelength, nm, at which a material has no data.
+
+    It names another page of the material that has data there, or else the clear material with the nearest index, if
+    there is one.
+    """
     inside = "use a wavelength inside"
     if not isinstance(spec.form, Name):
         return f"{inside}, or a material that is known there"
@@ -437,7 +448,11 @@ def _from_page(entry: Entry) -> _Material:
 
 @lru_cache(maxsize=64)
 def _from_mitsuba(name: str) -> _Material:
-    """Return the curves of n and k in the tables that come with Mitsuba, see its plugin `conductor`."""
+    """
+    Return the curves of n and k in the tables that come with Mitsuba, see its plugin `conductor`.
+
+    Raise `MistrayError` if Mitsuba has no tables of the name.
+    """
     found = importlib.util.find_spec("mitsuba")
     folder = Path(found.origin if found is not None and found.origin else "").parent / "data" / "ior"
     names = sorted(file.name.removesuffix(".eta.spd") for file in folder.glob("*.eta.spd"))
@@ -450,7 +465,11 @@ def _from_mitsuba(name: str) -> _Material:
 
 
 def _from_file(form: UserFile, text: str) -> _Material:
-    """Return the curves of n and k in a user's file, which is read again only if it has changed."""
+    """
+    Return the curves of n and k in a user's file, which is read again only if it has changed.
+
+    Raise `MistrayError` if the file cannot be read, or its content is not valid.
+    """
     path = Path(form.path)
     try:
         status = path.stat()
@@ -476,7 +495,11 @@ def _read_file(path: Path, form: UserFile, mtime_ns: int, size: int) -> _Materia
 
 
 def _coating_material(path: Path, name: str) -> tuple[Curve, Curve]:
-    """Return the curves of n and k of a material in a Zemax coating file; a single row holds at every wavelength."""
+    """
+    Return the curves of n and k of a material in a Zemax coating file; a single row holds at every wavelength.
+
+    Raise `MistrayError` if the file has no material of that name.
+    """
     tables = read_mate(path)
     found = [key for key in tables if key.lower() == name.lower()]
     if not found:

@@ -98,7 +98,7 @@ def numbered_lines(path: str | Path) -> list[tuple[int, list[str]]]:
     Raises
     ------
     MistrayError
-        If the file cannot be read, or is not a text.
+        If the file cannot be read, or is not text.
     """
     lines = []
     for number, line in enumerate(decode(read_file(path, "coating file")).splitlines(), start=1):

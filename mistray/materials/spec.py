@@ -39,7 +39,7 @@ class AbbeNumber:
 
 @dataclass(frozen=True)
 class IndexSamples:
-    """Material tabulated in its string: pairs of wavelength, nm, and n or k, ascending; k may be unknown."""
+    """Material tabulated in its string: ascending pairs of wavelength, nm, and n; and of k, empty if not given."""
 
     points: tuple[tuple[float, float], ...]
     k_points: tuple[tuple[float, float], ...] = ()
@@ -101,19 +101,19 @@ class Spec:
     Attributes
     ----------
     text : str
-        String without leading and trailing blanks.
+        String without leading and trailing spaces.
     form : Constant, AbbeNumber, IndexSamples, UserFile, MitsubaData or Name
         Material that the string names, without the suffixes.
     suffix : str
-        Suffixes as they were written, with the blank before them.
+        Suffixes as they were written, with the space before them; "" without any.
     k : float or None
-        Value of the suffix ``k=VALUE``.
+        Value of the suffix ``k=VALUE``; None without it.
     shift : float
-        Value of the suffix ``shift=VALUE``, added to n.
+        Value of the suffix ``shift=VALUE``, added to n; 0 without it.
     extrapolate : bool
         Whether the suffix ``extrapolate`` is given.
     bulk : BulkScatter
-        Values of the suffixes ``scatter=PER_MM`` and ``g=G``.
+        Values of the suffixes ``scatter=PER_MM`` and ``g=G``, 0 without them.
     """
 
     text: str
@@ -133,7 +133,8 @@ def parse(material: str) -> Spec:
     Raises
     ------
     MistrayError
-        If a number is out of its range or a suffix is given twice.
+        If a value is not a number or is out of its range, a suffix or k is given twice, ``g=`` has no ``scatter=``, n
+        is missing, or a file of several materials is given without the name of one.
     """
     text = material.strip()
     body, given = text, dict[str, str]()
@@ -157,6 +158,8 @@ def parse(material: str) -> Spec:
 def shifted(material: str, by: float) -> str:
     """
     Return the material string with `by` added to n at every wavelength, in its suffix ``shift=VALUE``.
+
+    A total shift of 0 leaves no such suffix.
 
     Examples
     --------

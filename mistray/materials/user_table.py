@@ -24,7 +24,7 @@ _COLUMNS = ("wavelength_nm", "n", "k")
 
 def read_table(path: Path) -> tuple[Curve, Curve | None]:
     """
-    Read the curves of n and, if the file has it, of k over wavelength from a CSV file.
+    Return the curves of n and k over wavelength, nm, in a CSV file; that of k is None if the file has no k.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Paint on the faces of a mechanical part, and its short text form."""
+"""Paint on the faces of a mechanical part, and its form as a short string."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ ABSORBER = Finish()
 
 def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Finish:
     """
-    Return a finish from its name or its values as text.
+    Return a finish from its name, or from its values as a string.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Fin
     Raises
     ------
     MistrayError
-        If the text is none of these, or a model refuses its values.
+        If the string is none of these, or a model refuses its values.
 
     Examples
     --------

@@ -81,7 +81,7 @@ class Mechanics:
         Parameters
         ----------
         paint : mapping of str to Finish or str
-            Pattern such as ``"vane*"`` → a `Finish`, or its text for `finish`, such as ``"flat_black"``. A pattern is
+            Pattern such as ``"vane*"`` → a `Finish`, or a string for `finish`, such as ``"flat_black"``. A pattern is
             compared with the name of a part, its title, product and path in the file, and with the names of faces,
             ``<part>_face_<number>``. Later patterns override earlier ones. Unmatched faces absorb all light.
         space : mapping of str to int
@@ -197,7 +197,11 @@ class Mechanics:
         return {part.name: bands(part) for part in self.parts}
 
     def _built(self) -> list[tuple[Structure | MeshStructure, bytes | None]]:
-        """Return the structures, each with the bytes of its PLY file ``<shape>.ply``, or None if it has none."""
+        """
+        Return the structures, each with the bytes of its PLY file ``<shape>.ply``, or None if it has none.
+
+        The largest bands of one finish, at most `most_analytic`, become exact structures, all other triangles meshes.
+        """
         found = self._bands
         sizes = sorted((band.area for each in found.values() for band in each), reverse=True)
         least = sizes[self.most_analytic - 1] if 0 < self.most_analytic < len(sizes) else 0.0
@@ -234,7 +238,7 @@ class Mechanics:
     def _meshes(
         self, part: CadPart, looks: Mapping[int, tuple[Finish, int]], free: np.ndarray
     ) -> list[tuple[Structure | MeshStructure, bytes | None]]:
-        """Return a mesh, with its PLY file as bytes, of the triangles `free` of a part for each finish and space."""
+        """Return a mesh, with its PLY file as bytes, of the triangles `free` of a part, for each finish and space."""
         groups: dict[tuple[Finish, int], list[int]] = {}
         for face in np.unique(part.faces[free]):
             groups.setdefault(looks[int(face)], []).append(int(face))
@@ -281,7 +285,8 @@ def read_mechanics(
     Raises
     ------
     MistrayError
-        If the file is missing, damaged, empty or of another type, or a package is missing.
+        If the file is missing, damaged, empty or of another type, an option is out of range or does not suit the type,
+        or a package is missing.
 
     Examples
     --------

@@ -14,7 +14,7 @@ def ply_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
     vertices : (n, 3) float64
         Positions of the vertices, mm.
     triangles : (m, 3) int64
-        Vertex numbers of each triangle.
+        Indices of the vertices of each triangle.
     """
     points, inverse = np.unique(vertices[triangles].reshape(-1, 3).astype("<f4"), axis=0, return_inverse=True)
     table = np.zeros(len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])

@@ -31,7 +31,7 @@ class RevolvedBand:
     Attributes
     ----------
     faces : tuple of int
-        Numbers of the faces that form the band.
+        Indices of the faces that form the band.
     triangles : (m,) int64
         Indices of its triangles in the part.
     foot : (3,) float64
@@ -111,7 +111,7 @@ def _key(surface: RoundSurface) -> tuple[object, ...]:
 
 
 def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[np.ndarray]:
-    """Yield connected groups of triangles, (m, 4): index in the part, and numbers of three welded vertices."""
+    """Yield connected groups of triangles, (m, 4): index in the part, and indices of three welded vertices."""
     corners = part.triangles[chosen]
     used, inverse = np.unique(corners, return_inverse=True)
     cells = np.round(part.vertices[used] / (0.1 * tolerance)).astype(np.int64)
@@ -128,7 +128,7 @@ def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[
 
 
 def _band(part: CadPart, surface: RoundSurface, piece: np.ndarray, tolerance: float) -> RevolvedBand | None:
-    """Return the band that connected triangles of one surface form; None if they do not form one."""
+    """Return the band that connected triangles of one surface form, to `tolerance`, mm; None if they form none."""
     places, welded = piece[:, 0], piece[:, 1:]
     points = np.zeros((int(welded.max()) + 1, 3))
     points[welded.ravel()] = part.vertices[part.triangles[places].ravel()]

@@ -11,7 +11,8 @@ import numpy as np
 
 
 def sqrt(x: Any) -> Any:
-    """Return the square root of ``x``; NaN below zero, in the array library of ``x``.
+    """
+    Return the square root of ``x``; NaN below zero, in the array library of ``x``.
 
     Parameters
     ----------
@@ -45,14 +46,14 @@ def arctan2(y: Any, x: Any) -> Any:
 @dataclass(frozen=True)
 class Arithmetic:
     """
-    Functions of an array library that formulas with complex numbers need. All of them work in float64.
+    Functions of an array library that formulas with complex numbers need, computed in float64.
 
     Attributes
     ----------
     real : callable
-        Makes an array of real numbers from a real number or array.
+        Makes a float64 array from a real number or array.
     complex : callable
-        Makes an array of complex numbers from arrays of real and imaginary parts.
+        Makes a complex array of double precision from arrays of real and imaginary parts.
     re, im : callable
         Real and imaginary part of a number or array, real or complex.
     is_real : callable
@@ -60,7 +61,7 @@ class Arithmetic:
     sqrt, exp, log, sincos, maximum, select, detach : callable
         Functions of the same names in Dr.Jit.
     result : callable
-        Brings a result to the precision of the arguments.
+        Brings a result to the precision of the arguments in Dr.Jit; in NumPy it stays as it is.
     """
 
     real: Any

@@ -106,7 +106,7 @@ def at_wavelength(
     step_ratio : float or array
         Ratio of the index steps Δn₂/Δn₁.
     specular_ratio : float or array
-        Ratio R₂/R₁ or T₂/T₁, for a BSDF that is not relative to the specular beam.
+        Ratio R₂/R₁ or T₂/T₁ if the BSDF is not relative to the specular beam; else 1.
 
     Returns
     -------
@@ -120,6 +120,8 @@ def at_wavelength(
 class AbgFromRms:
     """
     ABg parameters of a polished surface, computed from its roughness, with intermediate quantities.
+
+    The symbols σ, λ, Δn and R are those of `abg_from_rms`; f is the spatial frequency, 1/µm.
 
     Attributes
     ----------
@@ -200,7 +202,8 @@ def abg_from_rms(
     Raises
     ------
     MistrayError
-        If a length is not positive, R is not in (0, 1], Δn is 0 or the surface is not smooth (σ > 0.02 λ).
+        If a length is not positive, R or `raw_integral` is not in (0, 1], Δn is 0 or the surface is not smooth (σ >
+        0.02 λ).
     """
     owner = "ABg from rms"
     for name, value in (("rms", rms_um), ("correlation length", correlation_length_um), ("wavelength", wavelength_um)):

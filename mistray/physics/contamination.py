@@ -72,10 +72,10 @@ def density(diameter_um: ArrayLike, level: float, slope: float = CLEANED_SLOPE) 
 
 def standard_coverage_percent(level: ArrayLike) -> np.ndarray:
     """
-    Return the covered area at a cleanliness level after the standard, percent: 10^(-7.245 + 0.926 log10² level).
+    Return the area covered by particles according to the standard, percent: 10^(-7.245 + 0.926 log10² level).
 
-    It holds for the slope 0.926 and is 7.6 % more than the area of the spheres, `coverage_percent`, because the
-    standard counts particles in size classes and allows other shapes.
+    The formula holds for the slope 0.926. It gives 7.6 % more than the area of the spheres, `coverage_percent`, because
+    the standard counts particles in size classes and allows other shapes.
     """
     return np.asarray(10 ** (-7.245 + 0.926 * np.log10(np.asarray(level, dtype=np.float64)) ** 2))
 
@@ -84,7 +84,7 @@ def coverage_percent(
     level: float, slope: float = CLEANED_SLOPE, min_um: float = SMALLEST_UM, max_um: float | None = None
 ) -> float:
     """
-    Return the area that the spheres cover, ∫ n(D) πD²/4 dD over 0.1 m², percent.
+    Return the area that the spheres cover, ∫ n(D) πD²/4 dD over 0.1 m², percent; n(D) is `density`.
 
     Parameters
     ----------
@@ -104,10 +104,12 @@ def level_of_coverage(
     """
     Return the cleanliness level whose spheres cover a given area, percent: the inverse of `coverage_percent`.
 
+    The slope and the diameters, µm, are those of `coverage_percent`.
+
     Raises
     ------
     MistrayError
-        If no level below 1e5 covers the area.
+        If no level covers just this area: each one from the greatest given diameter up to 1e5 covers more, or less.
     """
     from scipy.optimize import brentq
 
@@ -162,14 +164,18 @@ class Cloud:
 
     @classmethod
     def of_nodes(cls, extinction: float, scattering: float, log_f: ArrayLike) -> Cloud:
-        """Create a cloud from ln f (f in 1/sr) at the angles of the spline, see `nodes`."""
+        """Create a cloud from two fractions, and from ln f (f in 1/sr), (a,), at the scattering angles of `nodes`."""
         from scipy.interpolate import CubicSpline
 
         return cls(extinction, scattering, CubicSpline(_U, np.asarray(log_f, dtype=np.float64)))
 
     @property
     def nodes(self) -> np.ndarray:
-        """Values of ln f, (a,), at the angles of the spline; with the other attributes they define a cloud."""
+        """
+        Values of ln f (f in 1/sr), (a,), at the angles of the spline.
+
+        With `extinction` and `scattering` they define a cloud.
+        """
         return np.asarray(self._log_f(self._log_f.x))
 
     def f(self, angle: ArrayLike) -> np.ndarray:
@@ -185,7 +191,11 @@ class Cloud:
         return np.asarray(np.exp(self._log_f(_place(angle))))
 
     def between(self, low: float, high: float) -> float:
-        """Return the fraction of the incident light that is scattered by angles from `low` to `high`, rad."""
+        """
+        Return the fraction of the incident light scattered by angles from `low` to `high`, rad.
+
+        The part below 1e-5 rad and the part within 1e-4 rad of π are left out.
+        """
         u = np.linspace(_place(low), _place(high), 4 * len(_U))
         angle = 2 * np.arctan(np.exp(u))
         return float(np.trapezoid(2 * np.pi * np.sin(angle) ** 2 * self.f(angle), u))
@@ -223,6 +233,11 @@ def cloud(
     Cloud
         Scattered light, with an error of 1e-3 at every angle for particles that absorb like dust. Without absorption
         the sharp resonances of the spheres leave an error of 1 % beyond 90°, and of 1e-4 in the total.
+
+    Raises
+    ------
+    MistrayError
+        If the size distribution, the size of a sphere relative to the wavelength, or the index is out of range.
     """
     check_distribution(level, slope, min_um, max_um)
     largest = level if max_um is None else max_um
@@ -234,7 +249,7 @@ def cloud(
 
 
 def check_distribution(level: float, slope: float, min_um: float, max_um: float | None) -> None:
-    """Raise `MistrayError` if no particle size distribution has these parameters; see `cloud`."""
+    """Raise `MistrayError` if parameters of `cloud` are out of range, or the particles cover more than the surface."""
     if not (np.isfinite(level) and level >= 1):
         raise MistrayError(f"particles: cleanliness level {level:g}; it must be 1 or more, 100 … 1000 is usual")
     if not slope > 0:
@@ -281,7 +296,7 @@ def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _place(angle: ArrayLike) -> np.ndarray:
-    """Return ln tan(θ/2), the coordinate of the scatter table, for the scattering angle θ, rad, kept in range."""
+    """Return ln tan(θ/2), the coordinate of the scatter table, of the scattering angle θ, rad, clipped to the table."""
     theta = np.asarray(angle, dtype=np.float64)
     with np.errstate(divide="ignore"):
         return np.clip(np.log(np.tan(theta / 2)), _U[0], _U[-1])

@@ -78,7 +78,7 @@ def keller(theta: npt.ArrayLike, wavelength_mm: float) -> tuple[np.ndarray, np.n
 
 def obliquity(cos_i: Any, cos_s: Any, r2: Any) -> Any:
     """
-    Return the growth of unpolarised diffraction off the normal, (1 - β_i·β_s)/(cos θi cos θs); 1 along the beam.
+    Return the factor of unpolarised diffraction off the normal, (1 - β_i·β_s)/(cos θi cos θs); 1 along the beam.
 
     It is computed as ``1 + |d_s - d_i|²/(2 cos θi cos θs)``, which loses no digits near the beam. Near the plane of the
     aperture it would be infinite; cosines below `GRAZING` count as `GRAZING`.
@@ -145,6 +145,11 @@ def deflection_sigma(distance_mm: npt.ArrayLike, wavelength_mm: float, law: str 
         Wavelength λ, mm.
     law : {"half_plane", "heisenberg"}
         Law of the standard deviation: λ/((2π)^1.5 x) or λ/(4π x).
+
+    Raises
+    ------
+    MistrayError
+        If no law has this name.
     """
     return spread(law) * wavelength_mm / np.asarray(distance_mm, dtype=np.float64)
 
@@ -154,12 +159,13 @@ def deflection_density(delta: Any, width_mm: Any, wavelength_mm: float, law: str
     Return the density of the deflection of rays that pass an edge at random distances up to a width.
 
     It is ``c/(sqrt(2π) w δ²) (1 - exp(-δ² w²/(2 c²)))`` with c = σ x, the mean of the Gaussians over 0 < x < w. Its
-    integral is 1. Beyond δ = c/w, about λ/(16 w), it is the flux diffracted by the edge over the flux of the strip.
+    integral over δ is 1. Beyond δ = c/w, about λ/(16 w), it is the flux diffracted by the edge over the flux of the
+    strip.
 
     Parameters
     ----------
     delta : float or array
-        Change of the direction cosine across the edge; the density is symmetric.
+        Change δ of the direction cosine across the edge; the density is symmetric.
     width_mm : float or array
         Width w of the strip along the edge, mm, > 0.
     wavelength_mm : float

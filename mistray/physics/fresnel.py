@@ -15,7 +15,8 @@ _TINY = 1e-30
 
 
 def cos2_refracted(cos_i: Any, n_i: Any, n_t: Any) -> Any:
-    """Return the square of the cosine of the refraction angle; negative in total internal reflection.
+    """
+    Return the square of the cosine of the refraction angle; negative in total internal reflection.
 
     Parameters
     ----------
@@ -34,7 +35,8 @@ def cos2_refracted(cos_i: Any, n_i: Any, n_t: Any) -> Any:
 
 
 def reflectance(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
-    """Return the Fresnel reflectance for unpolarised light.
+    """
+    Return the Fresnel reflectance for unpolarised light.
 
     Parameters
     ----------

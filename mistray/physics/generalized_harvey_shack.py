@@ -30,12 +30,12 @@ _MAX_VARIANCE = 100.0
 
 
 def path_in_reflection(cos_i: Any, cos_s: Any, n_in: Any = 1.0) -> Any:
-    """Return the path difference per height of the surface in reflection, n_in (cos θi + cos θs)."""
+    """Return the path difference per height of the surface in reflection, n_in (cos θi + cos θs), dimensionless."""
     return n_in * (cos_i + cos_s)
 
 
 def path_in_transmission(cos_i: Any, cos_s: Any, n_in: Any, n_out: Any) -> Any:
-    """Return the path difference per height in transmission, n_in cos θi - n_out cos θs, of either sign."""
+    """Return the path difference per height in transmission, n_in cos θi - n_out cos θs, a number of either sign."""
     return n_in * cos_i - n_out * cos_s
 
 
@@ -133,7 +133,11 @@ def exponential(
 
 
 def _terms(variance: float) -> int:
-    """Return the number of terms of the series of exp(variance), rad², so that the rest is below 1e-17 of the first."""
+    """
+    Return the number of terms of the series of exp(variance), so that the rest is below 1e-17 of the first.
+
+    The variance of the phase is in rad². Raise `MistrayError` if it is above 100.
+    """
     if not variance <= _MAX_VARIANCE:
         raise MistrayError(f"rough surface: variance of the phase is {variance:g}; the limit is {_MAX_VARIANCE:g}")
     m, term = 1, 1.0

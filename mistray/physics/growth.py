@@ -23,7 +23,7 @@ def growth(x: Any) -> Any:
     Returns
     -------
     float or array
-        Array like `x`; differentiable in Dr.Jit, also at 0. It is computed in float64.
+        Value in the shape of `x`; differentiable in Dr.Jit, also at 0. It is computed in float64.
     """
     xp = arithmetic(x)
     wide = xp.real(x)

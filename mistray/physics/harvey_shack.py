@@ -82,7 +82,7 @@ def b0_from_tis(share: Any, l: Any, s: Any) -> Any:  # noqa: E741
 
 
 def _unit_tis(l: Any, s: Any) -> Any:  # noqa: E741
-    """Total integrated scatter for b0 = 1: π l² (exp(p L) - 1)/p with p = 1 + s/2 and L = ln(1 + 1/l²)."""
+    """Return the total integrated scatter for b0 = 1/sr: π l² (exp(p L) - 1)/p, p = 1 + s/2, L = ln(1 + 1/l²)."""
     xp = arithmetic(l, s)
     length2 = xp.real(l) * xp.real(l)
     logarithm = xp.log(1 + 1 / length2)

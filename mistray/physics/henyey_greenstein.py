@@ -48,7 +48,7 @@ def phase_about(ahead: Any, behind: Any, g: Any) -> Any:
 
 def sampled_cosine(u: Any, g: Any) -> Any:
     """
-    Return the cosine of a random scattering angle with the density of `phase_function`.
+    Return the cosine of a random scattering angle with the density of `phase_function`; isotropic for |g| < 0.001.
 
     Parameters
     ----------

@@ -104,7 +104,8 @@ def _coefficients(x: np.ndarray, index: complex) -> tuple[np.ndarray, np.ndarray
     They are 0 beyond order x + 4 x^(1/3) + 4, two orders more than W. J. Wiscombe requires (Appl. Opt. 19, 1505
     (1980)). The error is less than 1e-7 of the intensity even at 180°, where most orders cancel.
 
-    With real ψ and χ, ξ = ψ - iχ, both are p/(p - iq): p = r ψ_n - ψ_(n-1), q = r χ_n - χ_(n-1), where r is D_n/m + n/x
+    With real ψ and χ, ξ = ψ - iχ, both are p/(p - iq). With the relative index m and D_n = ψ'_n(mx)/ψ_n(mx): p = r ψ_n
+    - ψ_(n-1), q = r χ_n - χ_(n-1), where r is D_n/m + n/x
     for a_n and m D_n + n/x for b_n.
     """
     orders = _orders(x)
@@ -130,7 +131,7 @@ def _riccati_bessel(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.n
     """
     Return the Riccati-Bessel functions ψ_n(x) and χ_n(x), n = 0, 1, …, (orders + 1, m), of ascending x, (m,).
 
-    Beyond the orders that each x needs χ is 1, because it would overflow.
+    Beyond the orders that each x needs both stay 1, because χ would overflow.
     """
     count = int(orders[-1])
     psi, chi = np.ones((2, count + 1, len(x)))

@@ -58,12 +58,13 @@ def band_nodes(temperature_K: float, low_um: float, high_um: float) -> tuple[np.
     Returns
     -------
     wavelengths_um, radiances : (m,) float64
-        Nodes: ∫ L(λ) f(λ) dλ is the sum of radiances · f(wavelengths), W/(mm² sr); relative error 1e-13 for f = 1.
+        Nodes: ∫ L(λ) f(λ) dλ is the sum of radiances · f(wavelengths), W/(mm² sr); relative error 1e-13 for f = 1. At 0
+        K, or if no light is in the band, there is one node with the radiance 0.
 
     Raises
     ------
     MistrayError
-        If a number is out of range.
+        If the temperature or a limit of the band is out of range.
     """
     if not (math.isfinite(temperature_K) and temperature_K >= 0):
         raise MistrayError(f"temperature of {temperature_K:g} K; give one of 0 K or more")
@@ -150,6 +151,8 @@ def self_emission(
     """
     Return the irradiance on a detector in air by optics that fill its cone, ε L π/(4 F² + 1), W/mm².
 
+    L is the radiance of a blackbody at the temperature of the optics.
+
     Parameters
     ----------
     emissivity : array_like
@@ -198,7 +201,7 @@ def narcissus_nitd(
 
 
 def _by_temperature(function: Any, temperature_K: npt.ArrayLike) -> Any:
-    """Evaluate a function of one temperature, K, for each of an array; return its values in the same shape."""
+    """Return the values of a function of one temperature, K, in the shape of `temperature_K`; a float for a float."""
     temperatures = np.asarray(temperature_K, dtype=np.float64)
     values = np.array([function(float(t)) for t in temperatures.ravel()]).reshape(temperatures.shape)
     return values if values.ndim else float(values)

@@ -35,7 +35,7 @@ from mistray.physics._arrays import Arithmetic, arithmetic
 Pair = tuple[Any, Any]
 
 # Below this |δ²| a layer's matrix is summed as series; the first terms left out, δ⁶/6! and δ⁶/7!, are below 2e-18.
-# Above it, derivatives by q² suffer from rounding, about 1e-16/δ² and so below 1e-11.
+# Above it, derivatives with respect to q² suffer from rounding, about 1e-16/δ² and so below 1e-11.
 _SERIES = 1e-5
 # Smallest |q²| apart from rounding: a root of zero would have no derivative. R and T change by about its root, 1e-30.
 _FLOOR = 1e-60
@@ -143,7 +143,7 @@ def amplitudes_and_shares(
     cos_incident: Any,
 ) -> tuple[Pair, Pair, Pair, Pair]:
     """
-    Return the results of `amplitudes` and of `reflectance_transmittance`, at the cost of one of them.
+    Return (r_s, r_p), (t_s, t_p), (R_s, R_p), (T_s, T_p): `amplitudes` and `reflectance_transmittance` at one cost.
 
     Parameters
     ----------
@@ -182,7 +182,11 @@ def _solve(
     wavelength_nm: Any,
     cos_incident: Any,
 ) -> tuple[Arithmetic, tuple[_Fields, _Fields]]:
-    """Return array functions, and for s and p the fields in front of a stack whose transmitted wave has amplitude 1."""
+    """
+    Return array functions, and for s and p the fields in front of a stack whose transmitted wave has amplitude 1.
+
+    Raise `MistrayError` if the numbers of indices and thicknesses differ.
+    """
     if len(n_layers) != len(d_nm):
         raise MistrayError(f"stack: {len(n_layers)} indices and {len(d_nm)} thicknesses; give one of each per layer")
     ops = arithmetic(n_incident, *n_layers, *d_nm, n_substrate, wavelength_nm, cos_incident)

@@ -48,7 +48,7 @@ def coating_of(
     Raises
     ------
     MistrayError
-        If the text is none of these, or a value is out of range.
+        If the text has none of these forms, or a value is out of range.
     """
     text = text.strip()
     owner = f"coating '{text}'"
@@ -101,7 +101,7 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
     Returns
     -------
     Scatter or None
-        Model with a name, so that surfaces can share it; None if the text is none of these.
+        Model with a name, so that surfaces can share it; None if the text has neither form.
 
     Raises
     ------

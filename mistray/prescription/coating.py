@@ -15,7 +15,8 @@ from mistray.ranges import WAVELENGTH_NM, Words, check_fields
 
 @dataclass(frozen=True)
 class Coating:
-    """Coating of an interface; an interface without one is bare Fresnel.
+    """
+    Coating of an interface; an interface without one is bare Fresnel.
 
     Exactly one of ``R``, ``table``, ``layers`` and ``preset`` defines the coating; see the plugin `thinfilm` and
     docs/coatings.md.
@@ -38,10 +39,15 @@ class Coating:
     design_nm : float
         Wavelength that thicknesses in waves refer to, nm.
     n_shift, k_shift : tuple of float
-        Numbers added to n and k of each layer; empty means zeros.
+        Shifts added to n and k of each layer; empty means zeros.
     name : str or None
         Surfaces whose coatings have the same name share one object in the scene, with one set of parameters; ``None``:
         each surface has its own.
+
+    Raises
+    ------
+    MistrayError
+        If not exactly one recipe is given, a value is out of range, or an option does not go with the recipe.
 
     Examples
     --------
@@ -111,7 +117,7 @@ BLACK = Coating(R=0.0)
 
 
 def check_name(name: str) -> None:
-    """Raise `MistrayError` if a text cannot be the id of a shape, coating or scatter model."""
+    """Raise `MistrayError` if a string cannot be the id of a shape, coating or scatter model."""
     if not name or "." in name:
         raise MistrayError(f"shape '{name}': a name must not be empty or hold a dot")
     check_written_id(name, "shape")

@@ -37,7 +37,8 @@ def wall(
     front: str = "air",
     back: str = "air",
 ) -> tuple[Structure, ...]:
-    """Make frusta along a profile; zero-length pieces are left out.
+    """
+    Make frusta along a profile; zero-length pieces are left out.
 
     Parameters
     ----------
@@ -86,7 +87,8 @@ def lens_edge(
     bevel_coating: Coating | None = None,
     contact_radii: tuple[float | None, float | None] = (None, None),
 ) -> tuple[Structure, ...]:
-    """Make the edge cylinder and the flat rings that close a lens body between its two surfaces.
+    """
+    Make the edge cylinder and the flat rings that close a lens body between its two surfaces.
 
     Each ring is split where the mount begins to touch it. Inside this radius it is a bevel between glass and air;
     outside it is a flange in contact, opaque like the edge.
@@ -112,6 +114,12 @@ def lens_edge(
     tuple of Structure
         Faces ``<part>_bevel_1``, ``<part>_flange_1``, ``<part>_edge``, ``<part>_flange_2`` and ``<part>_bevel_2``,
         without faces of zero width.
+
+    Raises
+    ------
+    MistrayError
+        If the materials of the two surfaces differ, a contact radius does not lie between clear radius and edge, the
+        edge has no thickness, or a ring would cut into a surface.
 
     Examples
     --------
@@ -165,7 +173,8 @@ def barrel(
     name: str = "barrel",
     first_space: int = 1,
 ) -> tuple[Structure, ...]:
-    """Close a coaxial group: lens edges in glass, opaque barrel walls in air, from the first rim to the last.
+    """
+    Close a coaxial group: lens edges in glass, opaque barrel walls in air, from the first rim to the last.
 
     Parameters
     ----------
@@ -180,12 +189,18 @@ def barrel(
         Start of the names: the wall in the k-th air space is ``<name>_<k>_wall``. A stop divides its space into two. If
         a straight cone would cut into a surface, the wall is a cylinder and a flat ring.
     first_space : int
-        Number of the first air space.
+        Index of the first air space.
 
     Returns
     -------
     tuple of Structure
         Edges and walls, from the first rim to the last.
+
+    Raises
+    ------
+    MistrayError
+        If the materials that two neighbours state for their space differ, or an edge or a wall would cut into a
+        surface.
 
     Examples
     --------
@@ -217,7 +232,8 @@ def detector_frame(
     name: str = "board",
     space: int = -1,
 ) -> tuple[Surface, ...]:
-    """Make four rectangles around a rectangular detector, in its plane, that cover a tube of a given radius.
+    """
+    Make four rectangles around a rectangular detector, in its plane, that cover a tube of a given radius.
 
     They tile the plane without overlap, so that no face coincides with the detector.
 
@@ -236,6 +252,11 @@ def detector_frame(
     -------
     tuple of Surface
         Rectangles left, right, below and above.
+
+    Raises
+    ------
+    MistrayError
+        If the detector is not rectangular, or `outer_radius` does not reach its corners.
 
     Examples
     --------
@@ -301,7 +322,11 @@ def _name(item: Surface | Stop) -> str:
 
 
 def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
-    """Return wall points (r, z), mm, between two rims: a cone, or cylinder and ring if a cone would cut a surface."""
+    """
+    Return wall points (r, z), mm, between two rims: a cone, or cylinder and ring if a cone would cut a surface.
+
+    Raise `MistrayError` if neither clears the surfaces.
+    """
     start = a.rim if isinstance(a, Surface) else (a.outer_rear, a.z_rear)
     end = b.rim if isinstance(b, Surface) else (b.outer_front, b.z_front)
     corner = (start[0], end[1]) if start[0] > end[0] else (end[0], start[1])

@@ -29,7 +29,7 @@ def read_grid(path: str | Path) -> Grid:
     Raises
     ------
     MistrayError
-        If the file cannot be read, holds an invalid number, or has too few points.
+        If the file cannot be read, holds an invalid value, or has too few points.
 
     Examples
     --------

@@ -40,7 +40,8 @@ MAX_COEFFICIENTS = 9
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """Placement in the world: the frame is tilted about x, then y, then z (fixed axes), then moved to (x, y, z).
+    """
+    Placement in the world: the frame is tilted about x, then y, then z (fixed axes), then moved to (x, y, z).
 
     Attributes
     ----------
@@ -70,7 +71,8 @@ class Placed:
 
 @dataclass(frozen=True)
 class Surface(Placed):
-    """An optical surface: a conic with polynomial terms or any other sag, clipped by radii or by any outline.
+    """
+    An optical surface: a conic with polynomial terms or any other sag, clipped by radii or by any outline.
 
     Attributes
     ----------
@@ -87,7 +89,7 @@ class Surface(Placed):
     half_width, half_height : float or None
         Rectangular clip in x and y instead of ``semi_diameter``, mm.
     sag : mapping of str to float, and of "grid" to Grid
-        Numbers of a freeform sag beside those above, see `mistray.physics.sags.terms`.
+        Parameters of a freeform sag in addition to those above, see `mistray.physics.sags.terms`.
     outline : Outline or None
         Clear outline instead of ``semi_diameter`` and half sizes, in the frame of the vertex, mm.
     front, back : str
@@ -97,7 +99,7 @@ class Surface(Placed):
     scatter : tuple of Scatter
         Models that scatter a part of the light; their scatter adds up.
     mirror : bool
-        Whether the design path is reflected here, so that this reflection is no ghost.
+        Whether the design path is reflected here, so that this reflection does not count as a ghost.
     meets : str
         Direction of light that meets the surface: "both", "+z" or "-z". Light in the opposite direction passes through
         (freeform only).
@@ -173,7 +175,7 @@ class Surface(Placed):
 
     @property
     def sag_numbers(self) -> dict[str, Any]:
-        """Numbers that define the sag, lengths in mm, keyed by their names in `mistray.physics.sags.terms`."""
+        """Parameters that define the sag, keyed by their names and in their units in `mistray.physics.sags.terms`."""
         return with_even(self.curvature, self.conic, self.coefficients, self.sag)
 
     @property
@@ -202,7 +204,8 @@ class Surface(Placed):
 
 @dataclass(frozen=True)
 class Structure(Placed):
-    """A frustum of a cone about the z axis of its frame; a cylinder and a flat annulus are special cases.
+    """
+    A frustum of a cone about the z axis of its frame; a cylinder and a flat annulus are special cases.
 
     Barrel walls, lens edges, bevels, stop faces and vanes are frusta.
 
@@ -254,7 +257,8 @@ class Structure(Placed):
 
 @dataclass(frozen=True)
 class Detector(Surface):
-    """A surface that records irradiance: plane, opaque, and perfectly absorbing by default.
+    """
+    A surface that records irradiance: plane, opaque, and perfectly absorbing by default.
 
     Attributes
     ----------
@@ -283,7 +287,7 @@ class Detector(Surface):
             FILM_SIDE.check("pixels", count, f"detector '{self.name}'")
 
     def notes(self) -> list[str]:
-        """Return notes on a detector from a lens file: one line if it absorbs all light."""
+        """Return notes on a detector from a lens file: one line if it absorbs all light; otherwise none."""
         if self.coating != BLACK or self.scatter:
             return []
         return [
@@ -294,7 +298,8 @@ class Detector(Surface):
 
 @dataclass(frozen=True)
 class Stop:
-    """An aperture stop of finite thickness: front annulus, inner wall, rear annulus.
+    """
+    An aperture stop of finite thickness: front annulus, inner wall, rear annulus.
 
     Attributes
     ----------
@@ -335,7 +340,11 @@ class Stop:
             )
 
     def faces(self) -> tuple[Structure, ...]:
-        """Return the two annuli and the inner wall of the stop as structures; ``front`` of the wall is the opening."""
+        """
+        Return the faces of the stop: front annulus, inner wall and rear annulus, or one annulus for a thin stop.
+
+        `Structure.front` of the wall is the opening.
+        """
         profiles = [("front", self.outer_front, self.z_front, self.radius, self.z_front)]
         if self.z_rear > self.z_front:
             profiles.append(("wall", self.radius, self.z_front, self.radius, self.z_rear))
@@ -355,7 +364,8 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True)
 class Prescription:
-    """An optical system, ready to be written as a scene.
+    """
+    An optical system, ready to be written as a scene.
 
     Attributes
     ----------
@@ -364,22 +374,22 @@ class Prescription:
     surfaces : tuple of Surface
         Optical surfaces, in the order in which light meets them on the design path.
     structures : tuple of Structure, Surface or MeshStructure
-        All mechanical parts, in any order. A `Surface` or a `MeshStructure` describes parts that are no frustum, such
+        All mechanical parts, in any order. A `Surface` or a `MeshStructure` describes parts that are not frusta, such
         as a board or a bracket.
     stop : Stop or None
         Aperture stop; its faces become part of the scene.
     detector, source
         Detector of the design and source. They are needed only by `to_dict`, `to_xml` and `to_scene`.
     more_detectors : tuple of Detector
-        Further detectors beside that of the design; `mistray.trace` records the light on all of them.
+        Detectors in addition to that of the design; `mistray.trace` records the light on all of them.
     provenance : str
-        Origin of the numbers; it is written to the XML file as a comment.
+        Origin of the data; it is written to the XML file as a comment.
 
     Raises
     ------
     MistrayError
-        If two names are equal, if coatings or scatter models of the same name differ, or if two coaxial surfaces cross
-        or coincide within their common aperture.
+        If a detector is not a `Detector`, if two names are equal, if coatings or scatter models of the same name
+        differ, or if two coaxial surfaces cross or coincide within their common aperture.
 
     Examples
     --------
@@ -440,7 +450,7 @@ class Prescription:
 
     def shared_coatings(self) -> dict[str, Coating]:
         """
-        Coatings that have a name, keyed by name.
+        Return the coatings that have a name, keyed by name.
 
         Raises
         ------
@@ -451,7 +461,7 @@ class Prescription:
 
     def shared_scatter(self) -> dict[str, Scatter]:
         """
-        Scatter models that have a name, keyed by name.
+        Return the scatter models that have a name, keyed by name.
 
         Raises
         ------
@@ -478,13 +488,21 @@ class Prescription:
         return scattering(self, rules)
 
     def with_source(self, **changes: Any) -> Prescription:
-        """Return a copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``."""
+        """
+        Return a copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``.
+
+        Raises
+        ------
+        MistrayError
+            If there is no source, or a value is out of range.
+        """
         if self.source is None:
             raise MistrayError(f"prescription '{self.name}': it has no source; give it a Source first")
         return replace(self, source=replace(self.source, **changes))
 
     def paraxial(self, wavelength_nm: float) -> ParaxialSystem:
-        """Return the paraxial system of the refracting surfaces, in order, at a wavelength in nm.
+        """
+        Return the paraxial system of the refracting surfaces, in order, at a wavelength in nm.
 
         Raises
         ------

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def shared_coatings(where: str, shapes: Iterable[Any]) -> dict[str, Coating]:
     """
-    Coatings of shapes that have a name, keyed by name.
+    Return the coatings of shapes that have a name, keyed by name.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def shared_coatings(where: str, shapes: Iterable[Any]) -> dict[str, Coating]:
 
 def shared_scatter(where: str, shapes: Iterable[Any]) -> dict[str, Scatter]:
     """
-    Scatter models of shapes that have a name, keyed by name; parameters as in `shared_coatings`.
+    Return the scatter models of shapes that have a name, keyed by name; parameters as in `shared_coatings`.
 
     Raises
     ------

@@ -64,7 +64,11 @@ class Scatter:
         return hash((self.kind, tuple(sorted(self.properties.items())), self.name))
 
     def model(self) -> Placement | None:
-        """Return the scatter model for computation; None if it needs a file, which only the scene can locate."""
+        """
+        Return the scatter model for computation; None if it needs a file, which only the scene can locate.
+
+        Raise `MistrayError` if a property is unknown or out of range.
+        """
         title, model = f"scatter '{self.kind}'", KINDS[self.kind]
         laid = LAID if self.kind == "tabulated" else ()
         given: dict[str, Any] = {key: value for key, value in self.properties.items() if key not in laid}

@@ -40,7 +40,22 @@ _BEAM = (
 
 @dataclass(frozen=True)
 class _Node:
-    """Node of a scene tree: a plugin or a reference to one. ``kind`` is its XML tag, ``plugin`` its type."""
+    """
+    Node of a scene tree: a plugin or a reference to one.
+
+    Attributes
+    ----------
+    kind, plugin : str
+        XML tag, and type of the plugin, "" for a reference.
+    id : str or None
+        Id of the plugin, or of the one referred to; None without one.
+    properties : dict of str to Value
+        Parameters by name.
+    place : Placed or None
+        Object whose frame gives ``to_world``; None without one.
+    children : tuple of _Node
+        Nested nodes.
+    """
 
     kind: str
     plugin: str
@@ -154,7 +169,11 @@ def _source(s: Source | ObjectPoint) -> _Node:
 
 
 def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
-    """Yield each section of the scene file, its comment and its nodes, in the order of the file."""
+    """
+    Yield each section of the scene file, its comment and its nodes, in the order of the file.
+
+    Raise `MistrayError` if the prescription lacks its detector or source.
+    """
     for key, remedy in (("detector", "Detector(half_width=…, half_height=…)"), ("source", "Source(radius=…)")):
         if getattr(prescription, key) is None:
             raise MistrayError(f"prescription '{prescription.name}': it has no {key}; add {key}={remedy}")
@@ -309,14 +328,14 @@ def _at_origin(place: Placed) -> bool:
 
 
 def _number(value: float) -> str:
-    """Return the shortest text that reads back as the same double; raise `MistrayError` if it is not finite."""
+    """Return the shortest string that reads back as the same double; raise `MistrayError` if it is not finite."""
     if not math.isfinite(value):
         raise MistrayError(f"scene file: {value} cannot be written as a number; use a finite value")
     return repr(float(value)).removesuffix(".0")
 
 
 def comment_text(text: str) -> str:
-    """Escape a text so that it is valid within an XML comment."""
+    """Return a string escaped so that it is valid within an XML comment."""
     return escape(text).replace("--", "- -")
 
 

@@ -13,7 +13,8 @@ from mistray.ranges import POSITIVE, SIZE_MM, Range, Words, check_fields
 
 @dataclass(frozen=True, kw_only=True)
 class Source(Placed, Spectral, PolarizedFields):
-    """A collimated beam whose axis passes through the pivot (x, y, z), with the parameters of the `collimated` emitter.
+    """
+    A collimated beam whose axis passes through the pivot (x, y, z), with the parameters of the `collimated` emitter.
 
     Attributes
     ----------
@@ -74,7 +75,8 @@ class Source(Placed, Spectral, PolarizedFields):
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectPoint(Placed, Spectral, PolarizedFields):
-    """A point of a near object instead of a collimated beam, with the parameters of the `point_source` emitter.
+    """
+    A point of a near object instead of a collimated beam, with the parameters of the `point_source` emitter.
 
     At zero field it lies on the z axis of its frame, whose origin is the centre of the entrance pupil.
 

@@ -25,9 +25,9 @@ class Spectral:
     spectrum : str or None
         Spectrum to use instead of `wavelength_nm`, see `mistray.spectra.spectrum.light_of`.
     band_nm : tuple of two float, or None
-        Part of a continuous spectrum that is traced, nm.
+        Part of a continuous spectrum that is traced, nm; ``None``: 400 … 700 nm, or the whole range of a table.
     bands : int or None
-        Number of parts that the band is divided into.
+        Number of parts that the band is divided into; ``None``: 6.
     """
 
     wavelength_nm: tuple[float, ...] = DEFAULT_NM
@@ -71,5 +71,5 @@ class Spectral:
 
 
 def list_text(values: tuple[float, ...]) -> str:
-    """Return numbers as comma-separated text with all digits, as plugin properties expect."""
+    """Return values as comma-separated text with all digits, as plugin properties expect."""
     return ", ".join(repr(float(value)) for value in values)

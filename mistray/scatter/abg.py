@@ -40,7 +40,7 @@ class ABg(Placement):
     Raises
     ------
     MistrayError
-        If a number is out of range.
+        If a parameter is out of range.
     """
 
     A: float = Param("1/sr", NOT_NEGATIVE, "amplitude").field()
@@ -66,7 +66,11 @@ class ABg(Placement):
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> ABg:
-        """Return the model with given properties, see `Placement.of`; `file` names the entry of a catalogue to use."""
+        """
+        Return the model with given properties, see `Placement.of`.
+
+        `file` names the entry of a catalogue to use; A, B, g and `reference_nm` must then be left out.
+        """
         if "file" not in properties:
             return super().of(**properties)
         given = [key for key in ("A", "B", "g", "reference_nm") if key in properties]
@@ -78,7 +82,7 @@ class ABg(Placement):
         return abg_from_catalogue(f"{resolve(path)}{colon}{name}", **properties)
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, or () if nothing scatters, see `Placement.event_lobes`."""
+        """Return the lobe of an event, or () if A is 0, see `Placement.event_lobes`."""
         if self.A == 0:
             return ()
         a, b = self.A, self.B
@@ -90,11 +94,11 @@ class ABg(Placement):
 
     def advice(self) -> str | None:
         """
-        Return a line of advice if A, B, g or the total scatter are unusual; None otherwise.
+        Return a line of advice if B, g or the total scatter are unusual; None otherwise, and if A or g is 0.
 
         Surfaces of optics have g of 1.5 … 3.5, mostly 2 … 3, and B of 1e-10 … 1e-6. Paints have B of 0.1 … 1 and g of 2
         … 6. g = 0 is Lambertian (webinar on stray light with TracePro, "Typical BSDF"). Parameters fitted to a polished
-        mirror may have a larger B, so this is advice and no error.
+        mirror may have a larger B, so this is advice and not an error.
         """
         if self.A == 0 or self.g == 0:
             return None

@@ -37,17 +37,28 @@ class Chance:
 
     @property
     def rays_for_one_hit(self) -> float:
-        """Number of start rays that give one hit on average; so many give at least one with 63 % probability."""
+        """
+        Number of start rays that give one hit on average; infinite if a hit has no chance.
+
+        So many rays give at least one hit with 63 % probability.
+        """
         return 1 / self.total if self.total > 0 else math.inf
 
     def rays_for(self, confidence: float) -> float:
         """
         Return the number of rays for at least one hit with a given probability, ln(1 - confidence)/ln(1 - p).
 
+        p is `total`. The result is 1 if p is 1, and infinite if p is 0.
+
         Parameters
         ----------
         confidence : float
             Probability of at least one hit, between 0 and 1.
+
+        Raises
+        ------
+        MistrayError
+            If `confidence` is not between 0 and 1.
         """
         if not 0 < confidence < 1:
             raise MistrayError(f"confidence {confidence:g}: give a probability between 0 and 1")
@@ -94,7 +105,7 @@ def chance(
     Raises
     ------
     MistrayError
-        If a number is out of range.
+        If an angle, the solid angle or `before` is out of range, or BSDF · cos θs · ΔΩ exceeds 1.
 
     Notes
     -----

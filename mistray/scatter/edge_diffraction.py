@@ -45,7 +45,7 @@ class EdgeDiffraction(Placement):
     Raises
     ------
     MistrayError
-        If a number is out of range. `lobes` raises it if the ring is not much wider than a wavelength.
+        If a parameter is out of range. `lobes` raises it if the ring is narrower than 25 wavelengths.
     """
 
     width_mm: float = Param(
@@ -64,7 +64,7 @@ class EdgeDiffraction(Placement):
             raise MistrayError(f"{self.title}: event is '{self.event}'; an edge diffracts what passes it: transmission")
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the one lobe of an event, see `Placement.event_lobes`."""
+        """Return the one lobe of an event, see `Placement.event_lobes`; raise `MistrayError` for too narrow a ring."""
         wavelength_mm = 1e-6 * wavelength_nm / n_out
         if self.width_mm < LEAST_WAVES * wavelength_mm:
             raise MistrayError(

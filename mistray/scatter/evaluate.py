@@ -64,7 +64,7 @@ def bsdf(
 
 
 def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndarray, rotation: float) -> np.ndarray:
-    """Return the BSDF of a lobe over its coefficient c, 1/sr, for scattered directions, unit vectors (…, 3)."""
+    """Return the BSDF of a lobe, 1/sr, divided by its coefficient c, for scattered directions, unit vectors (…, 3)."""
     x, y, cos_s = np.moveaxis(directions, -1, 0)
     cos_0 = np.sqrt(np.maximum(0.0, 1 - sin_0 * sin_0))
     centre = {"specular": sin_0, "normal": np.zeros_like(sin_0), "retro": -sin_0}[lobe.centre]

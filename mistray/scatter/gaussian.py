@@ -28,14 +28,14 @@ class Gaussian(Placement):
     Raises
     ------
     MistrayError
-        If a number is out of range.
+        If a parameter is out of range.
     """
 
     total: float = Param("1", SHARE, "fraction of R and T scattered at normal incidence").field()
     width: float = Param("1", LOBE_WIDTH, "w: r = |β - β0| at which the BSDF is 1/e of its peak").field()
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, or () if nothing scatters, see `Placement.event_lobes`."""
+        """Return the lobe of an event, or () if `total` is 0, see `Placement.event_lobes`."""
         if self.total == 0:
             return ()
         return (Lobe(event, lambda r: gaussian.bsdf(r, self.total, self.width), shares=self.shares),)

@@ -13,7 +13,7 @@ from mistray.scatter.numbers import FALLING, KNEE, PEAK, REFERENCE, ROUGHNESS, u
 
 def index_step(event: str, n_in: Any, n_out: Any) -> Any:
     """
-    Return the optical path difference per surface height at normal incidence, Δn ≥ 0: 2 n_in or |n_in - n_out|.
+    Return the optical path difference per surface height at normal incidence, Δn ≥ 0.
 
     Δn is 2 n_in in reflection and |n_in - n_out| in transmission; n_in is the index on the side of incidence.
     """
@@ -22,7 +22,9 @@ def index_step(event: str, n_in: Any, n_out: Any) -> Any:
 
 def need_smooth(title: str, event: str, rms_um: float, wavelength_um: float, step: float, remedy: str) -> None:
     """
-    Raise `MistrayError` if a surface is too rough for first-order scatter theory, 2π Δn σ ≪ λ.
+    Check that a surface is smooth enough for first-order scatter theory, 2π Δn σ ≪ λ.
+
+    The roughness σ and the vacuum wavelength λ are in µm; Δn is that of `index_step`.
 
     Raises
     ------
@@ -65,8 +67,8 @@ class HarveyShack(Placement):
     Raises
     ------
     MistrayError
-        If a number is out of range, or not exactly one of `b0` and `rms_nm` is given. `lobes` raises it for a surface
-        that is not smooth at a wavelength.
+        If a parameter is out of range, or not exactly one of `b0` and `rms_nm` is given. `lobes` raises it for a
+        surface that is not smooth at a wavelength.
     """
 
     b0: float | None = PEAK.field(None)
@@ -101,7 +103,7 @@ class HarveyShack(Placement):
         Raises
         ------
         MistrayError
-            If the surface is not smooth.
+            If `rms_nm` is given and the surface is not smooth at the wavelength.
         """
         reference_nm = self.reference_nm or wavelength_nm
         if self.rms_nm is None:
@@ -115,14 +117,18 @@ class HarveyShack(Placement):
         return harvey_shack.at_wavelength(b0, self.l, wavelength_nm / reference_nm)
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, or () if nothing scatters, see `Placement.event_lobes`."""
+        """Return the lobe of an event, or () if b0 or the roughness is 0, see `Placement.event_lobes`."""
         b0, knee = self.parameters(wavelength_nm, event, n_in, n_out)
         if b0 == 0:
             return ()
         return (Lobe(event, lambda r: harvey_shack.bsdf(r, b0, knee, self.s), shares=self.shares),)
 
     def advice(self) -> str | None:
-        """Return advice as text if l is not in 1e-4 … 1e-2, s not in -3.5 … -0.5 (FRED), or the total is odd."""
+        """
+        Return a line of advice if l, s or the total scatter are unusual; None otherwise.
+
+        Usual are l in 1e-4 … 1e-2 and s in -3.5 … -0.5 (FRED). The total is judged only if `b0` is given.
+        """
         usual = within(self.l, 1e-4, 1e-2) and -3.5 <= self.s <= -0.5
         text = f"l {self.l:g} and s {self.s:g} are outside of what is usual: l 1e-4 … 1e-2, s -3.5 … -0.5"
         total = 0.0 if self.b0 is None else float(harvey_shack.tis(self.b0, self.l, self.s))

@@ -51,8 +51,8 @@ class KCorrelation(RoughSurface):
     Raises
     ------
     MistrayError
-        If a number is out of range or parameters do not go together. `lobes` raises it for a surface that is too rough
-        for the theory at a wavelength.
+        If a parameter is out of range or parameters do not go together. `lobes` raises it for a surface that is too
+        rough for the theory at a wavelength.
     """
 
     rms_nm: float = replace(
@@ -95,7 +95,7 @@ class KCorrelation(RoughSurface):
         return lambda f: np.asarray(k_correlation.psd_um4(f, amplitude, self.B_um, self.slope))
 
     def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
-        """Return the rms roughness, µm, that scatters into the half space, see `RoughSurface.relevant_rms_um`."""
+        """Return the rms roughness, µm, that scatters into the half space of index n, see `RoughSurface`."""
         amplitude = self.amplitude_um4(wavelength_nm)
         return k_correlation.relevant_rms_um(amplitude, self.B_um, self.slope, wavelength_nm * 1e-3 / n)
 
@@ -119,7 +119,7 @@ class KCorrelation(RoughSurface):
         """
         Return the scatter lobe by the full Harvey-Shack theory, without the first-order approximation.
 
-        Its `ratio` is relative to normal incidence.
+        Its `ratio` is relative to normal incidence. Raise `MistrayError` if the surface is too rough for it.
         """
         rms_um, wavelength_um = self.rms_nm * 1e-3, wavelength_nm * 1e-3
         step, reflected = index_step(event, n_in, n_out), event == "reflection"

@@ -179,7 +179,7 @@ class Lobe:
         Ratio that multiplies the profile; 1 by default.
     optical_depth : float, optional
         Fraction of X that the specular beam loses at normal incidence, if it is more than the lobe scatters; multiplied
-        by `oblique` at other angles.
+        by `oblique` at other angles. None: the beam loses just the light that the lobe scatters.
     oblique_limit : float
         Upper bound of 1/cos θi, so that a beam does not lose more light than it has.
 
@@ -273,7 +273,7 @@ class LobeModel(Protocol):
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """
-        Return the BSDF lobes for light from one side of the surface.
+        Return the BSDF lobes for light from one side of the surface; () if none of it scatters.
 
         Parameters
         ----------
@@ -351,7 +351,7 @@ class Placement:
         Raises
         ------
         MistrayError
-            If a property is missing or impossible.
+            If a property is missing, unsuitable or out of range.
         """
         needed = [field.name for field in fields(cls) if field.init and field.default is MISSING]
         missing = [name for name in needed if name not in properties]
@@ -361,12 +361,12 @@ class Placement:
 
     @property
     def values(self) -> dict[str, float]:
-        """Differentiable numbers of the model that are given, by name."""
+        """Values of the differentiable parameters of the model, by name, without those that are None."""
         numbers = {name: getattr(self, name) for name, param in self.params().items() if param.moves}
         return {name: number for name, number in numbers.items() if number is not None}
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return the lobes for light from one side, see `LobeModel.lobes`."""
+        """Return the lobes for light from one side, see `LobeModel.lobes`; () if `side` is the other side."""
         events = self.events(from_front)
         return tuple(lobe for event in events for lobe in self.event_lobes(event, wavelength_nm, n_in, n_out))
 
@@ -375,7 +375,7 @@ class Placement:
         raise NotImplementedError
 
     def changed(self, **values: float) -> Self:
-        """Return a copy of the scatter model with other numbers, given by their names in `values`."""
+        """Return a copy of the scatter model with other values of its parameters, given by their names."""
         return replace(self, **values)  # type: ignore[arg-type]  # all of its fields are parameters
 
     @property
@@ -386,11 +386,15 @@ class Placement:
 
     @property
     def shares(self) -> tuple[float, float, float]:
-        """Coefficients c0, c1 and c2 of R or T in the flux of this model's lobes, see `Lobe`."""
+        """
+        Coefficients c0, c1 and c2 of R or T in the flux of the lobes, see `Lobe`.
+
+        They are 0, 1, 0 for a BSDF relative to the specular beam, and 1, 0, 0 for an absolute one.
+        """
         return (0.0, 1.0, 0.0) if self.relative_to == "specular" else (1.0, 0.0, 0.0)
 
     def events(self, from_front: bool) -> tuple[str, ...]:
-        """Return the events in which light from one side scatters: a tuple of "reflection" and "transmission"."""
+        """Return the events in which light from one side scatters: "reflection", "transmission", both, or none."""
         if self.side not in ("both", "front" if from_front else "back"):
             return ()
         return EVENTS if self.event == "both" else (self.event,)

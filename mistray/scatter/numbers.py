@@ -1,4 +1,4 @@
-"""Parameters that several scatter models share, and usual ranges of their numbers."""
+"""Parameters that several scatter models share, and usual ranges of their values."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ REFERENCE = Param(
 
 
 def within(value: float, low: float, high: float) -> bool:
-    """True if a number lies between `low` and `high`, within the rounding of a scene's float32 numbers."""
+    """True if a value lies between `low` and `high`, within the rounding of a scene's float32 numbers."""
     return low * (1 - SINGLE) <= value <= high * (1 + SINGLE)
 
 
 def unusual(title: str, *texts: str | None, total: float = 0.0) -> str | None:
     """
-    Return a model's advice in one line: on unusual numbers, and on scatter that leaves little of the beam.
+    Return a model's advice in one line: on unusual values, and on scatter that leaves little of the beam.
 
     Parameters
     ----------
     title : str
         Name of the model.
     *texts : str or None
-        Remarks on unusual numbers; None for no remark.
+        Remarks on unusual values; None for no remark.
     total : float
         Fraction of light scattered at normal incidence.
 

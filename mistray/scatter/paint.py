@@ -113,7 +113,11 @@ class Paint(Placement):
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Paint:
-        """Return the model with given properties, see `Placement.of`; `preset` sets the reflectance."""
+        """
+        Return the model with given properties, see `Placement.of`; `preset` sets the reflectance.
+
+        If `spectrum` is given, the reflectance is 1 by default.
+        """
         if "preset" not in properties:
             usual = {"reflectance": 1.0} if properties.get("spectrum") else {}
             return super().of(**usual | properties)
@@ -145,7 +149,11 @@ class Paint(Placement):
         return cls(PRESETS[preset], **{"name": preset, **options})
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobes of an event, see `Placement.event_lobes`."""
+        """
+        Return the lobes of an event, see `Placement.event_lobes`.
+
+        A part whose amplitude is 0 has no lobe. Raise `MistrayError` outside the wavelengths of `spectrum`.
+        """
         return _lobes(
             self.reflectance * self._factor(wavelength_nm),
             self.b0,
@@ -157,7 +165,11 @@ class Paint(Placement):
         )
 
     def _factor(self, wavelength_nm: float) -> float:
-        """Return the factor by which the paint's spectrum multiplies its reflectance at a wavelength, nm."""
+        """
+        Return the factor by which the paint's spectrum multiplies its reflectance at a wavelength, nm; 1 without one.
+
+        Raise `MistrayError` outside the spectrum.
+        """
         at, values = _points(self.spectrum)
         if at and not at[0] <= wavelength_nm <= at[-1]:
             raise MistrayError(
@@ -168,7 +180,11 @@ class Paint(Placement):
 
 @lru_cache(maxsize=256)
 def _points(spectrum: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return wavelengths, nm, and reflectance factors from a text such as "400:0.02, 700:0.05"; empty for no text."""
+    """
+    Return wavelengths, nm, and reflectance factors from a string such as "400:0.02, 700:0.05"; empty for "".
+
+    Raise `MistrayError` if a pair is malformed or wavelengths do not ascend.
+    """
     found: list[tuple[float, float]] = []
     for word in spectrum.replace(",", " ").split():
         nm, factor = (finite_of(part) for part in word.partition(":")[::2])

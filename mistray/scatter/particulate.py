@@ -33,7 +33,7 @@ LEAST_COSINE = 1e-2
 @dataclass(frozen=True)
 class Particulate(Placement):
     """
-    Spherical particles on one side of a surface, with numbers and sizes after IEST-STD-CC1246.
+    Spherical particles on one side of a surface, with the size distribution of IEST-STD-CC1246.
 
     Light that crosses the surface passes the particles once, and forward scatter is a lobe about the transmitted light.
     Light that is reflected on the side of the particles passes them twice. Forward scatter before or after the
@@ -65,7 +65,7 @@ class Particulate(Placement):
     Raises
     ------
     MistrayError
-        If a number is out of range, not exactly one of `level` and `coverage_percent` is given, or `relative_to` is
+        If a parameter is out of range, not exactly one of `level` and `coverage_percent` is given, or `relative_to` is
         "incident": the scatter of particles is a fraction of the specular beam.
     """
 
@@ -150,6 +150,8 @@ class Particulate(Placement):
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """
         Return one lobe in transmission and two in reflection; parameters as in `LobeModel.lobes`.
+
+        Only events that scatter have lobes, and reflection only if the particles lie on the side of incidence.
 
         At an interface the transmitted lobe is that of normal incidence. At grazing incidence it is too strong by the
         light that is scattered away from the surface; particles that do not absorb then remove that much more light.

@@ -29,14 +29,14 @@ class Phong(Placement):
     Raises
     ------
     MistrayError
-        If a number is out of range.
+        If a parameter is out of range.
     """
 
     b0: float = replace(PEAK, doc="BSDF in the specular direction; TIS at normal incidence is 2π b0/(n + 2)").field()
     exponent: float = Param("1", EXPONENT, "exponent n of the cosine", tolerance=0.05).field()
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, or () if nothing scatters, see `Placement.event_lobes`."""
+        """Return the lobe of an event, or () if b0 is 0, see `Placement.event_lobes`."""
         if self.b0 == 0:
             return ()
         return (

@@ -77,7 +77,8 @@ class Polynomial(Placement):
     Raises
     ------
     MistrayError
-        If a name is no coefficient, or a value is not finite.
+        If a name is not that of a coefficient or occurs twice, ``c000`` is missing, a value is not finite, or the BSDF
+        is not below 1e12/sr.
     """
 
     coefficients: tuple[tuple[str, float], ...]
@@ -116,7 +117,7 @@ class Polynomial(Placement):
 
     @property
     def values(self) -> dict[str, float]:
-        """Differentiable numbers of the model, by name, with its coefficients."""
+        """Coefficients, and the other differentiable parameters of the model, by name."""
         return dict(self.coefficients) | super().values
 
     def changed(self, **values: float) -> Polynomial:

@@ -48,7 +48,8 @@ def over_cosines(
     sine_ratio : float
         Ratio of sin θi to the sine of the specular direction: n_out/n_in in transmission, 1 in reflection.
     nodes : tuple of int
-        Numbers of nodes: cosine of the specular direction, cosine of the scattered direction, azimuth.
+        How many nodes there are of the cosine of the specular direction, of that of the scattered direction, and of the
+        azimuth.
     """
     cosine, cos_s = (np.linspace(0, 1, count) for count in nodes[:2])
     cos_i, refracted = _incidence(cosine, sine_ratio)

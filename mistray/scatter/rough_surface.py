@@ -30,7 +30,7 @@ THEORIES = ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")
 
 
 class Substrate(Demand):
-    """Parameter check for a refractive index n + ik of a substrate, given as a number or as text."""
+    """Parameter check for a refractive index n + ik of a substrate, given as a number or as a string."""
 
     demand = "must be n+ik with n > 0 and k ≥ 0, as 0.96+6.69i"
 
@@ -61,8 +61,8 @@ class RoughSurface(Placement):
         Rayleigh-Rice with the vector factor Q of a bare surface. In transmission far from the specular direction only
         the last one is correct; the others are too low.
     substrate : complex, optional
-        Index n + ik of the reflecting material of a mirror, or its text, for "rayleigh_rice_vector". The default is the
-        medium on the other side.
+        Index n + ik of the reflecting material of a mirror, as a number or a string, for "rayleigh_rice_vector". The
+        default is the medium on the other side.
 
     Raises
     ------
@@ -104,7 +104,7 @@ class RoughSurface(Placement):
         Parameters
         ----------
         wavelength_nm : float
-            Vacuum wavelength, nm, for spectra whose numbers depend on it.
+            Vacuum wavelength, nm, for spectra whose amplitude depends on it.
         """
         raise NotImplementedError
 
@@ -125,7 +125,11 @@ class RoughSurface(Placement):
         return {"ghs": self._smooth, "rayleigh_rice": self._scalar, "rayleigh_rice_vector": self._vector}
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event by the chosen theory, or (); see `Placement.event_lobes`."""
+        """
+        Return the lobe of an event by the chosen theory, see `Placement.event_lobes`.
+
+        The result is () if the surface has no roughness, or for transmission between equal indices.
+        """
         if self.is_smooth_as_glass or not index_step(event, n_in, n_out) > 0:
             return ()
         return (self._theories()[self.theory](event, wavelength_nm, n_in, n_out),)
@@ -134,7 +138,7 @@ class RoughSurface(Placement):
         """
         Return the roughness spectrum, µm⁴, as a function of r = |β - β0| in direction cosines.
 
-        Raise `MistrayError` if the surface is too rough.
+        Raise `MistrayError` if the surface is too rough for scatter in first order.
         """
         wavelength_um, n = wavelength_nm * 1e-3, n_in if event == "reflection" else n_out
         rms_um, psd = self.relevant_rms_um(wavelength_nm, n), self.psd(wavelength_nm)
@@ -168,7 +172,8 @@ class RoughSurface(Placement):
         """
         Return the lobe of vector Rayleigh-Rice theory with the polarisation factor Q of a bare surface.
 
-        Q is over R or T of that surface, unless the total is absolute.
+        Q is divided by R or T of that surface, unless the BSDF is absolute. Raise `MistrayError` for reflection between
+        equal indices.
         """
         absolute = self.relative_to == "incident"
         if event == "reflection":
@@ -194,7 +199,7 @@ class RoughSurface(Placement):
 
 @lru_cache(maxsize=32)
 def _path_growth(n_in: float, n_out: float) -> RatioTable:
-    """Return a table of the squared optical path difference in transmission over that at normal incidence."""
+    """Return a table of the squared optical path difference in transmission, divided by that at normal incidence."""
     step = index_step("transmission", n_in, n_out)
 
     def ratio(at: Directions) -> np.ndarray:
@@ -222,7 +227,7 @@ def _reflected_polarization(index: complex, absolute: bool) -> RatioTable:
 @lru_cache(maxsize=32)
 def _transmitted_polarization(n_in: float, n_out: float, absolute: bool) -> RatioTable:
     """
-    Return a table of the Rayleigh-Rice factor Q in transmission, over its specular value unless `absolute`.
+    Return a table of the Rayleigh-Rice factor Q in transmission, divided by its specular value unless `absolute`.
 
     It is multiplied by the squared path difference in the specular direction, relative to normal incidence.
     """

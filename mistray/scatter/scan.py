@@ -198,7 +198,7 @@ def table(
     Raises
     ------
     MistrayError
-        For the reasons of `scan`.
+        If an angle is out of range, or transmission is requested for totally reflected light.
     """
     light = light or IncidentLight()
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)

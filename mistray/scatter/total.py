@@ -102,7 +102,11 @@ def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
 
 
 def _by_angle(table: RadialTable, cosine: np.ndarray, projected: bool) -> np.ndarray:
-    """Return the integral, (m,), of a profile of the chord from θ over the hemisphere, times cos θs if `projected`."""
+    """
+    Return the integral over the hemisphere, (m,), of a radial profile of the chord from the direction at θ.
+
+    The profile is multiplied by cos θs if `projected`.
+    """
     theta = np.arccos(np.clip(cosine, -1, 1))
     low = np.maximum(2 * np.sin((np.pi / 2 - theta) / 2), 1e-12)
     high = 2 * np.sin((np.pi / 2 + theta) / 2)
@@ -206,7 +210,7 @@ class Totals:
         Fraction that the specular beam loses, (m,), by event.
     terms : dict
         Coefficients (3, m) by event: the scattered fraction of the incident flux is terms[0] + terms[1] X + terms[2]
-        X².
+        X², where X is R or T.
     """
 
     loss: dict[str, np.ndarray]
@@ -255,7 +259,7 @@ def totals(
 
 def check_loss(title: str, event: str, sums: Totals, cos_i: np.ndarray, lit: np.ndarray | bool = True) -> None:
     """
-    Raise `MistrayError` if scatter takes more light from a specular beam than it has.
+    Check that scatter takes no more light from a specular beam than it has.
 
     Parameters
     ----------
@@ -306,8 +310,8 @@ def check_budget(
     Raises
     ------
     MistrayError
-        If the specular beam would lose more than it has, or the fractions add up to more than 1; names surface and
-        angle.
+        If the specular beam would lose more than it has, or the fractions add up to more than 1; the message names
+        surface and angle.
     """
     for event, x in (("reflection", reflectance), ("transmission", transmittance)):
         check_loss(title, event, sums, cos_i, x > 0)

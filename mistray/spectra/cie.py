@@ -33,7 +33,7 @@ def observer() -> tuple[Array, Array]:
 
 
 def luminous_efficiency(wavelength_nm: npt.ArrayLike) -> Array:
-    """Return the luminous efficiency V(λ) of the eye in daylight (ISO 23539), λ in nm: ȳ of the observer, else 0."""
+    """Return the luminous efficiency V(λ) of the eye in daylight (ISO 23539), λ in nm; 0 outside 360 … 830 nm."""
     wavelengths, values = observer()
     return np.interp(np.asarray(wavelength_nm, dtype=np.float64), wavelengths, values[:, 1], left=0.0, right=0.0)
 

@@ -1,10 +1,10 @@
 """
 Spectra of sources, and the few wavelengths that represent them in a trace.
 
-A spectrum is named in words: spectral lines ("F d C"), a blackbody ("blackbody:3000"), sunlight outside of the
-atmosphere ("am0"), daylight ("d65") or a table in a file. Lines are traced as they are. For a continuous spectrum, a
-band is traced in parts of equal width. Each part is traced at its energy-weighted mean wavelength, with its energy as
-weight. This is exact for quantities that depend linearly on wavelength within a part.
+A spectrum is named in words: spectral lines ("F d C"), a blackbody ("blackbody:3000"), sunlight outside the atmosphere
+("am0"), daylight ("d65") or a table in a file. Lines are traced as they are. For a continuous spectrum, a band is
+traced in parts of equal width. Each part is traced at its energy-weighted mean wavelength, with its energy as weight.
+This is exact for quantities that depend linearly on wavelength within a part.
 """
 
 from __future__ import annotations
@@ -56,7 +56,11 @@ class SpectrumSamples:
 
     @property
     def lumens_per_watt(self) -> float:
-        """Luminous flux of the whole spectrum per radiant flux of the traced band, lm/W: 683 lm/W ∫ V E dλ / ∫ E dλ."""
+        """
+        Luminous flux of the whole spectrum per radiant flux of the traced band, lm/W: 683 lm/W ∫ V E dλ / ∫ E dλ.
+
+        For lines it is 683 lm/W times the sum of V over the lines, by weight.
+        """
         if self.band is None:
             return LUMENS_PER_WATT * float(self.weights @ luminous_efficiency(self.wavelengths_nm))
         whole, energy = self.band
@@ -75,7 +79,8 @@ class Spectrum:
     low_nm, high_nm : float
         Ends of the range in which it is known, nm.
     nodes : callable
-        Function from the ends of a band, nm, to wavelengths (m,), nm, and energies (m,) of a quadrature over it.
+        Function from the ends of a band, nm, to wavelengths (m,), nm, and energies (m,), in the unit of `energy`, of a
+        quadrature over it.
     band_nm : (float, float)
         Band that is traced by default, nm.
     """
@@ -126,7 +131,7 @@ class Spectrum:
 
     @property
     def lumens(self) -> float:
-        """Luminous flux of the whole spectrum, in lm if `energy` is in W."""
+        """Luminous flux of the whole spectrum, in lm if `energy` is in W; 0 if none of it is visible."""
         visible = observer()[0]
         low, high = max(self.low_nm, float(visible[0])), min(self.high_nm, float(visible[-1]))
         if not low < high:
@@ -168,7 +173,7 @@ def spectrum(text: str) -> Spectrum:
     Raises
     ------
     MistrayError
-        If the name is none of these, or the file cannot be read.
+        If the name is none of these, the temperature is missing or out of range, or the file cannot be read.
     """
     word = text.strip()
     if word.lower().endswith(".csv"):
@@ -205,7 +210,7 @@ def light_of(
     Parameters
     ----------
     text : str
-        Names of lines, separated by blanks or commas, see `mistray.spectra.lines`; or a name for `spectrum`.
+        Names of lines, separated by spaces or commas, see `mistray.spectra.lines`; or a name for `spectrum`.
     band_nm, bands
         Band (nm) and number of parts of a continuous spectrum, see `Spectrum.light`.
     weights : sequence of float, optional
@@ -236,7 +241,8 @@ def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = 
     Raises
     ------
     MistrayError
-        If a wavelength or a weight is out of range, or the numbers of wavelengths and weights differ.
+        If there is no wavelength, a wavelength or a weight is out of range, all weights are 0, or there are not as many
+        weights as wavelengths.
     """
     lines = np.array([WAVELENGTH_NM.check("wavelength_nm", float(nm)) for nm in wavelengths_nm], dtype=np.float64)
     if not len(lines):
@@ -257,12 +263,13 @@ def read_table(path: str | Path) -> tuple[Array, Array]:
     Read a table of a spectrum: wavelengths (n,), nm, and values (n,) ≥ 0, in any unit per nm.
 
     Lines that begin with # are comments. A first line may name the columns, the first of them ``nm`` or
-    ``wavelength_nm``. Commas, semicolons, tabs or blanks separate the numbers.
+    ``wavelength_nm``. Commas, semicolons, tabs or spaces separate the values.
 
     Raises
     ------
     MistrayError
-        If the file cannot be read, a line is no pair of numbers, or the wavelengths do not rise.
+        If the file cannot be read, a line is not a wavelength and a value, the wavelengths do not rise, there are fewer
+        than two, or all values are 0.
     """
     rows: list[tuple[float, float]] = []
     headed = False

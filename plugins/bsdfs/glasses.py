@@ -65,8 +65,8 @@ class Glasses:
         Raises
         ------
         MistrayError
-            If a number is impossible at this wavelength, or at the nearest one at which the material is known. Then
-            nothing has changed.
+            If a shift is not a single number or is out of range, or the index is then not above 0 at the known
+            wavelength nearest to `wavelength_nm`, nm. Then nothing has changed.
         """
         values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.parameters.values())
         for name, value in zip(SHIFTS, values, strict=True):
@@ -114,7 +114,11 @@ class Glasses:
         return wavelength_nm
 
     def transparent(self, wavelength_nm: float) -> tuple[complex, complex]:
-        """Return the indices n + ik in front and behind, for Mitsuba's own integrators; n alone if k is unknown."""
+        """
+        Return the indices n + ik in front and behind at a wavelength, nm, for Mitsuba's own integrators.
+
+        k is 0 if it is unknown.
+        """
         found = []
         for material in self._names:
             try:

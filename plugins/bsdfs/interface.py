@@ -178,7 +178,12 @@ class Interface(mi.BSDF):
     # -- the coating ---------------------------------------------------------------------------------------------
 
     def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:
-        """Return the nested `thinfilm` plugin, or None. Nested scatter plugins are stored in `scatterers`."""
+        """
+        Return the nested `thinfilm` plugin, or None without one.
+
+        Nested scatter plugins are stored in `scatterers`. Raise `MistrayError` if nested plugins do not suit an
+        interface, or the coating is also given by parameters.
+        """
         self.scatterers = tuple(item for item in nested if hasattr(item, "scatterers") and item.scatterers == (item,))
         for item in self.scatterers:
             item.nest(self)
@@ -201,7 +206,11 @@ class Interface(mi.BSDF):
         return film
 
     def _read_coating(self, props: mi.Properties) -> None:
-        """Set the coating from the scene's parameters R and T or table, if any is given."""
+        """
+        Set the coating from the scene's parameters R and T or table, if any is given.
+
+        Raise `MistrayError` if `table` is given with R or T, T without R, or a value is not valid.
+        """
         given = [key for key in ("R", "T", "table") if key in props]
         if "table" in given and len(given) > 1:
             raise MistrayError(f"{self.title}: give R and T or table, not both")
@@ -229,7 +238,12 @@ class Interface(mi.BSDF):
         return {"R": self._R, "T": self._T} if self._own_ideal else {}
 
     def _rebuild(self) -> None:
-        """Rebuild the coating from the current parameters; an error leaves everything unchanged."""
+        """
+        Rebuild the coating from the current parameters.
+
+        If a parameter is not valid or has another number of entries, raise `MistrayError` and leave everything
+        unchanged.
+        """
         values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self._parameters().values())
         for name, value, held in zip(self._parameters(), values, self._held, strict=False):
             if len(value) != len(held):
@@ -276,12 +290,12 @@ class Interface(mi.BSDF):
 
     @property
     def R(self) -> mi.Float:
-        """Reflectance of an ideal coating, 0 … 1."""
+        """Reflectance of an ideal coating, 0 … 1; 0 for other coatings."""
         return self._owner._R
 
     @property
     def T(self) -> mi.Float:
-        """Transmittance of an ideal coating, 0 … 1."""
+        """Transmittance of an ideal coating, 0 … 1; 0 for other coatings."""
         return self._owner._T
 
     @property
@@ -302,7 +316,11 @@ class Interface(mi.BSDF):
         return self._glasses.back
 
     def _take_glasses(self) -> None:
-        """Apply new index shifts of the materials; an error leaves everything unchanged."""
+        """
+        Apply new index shifts of the materials.
+
+        If a shift is not valid, raise `MistrayError` and leave everything unchanged.
+        """
         try:
             if self._glasses.update(self.wavelength_nm):
                 self._rendered = None
@@ -330,7 +348,7 @@ class Interface(mi.BSDF):
         Raises
         ------
         MistrayError
-            If k of a material is not known; the message names the interface.
+            If n or k of a material is not known at the wavelength; the message names the interface.
         """
         try:
             return complex_index(self.front, wavelength_nm), complex_index(self.back, wavelength_nm)
@@ -354,7 +372,11 @@ class Interface(mi.BSDF):
     def _meet(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: mi.Mask
     ) -> tuple[Interaction, RenderedScattering | None, list[mi.Float]]:
-        """Return the interaction at a hit, its scatter (or None), and the fraction of flux in each of `COMPONENTS`."""
+        """
+        Return the interaction at a hit, its scatter, and the fraction of flux in each of `COMPONENTS`.
+
+        Without scatter the second is None, and the third has two entries.
+        """
         surface, active = self._rendered_surface(), mi.Bool(active)
         it, scattering = surface.meet(-si.wi, active), None
         shares = [it.R, it.T]
@@ -371,7 +393,11 @@ class Interface(mi.BSDF):
         return it, scattering, [share if lit else mi.Float(0) for share, lit in zip(shares, enabled, strict=False)]
 
     def carried(self, by: Any, turned: bool) -> None:
-        """Register a shape that has this interface, and whether its mesh normals point to the front (`turned`)."""
+        """
+        Register a shape that has this interface, and whether its mesh normals point to the front (`turned`).
+
+        Raise `MistrayError` if a detector shares it with other shapes and its two sides have different materials.
+        """
         if self.turned not in (None, turned) and self.front != self.back:
             raise MistrayError(
                 f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector "
@@ -485,7 +511,7 @@ class Interface(mi.BSDF):
         return f"{type(self).__name__}[{self.front} | {self.back}, {self._owner._summary()}{mirror}{scatter}]"
 
     def _summary(self) -> str:
-        """Return a short text on the coating: its R and T, "Fresnel" or "table"."""
+        """Return the string that describes the coating: its R and T, "Fresnel" or "table"."""
         if self._own_ideal:
             return f"R = {float(self._R[0]):g}, T = {float(self._T[0]):g}"
         return "Fresnel" if isinstance(self._own, Bare) else "table"

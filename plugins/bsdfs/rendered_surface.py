@@ -66,7 +66,7 @@ class RenderedTables(ScatterTables):
 
 class ModelTables(ReplayTables):
     """
-    Scatter tables of one surface whose entries carry derivatives by the parameters of the scatter models.
+    Scatter tables of one surface whose entries carry derivatives with respect to the parameters of the scatter models.
 
     Parameters
     ----------
@@ -76,7 +76,8 @@ class ModelTables(ReplayTables):
     Attributes
     ----------
     moving : list of (mi.Float, dict)
-        One zero for each parameter, with the derivatives of all arrays by it; to be set before tables are read.
+        One zero for each parameter, with the derivatives of all arrays with respect to that parameter; to be set before
+        tables are read.
     """
 
     def __init__(self, tables: ScatterTables) -> None:
@@ -87,7 +88,11 @@ class ModelTables(ReplayTables):
         self._slopes: dict[tuple[int, str], dict[str, mi.Float]] = {}
 
     def slopes(self, table: Any, plugin: Any, name: str) -> dict[str, mi.Float]:
-        """Return the derivatives of all entries by the parameter `name` of a model, keyed by name of the array."""
+        """
+        Return the derivatives of all entries with respect to the parameter `name` of a model.
+
+        They are keyed by the name of the array, and per unit of the parameter.
+        """
         if (id(plugin), name) not in self._slopes:
             cases = [case for case in self.all_cases if _has(case, plugin)]
             found = {array: np.zeros(size) for array, size in self.sizes.items()}
@@ -159,7 +164,7 @@ class RenderedScattering(Scattering):
         """
         Return a unit scatter direction sampled with u, v in 0 … 1.
 
-        One that points into the surface carries no light.
+        A direction that points into the surface carries no light.
         """
         _, lobes, total, frame = self._lobes(reflect)
         # The remainder of the first number after the choice of the lobe places the direction within a table cell
@@ -240,7 +245,11 @@ class RenderedSurface:
     def scattering(
         self, radiance: bool, d: mi.Vector3f, it: Interaction, x_axis: mi.Vector3f | None
     ) -> RenderedScattering | None:
-        """Return the scatter at a hit, of forward light or backward rays, with derivatives; None without scatter."""
+        """
+        Return the scatter at a hit, of forward light or backward rays, with derivatives; None without scatter.
+
+        Raise `MistrayError` if a parameter with a derivative belongs to a model that scatters nothing here.
+        """
         tables = self._tables[radiance]
         moving = [
             (plugin, name, parameter)

@@ -50,7 +50,7 @@ class SampleAxis:
     Raises
     ------
     MistrayError
-        If a property is impossible, or is given although nothing depends on it.
+        If a property is out of range, or is given although nothing depends on it.
     """
 
     def __init__(self, props: mi.Properties, anisotropic: bool, title: str) -> None:
@@ -106,9 +106,9 @@ class SampleAxis:
 
     def _rows(self) -> mi.Float | None:
         """
-        Return the encoded sample axes of the shapes that carry the interface, by number in Mitsuba's registry.
+        Return the encoded sample axes of the shapes that carry the interface, by index in Mitsuba's registry.
 
-        Zeros for others.
+        The entries of other shapes are 0. The result is None if no shape carries the interface.
         """
         shapes = [shape for shape in (reference() for reference in self._shapes) if shape is not None]
         if not shapes:
@@ -127,7 +127,11 @@ class SampleAxis:
 
 
 def common_axis(scatterers: Sequence[Any], title: str) -> SampleAxis | None:
-    """Return the axis that a surface's anisotropic models share, or None; raise `MistrayError` if their axes differ."""
+    """
+    Return the axis that a surface's anisotropic models share, None without such models.
+
+    Raise `MistrayError` if their axes differ.
+    """
     axes = {item.sample_axis for item in scatterers if item.sample_axis is not None}
     if len(axes) > 1:
         raise MistrayError(

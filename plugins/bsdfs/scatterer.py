@@ -89,7 +89,11 @@ class Scatterer(Interface):
         raise MistrayError(f"{self.title}: a BSDF is nested in it; nest both in an 'interface' instead")
 
     def nest(self, interface: Interface) -> None:
-        """Attach this plugin to an interface, which then owns materials and coating."""
+        """
+        Attach this plugin to an interface, which then owns materials and coating.
+
+        Raise `MistrayError` if the plugin has properties that it may only have by itself.
+        """
         if self.alone:
             raise MistrayError(
                 f"{interface.title}: its {self.title} has {self.alone[0]} as well; give {self.alone[0]} at the "
@@ -98,7 +102,11 @@ class Scatterer(Interface):
         self.is_nested = True
 
     def rebuild_model(self) -> None:
-        """Rebuild the scatter model from the current parameter values; an error leaves everything unchanged."""
+        """
+        Rebuild the scatter model from the current parameter values.
+
+        If a value is out of range or is not a single number, raise `MistrayError` and leave everything unchanged.
+        """
         given = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.values.values())
         for name, value in zip(self.values, given, strict=True):
             if value.shape != (1,):

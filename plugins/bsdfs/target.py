@@ -16,7 +16,7 @@ TARGET_CONE_DEG = Range(1e-6, 180.0, unit="degrees")
 @documented
 class TargetMark(mi.BSDF):
     r"""
-    Target of scattered rays (:monosp:`target`): its shape is no surface, light passes through it.
+    Target of scattered rays (:monosp:`target`): its shape is not a surface, light passes through it.
 
     The surfaces that it names send some of their scattered rays towards the shape. So do the media on their sides, with
     light that they scatter on its way to the surface. Choose a shape that collects the light for the detector: the
@@ -166,7 +166,11 @@ class TargetMark(mi.BSDF):
 
 
 def _lengths(title: str, text: str) -> tuple[float, ...]:
-    """Return the three positive lengths in a text, mm; () for an empty text."""
+    """
+    Return the three positive lengths in a string, mm; () for an empty string.
+
+    Raise `MistrayError` if another string does not hold three positive numbers.
+    """
     if not text.strip():
         return ()
     try:

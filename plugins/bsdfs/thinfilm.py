@@ -137,7 +137,11 @@ class ThinFilm(Interface):
         return read_coating(self._recipe, self.design_nm, self._opaque, _resolve)
 
     def _start_layers(self, stack: Stack, props: mi.Properties) -> None:
-        """Create the layers' parameters from a design: thicknesses in nm, and shifts of n and k."""
+        """
+        Create the layers' parameters from a design: thicknesses in nm, and shifts of n and k.
+
+        Raise `MistrayError` if the design has no layer.
+        """
         self._layers, self._opaque = stack.layers, stack.opaque or self._opaque
         if not stack.layers:
             raise MistrayError(f"{self.title}: it has no layer; leave it out for a bare surface")
@@ -147,7 +151,11 @@ class ThinFilm(Interface):
         self._rebuild()
 
     def _numbers(self, text: str, key: str) -> list[float]:
-        """Parse a text with one number per layer and return the numbers; zeros for an empty text."""
+        """
+        Return the values in a string, one for each layer; zeros for an empty string.
+
+        Raise `MistrayError` if they are not numbers, or there are not as many as layers.
+        """
         assert self._layers is not None
         if not text:
             return [0.0] * len(self._layers)

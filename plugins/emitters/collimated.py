@@ -137,7 +137,12 @@ class Collimated(LightSource):
         return scale * disk.x, scale * disk.y
 
     def start_distance(self, bbox: mi.ScalarBoundingBox3f, direction: np.ndarray, pivot: np.ndarray) -> float:
-        """Return the distance upstream of the pivot, mm, at which a plane across the beam clears the bounding box."""
+        """
+        Return the distance from the pivot upstream, mm, to the start of the rays: `distance` if it is given.
+
+        Otherwise a plane across the beam clears the bounding box there. Raise `MistrayError` for a scene without
+        shapes.
+        """
         if self.distance > 0:
             return self.distance
         if not bbox.valid():
@@ -167,7 +172,7 @@ class Collimated(LightSource):
         """
         Return, for Mitsuba's integrators, the direction towards the beam from a point and its irradiance, W/mm².
 
-        0 outside it.
+        The irradiance is 0 outside the beam.
         """
         pivot, direction, u, v = self.frame()
         normal = np.cross(u, v)

@@ -56,7 +56,11 @@ class DistantSource(LightSource):
         raise NotImplementedError
 
     def direction_motion(self, name: str, d: mi.Vector3d) -> mi.Vector3d:
-        """Return derivatives of directions, in the source's frame, by its parameter `name`, per unit of that."""
+        """
+        Return the derivatives of ray directions with respect to the parameter `name` of the source, per its unit.
+
+        The directions are in the source's frame.
+        """
         raise NotImplementedError
 
     def source(self, request: SourceRequest, **facts: Any) -> SceneSource:

@@ -77,21 +77,21 @@ class LightSource(mi.Emitter):
     properties : mapping of str to Param
         All that a scene may give, by name, with `LIGHT`; of plugins with a manual.
     numbers : mapping of str to Param
-        Its numbers, from which the four following attributes are made; a subclass states either.
+        Its numeric parameters, from which the four following attributes are made; a subclass states either.
     ranges : mapping of str to Range
-        Its numbers with their allowed ranges; numbers without an entry in `defaults` are required.
+        Its numeric parameters with their allowed ranges; those without an entry in `defaults` are required.
     defaults : mapping of str to float
-        Default values of numbers.
+        Default values of numeric parameters.
     differentiable : tuple of str
-        Names of the numbers for which `motion` gives derivatives.
+        Names of the parameters for which `motion` gives derivatives.
     tolerances : mapping of str to float
-        Tolerances of these numbers, half the width of the range that a workshop holds.
+        Tolerances of these parameters, half the width of the range that a workshop holds.
     extended : bool
         Whether its rays start from more than one point, see `rays_from`.
     precise : bool
-        Whether `rays_from` takes float64 points and numbers, so that a narrow cone can be aimed from afar.
+        Whether `rays_from` takes float64 points and values, so that a narrow cone can be aimed from afar.
     values : dict of str to float
-        Values of its numbers.
+        Values of its numeric parameters, by name.
     light : SpectrumSamples
         Vacuum wavelengths, nm, and their weights.
     matrix : (4, 4) float64
@@ -141,7 +141,11 @@ class LightSource(mi.Emitter):
         self.stokes = polarization_state(self.owner, **{key: props[key] for key in POLARIZATION if key in props})
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
-        """Return the source's wavelengths and weights, from its spectrum or from ``wavelength_nm`` and ``weights``."""
+        """
+        Return the source's wavelengths and weights, from its spectrum or from ``wavelength_nm`` and ``weights``.
+
+        Raise `MistrayError` if properties of the scene do not go together, or a value is not valid.
+        """
         given = {key: self._numbers(key, props[key]) for key in ("wavelength_nm", "weights") if key in props}
         band, bands = self._band(props)
         try:
@@ -182,7 +186,7 @@ class LightSource(mi.Emitter):
         rng : mi.PCG32
             Random numbers for rays that need more than two.
         n : mapping of str to mi.Float
-            Numbers of `values`, and ``wavelength_nm``.
+            Parameters of `values` by name, and ``wavelength_nm``, nm.
         """
         raise NotImplementedError
 
@@ -223,7 +227,11 @@ class LightSource(mi.Emitter):
         return 1.0
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins o, mm, and directions d, in the source's frame, by its parameter `name`."""
+        """
+        Return the derivatives of ray origins o, mm, and directions d with respect to a parameter of the source.
+
+        Origins and directions are in the frame of the source. Derivatives are per unit of the parameter `name`.
+        """
         raise NotImplementedError
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
@@ -249,7 +257,7 @@ class LightSource(mi.Emitter):
         """
         Return the field angle, degrees, for an object height, mm.
 
-        Raise `MistrayError` if there is no object plane.
+        The base class has no object plane and raises `MistrayError`.
         """
         raise MistrayError(f"{self.owner}: its light comes from infinity; give its field in degrees")
 
@@ -284,7 +292,11 @@ class LightSource(mi.Emitter):
         raise MistrayError(f"{self.owner}: {what}")
 
     def _flux_given(self, props: mi.Properties, names: Sequence[str]) -> tuple[str, float]:
-        """Return name and value of the quantity in the scene that sets the flux; by default the first of `names`, 1."""
+        """
+        Return name and value of the quantity in the scene that sets the flux; by default the first of `names`, 1.
+
+        Raise `MistrayError` if the scene gives more than one, or a value that is not positive.
+        """
         found = [key for key in names if key in props]
         if len(found) > 1:
             self._fail(f"{' and '.join(found)} are given; give one of them")
@@ -391,6 +403,6 @@ def out_of(axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector
 
 
 def tilt_motion(name: str, axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector3d) -> mi.Vector3d:
-    """Return the derivative, per degree, of a vector in a tilted frame by ``tilt_x`` or ``tilt_y``."""
+    """Return the derivative, per degree, of a vector in a tilted frame with respect to ``tilt_x`` or ``tilt_y``."""
     about = mi.Vector3d(1, 0, 0) if name == "tilt_x" else axes[1]
     return dr.cross(about * (dr.pi / 180), vector)

@@ -82,7 +82,11 @@ class NearSource(LightSource):
         return pivot + self.matrix[:3, :3] @ shift, direction, u, v
 
     def field_of(self, height_mm: float) -> float:
-        """Return the field angle, degrees, that displaces the source by a height, mm, along y of its frame."""
+        """
+        Return the field angle, degrees, that displaces the source by a height, mm, along y of its frame.
+
+        Raise `MistrayError` if a field angle does not displace the source.
+        """
         z = self.values["z"]
         if not self.in_object_plane or z == 0:
             self._fail("a field in mm needs an object plane at z other than 0; give it in degrees")
@@ -100,7 +104,11 @@ class NearSource(LightSource):
         raise NotImplementedError
 
     def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins, mm, z = 0, and directions in the source's frame by parameter `name`."""
+        """
+        Return the derivatives of ray origins, mm, and directions with respect to the parameter `name` of the source.
+
+        Origins, with z = 0, and directions are in the source's own frame.
+        """
         raise NotImplementedError
 
     def rays_from(
@@ -153,13 +161,13 @@ class ConeSource(NearSource):
     """
     Near source with an intensity proportional to cosⁿ θ in a cone about its axis, or given by a table.
 
-    Its numbers ``half_angle_deg`` and ``exponent`` define the first, its properties ``profile`` and ``filename`` the
+    Its parameters ``half_angle_deg`` and ``exponent`` define the first, its properties ``profile`` and ``filename`` the
     second. `offset` determines where the rays start.
 
     Attributes
     ----------
     table : IntensityTable or None
-        Measured or given intensity by direction.
+        Measured or given intensity by direction; None for cosⁿ θ.
     """
 
     in_object_plane = True
@@ -190,7 +198,11 @@ class ConeSource(NearSource):
             self.given = "power", float(POSITIVE.check("power", self.table.flux / per_watt, self.owner))
 
     def _pairs(self, text: str) -> tuple[np.ndarray, np.ndarray]:
-        """Parse the text of an intensity profile; return angles, degrees, and relative intensities, (n,) each."""
+        """
+        Return the angles, degrees, and relative intensities, (n,) each, in the string of an intensity profile.
+
+        Raise `MistrayError` if it is not valid.
+        """
         try:
             pairs = [[float(word) for word in pair.split(":")] for pair in text.split(",")]
             angles, values = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
@@ -204,24 +216,33 @@ class ConeSource(NearSource):
         return angles, values
 
     def edge_samples(self, count: int, within: float) -> np.ndarray | None:
-        """Return points along the edge of its cone, see `LightSource.edge_samples`; an extended source has no edge."""
+        """
+        Return points along the edge of its cone, see `LightSource.edge_samples`.
+
+        An extended source has no edge and returns None.
+        """
         if self.extended:
             return None
         return perimeter(count, within) if self.table is None else self.table.edge_samples(count, within)
 
     def offset(self, place: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
-        """Map points of the unit square to start points of rays in the source's own frame, mm."""
+        """
+        Return the start points of rays, mm, in the source's own frame, for points of the unit square.
+
+        In the base class all rays start from the origin.
+        """
         return mi.Vector3d(0)
 
     def offset_motion(self, name: str, o: mi.Vector3d) -> mi.Vector3d:
-        """Return the derivatives of the start points of `offset`, mm, by parameter `name` of the source."""
+        """Return the derivatives of the start points of `offset`, mm, with respect to the parameter `name`."""
         raise NotImplementedError
 
     def _limit_cone(self, props: mi.Properties, sizes: Sequence[str] = ()) -> None:
         """
         Limit a cone of cosⁿ θ to a hemisphere.
 
-        If a density sets the flux, derivatives by parameters that change it are excluded.
+        If a density sets the flux, derivatives with respect to parameters that change it are excluded. Raise
+        `MistrayError` if a scene gives a larger half angle.
         """
         exponent, angle = self.values["exponent"], self.values["half_angle_deg"]
         if exponent and angle > 90:
@@ -239,7 +260,11 @@ class ConeSource(NearSource):
 
     @property
     def solid_angle(self) -> float:
-        """Effective solid angle ∫ I dΩ for an intensity of 1 on the axis, sr."""
+        """
+        Effective solid angle ∫ I dΩ for an intensity of 1 on the axis, sr.
+
+        Raise `MistrayError` if a table is 0 on the axis.
+        """
         if self.table is not None:
             if not self.table.on_axis > 0:
                 self._fail(f"{self.given[0]} is that on the axis, where its light is 0; give power")

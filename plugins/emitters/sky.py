@@ -37,8 +37,8 @@ class Sky(DistantSource):
 
     .. parameters::
 
-    The flux of a trace is that through the sphere around the scene, radiance · Ω · π R². Mitsuba's ``constant`` is the
-    same full sky, for Mitsuba's own integrators as well.
+    The flux of a trace is that through the sphere of radius R around the scene, radiance · Ω · π R² for a solid angle
+    Ω. Mitsuba's ``constant`` is the same full sky, for Mitsuba's own integrators as well.
 
     .. code-block:: xml
 
@@ -92,7 +92,11 @@ class Sky(DistantSource):
         self.lay(environment(around), height)
 
     def lay(self, radiance: Callable[[np.ndarray], np.ndarray], height: int) -> None:
-        """Set a relative radiance by direction, in the frame of ``to_world``, from a picture of `height` rows."""
+        """
+        Set a relative radiance by direction, in the frame of ``to_world``, from a picture of `height` rows.
+
+        Raise `MistrayError` if the picture is dark.
+        """
         self.picture = SkyMap(radiance, FINER * height)
         if not 0 < self.picture.irradiance < np.inf:
             self._fail(f"the picture has a mean radiance of {self.picture.irradiance:g}; give one with light")

@@ -44,10 +44,10 @@ class Thermal(LightSource):
 
     .. parameters::
 
-    Both sides of a surface emit, with n² of the material there. None is emitted into a metal. An opaque surface without
-    a material emits as in air. The light is unpolarised. Media that absorb also emit; that is not traced, and a warning
-    names them. `mistray.thermal` computes the irradiance of the detector faster, by rays from the detector. This source
-    shows where the emission of each surface goes, on any surface, probe or detector.
+    Both sides of a surface emit, with n² of the material there. Nothing is emitted into a metal. An opaque surface
+    without a material emits as in air. The light is unpolarised. Media that absorb also emit; that is not traced, and a
+    warning names them. `mistray.thermal` computes the irradiance of the detector faster, by rays from the detector.
+    This source shows where the emission of each surface goes, on any surface, probe or detector.
 
     With ``wavelength_nm`` in a call the optics are traced at these wavelengths, and the power is that of the whole
     band. Temperatures have no derivatives.
@@ -84,14 +84,23 @@ class Thermal(LightSource):
     }
 
     def _rules(self, text: str) -> dict[str, float]:
-        """Parse the text of ``parts`` into temperatures, K, by pattern of surface or part names."""
+        """
+        Return the temperatures, K, in the string ``parts``, by pattern of surface or part names.
+
+        Raise `MistrayError` if the string is not valid.
+        """
         owner = f"{self.owner}: parts"
         named = named_values(filter(str.strip, text.split(";")), owner, like="detector=77; shield_*=80")
         kelvins = {name: as_number(kelvin, f"temperature of '{name}'", owner) for name, kelvin in named.items()}
         return ByName(TEMPERATURE_K, "detector=77").check("temperature", kelvins, self.owner)
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
-        """Return the wavelengths of the band's parts, nm, with weights by the warmest surface's blackbody spectrum."""
+        """
+        Return the wavelengths of the band's parts, nm, with weights.
+
+        Weights follow from the blackbody spectrum of the warmest given temperature. Raise `MistrayError` if a property
+        is not valid.
+        """
         if given := [key for key in ("power", *LIGHT) if key in props and key not in BAND]:
             self._fail(
                 f"{given[0]} is given; the scene's own emission takes temperature_K, parts, band_nm and bands alone"
@@ -108,7 +117,11 @@ class Thermal(LightSource):
         return spectrum(f"blackbody:{warmest!r}").light((low, high), bands or DEFAULT_BANDS)
 
     def kelvin(self, *names: str) -> float:
-        """Return the temperature, K, of a surface or part with the given names."""
+        """
+        Return the temperature, K, of a surface or part with the given names.
+
+        It is that of the last rule that fits one of the names, or ``temperature_K`` if no rule fits.
+        """
         found = self.values["temperature_K"]
         for pattern, value in self.rules.items():
             if any(fits(name, pattern) for name in names):
@@ -116,7 +129,11 @@ class Thermal(LightSource):
         return found
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
-        """Return the start ray sources of a trace: each side of each surface at each wavelength at which it emits."""
+        """
+        Return the start ray sources of a trace: each side of each surface at each wavelength at which it emits.
+
+        Raise `MistrayError` if ``parts`` names no surface or part of the scene.
+        """
         first = SurfaceTable(request.system, float(request.wavelengths_nm[0]))
         for pattern in self.rules:
             if not any(fits(name, pattern) for name in (*first.ids, *first.parts)):
@@ -155,7 +172,7 @@ class Thermal(LightSource):
                 )  # fmt: skip
 
     def _radiance(self, kelvin: float, part: int | None) -> float:
-        """Return the radiance of a blackbody in a part of the band, or in all of it, W/mm²/sr."""
+        """Return the radiance of a blackbody, W/mm²/sr, in a part of the band, by index, or in all of it for None."""
         low, high = self.edges_nm[[0, -1]] if part is None else list(pairwise(self.edges_nm))[part]
         return float(band_radiance(kelvin, 1e-3 * low, 1e-3 * high))
 
@@ -188,7 +205,11 @@ class Thermal(LightSource):
         )
 
     def to_string(self) -> str:
-        """Return a text for Mitsuba without the power, which depends on the scene."""
+        """
+        Return a string for Mitsuba with temperatures, K, and the band, nm.
+
+        It is without the power, which depends on the scene.
+        """
         low, high = self.edges_nm[[0, -1]]
         return f"Thermal[{self.values['temperature_K']:g} K, {self.rules}, {low:g} to {high:g} nm]"
 

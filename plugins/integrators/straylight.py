@@ -52,8 +52,8 @@ class StrayLight(mi.CppADIntegrator):
     respect to coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.metrics.parameters`
     lists them. Coatings alone take one reverse run (`mistray.recorders.adjoint`), other parameters a replay of all rays
     (`mistray.gradients.replay`). Branches below ``flux_threshold`` are left out. `mistray.gradient` gives standard
-    errors as well. ``dr.forward`` has no derivatives by scatter and none at rims: for more than coatings ``edges`` must
-    be false. ``polarization="stokes"`` and parameters of Mitsuba's own shapes raise an error.
+    errors as well. ``dr.forward`` has no derivatives with respect to scatter and none at rims: for more than coatings
+    ``edges`` must be false. ``polarization="stokes"`` and parameters of Mitsuba's own shapes raise an error.
 
     .. code-block:: xml
 
@@ -88,7 +88,11 @@ class StrayLight(mi.CppADIntegrator):
         self.edge_width: float | None = take(self, props, "edge_width")
 
     def _settings(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
-        """Return the integrator's settings with ``spp``, which sets the number of rays, and ``seed`` added."""
+        """
+        Return the integrator's settings with `seed` added and the number of rays that `spp` requests.
+
+        An `spp` of 0 keeps the integrator's own number of rays.
+        """
         size = sensor.film().size()
         rays = spp * int(size[0]) * int(size[1]) if spp else self.settings.rays
         own = self.settings.resolved(scene)

@@ -64,7 +64,11 @@ class FarFieldSensor(PassingSensor):
         self.recorder()  # refuses what a far field cannot be
 
     def _edges(self, text: str) -> list[float]:
-        """Return cell borders, degrees, from the text of a list, or of a range with both of its ends."""
+        """
+        Return cell borders, degrees, from a string: a list, or a range ``first:last:step`` with both of its ends.
+
+        Raise `MistrayError` if the string is not valid.
+        """
         try:
             numbers = [float(part) for part in text.replace(":", " ").replace(",", " ").split()]
         except ValueError:

@@ -1,4 +1,4 @@
-"""Base class for sensors that record light in passing, at any position."""
+"""Base class for sensors that record light in passing: at a place of their own, at surfaces, or far away."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class PassingSensor(mi.Sensor):
     placed : bool
         Whether it has a position of its own; otherwise it belongs to surfaces.
     name : str
-        Id of the sensor, under which a trace has its recorder.
+        Id of the sensor, or `what` without one, under which a trace has its recorder.
     matrix : (4, 4) float64
-        Rigid transform from its frame to the world, mm.
+        Rigid transform from its frame to the world, mm; the identity if it belongs to surfaces.
     has_film : bool
-        Whether the scene gives it a film.
+        Whether the scene nests a film in it.
     """
 
     what: ClassVar[str] = "sensor"

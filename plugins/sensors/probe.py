@@ -89,9 +89,9 @@ class ProbeSensor(PassingSensor):
         active: mi.Bool = True,
     ) -> tuple[mi.Ray3f, mi.Color3f]:
         """
-        Return a ray from a random point of the rectangle back along its light, and the weight π.
+        Return a ray from a random point of the rectangle back along its light, and its weight.
 
-        Directions follow the cosine law.
+        Directions follow the cosine law. The weight is π times that of the sampled wavelengths.
         """
         right, up, normal = (mi.Vector3f(*map(float, axis)) for axis in self.matrix[:3, :3].T)
         centre = mi.Point3f(*map(float, self.matrix[:3, 3]))

@@ -184,7 +184,7 @@ class Asphere(Revolution):
             )
 
     def _check_single_precision(self) -> None:
-        """Raise `MistrayError` if a number of the surface is too large for the ray tree, which works in float32."""
+        """Raise `MistrayError` if a parameter of the surface is too large for the ray tree, which works in float32."""
         v, size = self.values, self.outer_radius
         numbers = {"product": v["curvature"] * (1 + v["conic"])}
         numbers |= dict(zip(COEFFICIENTS, in_proportion(self.coefficients, size)[0], strict=True))

@@ -64,7 +64,7 @@ class FormulaShape(mi.Mesh):
     Attributes
     ----------
     properties : mapping of str to Param
-        All that a scene may give, by name; `ranges` and `defaults` of the subclass's own numbers are made from it.
+        All that a scene may give, by name; `ranges` and `defaults` of the subclass's own parameters are made from it.
     values : dict of str to float
         Parameters by name, those of the subclass and then `POSE`.
     base : (4, 4) float64
@@ -112,7 +112,7 @@ class FormulaShape(mi.Mesh):
         self.check()
 
     def check(self) -> None:
-        """Raise `MistrayError` if a value of the shape's parameters is impossible."""
+        """Raise `MistrayError` if a parameter of the shape is out of range, or if parameters do not go together."""
         raise NotImplementedError
 
     @property
@@ -132,12 +132,16 @@ class FormulaShape(mi.Mesh):
 
     @staticmethod
     def vertex_frame(values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:
-        """Return the frame of the vertex, (4, 4) float64, mm, of a surface with given parameters and frame `matrix`."""
+        """
+        Return the frame of the vertex, (4, 4) float64, mm, of a surface with given parameters and frame `matrix`.
+
+        In the base class it is `matrix` itself.
+        """
         return matrix
 
     @property
     def held(self) -> set[str]:
-        """Names of the parameters for which there are no derivatives."""
+        """Names of the parameters for which there are no derivatives; in the base class none."""
         return set()
 
     @property
@@ -173,7 +177,7 @@ class FormulaShape(mi.Mesh):
         """
         Return vertices in the world, (n, 3), mm, and faces, (m, 3).
 
-        Raise `MistrayError` if the mesh is too large.
+        Raise `MistrayError` if it reaches too far from the origin.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             vertices, faces = self._tessellate()
@@ -245,7 +249,11 @@ def take_names(shape: Any, props: mi.Properties) -> None:
 
 
 def curvature_of(shape: FormulaShape, props: mi.Properties, radius: str, curvature: str) -> float:
-    """Return a curvature, 1/mm, given directly or by its radius, mm; radius 0 or inf is a plane."""
+    """
+    Return a curvature, 1/mm, given directly or by its radius, mm; radius 0 or inf is a plane.
+
+    Raise `MistrayError` if both are given.
+    """
     if radius in props and curvature in props:
         raise MistrayError(f"{shape.owner}: give {radius} or {curvature}, not both")
     if radius not in props:

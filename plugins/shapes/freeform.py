@@ -51,7 +51,7 @@ class FreeformShape(FormulaShape):
 
     Examples are biconics, toroids, cylinders, Zernike and other polynomials, off-axis pieces, apertures with spiders,
     and segments. The sag is a sum in the frame of the vertex: a conic of ``curvature`` and ``conic``, and all given
-    numbers of `mistray.physics.sags.terms`. The normal points to +z; the side at -z is the ``front`` of the nested
+    parameters of `mistray.physics.sags.terms`. The normal points to +z; the side at -z is the ``front`` of the nested
     ``interface``, the side at +z its ``back``.
 
     The outline is made of figures in the plane across the axis, one after the other. The first one is an area; ``+``
@@ -165,7 +165,12 @@ class FreeformShape(FormulaShape):
         return float(TERM.typed(props.get(key, default), key, self.owner))
 
     def _figures(self, props: mi.Properties, values: dict[str, float]) -> list[tuple[str, str, int]]:
-        """Return sign, kind and number of sizes of each figure; add the numbers of the figures to `values`."""
+        """
+        Return the sign, kind and number of sizes of each figure; add its parameters to `values`.
+
+        A centred circle or rectangle without figures returns an empty list. Raise `MistrayError` if the outline is not
+        valid.
+        """
         short = tuple(key for key in (*SHORT[1], *SHORT[2]) if key in props)
         clips = [k for k in range(1, MOST_FIGURES + 1) if f"clip_{k}" in props]
         if bool(short) == bool(clips) or clips != list(range(1, len(clips) + 1)):
@@ -218,7 +223,7 @@ class FreeformShape(FormulaShape):
         return Outline(tuple(forms)).with_numbers(v)
 
     def _sag_numbers_of(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the numbers of the sag by name, mm and powers of it, together with its grid, if any."""
+        """Return the parameters of the sag by name, in mm and powers of it, with its grid, if it has one."""
         return {key: values[key] for key in self.values if length_power(key) is not None} | self._grid
 
     def check(self) -> None:
@@ -272,7 +277,11 @@ class FreeformShape(FormulaShape):
         return Freeform.of(local, Outline(tuple(figures)), self._half, self.mechanics, self._way)
 
     def vertex_frame(self, values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:  # type: ignore[override, unused-ignore]
-        """Return the frame of the middle of the outline, (4, 4) float64, mm."""
+        """
+        Return the frame at the middle of the outline, on the surface, (4, 4) float64, mm.
+
+        Its axes are those of `matrix`.
+        """
         frame = np.array(matrix)
         ox, oy = self._middle
         height = float(sag(np.array(ox), np.array(oy), self._sag_numbers_of(values)))
@@ -284,7 +293,7 @@ class FreeformShape(FormulaShape):
         """
         Names of parameters without derivative: radii of polynomials, and a hole of radius 0.
 
-        If there are too many parameters, all but the pose.
+        If there are too many parameters, these are all but those of the pose.
         """
         if len(self._local.sag.numbers) + len(self.outline.numbers()) > len(OWN):
             return set(self.values) - set(MOVES)
@@ -321,7 +330,11 @@ class FreeformShape(FormulaShape):
 
 
 def _read_grid(props: mi.Properties, owner: str) -> dict[str, Grid]:
-    """Return the grid of sags that a property names, under the key `GRID`; empty without the property."""
+    """
+    Return the grid of sags that a property names, under the key `GRID`; empty without the property.
+
+    Raise `MistrayError` if the file cannot be read.
+    """
     if GRID not in props:
         return {}
     name = props[GRID]

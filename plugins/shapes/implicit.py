@@ -24,7 +24,7 @@ class Implicit(Revolution):
     A subclass becomes a plugin by registration, ``mi.register_shape("name", Name)``. It is then traced, recorded and
     drawn, has derivatives with respect to all of its parameters, edges included, and has a mesh for Mitsuba's own
     integrators. It defines the members below. x, y, z are coordinates in its own frame, mm, as arrays of NumPy or
-    Dr.Jit, and n maps names in `numbers` to numbers. `mistray.plugins.shapes.implicit` has `sqrt` and `arctan2` for
+    Dr.Jit, and n maps the names in `numbers` to values. `mistray.plugins.shapes.implicit` has `sqrt` and `arctan2` for
     both arrays.
 
     The normal points in the direction in which F grows, from the ``front`` of the nested ``interface`` to its ``back``.

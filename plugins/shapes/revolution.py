@@ -41,7 +41,7 @@ def revolve(profile: np.ndarray, flipped: bool = False, azimuths: int = AZIMUTHS
     vertices : (n·azimuths, 3) float64
         Corners of the triangles, mm.
     faces : (m, 3) uint32
-        Numbers of the corners of each triangle.
+        Indices of the corners of each triangle.
     """
     count = len(profile)
     phi = np.arange(azimuths) * (2 * np.pi / azimuths)

@@ -114,7 +114,7 @@ class BatoidLight:
         return float(np.nanmin(radius)), float(np.nanmax(radius))
 
     def _turn(self, interface: Any) -> int:
-        """Return the place of an interface in the order in which the design beam first meets surfaces."""
+        """Return the index of an interface in the order in which the design beam first meets surfaces."""
         return next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
 
     def way(self, interface: Any) -> int:
@@ -181,7 +181,7 @@ def pupil(optic: Any) -> tuple[float, float]:
     """
     Return the outer and the inner radius of the beam at the entrance pupil, m.
 
-    If an optic has no pupilSize, as a projector, the beam fills its narrowest aperture ahead of the first mirror.
+    If an optic has no pupilSize, such as a projector, the beam fills its narrowest aperture ahead of the first mirror.
 
     Raises
     ------

@@ -48,8 +48,8 @@ def read_optic(path: str | Path) -> batoid.Optic:
     Raises
     ------
     MistrayError
-        If batoid is missing, the file cannot be read, or it names a type that is not in `TYPES`. Nothing that the file
-        names is evaluated then.
+        If batoid is missing or cannot read the file, or the file names a type that is not in `TYPES`. In the last case
+        nothing that the file names is evaluated.
     """
     parse_optic = package("batoid files need batoid", "batoid.parse", "batoid").parse_optic
     import yaml  # type: ignore[import-untyped]
@@ -101,7 +101,7 @@ def _place(item: dict[str, Any]) -> str:
 
 
 def _reason(item: dict[str, Any], error: Exception) -> str:
-    """Describe what is wrong with an element of a telescope file, from batoid's exception."""
+    """Return the words that say what is wrong with an element of a telescope file, from batoid's exception."""
     if isinstance(error, KeyError):
         return f"has no '{shown([str(error.args[0])])}'"
     if word := _UNKNOWN.search(str(error)):
@@ -113,7 +113,11 @@ def _reason(item: dict[str, Any], error: Exception) -> str:
 
 
 def _types(system: dict[str, Any]) -> Iterator[Any]:
-    """Yield every type name in a telescope file, at any depth, because batoid evaluates these names as code."""
+    """
+    Yield every type name in a telescope file, at any depth, because batoid evaluates these names as code.
+
+    Raise ValueError if the file is nested too deeply or has too many entries.
+    """
     waiting: list[tuple[Any, int]] = [(system, 1)]
     seen = 0
     while waiting:

@@ -24,6 +24,11 @@ def clear_outline(obscuration: Any, radius: float, owner: str) -> Outline:
         Radius at which the clear area ends if the obscuration sets no limit, m.
     owner : str
         Name of the element, for messages.
+
+    Raises
+    ------
+    MistrayError
+        If the obscuration has no counterpart, or figures cannot express the clear area.
     """
     return _outline(obscuration, radius, owner, clear=True)
 
@@ -40,6 +45,11 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
         Radius at which the covered area ends if the obscuration sets no limit, m.
     owner : str
         Name of the element, for messages.
+
+    Raises
+    ------
+    MistrayError
+        If a part of the obscuration has no counterpart, or figures cannot express the covered area.
     """
     return [_outline(part, radius, owner, clear=False) for part in _parts(obscuration)]
 
@@ -69,7 +79,12 @@ def _parts(obscuration: Any) -> Iterator[Any]:
 
 
 def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[OutlineFigure]:
-    """Return the clear or covered area of an obscuration as figures, mm, on a disc of `radius`, m."""
+    """
+    Return the clear area of an obscuration, or the covered area without `clear`, as figures, mm.
+
+    If the first figure is cut away, the area is the rest of a disc of `radius`, m. Raise `MistrayError` if figures
+    cannot express the area.
+    """
     kind = type(obscuration).__name__
     if obscuration is None:
         return [OutlineFigure("circle", "+" if clear else "-", sizes=(radius * M_TO_MM,))]
@@ -95,7 +110,11 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[O
 
 
 def _within(parts: list[OutlineFigure], before: list[OutlineFigure], owner: str) -> list[OutlineFigure]:
-    """Return figures `parts` with "+" replaced by "&", so that they narrow the area of the figures before them."""
+    """
+    Return figures `parts` with "+" replaced by "&", so that they narrow the area of the figures before them.
+
+    Without figures before they stay. Raise `MistrayError` if a later part adds an area.
+    """
     if not before:
         return parts
     if any(figure.sign == "+" for figure in parts[1:]):

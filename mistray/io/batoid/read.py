@@ -64,9 +64,10 @@ def from_batoid(
     optic : batoid.Optic, str or Path
         Usually a CompoundOptic, for example ``batoid.Optic.fromYaml("LSST_r.yaml")``, or a YAML file of one. A file is
         checked before batoid reads it, see `mistray.io.batoid.file`. Pass the path if you do not trust the author of
-        the file, because ``fromYaml`` runs code in it. Supported are Mirror, RefractiveInterface, Lens, CompoundOptic,
-        Detector, Baffle; Plane, Sphere, Paraboloid, Quadric, Asphere, Zernike, Tilted and sums of them; every
-        obscuration.
+        the file, because ``fromYaml`` runs code in it. The elements Mirror, RefractiveInterface, Detector and Baffle
+        are read, alone or in a Lens or a CompoundOptic. So are the surfaces Plane, Sphere, Paraboloid, Quadric,
+        Asphere, Zernike over a full disc, Bicubic, Tilted, and sums of them with one conic and one Bicubic at most.
+        Obscurations of every kind are read.
     wavelength_nm : float
         Vacuum wavelength, nm, at which media become constant indices.
     reflectance : float or None
@@ -92,7 +93,8 @@ def from_batoid(
     Raises
     ------
     MistrayError
-        If batoid is missing, the file cannot be read, or an element has no counterpart; the message names the element.
+        If batoid is missing, the file cannot be read, an element, surface or coating has no counterpart, or
+        `baffle_radius` is not greater than the opening of a baffle. The message names the element.
 
     Examples
     --------
@@ -153,7 +155,24 @@ def _source(optic: Any, wavelength_nm: float, beam: Fill) -> tuple[Source, list[
 
 @dataclass
 class _Reader:
-    """Converter of batoid's optics to surfaces and structures, element by element in the order of light."""
+    """
+    Converter of batoid's optics to surfaces and structures, element by element in the order of light.
+
+    Attributes
+    ----------
+    batoid, optic
+        The package, and the telescope to convert.
+    wavelength_nm, reflectance, baffle_radius, field_deg
+        Arguments of `from_batoid`, in nm, mm and degrees.
+    surfaces, structures, detector
+        Surfaces, structures and detector converted so far; the detector is None at first.
+    direction : (3,) float64
+        Unit vector along the light behind the last mirror so far.
+    group : list of Surface
+        Refracting surfaces since the last mirror, and the detector, which get walls from `close_group`.
+    notes : list of str
+        Assumptions.
+    """
 
     batoid: Any
     optic: Any
@@ -175,7 +194,12 @@ class _Reader:
         return BatoidLight(self.batoid, self.optic, self.wavelength_nm, edge)
 
     def add(self, element: tuple[str, Any]) -> None:
-        """Convert one pair (part, interface) to surfaces or structures, and add them to the telescope."""
+        """
+        Convert one pair (part, interface) to surfaces or structures, and add them to the telescope.
+
+        An interface without optical effect adds nothing. Raise `MistrayError` if the kind of an element has no
+        counterpart.
+        """
         part, interface = element
         kind = type(interface).__name__
         name = _id(interface.name)
@@ -212,7 +236,11 @@ class _Reader:
             )
 
     def close_group(self) -> None:
-        """Add walls between the refracting surfaces of the current group of lenses, and end the group."""
+        """
+        Add walls between the refracting surfaces of the current group of lenses, and end the group.
+
+        A group without a common axis gets a note instead, a single surface nothing.
+        """
         group, self.group = self.group, []
         if len(group) < 2:
             return
@@ -243,7 +271,7 @@ class _Reader:
         """
         Return radius, conic and sag of a surface as arguments of `Surface`, mm.
 
-        Raise `MistrayError` if unsupported.
+        Raise `MistrayError` for a surface that has no counterpart.
         """
         shape: dict[str, Any] = {}
         sag: dict[str, Any] = {}
@@ -274,7 +302,11 @@ class _Reader:
         return shape | ({"sag": sag} if sag else {})
 
     def _with_hole(self, interface: Any, shape: dict[str, Any]) -> dict[str, Any]:
-        """Return a mirror's shape, mm, with a central hole if it is round and light passes there to the detector."""
+        """
+        Return a mirror's shape, mm, with a central hole if it is round and light passes there to the detector.
+
+        A mirror that has a hole keeps it. No hole is made if it would take most of the mirror.
+        """
         if "semi_diameter" not in shape or shape.get("inner_semi_diameter"):
             return shape
         hole = max((outer for _, outer in self.light.crossings(interface)), default=0.0) * M_TO_MM
@@ -326,7 +358,11 @@ class _Reader:
         return Coating(R=float(both[0].reflectivity), T=float(both[0].transmissivity))
 
     def _baffle(self, name: str, interface: Any) -> list[Structure | Surface]:
-        """Return opaque plates, mm, of a baffle, without those already made for an earlier pass of light."""
+        """
+        Return opaque plates, mm, of a baffle, without those already made for an earlier pass of light.
+
+        The list is empty if the baffle has no obscuration, or is the central hole of a flat mirror.
+        """
         if interface.obscuration is None:
             return []
         placing = self._placing(interface)
@@ -359,7 +395,11 @@ class _Reader:
         return False
 
     def _rings(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface] | None:
-        """Return the centred rings of a baffle as structures, mm; None if its obscuration has other parts."""
+        """
+        Return the centred rings of a baffle as structures, mm; [] if light of the design crosses all of it out of turn.
+
+        It is None if the obscuration has other parts, or if a part to be cut away shades light in its turn.
+        """
         whole = self._centred(interface, interface.obscuration)
         if whole is None:
             return None
@@ -383,7 +423,12 @@ class _Reader:
         ]
 
     def _plates(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface]:
-        """Return a plate for each opaque outline of a baffle, as surfaces in mm that shade light from one side."""
+        """
+        Return a plate, a surface in mm, for each opaque outline of a baffle.
+
+        If light also crosses the plates in the opposite direction, they shade only light in the direction of the first
+        pass.
+        """
         owner = f"batoid element '{interface.name}'"
         end = self.light.beam_radius(interface)
         if is_open(interface.obscuration):
@@ -424,7 +469,11 @@ class _Reader:
             self.notes.append(text)
 
     def _centred(self, interface: Any, obscuration: Any) -> list[tuple[float, float]] | None:
-        """Return opaque rings as (inner, outer) radii, m; None if the obscuration is not made of centred rings."""
+        """
+        Return opaque rings as (inner, outer) radii, m; None if the obscuration is not made of centred rings.
+
+        Raise `MistrayError` if `baffle_radius` is not greater than the opening.
+        """
         o = self.batoid.obscuration
         if isinstance(obscuration, o.ObscUnion):
             parts = [self._centred(interface, item) for item in obscuration.items]

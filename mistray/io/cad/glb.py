@@ -29,7 +29,7 @@ DEEPEST = 200  # assemblies within assemblies
 
 @dataclass(frozen=True)
 class Instance:
-    """Placed copy of a mesh in an assembly: number of the mesh, names from the top down, and frame, (4, 4) in mm."""
+    """Placed copy of a mesh in an assembly: index of the mesh, names from the top down, and frame, (4, 4) in mm."""
 
     mesh: int
     names: tuple[str, ...]

@@ -107,9 +107,10 @@ def _is_whole(content: bytes) -> bool:
 
 
 def _obj(path: Path) -> Found:
-    """Return the meshes of an OBJ file, from its ``v``, ``f``, ``o`` and ``g`` lines, and the lines left out.
+    """
+    Return the meshes of an OBJ file, from its ``v``, ``f``, ``o`` and ``g`` lines, and the lines left out.
 
-    Negative vertex numbers count from the last vertex.
+    Negative vertex indices count from the last vertex. Raise `MistrayError` if a line is malformed.
     """
     others: dict[str, list[tuple[int, str]]] = {}
     vertices: list[list[float]] = []

@@ -1,4 +1,4 @@
-"""Parts of a CAD or mesh file: triangles with their face numbers and, from STEP, the surfaces of the faces."""
+"""Parts of a CAD or mesh file: triangles with the indices of their faces and, from STEP, the surfaces of the faces."""
 
 from __future__ import annotations
 
@@ -57,11 +57,12 @@ class CadPart:
     vertices : (n, 3) float64
         Positions of the vertices, mm.
     triangles : (m, 3) int64
-        Vertex numbers of each triangle, counter-clockwise seen from outside the body if the file is correct.
+        Indices of the vertices of each triangle, counter-clockwise as seen from outside the body if the file is
+        correct.
     faces : (m,) int64
-        Number of the face of each triangle, from 0 in the order of the file.
+        Index of the face of each triangle, from 0 in the order of the file.
     surfaces : mapping of int to RoundSurface
-        Exact surfaces, keyed by face number, of the faces whose surface is known.
+        Exact surfaces, keyed by the index of the face, of the faces whose surface is known.
     """
 
     name: str
@@ -74,7 +75,7 @@ class CadPart:
     surfaces: Mapping[int, RoundSurface] = field(default_factory=dict)
 
     def face_name(self, face: int) -> str:
-        """Return the name of a face, ``<part>_face_<number>``."""
+        """Return the name of the face with a given index, ``<part>_face_<index>``."""
         return f"{self.name}_face_{face}"
 
     def moved(self, matrix: np.ndarray) -> CadPart:
@@ -86,6 +87,11 @@ class CadPart:
         matrix : (4, 4) float64
             Affine transform, translation in mm. If it mirrors, the order of vertices is reversed, so that normals still
             point outwards. Exact surfaces are kept only if it preserves angles.
+
+        Raises
+        ------
+        MistrayError
+            If the transform flattens the part.
         """
         linear, shift = matrix[:3, :3], matrix[:3, 3]
         scale = float(np.cbrt(abs(np.linalg.det(linear))))

@@ -59,7 +59,7 @@ def read_step(
     Raises
     ------
     MistrayError
-        If the file is no STEP file, is cut off, holds no faces or takes too long, or if cascadio is missing.
+        If the file is not a STEP file, is cut off, holds no faces or takes too long, or if cascadio is missing.
     """
     data = read_file(path, "STEP file")
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(START):

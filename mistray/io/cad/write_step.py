@@ -24,13 +24,13 @@ UNCERTAINTY_MM = 1e-6  # points that are nearer to each other than this are one
 
 
 def real(value: float) -> str:
-    """Format a number as Part 21 requires, with a decimal point and all its digits."""
+    """Return a number as Part 21 requires it, with a decimal point and all its digits."""
     mantissa, letter, exponent = repr(float(value) + 0.0).partition("e")
     return (mantissa if "." in mantissa else f"{mantissa}.") + (f"E{exponent}" if letter else "")
 
 
 def text(value: str) -> str:
-    """Format a string as Part 21 requires; characters beyond ASCII become their UTF-16 codes."""
+    """Return a string as Part 21 requires it, in quotes; characters beyond ASCII become their UTF-16 codes."""
     parts = []
     for letter in value:
         if letter in "'\\":
@@ -43,17 +43,17 @@ def text(value: str) -> str:
 
 
 def refs(numbers: Iterable[int]) -> str:
-    """Format references to entities as a list in Part 21 syntax, such as ``(#1,#2)``."""
+    """Return references to entities as a list in Part 21 syntax, such as ``(#1,#2)``."""
     return f"({','.join(f'#{number}' for number in numbers)})"
 
 
 def reals(values: Iterable[float]) -> str:
-    """Format numbers as a list in Part 21 syntax, such as ``(0.,1.5)``."""
+    """Return numbers as a list in Part 21 syntax, such as ``(0.,1.5)``."""
     return f"({','.join(map(real, values))})"
 
 
 def _grouped(knots: Array) -> tuple[str, str]:
-    """Format the multiplicities and the distinct values of a knot vector as two lists in Part 21 syntax."""
+    """Return the multiplicities and the distinct values of a knot vector as two lists in Part 21 syntax."""
     values, counts = np.unique(knots, return_counts=True)
     return f"({','.join(map(str, counts.tolist()))})", reals(values)
 

@@ -78,13 +78,17 @@ class SeqCommand:
         return word[:3] if word.isalpha() else word
 
     def numbers(self) -> list[float]:
-        """Words behind the name of the command as numbers, at least one."""
+        """Return the words behind the name of the command as numbers; raise `MistrayError` without any."""
         if len(self.words) < 2:
             raise MistrayError(f"'{self.text}': no value; give one at least")
         return [self.number(place) for place in range(len(self.words) - 1)]
 
     def number(self, place: int = 0) -> float:
-        """Return the value at a place behind the command's name, by default the first, as a finite number."""
+        """
+        Return the value at a place behind the command's name, by default the first, as a finite number.
+
+        Raise `MistrayError` if there is none.
+        """
         word = self.words[1 + place] if len(self.words) > 1 + place else ""
         value = finite_of(word)
         if value is None:
@@ -92,7 +96,11 @@ class SeqCommand:
         return value
 
     def positive(self, place: int = 0) -> float:
-        """Return the value at a place behind the command's name, by default the first, as a number above 0."""
+        """
+        Return the value at a place behind the command's name, by default the first, as a number above 0.
+
+        Raise `MistrayError` if there is none.
+        """
         value = self.number(place)
         if value <= 0:
             raise MistrayError(f"'{self.text}': {value:g}; it must be greater than 0")

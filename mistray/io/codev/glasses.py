@@ -118,10 +118,10 @@ class CodevGlasses(FileGlasses):
 
 def table_material(wavelengths_nm: Sequence[float], indices: Sequence[float], used_nm: Sequence[float]) -> str:
     """
-    Return the material string of a table of indices, with added points at the wavelengths of the lens, nm.
+    Return the material string of a table of indices over wavelength, nm, with points added at those of the lens.
 
-    The added points are interpolated by a cubic in 1/λ² through the nearest four. mistray interpolates tables linearly,
-    which between points 50 nm apart gives an index error of 2e-4.
+    The added points, at the lens's wavelengths within the table, are interpolated by a cubic in 1/λ² through the
+    nearest four. mistray interpolates tables linearly, which between points 50 nm apart gives an index error of 2e-4.
     """
     order = np.argsort(wavelengths_nm)
     x, n = np.asarray(wavelengths_nm, dtype=float)[order], np.asarray(indices, dtype=float)[order]

@@ -51,7 +51,11 @@ _FIELD_KINDS: dict[str, FieldKind] = {
 
 
 def _inverse(radius: float) -> float:
-    """Return the curvature for a radius, in the inverse of its unit; radius 0 means a plane."""
+    """
+    Return the curvature for a radius, in the inverse of its unit; radius 0 means a plane.
+
+    Raise `MistrayError` if the radius is too small for a finite curvature.
+    """
     curvature = 1 / radius if radius else 0.0
     if math.isinf(curvature):
         raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")
@@ -178,7 +182,11 @@ class _Reader:
     # Commands
 
     def take(self, command: SeqCommand) -> None:
-        """Process one command: store what it states, or list it as unread."""
+        """
+        Process one command: store what it states, or list it as unread.
+
+        Raise `MistrayError` if the command changes the lens in a way that is not read.
+        """
         name = command.name
         if self.ended:
             self._skip(command, "after GO: commands that analyse the lens")
@@ -204,7 +212,12 @@ class _Reader:
         self.unread.append(Unread(command.line, command.text, reason))
 
     def _system(self, command: SeqCommand) -> bool:
-        """Process a command about the whole system; return False if it is not one."""
+        """
+        Process a command about the whole system; return False if it is not one.
+
+        Raise `MistrayError` if it states an unknown unit, a second kind of fields, or another radius mode than the
+        caller's.
+        """
         name, words = command.name, command.words[1:]
         if name == "LEN":
             pass
@@ -249,7 +262,11 @@ class _Reader:
 
     @staticmethod
     def _listed(command: SeqCommand, known: list[float]) -> list[float]:
-        """Return the values of a command for all fields. In ``YAN F2 10`` it is `known` with one value replaced."""
+        """
+        Return the values of a command for all fields. In ``YAN F2 10`` it is `known` with one value replaced.
+
+        Raise `MistrayError` if the number of a field is below 1.
+        """
         words = command.words[1:]
         if not words or not re.fullmatch(r"[Ff]\d{1,3}", words[0]):
             return command.numbers()
@@ -261,7 +278,12 @@ class _Reader:
         return found
 
     def _catalogue(self, command: SeqCommand) -> None:
-        """Process a line of the private glass catalogue, between PRV and END."""
+        """
+        Process a line of the private glass catalogue, between PRV and END.
+
+        A glass given by coefficients is listed as unread. Raise `MistrayError` if a glass does not have one index for
+        each wavelength.
+        """
         if command.name == "PWL":
             self.table_nm = command.numbers()
             return
@@ -274,7 +296,11 @@ class _Reader:
         self.tables[command.words[0].upper()] = self.table_nm, indices
 
     def _surface(self, command: SeqCommand, which: str) -> None:
-        """Process ``S``, ``S3``, ``SO`` or ``SI``, with curvature or radius, thickness and glass."""
+        """
+        Process ``S``, ``S3``, ``SO`` or ``SI``, with curvature or radius, thickness and glass.
+
+        ``S`` without a number adds a surface. Raise `MistrayError` if a number leaves out a surface.
+        """
         if which == "O":
             surface = self.object
         elif which == "I":
@@ -311,7 +337,11 @@ class _Reader:
             self.glass_words.append((surface, word, line))
 
     def _of_surface(self, command: SeqCommand) -> bool:
-        """Process a command about surfaces; return False if it is not one."""
+        """
+        Process a command about surfaces; return False if it is not one.
+
+        Raise `MistrayError` if no surface has been stated so far and the command names none.
+        """
         name = command.name
         takers = {
             "GLA": self._take_glass,
@@ -414,7 +444,11 @@ class _Reader:
     # The lens
 
     def lens(self) -> Sequential:
-        """Return the lens of all commands, in mm and degrees."""
+        """
+        Return the lens of all commands, in mm and degrees.
+
+        Raise `MistrayError` if there is no surface or wavelength, or the reference wavelength is not one of them.
+        """
         if not self.surfaces:
             raise MistrayError("it has no surface; a lens has lines 'S curvature thickness glass'")
         wavelengths = self.wavelengths

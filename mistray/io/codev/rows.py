@@ -38,7 +38,7 @@ class CodevSurface:
     curvature_x : float
         Curvature in x, 1/unit.
     extra : dict of str to float
-        Further numbers of the surface type, by command name.
+        Further coefficients of the surface type, in units of the file, by command name.
     moves : dict of str to float
         Shifts (unit) and tilts (degrees), keyed by the first letters of XDE … CDE.
     mode : str
@@ -76,7 +76,7 @@ def rows_of(
     Parameters
     ----------
     surface, number
-        Surface and its number.
+        Surface, and its number as counted by the file.
     unit_mm : float
         Length of the file's unit, mm.
     before : str
@@ -85,6 +85,11 @@ def rows_of(
         List to which apertures without a counterpart are added.
     **more
         Further fields of the row, such as ``stop``.
+
+    Raises
+    ------
+    MistrayError
+        If an XTO is tilted or decentred, or a coefficient of the surface type is unknown.
     """
     material = before if surface.mirror else surface.material or "air"
     orders = range(max(surface.coefficients, default=-1) + 1)
@@ -126,7 +131,8 @@ def _moves(surface: CodevSurface, unit_mm: float) -> tuple[Decentre | None, Dece
     """
     Return the moves of the frame, mm and degrees, before and behind a surface.
 
-    R is the rotation of the surface. REV applies the inverse of (shift, R) behind the surface. For BEN, the old axis ẑ
+    Either is None if there is no such move. R is the rotation of the surface. REV applies the inverse of (shift, R)
+    behind the surface. For BEN, the old axis ẑ
     is R⁻¹ẑ in the frame of the surface. Its reflection there, a half turn about z, is R_z(-γ) R_y(β) R_x(α) ẑ, since R
     = R_x(α) R_y(β) R_z(γ). So the angles α, β and -γ apply in the opposite order.
     """
@@ -184,7 +190,11 @@ def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> d
 
 
 def _figures(sizes: dict[str, float]) -> list[OutlineFigure]:
-    """Return outline figures, mm, for the sizes, mm by keyword, of one kind of aperture, centred at the origin."""
+    """
+    Return outline figures, mm, for the sizes, mm by keyword, of one kind of aperture, centred at the origin.
+
+    A half size that is missing is unlimited for a rectangle, and equal to the other one for an ellipse.
+    """
     found = []
     if "CIR" in sizes:
         found.append(OutlineFigure("circle", sizes=(sizes["CIR"],)))

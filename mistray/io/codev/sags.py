@@ -9,14 +9,15 @@ wrote. Here c is the curvature in y (CUY, RDY) and cx the curvature in x (CUX, R
 - ``SPS``: a conic (K, or C1) and terms over r = NRADIUS:
 
   - ``XYP``: Σ Cj (x/r)^m (y/r)^n; C2 is of x, C3 of y, C4 of x², C5 of xy, ….
-  - ``ZRN``: standard Zernike polynomials, 1 at the rim; C(j+1) is that of number j in the order of CODE V, which is
+  - ``ZRN``: standard Zernike polynomials, 1 at the rim; C(j+1) is that of index j in the order of CODE V, which is
     1, ρ cos φ, ρ sin φ, ρ² cos 2φ, 2ρ² - 1, ρ² sin 2φ, …. C69 is NRADIUS.
-  - ``ZFR``: Fringe Zernike polynomials; C2 is NRADIUS, C(j+3) that of number j.
+  - ``ZFR``: Fringe Zernike polynomials; C2 is NRADIUS, C(j+3) that of index j.
   - ``ODD``: AR1, AR2, … (C2, C3, …) of ρ, ρ², …, NRADIUS (C33) 1 where it is missing or 0. R1, A2, R3 … of no command
     are coefficients of r, r², r³ …, as other programs have them.
 
-Places of the numbers of ZRN and ZFR: macro ``cv2macos.seq`` of the repository nasa-jpl/MACOS_resources, which reads
-them from CODE V; the order of ZRN also follows from the files of its folder rodgers3, whose mirrors are symmetric.
+Places of the coefficients of ZRN and ZFR: macro ``cv2macos.seq`` of the repository nasa-jpl/MACOS_resources, which
+reads them from CODE V; the order of ZRN also follows from the files of its folder rodgers3, whose mirrors are
+symmetric.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _ZRN_TERMS, _ZFR_TERMS, _ODD_TERMS = 66, 37, 30
 
 def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, float], unit: float) -> dict[str, float]:
     """
-    Return the numbers that define the sag of a special surface, as for `Row.sag`, in mm and powers of it.
+    Return the parameters that define the sag of a special surface, as for `Row.sag`, in mm and powers of it.
 
     Parameters
     ----------
@@ -50,7 +51,8 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
     conic : float
         Conic constant in y.
     extra : mapping of str to float
-        Coefficients by name: KX, AR, AP, …; for special surfaces NRADIUS, C2, C3, … and names of terms.
+        Coefficients in units of the file, by name: KX, AR, AP, …; for special surfaces NRADIUS, C2, C3, … and names of
+        terms.
     unit : float
         Length of the file's unit, mm.
 
@@ -105,7 +107,11 @@ def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
 
 
 def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Return Zernike coefficients and normalisation radius of a ZRN or ZFR surface, mm, by their names in `Row.sag`."""
+    """
+    Return Zernike coefficients and normalisation radius of a ZRN or ZFR surface, mm, by their names in `Row.sag`.
+
+    If all coefficients are 0, the result is empty. Raise `MistrayError` if the normalisation radius is not above 0.
+    """
     radius_place, first, terms = ("C69", 1, _ZRN_TERMS) if kind == "ZRN" else ("C2", 3, _ZFR_TERMS)
     radius = extra.get("NRADIUS") or extra.get(radius_place, 0.0)
     ignored = {radius_place, *(("C68",) if kind == "ZRN" else ("C3",))}  # the number of the last term
@@ -128,20 +134,24 @@ def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, f
 
 
 def standard_orders(j: int) -> tuple[int, int]:
-    """Return radial order n and azimuthal order m of ZRN Zernike number `j`; m < 0 stands for a sine."""
+    """Return radial order n and azimuthal order m of the ZRN Zernike polynomial of index `j`; m < 0 is a sine."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     place = j - n * (n + 1) // 2 - 1  # 0 … n
     return n, n - 2 * place
 
 
 def noll_number(n: int, m: int) -> int:
-    """Return the Noll number of the standard Zernike polynomial of orders n (radial) and m (azimuthal)."""
+    """Return the Noll index of the standard Zernike polynomial of orders n (radial) and m (azimuthal)."""
     first = n * (n + 1) // 2 + 1
     return next(j for j in range(first, first + n + 1) if noll_orders(j) == (n, m))
 
 
 def _place(name: str, kind: str, head: str, first: int, terms: int) -> int:
-    """Return the index of a polynomial term named as Z5, or as the coefficient C6; 0 for other names."""
+    """
+    Return the index of a polynomial term named as Z5, or as the coefficient C6; 0 for names of other quantities.
+
+    Raise `MistrayError` for an unknown name.
+    """
     if name in ("NRADIUS", "K", "KX", "C1") or re.fullmatch(r"[AR]\d+", name):
         return 0
     by_name = re.fullmatch(rf"{head}(\d{{1,3}})", name)

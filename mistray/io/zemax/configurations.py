@@ -1,4 +1,4 @@
-"""Selection of a configuration of a .zmx file: its numbers replace those that the file was saved with.
+"""Selection of a configuration of a .zmx file: its values replace those that the file was saved with.
 
 ``MNUM n k`` gives the number of configurations and the one that the file was saved in. Lines ``OPERAND place
 configuration value …`` behind the surfaces hold the differences. Operands, from OpticStudio's multi-configuration
@@ -34,7 +34,7 @@ _APERTURES = ("ENPD", "FNUM", "OBNA")
 
 def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     """
-    Write the numbers of a configuration into the lines of the system and the surfaces.
+    Write the values of a configuration into the lines of the system and the surfaces.
 
     Parameters
     ----------
@@ -88,7 +88,11 @@ def _name(line: ZemaxLine) -> str:
 
 
 def _set(sections: Sections, line: ZemaxLine) -> None:
-    """Write the value of a configuration operand into the line of the lens data that it overrides."""
+    """
+    Write the value of a configuration operand into the line of the lens data that it overrides.
+
+    Raise `MistrayError` if the operand is not read, or its surface or field does not exist.
+    """
     place = _whole(line, 0)
     if line.key in _OF_SURFACE:
         if not 0 <= place < len(sections.surfaces):

@@ -1,6 +1,6 @@
 """Lookup of glasses as Zemax files name them: ``GLAS name flag pickup nd Vd dPgF …``.
 
-Flag 0 is a glass of the catalogues that the file lists (``GCAT``); the numbers behind it are left over from earlier.
+Flag 0 is a glass of the catalogues that the file lists (``GCAT``); the values behind it are left over from earlier.
 Flag 1 is a model glass of nd and Vd (Vd 0: no dispersion). Flag 2 is a pickup from another surface, 3 a glass that
 optimisation may replace, and 4 a glass with an offset. Source: OpticStudio help, "Glass solves", in the order of its
 list; checked against files that OpticStudio wrote.

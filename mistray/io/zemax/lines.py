@@ -91,7 +91,7 @@ class ZemaxLine:
     number : int
         Line number, from 1.
     text : str
-        Line without surrounding blanks.
+        Line without spaces around it.
     key : str
         First word in capitals, the keyword.
     words : tuple of str
@@ -131,7 +131,7 @@ class ZemaxLine:
         Raises
         ------
         MistrayError
-            If the word is missing or no finite number.
+            If the word is missing or is not a finite number.
         """
         if place >= len(self.words):
             raise self.error(f"'{self.shown}' ends before {what}; complete it")
@@ -141,7 +141,11 @@ class ZemaxLine:
         return number
 
     def whole(self, place: int = 0, what: str = "a whole number", default: int | None = None) -> int:
-        """Return the word at a place behind the keyword as a whole number, or `default` if the line is too short."""
+        """
+        Return the word at a place behind the keyword as a whole number, or `default` if the line is too short.
+
+        Raise `MistrayError` if it is not a whole number, or is missing and there is no default.
+        """
         if default is not None and place >= len(self.words):
             return default
         value = self.value(place, what)
@@ -150,7 +154,7 @@ class ZemaxLine:
         return int(value)
 
     def values(self, what: str = "numbers") -> tuple[float, ...]:
-        """Return all words behind the keyword as numbers."""
+        """Return all words behind the keyword as numbers; raise `MistrayError` if one is not a number."""
         return tuple(self.value(place, what) for place in range(len(self.words)))
 
     def unread(self, reason: str) -> Unread:

@@ -20,7 +20,7 @@ have no effect.
 ``OBDC x y``               centre of the aperture
 ``COAT name``              name of a coating in a coating file
 ``COMM text``, ``STOP``    name; aperture stop
-``SCBD 1 o p …``           the frame moves before the surface: order, 0 for numbers of its own, then as COORDBRK
+``SCBD 1 o p …``           the frame moves before the surface: order, 0 for values of its own, then as COORDBRK
 =========================  ========================================================================================
 
 Tilts. OpticStudio rotates the frame about x, then about the new y, then about the newest z: R = Rx·Ry·Rz. Rotations are
@@ -99,8 +99,8 @@ def read_zemax(
     Raises
     ------
     MistrayError
-        If the file is missing or broken, is not sequential, has an unsupported surface type, or a glass is unknown. The
-        message names the line.
+        If the file is missing or broken, is not sequential, has an unsupported surface type, or a glass, a coating or
+        the configuration is unknown. The message names the line.
 
     Examples
     --------
@@ -139,7 +139,11 @@ class _Reader:
         self.materials: dict[int, str] = {}
 
     def sequential(self, note: str = "") -> Sequential:
-        """Return the lens as read; a `note` is added to its notes."""
+        """
+        Return the lens as read; a `note` is added to its notes.
+
+        A paraxial working F-number of a near object is converted to the object-space NA.
+        """
         if note:
             self.notes.append(note)
         distance, material = self._object(self.sections.surfaces[0])
@@ -179,7 +183,11 @@ class _Reader:
         return replace(lens, aperture_kind="object_na", aperture=cone, notes=(*lens.notes, note))
 
     def _object(self, section: ZemaxSection) -> tuple[float, str]:
-        """Return the distance of the object, mm, from its section, and the material behind it."""
+        """
+        Return the distance of the object, mm, from its section, and the material behind it.
+
+        Raise `MistrayError` if the object is not of type STANDARD.
+        """
         kind = section.take("TYPE")
         if kind is not None and kind.word(0).upper() != "STANDARD":
             raise kind.error(f"the object is of type '{kind.word(0)}'; mistray knows STANDARD objects")
@@ -239,7 +247,7 @@ class _Reader:
         return Decentre(x=x * self.unit, y=y * self.unit, tilt_deg=(tilt[0], tilt[1], tilt[2]), tilt_first=order != 0)
 
     def _rest(self, n: SagNumbers, kind: str) -> None:
-        """List as unread the numbers of a surface that its Zemax type `kind` does not use."""
+        """List as unread the values of a surface that its Zemax type `kind` does not use."""
         self.unread += [line.unread(f"{n.owner}: {kind} has no {what}") for what, line in n.left()]
 
     def _surface(self, number: int, section: ZemaxSection, before: str, image: bool, name: str) -> Row:
@@ -284,7 +292,11 @@ class _Reader:
         return self.glasses.material(line, self.materials), False
 
     def _aperture(self, section: ZemaxSection) -> dict[str, Any]:
-        """Return the clear semi-diameter (mm), whether it stops light, and stated apertures, as arguments of `Row`."""
+        """
+        Return the clear semi-diameter (mm), whether it stops light, and stated apertures, as arguments of `Row`.
+
+        Raise `MistrayError` if there are two apertures, or the radii of a floating one do not ascend.
+        """
         diameter = section.take("DIAM")
         drawn = abs(diameter.value(0, "a semi-diameter")) * self.unit if diameter else 0.0
         floating = section.take("FLAP")
@@ -314,7 +326,8 @@ class _Reader:
         """
         Return the outline, mm, that a line of an aperture or obscuration in the Zemax file describes.
 
-        None, for an aperture from a user's file, means that it stops no light.
+        None, for an aperture from a user's file, means that it stops no light. Raise `MistrayError` if its radii or
+        half widths are not valid.
         """
         if line.key not in _FIGURES and line.key != "SPID":
             self.unread.append(

@@ -39,17 +39,17 @@ _HIGHEST_EVEN = 20  # order that a surface of revolution takes
 @dataclass
 class SagNumbers:
     """
-    Numbers that describe the sag of a surface in a Zemax file, in lens units.
+    Parameters of the sag of a surface in a Zemax file, in lens units.
 
     Attributes
     ----------
     owner : str
         Name of the surface, for messages.
     parameters, extra : dict of int to float
-        PARM and XDAT values, keyed by number. A surface type removes the ones that it uses, so that the rest can be
+        PARM and XDAT values, keyed by index. A surface type removes the ones that it uses, so that the rest can be
         reported.
     lines : dict of (str, int) to ZemaxLine
-        Lines of the values, keyed by keyword and number.
+        Lines of the values, keyed by keyword and index.
     unit : float
         Lens unit, mm.
     semi_diameter : float
@@ -65,7 +65,11 @@ class SagNumbers:
 
     @classmethod
     def of(cls, section: ZemaxSection, unit: float, semi_diameter: float = 0.0) -> SagNumbers:
-        """Return the numbers in the PARM and XDAT lines of a surface's section, and remove these lines."""
+        """
+        Return the values in the PARM and XDAT lines of a surface's section, and remove these lines.
+
+        Raise `MistrayError` if an index is out of range or occurs twice.
+        """
         found = cls(section.name, unit, semi_diameter)
         for key, values, most in (("PARM", found.parameters, MOST_PARAMETERS), ("XDAT", found.extra, MOST_EXTRA)):
             for line in section.take_all(key):
@@ -84,7 +88,11 @@ class SagNumbers:
         return self.parameters.pop(place, 0.0)
 
     def series(self) -> tuple[float, tuple[float, ...]]:
-        """Remove and return the normalisation radius (lens units; 1 without terms) and the terms in the extra data."""
+        """
+        Remove and return the normalisation radius (lens units; 1 without terms) and the terms in the extra data.
+
+        Raise `MistrayError` if there are terms without a positive radius.
+        """
         count = self.extra.pop(1, 0.0)
         radius = self.extra.pop(2, 0.0)
         terms = trimmed(self.extra.pop(2 + k, 0.0) for k in range(1, int(max(count, 0.0)) + 1))
@@ -94,7 +102,7 @@ class SagNumbers:
         return radius or 1.0, terms
 
     def left(self) -> list[tuple[str, ZemaxLine]]:
-        """Return the names, such as "parameter 3", of numbers that are not 0 and were not used, with their lines."""
+        """Return the names, such as "parameter 3", of values that are not 0 and were not used, with their lines."""
         rest = [("PARM", place) for place, value in self.parameters.items() if value]
         rest += [("XDAT", place) for place, value in self.extra.items() if value]
         return [(f"{'parameter' if key == 'PARM' else 'extra datum'} {n}", self.lines[key, n]) for key, n in rest]
@@ -202,11 +210,16 @@ def figure_of(kind: str, n: SagNumbers, curvature: float, conic: float, head: Ze
     kind : str
         Surface type, one of `KINDS`.
     n : SagNumbers
-        Numbers of the surface; ones that the type does not use stay in it.
+        Parameters of the surface; those that the type does not use stay in it.
     curvature, conic : float
         Curvature, 1/lens unit, and conic constant.
     head : ZemaxLine
         First line of the surface, for messages.
+
+    Raises
+    ------
+    MistrayError
+        If the parameters of the type are not valid, or mistray has no such term.
     """
     curved = 0.0 if kind == "TILTSURF" else curvature / n.unit
     found = {
@@ -292,7 +305,7 @@ _SHAPES = ("curvature_x", "toroid_curvature")
 
 
 def _written_zernikes(given: dict[str, float], kind: str) -> dict[int, float]:
-    """Return Zemax's extra data, by number, for the Zernike terms in `given`, and remove them there."""
+    """Return Zemax's extra data, by index, for the Zernike terms in `given`, and remove them there; {} without any."""
     terms = {int(name.rpartition("_")[2]): name for name in given if name.startswith(f"{kind}_") and name[-1].isdigit()}
     radius = given.pop(f"{kind}_radius", 1.0)
     if not terms:

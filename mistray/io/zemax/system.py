@@ -77,7 +77,7 @@ def read_system(section: ZemaxSection, path: Path) -> System:
     Raises
     ------
     MistrayError
-        If the file is not sequential, a number is missing or out of its range; the message names file and line.
+        If the file is not sequential, or a value is missing or out of its range; the message names file and line.
     """
     return _Reader(section, path).system()
 
@@ -256,7 +256,11 @@ def _nm(line: ZemaxLine, um: float) -> float:
 
 
 def _field_angles(head: ZemaxLine, azimuth: float, elevation: float) -> tuple[float, float]:
-    """Return field angles in x and y, degrees, whose tangents give the direction, from theodolite angles, degrees."""
+    """
+    Return field angles in x and y, degrees, whose tangents give the direction, from theodolite angles, degrees.
+
+    Raise `MistrayError` for angles of 90° or more.
+    """
     if max(abs(azimuth), abs(elevation)) >= 90:
         raise head.error(f"field of theodolite angles {azimuth:g}, {elevation:g} degrees; both must be within ±90")
     cosine = math.cos(math.radians(azimuth))

@@ -57,8 +57,8 @@ def write_zemax(lens: Sequential, path: str | Path) -> tuple[str, ...]:
     Raises
     ------
     MistrayError
-        If a surface has polynomial terms beyond r¹⁶, the lens has more than 24 wavelengths, a material has no index at
-        one of them, or the file cannot be written.
+        If no surface type of .zmx files has all terms of a sag, the lens has more than 24 wavelengths, a material has
+        no index at one of them, or the file cannot be written.
 
     Examples
     --------
@@ -308,7 +308,7 @@ def _moves(decentre: Decentre, *, undo: bool = False) -> list[_Break]:
 
 
 def _number(value: float) -> str:
-    """Return the shortest text that reads back as the same number."""
+    """Return the shortest string that reads back as the same number."""
     return repr(float(value)).removesuffix(".0").upper()
 
 

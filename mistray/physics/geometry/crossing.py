@@ -23,7 +23,8 @@ class SurfaceCrossing:
     coincide : bool
         Whether the surfaces coincide throughout the aperture that they share.
     r : float
-        Smallest radius at which the surfaces meet, to the spacing of the samples, mm.
+        Smallest radius at which the surfaces meet, mm. It is the inner radius of the shared ring if they coincide, and
+        the first sampled radius beyond the crossing if they cross.
     """
 
     coincide: bool

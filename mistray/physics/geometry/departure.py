@@ -2,7 +2,7 @@
 
 Zernike, Forbes's, XY and other polynomials have coefficients that cancel: a sum of powers in float32 loses digits with
 every order. In Chebyshev polynomials over the surface's own box no coefficient exceeds the departure itself. Sags that
-are no polynomials (a toroid, a biconic) are approximated at an exponential rate. See L. N. Trefethen, *Approximation
+are not polynomials (a toroid, a biconic) are approximated at an exponential rate. See L. N. Trefethen, *Approximation
 Theory and Approximation Practice* (2013), chapters 3 and 8.
 """
 
@@ -42,7 +42,11 @@ class Form:
 
     @property
     def terms(self) -> tuple[tuple[int, int], ...]:
-        """Orders in x and in y of each polynomial, in the order of the coefficients."""
+        """
+        Orders in x and in y of each polynomial, in the order of the coefficients; empty for no departure.
+
+        A coordinate in which the departure is even has even orders only.
+        """
         return tuple(
             (i, j)
             for j in range(0, self.degree + 1, 2 if self.even_y else 1)
@@ -98,7 +102,7 @@ class BoxDeparture:
     coefficients : (n,) float64
         Coefficients in the order of `form.terms`, mm.
     error, slope_error : float
-        Largest difference from the exact departure within the outline, mm, and from its slope.
+        Largest difference from the exact departure within the outline, mm, and from its slope, dimensionless.
     """
 
     form: Form
@@ -114,18 +118,22 @@ class BoxDeparture:
         """
         Return the polynomial departure that approximates a given function.
 
+        It has no terms if the function is negligible.
+
         Parameters
         ----------
         sag : callable
-            Exact departure, mm, for arrays of x and y, mm; NaN if it does not exist.
+            Exact departure, mm, for arrays of x and y, mm; NaN outside its domain.
         half : (2,) float
             Half sizes of the box, mm.
         x, y : (n,) float64
-            Points at which the error is measured, mm.
+            Points at which the error is measured, mm. Coefficients are fitted to them if the departure is NaN in the
+            box.
         enough : float
             Error below which no higher degree is tried, mm.
         form : Form, optional
-            Form of the result; by default the smallest form that is accurate enough.
+            Form of the result; by default the smallest one that is accurate enough, or the most accurate one if none
+            is.
         """
         half = (OVERLAP * half[0], OVERLAP * half[1])
         exact = sag(x, y)
@@ -176,7 +184,12 @@ def _polynomials(u: Any, degree: int) -> tuple[list[Any], list[Any]]:
 
 
 def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return Chebyshev coefficients of a sag by x and y order, (degree + 1, degree + 1), mm; 0 above total `degree`."""
+    """
+    Return Chebyshev coefficients of a sag by x and y order, (degree + 1, degree + 1), mm; 0 above total `degree`.
+
+    They interpolate over the box of half sizes `half`, mm. If the sag is not defined in all of it, they are fitted to
+    the points `x`, `y`, mm.
+    """
     count = 2 * degree + 2
     nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     values = sag(half[0] * nodes[:, None], half[1] * nodes[None, :])

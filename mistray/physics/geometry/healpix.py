@@ -1,4 +1,4 @@
-"""HEALPix pixels of a sky: 12 N² parts of the sphere of equal area, numbered by rings or nested.
+"""HEALPix pixels of a sky: 12 N² parts of the sphere of equal area, indexed along rings or nested.
 
 K. M. Górski et al., "HEALPix: a framework for high-resolution discretization and fast analysis of data distributed on
 the sphere", Astrophys. J. 622, 759-771 (2005), sections 4 and 5.
@@ -13,28 +13,28 @@ BELT = 2 / 3  # |cos θ| up to which pixels lie in the belt around the equator
 
 
 def sides(pixels: int) -> int:
-    """Return N, the divisions of a base pixel's side, of a HEALPix map with 12 N² pixels; 0 for other numbers."""
+    """Return N, the divisions of a base pixel's side, of a HEALPix map with 12 N² pixels; 0 if no N fits."""
     side = round((pixels / FACES) ** 0.5)
     return side if side > 0 and FACES * side * side == pixels else 0
 
 
 def pixel(side: int, directions: np.ndarray, nested: bool) -> np.ndarray:
     """
-    Return the numbers, from 0, of the HEALPix pixels in which directions lie.
+    Return the indices, from 0, of the HEALPix pixels in which directions lie.
 
     Parameters
     ----------
     side : int
-        Number N of the map; a power of 2 for nested numbers.
+        Number N of divisions of a base pixel's side; a power of 2 for nested indices.
     directions : (n, 3) float64
         Unit vectors; z points to the north.
     nested : bool
-        Whether the four parts of a pixel have consecutive numbers; otherwise pixels are numbered along rings.
+        Whether the four parts of a pixel have consecutive indices; otherwise indices count along rings.
 
     Returns
     -------
     (n,) int64
-        Numbers of the pixels.
+        Indices of the pixels.
     """
     z, turn = directions[:, 2], np.arctan2(directions[:, 1], directions[:, 0])
     quarters = np.mod(turn, 2 * np.pi) / (0.5 * np.pi) % 4.0
@@ -64,7 +64,12 @@ def _nested(
     lines: tuple[np.ndarray, np.ndarray],
     cap: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Return HEALPix pixel numbers in the nested scheme, in the shape of `z`, from each pixel's two diagonal rows."""
+    """
+    Return indices of HEALPix pixels in the nested scheme, in the shape of `z`.
+
+    In the belt they follow from the rising and falling diagonal lines, in the caps from the quarter of the cap and the
+    counts of lines up and down in it.
+    """
     (rising, falling), (quarter, up, down) = lines, cap
     first, second = rising // side, falling // side
     face = np.where(first == second, first % 4 + 4, np.where(first < second, first % 4, second % 4 + 8))

@@ -43,7 +43,8 @@ class OutlineFigure:
     angle_deg : float
         Rotation about that position, degrees, from x to y.
     sizes : tuple of float
-        Radius; half width and half height; or coordinates x1, y1, x2, y2, … of the corners; mm.
+        Circle: radius. Ellipse, rectangle: half width and half height. Polygon: coordinates x1, y1, x2, y2, … of its
+        corners. All in mm.
 
     Examples
     --------
@@ -61,12 +62,13 @@ class OutlineFigure:
 
     def check(self, owner: str) -> None:
         """
-        Raise `MistrayError` if kind, sign or sizes of the figure are not valid.
+        Check the kind, the sign and the dimensions of the figure.
 
         Raises
         ------
         MistrayError
-            If kind or sign is unknown, a size is not positive, or a polygon crosses itself.
+            If kind or sign is unknown, a value is not finite, or a size is missing or not positive; or if a polygon has
+            too few or too many corners, no area, or sides that cross.
         """
         if self.kind not in KINDS or self.sign not in SIGNS:
             raise MistrayError(f"{owner}: '{self.sign}{self.kind}' is no figure; use + - or & and one of {KINDS}")
@@ -105,7 +107,7 @@ class OutlineFigure:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the figure's numbers, in the order of `values`."""
+        """Names of the figure's parameters, in the order of `values`."""
         if self.kind == "polygon":
             return ("x", "y", "angle_deg", *(f"{c}{k + 1}" for k in range(len(self.sizes) // 2) for c in "xy"))
         return ("x", "y", "angle_deg", *SIZES[self.kind])
@@ -116,7 +118,7 @@ class OutlineFigure:
         return (self.x, self.y, self.angle_deg, *self.sizes)
 
     def bounds(self) -> tuple[float, float, float, float]:
-        """Return the least and greatest x, then the least and greatest y of the figure, mm."""
+        """Return the least and greatest x, then the least and greatest y of the figure in the outline's frame, mm."""
         c, s = math.cos(math.radians(self.angle_deg)), math.sin(math.radians(self.angle_deg))
         if self.kind in ("circle", "ellipse"):
             a, b = self.sizes if len(self.sizes) == 2 else 2 * self.sizes
@@ -135,7 +137,7 @@ class OutlineFigure:
         """
         Return a mask of points x, y, mm, that lie in the figure.
 
-        `n` holds its numbers by name, with "cos" and "sin" of its angle.
+        `n` holds its parameters by name, lengths in mm, with "cos" and "sin" of the angle if the figure is rotated.
         """
         u, v = x - n["x"], y - n["y"]
         if self.kind == "circle":
@@ -181,12 +183,12 @@ class Outline:
 
     def check(self, owner: str) -> None:
         """
-        Raise `MistrayError` if the outline does not define a surface.
+        Check that the outline defines a surface of finite size.
 
         Raises
         ------
         MistrayError
-            If a figure is not valid, there are too many, or the outline is unbounded or empty.
+            If a figure is not valid, there is none or more than 64, or the outline is unbounded or empty.
         """
         if not 1 <= len(self.figures) <= MOST_FIGURES:
             raise MistrayError(f"{owner}: an outline of {len(self.figures)} figures; use 1 to {MOST_FIGURES}")
@@ -199,7 +201,11 @@ class Outline:
             raise MistrayError(f"{owner}: its outline holds nothing; correct its figures")
 
     def bounds(self) -> tuple[float, float, float, float]:
-        """Return the least and greatest x, then the least and greatest y of a box around the outline, mm."""
+        """
+        Return the least and greatest x, then y of a box around the outline, mm; ±1e30 where it is unbounded.
+
+        Figures that are cut away do not reduce the box.
+        """
         box = (-ALL, ALL, -ALL, ALL)
         for number, figure in enumerate(self.figures):
             own = figure.bounds()
@@ -243,7 +249,7 @@ class Outline:
         """
         Return the part of a circle of `radius`, mm, about the origin that lies outside the outline.
 
-        It is None if figures cannot express it.
+        It is None if figures cannot express it: the outline begins with a hole, or it has an intersection.
         """
         if self.figures[0].sign != "+" or any(f.sign == "&" for f in self.figures):
             return None
@@ -283,9 +289,9 @@ class Outline:
 
     def touches(self, x: np.ndarray, y: np.ndarray, slack: float) -> np.ndarray:
         """
-        Return a mask of points in the outline or at most `slack`, mm, outside it.
+        Return a mask of points, (n,), mm, that lie in the outline or at most about `slack`, mm, outside it.
 
-        A negative `slack` asks for points that far inside.
+        A negative `slack` asks for points that far inside. The distance is tested along x and along y only.
         """
         step = abs(slack)
         found = self.contains(x, y)
@@ -303,7 +309,7 @@ class Outline:
         return x[inside], y[inside]
 
     def numbers(self) -> dict[str, float]:
-        """Return the numbers of all figures by name, such as "clip_1_radius"; lengths in mm, angles in degrees."""
+        """Return the parameters of all figures by name, such as "clip_1_radius"; lengths in mm, angles in degrees."""
         return {
             f"clip_{k}_{name}": value
             for k, figure in enumerate(self.figures, start=1)
@@ -311,7 +317,7 @@ class Outline:
         }
 
     def turns(self) -> dict[str, float]:
-        """Return the cosine and sine of each rotated figure's angle, by the names that `contains` uses."""
+        """Return the cosine and sine of each rotated figure's angle, by names as "clip_1_cos"; empty without any."""
         found: dict[str, float] = {}
         for k, figure in enumerate(self.figures, start=1):
             if figure.angle_deg:
@@ -320,7 +326,11 @@ class Outline:
         return found
 
     def with_numbers(self, numbers: Mapping[str, float]) -> Outline:
-        """Return the outline with new numbers for its figures, by the names and in the units of `Outline.numbers`."""
+        """
+        Return the outline with other parameters of its figures.
+
+        The mapping `numbers` has the names and units that the method `Outline.numbers` gives.
+        """
         figures = []
         for k, figure in enumerate(self.figures, start=1):
             x, y, angle, *sizes = (numbers[f"clip_{k}_{name}"] for name in figure.names)
@@ -329,7 +339,11 @@ class Outline:
 
     @property
     def form(self) -> tuple[tuple[str, str, int, bool], ...]:
-        """Kind, sign, number of sizes and rotation (or none) of each figure, on which code for the outline depends."""
+        """
+        Kind, sign, number of sizes, and whether it is rotated, of each figure.
+
+        Code that is generated for an outline depends on these alone.
+        """
         return tuple((f.kind, f.sign, len(f.sizes), bool(f.angle_deg)) for f in self.figures)
 
     def contains(self, x: Any, y: Any, numbers: Mapping[str, Any] | None = None) -> Any:
@@ -341,7 +355,7 @@ class Outline:
         x, y : float or array
             Coordinates of the points, mm.
         numbers : mapping of str to float or array, optional
-            Numbers of `numbers` and `turns`; by default those of the outline itself.
+            Values of `numbers` and `turns` by name; by default those of the outline itself.
         """
         known = self.numbers() | self.turns() if numbers is None else numbers
         inside: Any = None
@@ -374,7 +388,7 @@ def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) ->
 
 def rectangle(half_width: float, half_height: float, x: float = 0.0, y: float = 0.0, angle_deg: float = 0.0) -> Outline:
     """
-    Return the outline of a rectangle centred at (x, y), lengths in mm, rotated from x to y by degrees.
+    Return the outline of a rectangle centred at (x, y), lengths in mm, rotated from x to y by `angle_deg`, degrees.
 
     Examples
     --------
@@ -409,7 +423,7 @@ def signed_area(corners: np.ndarray) -> float:
 
 
 def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
-    """True if the segments a-b and c-d, of points (2,), cross at an inner point of both."""
+    """Return whether the segments a-b and c-d, of points (2,), cross at an inner point of both."""
 
     def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
         return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))

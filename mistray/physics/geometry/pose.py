@@ -41,7 +41,7 @@ def rigid_motion(to_world: npt.ArrayLike, owner: str, remedy: str = "set the siz
     Raises
     ------
     MistrayError
-        If the matrix scales or shears by more than 1e-5, or mirrors.
+        If the matrix scales or shears by more than 1e-5, mirrors, or is not finite.
     """
     matrix = np.array(to_world, dtype=np.float64).reshape(4, 4)
     rotation = matrix[:3, :3]
@@ -56,7 +56,11 @@ def rigid_motion(to_world: npt.ArrayLike, owner: str, remedy: str = "set the siz
 
 
 def pointing_error(to_world: npt.ArrayLike) -> float:
-    """Return the rounding error of the axes of a frame, rad: 1e-7 if the matrix is in single precision, else 0."""
+    """
+    Return the rounding error of the axes of a frame, rad.
+
+    It is 1e-7 if the rotation is in single precision and not made of -1, 0 and 1 only; else 0.
+    """
     rotation = np.array(to_world, dtype=np.float64).reshape(4, 4)[:3, :3]
     single = np.array_equal(rotation, rotation.astype(np.float32)) and not np.isin(rotation, (-1.0, 0.0, 1.0)).all()
     return SINGLE_RAD if single else 0.0
@@ -80,7 +84,7 @@ def moved(frame: np.ndarray, x: float, y: float, z: float, tilt_x: float, tilt_y
     Returns
     -------
     (4, 4) float64
-        Rigid transform, mm; `frame` itself if all numbers are 0.
+        Rigid transform, mm; `frame` itself if all displacements and tilts are 0.
     """
     if not any((x, y, z, tilt_x, tilt_y, tilt_z)):
         return frame
@@ -93,7 +97,7 @@ def moved(frame: np.ndarray, x: float, y: float, z: float, tilt_x: float, tilt_y
 
 
 def rotation(axis: int, degrees: float) -> np.ndarray:
-    """Return the matrix, (3, 3), of a right-handed rotation by degrees about the x, y or z axis (0, 1, 2)."""
+    """Return the matrix, (3, 3), of a right-handed rotation by an angle in degrees about axis 0, 1 or 2: x, y or z."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     result = np.eye(3)

@@ -28,7 +28,8 @@ def trimmed(terms: Iterable[float]) -> tuple[float, ...]:
 
 
 def sag(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), per_area: Any = 1) -> Any:
-    """Return the sag z(r) along +z, mm, zero at the vertex.
+    """
+    Return the sag z(r) along +z, mm, zero at the vertex.
 
     Parameters
     ----------
@@ -54,7 +55,8 @@ def sag(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), p
 
 
 def sag_derivative(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), per_area: Any = 1) -> Any:
-    """Return the derivative of the sag with respect to r², dz/d(r²), 1/mm.
+    """
+    Return the derivative of the sag with respect to r², dz/d(r²), 1/mm.
 
     The slope is dz/dr = 2 r dz/d(r²), and a normal at (x, y) is (-2x d, -2y d, 1) with d = dz/d(r²). There is no
     division by r, so the vertex is exact. Parameters as in `sag`.

@@ -26,7 +26,7 @@ class Ghost:
     Attributes
     ----------
     first, second : int
-        Numbers of the surfaces of the first and the second reflection, from 0; ``second < first``.
+        Indices of the surfaces of the first and the second reflection, from 0; ``second < first``.
     spot_radius_mm : float
         Radius of the beam's marginal ray in the image plane, mm.
     focus_mm : float
@@ -47,7 +47,8 @@ class Ghost:
 
 
 class ParaxialSystem:
-    """System of coaxial refracting surfaces in first order.
+    """
+    System of coaxial refracting surfaces in first order.
 
     Parameters
     ----------
@@ -57,6 +58,11 @@ class ParaxialSystem:
         Positions of the vertices along the axis, mm.
     index : sequence of float
         Refractive indices, one more than surfaces: before the first, between, after the last.
+
+    Raises
+    ------
+    MistrayError
+        If the numbers of curvatures, positions and indices do not match.
     """
 
     def __init__(self, curvature: Sequence[float], z: Sequence[float], index: Sequence[float]) -> None:
@@ -73,7 +79,8 @@ class ParaxialSystem:
         return len(self.z)
 
     def trace(self, y: float, u: float) -> npt.NDArray[np.float64]:
-        """Return the heights and slopes of a ray through all surfaces.
+        """
+        Return the heights and slopes of a ray through all surfaces.
 
         Parameters
         ----------
@@ -106,7 +113,8 @@ class ParaxialSystem:
         return math.inf if u == 0 else -y / u
 
     def chief_ray(self, field_deg: float, stop_z: float) -> npt.NDArray[np.float64]:
-        """Return the heights and slopes of the ray of a field angle through the centre of the stop.
+        """
+        Return the heights and slopes of the ray of a field angle through the centre of the stop.
 
         Parameters
         ----------
@@ -119,6 +127,11 @@ class ParaxialSystem:
         -------
         (n, 2) float64
             Height at each surface, mm, and slope after it.
+
+        Raises
+        ------
+        MistrayError
+            If the stop lies in a focus of the surfaces before it.
         """
         u = math.tan(math.radians(field_deg))
         height_from_u = self._height_at(stop_z, 0.0, u)
@@ -154,12 +167,18 @@ class ParaxialSystem:
         reflectance : sequence of float
             Reflectance R of each surface; T = 1 - R.
         image_reflectance : float or None
-            Reflectance of the detector, which then counts as one more surface; None: it does not reflect.
+            Reflectance of the detector, which then counts as one more surface, behind the others; None: it does not
+            reflect.
 
         Returns
         -------
         list of Ghost
             Ghosts, n(n-1)/2 for n reflecting surfaces.
+
+        Raises
+        ------
+        MistrayError
+            If the number of reflectances is not that of the surfaces.
         """
         curvature, z, index, r = list(self.curvature), list(self.z), list(self.index), list(reflectance)
         if len(r) != len(self):

@@ -53,7 +53,7 @@ class Pupil:
     alpha, beta : (n,) float64
         Direction cosines of the columns and of the rows.
     flux : (n, n) float64
-        Flux per unit of α and β in the lit part of each cell.
+        Flux per unit of α and β in the lit part of each cell; its unit cancels in all results for a flux of 1.
     share : (n, n) float64
         Lit fraction of each cell, 0 … 1.
     opd_waves : (n, n) float64
@@ -106,7 +106,7 @@ class Pupil:
     @cached_property
     def steepest(self) -> float:
         """
-        Largest difference of the wavefront, without its tilt, between neighbouring cells, waves.
+        Largest difference of the wavefront between neighbouring lit cells after removal of its tilt, waves.
 
         Above 0.5 the grid is too coarse.
         """
@@ -123,7 +123,9 @@ class Pupil:
 
     def removed(self, terms: str) -> Array:
         """
-        Return coefficients of 1, α, β and γ fitted to the wavefront, (4,), waves; α, β count from the grid's middle.
+        Return coefficients of 1, α, β and γ fitted to the wavefront, (4,), waves.
+
+        α and β are relative to the middle of the grid.
 
         Parameters
         ----------
@@ -139,21 +141,21 @@ class Pupil:
         return found
 
     def residual(self, terms: str) -> Array:
-        """Return the wavefront without fitted `terms`, see `removed`, (n, n), waves; 0 in dark cells."""
+        """Return the wavefront after removal of the fitted `terms` of `removed`, (n, n), waves; 0 in dark cells."""
         piston, x, y, z = self.removed(terms)
         a, b = np.meshgrid(self.alpha - self.alpha.mean(), self.beta - self.beta.mean())
         return np.asarray(np.where(self.lit, self.opd_waves - piston - x * a - y * b - z * self.gamma, 0.0))
 
     def rms_waves(self, terms: str = "tilt") -> float:
-        """Return the rms of the wavefront without fitted `terms`, see `removed`, weighted by flux, waves."""
+        """Return the rms of the wavefront, waves, weighted by flux, after removal of the fitted terms of `removed`."""
         return math.sqrt(float((self.energy * self.residual(terms) ** 2).sum()) / self.total)
 
     def pv_waves(self, terms: str = "tilt") -> float:
-        """Return the peak-to-valley value of the wavefront without fitted `terms`, see `removed`, waves."""
+        """Return the peak-to-valley value of the wavefront after removal of the fitted `terms` of `removed`, waves."""
         return float(np.ptp(self.residual(terms)[self.lit]))
 
     def best_focus_mm(self) -> float:
-        """Return the shift of the image point along the light, mm, at which the rms wavefront is least."""
+        """Return the shift of the image point along its normal, positive along the light, of the least rms, mm."""
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
@@ -180,7 +182,7 @@ class Pupil:
         Returns
         -------
         (k, m) float64
-            Irradiance, 1/mm².
+            Irradiance, 1/mm²; NaN if the pupil is not `resolved`.
         """
         x, y = (np.asarray(values, dtype=np.float64) for values in (x, y))
         if not self.resolved:
@@ -204,7 +206,7 @@ class Pupil:
         Returns
         -------
         (m,) float64
-            Irradiance, 1/mm².
+            Irradiance, 1/mm²; NaN if the pupil is not `resolved`.
         """
         points = np.asarray(points, dtype=np.float64)
         if not self.resolved:
@@ -248,7 +250,7 @@ class Pupil:
         """
         Return the optical transfer function ∫ PSF exp(-2πi f·x) dx, 1 at zero frequency.
 
-        It is the autocorrelation of the pupil, with cubic interpolation.
+        It is the autocorrelation of the pupil, with cubic interpolation; NaN if the pupil is not `resolved`.
 
         Parameters
         ----------
@@ -290,7 +292,7 @@ class Pupil:
 
     def encircled(self, radius: npt.ArrayLike, centre: tuple[float, float] = (0.0, 0.0), square: bool = False) -> Array:
         """
-        Return the fraction of the flux within circles or squares about a point.
+        Return the fraction of the flux within circles or squares about a point, (m,); NaN if not `resolved`.
 
         It is the integral of the transfer function times the transform of the figure. So light far out is not lost at
         the edge of a window. Radii must be well below 1 / (2 `frequency_step`).

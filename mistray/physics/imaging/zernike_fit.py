@@ -37,9 +37,9 @@ class ZernikeFit:
     kind : {"noll", "fringe"}
         Kind of polynomials.
     coefficients : (n,) float64
-        Coefficients in the unit of the wavefront; the first is number 1.
+        Coefficients in the unit of the wavefront; the first belongs to the polynomial of index 1.
     residual_rms : float
-        Root mean square of the part of the wavefront that the polynomials leave, in its unit.
+        Weighted rms of the wavefront after removal of the polynomials, in its unit.
     """
 
     kind: str
@@ -55,14 +55,14 @@ class ZernikeFit:
 
 def fit_zernikes(points: Array, values: Array, weights: Array, kind: str = "noll", terms: int = 37) -> ZernikeFit:
     """
-    Return the Zernike coefficients of a wavefront, by a least-squares fit.
+    Return a least-squares fit of Zernike polynomials to a wavefront.
 
     Parameters
     ----------
     points : (m, 2) float64
         Positions of the points in units of the radius of the disc.
     values, weights : (m,) float64
-        Wavefront at the points, and area that each point represents.
+        Wavefront at the points, in any unit, and area that each point represents.
     kind : {"noll", "fringe"}
         Standard polynomials of unit variance in the order of Noll, or Fringe polynomials of unit value at the rim.
     terms : int

@@ -35,19 +35,19 @@ def polarization_state(owner: str, stokes: Any = None, jones: Any = None, polari
     stokes : str or sequence of three numbers, optional
         Stokes parameters s1, s2, s3, with a degree of polarisation √(s1² + s2² + s3²) of at most 1.
     jones : str or sequence of two complex numbers, optional
-        Jones vector ex, ey, of any size; in texts the imaginary unit is i or j, as in "1, -1i".
+        Jones vector ex, ey, of any size; in strings the imaginary unit is i or j, as in "1, -1i".
     polarization_deg : float, optional
         Angle of linear polarisation from x towards y, degrees.
 
     Returns
     -------
     tuple of three float or None
-        Stokes parameters s1, s2, s3; None for unpolarised light.
+        Stokes parameters s1, s2, s3; None if no form is given, or s1, s2, s3 are all 0: unpolarised light.
 
     Raises
     ------
     MistrayError
-        If two forms are given, numbers are missing or not numbers, or no light can have this state.
+        If two forms are given, a value is missing, not a number or not finite, or no light can have this state.
     """
     given = [way for way, value in zip(WAYS, (stokes, jones, polarization_deg), strict=True) if value is not None]
     if len(given) > 1:
@@ -77,7 +77,7 @@ def _from_stokes(owner: str, stokes: Any) -> State | None:
 
 
 def jones_numbers(owner: str, jones: Any) -> tuple[complex, complex]:
-    """Return the two numbers of a Jones vector, also from a text; raise `MistrayError` if they are not valid."""
+    """Return the components ex, ey of a Jones vector, also from a string; raise `MistrayError` for bad ones."""
     ex, ey = _numbers(owner, "jones", jones, complex, ("ex", "ey"))
     return ex, ey
 

@@ -29,7 +29,11 @@ import numpy as np
 
 
 def qcon(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return the sum x² Σ a_m Qcon_m(x) of strong-asphere polynomials, with coefficients a_m by m = 0, 1, …."""
+    """
+    Return the sum x² Σ a_m Qcon_m(x) of strong-asphere polynomials, with coefficients a_m by m = 0, 1, ….
+
+    x is u²; the sum has its shape and the unit of the coefficients.
+    """
     from scipy.special import eval_jacobi  # takes longer to import than all else of a sag
 
     total = np.zeros(np.shape(x))
@@ -39,7 +43,11 @@ def qcon(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
 
 
 def qbfs(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return the sum x (1 - x) Σ a_m Qbfs_m(x) of mild-asphere polynomials, with coefficients a_m by m = 0, 1, …."""
+    """
+    Return the sum x (1 - x) Σ a_m Qbfs_m(x) of mild-asphere polynomials, with coefficients a_m by m = 0, 1, ….
+
+    x is u²; the sum has its shape and the unit of the coefficients. The factor 1/cos γ is left out.
+    """
     x = np.asarray(x, dtype=np.float64)
     values = qbfs_values(x, max(terms, default=0))
     total = np.zeros(x.shape)
@@ -115,9 +123,10 @@ def _orthonormal(m: int, last: int) -> np.ndarray:
 
 def _jacobi(x: np.ndarray, m: int, last: int, slope: bool = False) -> np.ndarray:
     """
-    Return the Jacobi polynomials in 2x - 1 of degree 0 … last, (last + 1, …), or with `slope` their x derivatives.
+    Return the Jacobi polynomials in 2x - 1 of degree 0 … last, (last + 1, …).
 
-    They are orthogonal on 0 … 1 with the weight x^(m-3/2) (1-x)^(-1/2).
+    With `slope` they are the derivatives with respect to x. The polynomials are orthogonal on 0 … 1 with the weight
+    x^(m-3/2) (1-x)^(-1/2).
     """
     from scipy.special import eval_jacobi
 

@@ -36,7 +36,7 @@ class Grid:
     middle : (2,) float
         Middle of the grid, mm.
     missing : (ny, nx) bool, optional
-        Points without a measured height, at which the height of the nearest point is used.
+        Points without a measured height. `of` gives them the height of the nearest point with one.
     path : str
         Path of the file, to which a scene file refers; "" for none.
 
@@ -75,7 +75,8 @@ class Grid:
         Raises
         ------
         MistrayError
-            If heights are not finite, there are too few points, or a step is not above 0.
+            If a height is not finite, all are missing, there are fewer than 4 or more than 4096 points each way, or a
+            step is not above 0.
         """
         from scipy.interpolate import CubicSpline
 
@@ -95,12 +96,12 @@ class Grid:
         cls, values: np.ndarray, step: tuple[float, float], middle: tuple[float, float], missing: np.ndarray, path: str
     ) -> Grid:
         """
-        Return a sag grid from the numbers in its file.
+        Return a sag grid from the values in its file.
 
         Parameters
         ----------
         values : (ny, nx, 1) or (ny, nx, 4) float64
-            Heights, mm, or all numbers of `corners`.
+            Heights, mm, which splines join; or all values of `corners`, which are used as they are.
         step, middle, missing, path
             Attributes of the class.
 
@@ -139,7 +140,7 @@ class Grid:
         return BEYOND * math.hypot(across, along)
 
     def half_turned(self) -> Grid:
-        """Return the grid after half a turn of its frame about y, which reverses x and z."""
+        """Return the grid after half a turn of its frame about y, which reverses x and z; it has no path."""
         turned = self.corners[:, ::-1] * (-1.0, 1.0, -1.0, 1.0)
         return Grid(turned, self.step, (-self.middle[0], self.middle[1]), self.gone[:, ::-1])
 
@@ -178,7 +179,7 @@ class Grid:
 
 def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any, Any]:
     """
-    Return the height, mm, and slopes of Hermite's bicubic patch, for arrays of NumPy or Dr.Jit.
+    Return the height, mm, and slopes in x and y of Hermite's bicubic patch, for arrays of NumPy or Dr.Jit.
 
     Parameters
     ----------
@@ -197,7 +198,8 @@ def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any,
         """
         Return height, and slope in y times the step, both in mm, along one side (0 lower, 1 upper) of the cell.
 
-        The weights are those of `_hermite` for values and slopes.
+        The weights are those of `_hermite` for values and slopes. With their derivatives the result is differentiated
+        with respect to s.
         """
         (z0, x0, y0, xy0), (z1, x1, y1, xy1) = at[b]
         height = w0 * z0 + w1 * z1 + (v0 * x0 + v1 * x1) * dx
@@ -240,7 +242,11 @@ def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> Non
 
 
 def _filled(z: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Return heights, (ny, nx) in mm, with missing ones replaced by those of the nearest points."""
+    """
+    Return heights, (ny, nx) in mm, with missing ones replaced by those of the nearest points.
+
+    Raise `MistrayError` if all are missing.
+    """
     if not missing.any():
         return z
     if missing.all():

@@ -1,7 +1,7 @@
-"""Sag of a surface by named numbers: a conic, or one for x and one for y, and all terms added to it.
+"""Sag of a surface by named parameters: a conic, or one for x and one for y, and all terms added to it.
 
-Every number has one name in scene files, prescriptions and gradients. Lengths are in mm; r² = x² + y². Only `grid` is
-not a number.
+Every parameter has one name in scene files, prescriptions and gradients. Lengths are in mm; r² = x² + y². Only `grid`
+is not a number.
 
 =============================== ============ ==========================================================================
 name                            unit         what it adds
@@ -61,7 +61,7 @@ Numbers = Mapping[str, Any]  # a float, or a Grid for `GRID`
 
 
 def length_power(name: str) -> int | None:
-    """Return the exponent of mm in the unit of a sag's number, -1 for a curvature; None for an unknown name."""
+    """Return the exponent of mm in the unit of a sag's parameter, -1 for a curvature; None for an unknown name."""
     if name in FIXED:
         return FIXED[name]
     found = _numbered(name)
@@ -99,12 +99,12 @@ def _numbered(name: str) -> tuple[str, int, int | None] | None:
 
 def check_names(names: Iterable[str], owner: str) -> None:
     """
-    Raise `MistrayError` if numbers with these names do not define a sag.
+    Check that parameters with these names define a sag.
 
     Raises
     ------
     MistrayError
-        If a name is unknown, or the radius that it needs is missing.
+        If a name is unknown, a parameter that another one needs is missing, or two exclude each other.
     """
     names = set(names)
     for name in sorted(names - {GRID}):
@@ -124,7 +124,7 @@ def check_names(names: Iterable[str], owner: str) -> None:
 
 
 def with_even(curvature: float, conic: float, coefficients: Sequence[float], more: Numbers) -> dict[str, Any]:
-    """Return the numbers of a sag by name: those of an even asphere, (a4, a6, …), and `more`."""
+    """Return the parameters of a sag by name: those of an even asphere, (a4, a6, …), if not 0, and `more`."""
     even = {f"a{2 * i}": a for i, a in enumerate(coefficients, start=2) if a}
     return {"curvature": curvature, "conic": conic, **even, **more}
 
@@ -138,7 +138,7 @@ def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
     x, y : ndarray
         Coordinates of the points, mm, that broadcast together.
     n : mapping of str to float, and of "grid" to Grid
-        Numbers by their names in the table of this module; missing ones are 0.
+        Parameters by their names in the table of this module; missing ones are 0, but `grid_scale` is 1.
     """
     x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
     families: dict[str, dict[tuple[int, int], float]] = {}
@@ -168,7 +168,7 @@ def _gridded(x: np.ndarray, y: np.ndarray, n: Numbers) -> tuple[np.ndarray, np.n
 
 
 def half_turned(n: Numbers) -> dict[str, Any]:
-    """Return the numbers of the same surface after half a turn of its frame about y, which reverses x and z."""
+    """Return the parameters of the same surface after half a turn of its frame about y, which reverses x and z."""
     x, y = np.array(0.3), np.array(0.4)
     found: dict[str, Any] = {}
     for name, value in n.items():
@@ -186,7 +186,7 @@ def half_turned(n: Numbers) -> dict[str, Any]:
 
 def slopes(x: np.ndarray, y: np.ndarray, n: Numbers, step: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the derivatives of the sag with respect to x and y, by differences of the fourth order.
+    Return the derivatives of the sag with respect to x and y, by differences of the fourth order; exact for a grid.
 
     Parameters
     ----------
@@ -207,12 +207,12 @@ def slopes(x: np.ndarray, y: np.ndarray, n: Numbers, step: float) -> tuple[np.nd
 
 def vertex_curvatures(n: Numbers, step: float) -> tuple[float, float]:
     """
-    Return the curvatures of a sag in x and y at the vertex, 1/mm, without odd powers of r, which have none there.
+    Return the curvatures of a sag in x and y at the vertex, 1/mm, without the terms r1 … r30.
 
     Parameters
     ----------
     n : mapping of str to float
-        Numbers of the sag, by name.
+        Parameters of the sag, by name.
     step : float
         Step of the differences, mm.
     """

@@ -16,7 +16,7 @@ LAST_STANDARD, LAST_FRINGE = 231, 37
 
 
 def noll_orders(j: int) -> tuple[int, int]:
-    """Return the radial order n and azimuthal order m of Noll's polynomial number j, from 1; m < 0 for a sine."""
+    """Return the radial order n and azimuthal order m of the polynomial of Noll index j ≥ 1; m < 0 for a sine."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     first = n * (n + 1) // 2  # polynomials of lower order
     place = j - first  # 1 … n + 1
@@ -25,7 +25,7 @@ def noll_orders(j: int) -> tuple[int, int]:
 
 
 def fringe_orders(j: int) -> tuple[int, int]:
-    """Return the radial order n and azimuthal order m of Fringe polynomial number j, 1 … 37; m < 0 for a sine."""
+    """Return the radial order n and azimuthal order m of the polynomial of Fringe index j, 1 … 37; m < 0 for a sine."""
     if j == LAST_FRINGE:
         return 12, 0
     half = math.isqrt(j - 1)  # (n + |m|)/2
@@ -55,7 +55,7 @@ def polynomial(n: int, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def standard(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return a sum of standard Zernike polynomials with coefficients by Noll number; x, y in units of the radius."""
+    """Return a sum of standard Zernike polynomials with coefficients by Noll index; x, y in units of the radius."""
     total = np.zeros(np.broadcast(x, y).shape)
     for j, amount in terms.items():
         n, m = noll_orders(j)
@@ -64,7 +64,7 @@ def standard(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.nda
 
 
 def fringe(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return a sum of Fringe Zernike polynomials with coefficients by number; x, y in units of the radius."""
+    """Return a sum of Fringe Zernike polynomials with coefficients by Fringe index; x, y in units of the radius."""
     total = np.zeros(np.broadcast(x, y).shape)
     for j, amount in terms.items():
         total = total + amount * polynomial(*fringe_orders(j), x, y)

@@ -7,8 +7,8 @@ design", Appl. Opt. 7, 479, 1968), here with traced rays instead of paraxial one
 through the axis:
 
 - A lies on the outermost ray from the primary to the secondary, so that it does not cut the beam. It is the ray through
-  the rims of both mirrors; where this one is outside of the field, that of the field +w through the rim of the primary
-  or that of the field -w through the rim of the secondary, whichever limits the beam;
+  the rims of both mirrors; where this one is outside the field, that of the field +w through the rim of the primary or
+  that of the field -w through the rim of the secondary, whichever limits the beam;
 - B lies on the outermost ray from the secondary to the detector, the ray of the field +w at the upper edge of the
   beam;
 - the tube around B may not shadow more than A does: its outer wall at the mouth lies on the innermost ray from the
@@ -178,7 +178,8 @@ def cassegrain_baffles(
     Raises
     ------
     MistrayError
-        If a surface is off the axis, or no pair of baffles blocks all straight lines.
+        If a surface is off the axis, a size or the field is out of range, or a ray of the field misses a mirror. It is
+        also raised if no pair of baffles blocks all straight lines, or the tube does not fit the detector or the hole.
 
     Examples
     --------
@@ -203,7 +204,11 @@ def cassegrain_baffles(
     rim = secondary.rim
 
     def mouth(z_a: float) -> tuple[float, float, float]:
-        """Return how far, mm, rim A lies outside the radius that blocks straight lines, and (r, z) of rim B, mm."""
+        """
+        Return how far, mm, rim A lies outside the radius that blocks straight lines, and (r, z) of rim B, mm.
+
+        The first is NaN if B does not lie between A and the primary or the detector.
+        """
         r_a = towards.height(z_a) + clearance
         inmost = MeridionalRay(r_a, z_a, -math.sin(w), math.cos(w)).reflected(primary)
         # Where the innermost ray stands wall_depth above the outermost ray behind the secondary

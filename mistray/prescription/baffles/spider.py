@@ -62,7 +62,7 @@ def spider(
     Raises
     ------
     MistrayError
-        If a dimension is not above 0, or vanes overlap at their inner end.
+        If a dimension or the number of vanes is out of range, or vanes overlap at their inner end.
 
     Examples
     --------

@@ -2,7 +2,7 @@ r"""Two baffle tubes in series, so that light must be scattered four times befor
 
 The inner stage stands before the optic; its opening B of radius b is the optic's only view. The outer stage ends at B.
 
-- The optic sees nothing of the outer stage: the vanes there stand outside of the cone from the optic's rim past the far
+- The optic sees nothing of the outer stage: the vanes there stand outside the cone from the optic's rim past the far
   edge of B, of slope s = (r_o + b)/L_2.
 - Light beyond the exclusion angle ε does not reach B directly: tan ε = (a + b)/L_1, a the radius of the opening.
 - Within each stage, walls lit from its front are not seen from its end (`mistray.prescription.baffles.vane_tube`). For
@@ -126,7 +126,7 @@ def two_stage_baffle(
     Raises
     ------
     MistrayError
-        If a number is impossible, or the inner stage so short that no outer stage keeps light beyond the exclusion
+        If a parameter is out of range, or the inner stage so short that no outer stage keeps light beyond the exclusion
         angle from its opening.
 
     Examples

@@ -22,7 +22,8 @@ class VaneEdge:
     thickness : float
         Thickness of the plate, mm.
     bevel_deg : float or None
-        Angle β between the bevel and the plane of the vane, degrees; small is sharp. ``None``: a square edge.
+        Angle β between the bevel and the plane of the vane, degrees; small is sharp. ``None``: a square edge, or a
+        round one if the radius is half the thickness.
     radius : float
         Radius of the rounded edge, mm; 0: perfectly sharp. Real knife edges have 0.01 to 0.1 mm. A rounded edge is lit
         and seen, so its first-order path remains even in a good baffle.
@@ -30,7 +31,7 @@ class VaneEdge:
     Raises
     ------
     MistrayError
-        If a number is out of range or the numbers contradict each other.
+        If a parameter is out of range, or a plate without bevel has another radius than 0 or half its thickness.
 
     Examples
     --------

@@ -155,7 +155,7 @@ def hood_length(optic_radius: float, field_deg: float, exclusion_deg: float) -> 
     Raises
     ------
     MistrayError
-        If a number is out of range, so that no such hood exists.
+        If the radius or an angle is out of range, so that no such hood exists.
 
     Examples
     --------
@@ -215,8 +215,8 @@ def vane_tube(
     Raises
     ------
     MistrayError
-        If a number is impossible, the beam does not fit into the tube, the bevel suits neither side of a vane, or vanes
-        are thicker than their distance.
+        If a parameter is out of range, the beam does not fit into the tube, more than 200 vanes are needed, the bevel
+        suits neither side of a vane, or vanes are thicker than their distance.
 
     Examples
     --------
@@ -259,9 +259,11 @@ def vane_tube(
 def _tips(
     tube: BaffleTube, clearance: float, slope: float, steepness: float, overlap: float | None
 ) -> list[tuple[float, float]]:
-    """Return positions z and tip radii, mm, of the vanes that a tube with only its opening needs.
+    """
+    Return positions z and tip radii, mm, of the vanes that a tube needs, its opening among them.
 
-    `slope` is tan w, `steepness` tan ε.
+    `tube` has the opening as its only vane. `slope` is tan w, `steepness` tan ε. Raise `MistrayError` if there are too
+    many, or the overlap is too large.
     """
     tips = [(vane.z, vane.radius) for vane in tube.vanes]
     at_optic = tube.optic_radius + clearance
@@ -290,7 +292,7 @@ def _tips(
 
 def lit_from(tube: BaffleTube, tips: list[tuple[float, float]]) -> float:
     """
-    Return the position z, mm, from which on light from outside reaches the wall behind the last vane.
+    Return the position z, mm, from which on light from outside reaches the wall behind the last vane; inf if nowhere.
 
     Parameters
     ----------
@@ -308,7 +310,11 @@ def lit_from(tube: BaffleTube, tips: list[tuple[float, float]]) -> float:
 
 
 def lit_until(tube: BaffleTube, tips: list[tuple[float, float]], steepness: float) -> float:
-    """Return the position z, mm, up to which light at field angles of at least a given tangent reaches the wall."""
+    """
+    Return the position z, mm, up to which light at field angles of at least a given tangent reaches the wall.
+
+    It is infinite if the wall widens at least as steeply as the light.
+    """
     growth = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     if steepness <= growth:
         return math.inf
@@ -317,7 +323,11 @@ def lit_until(tube: BaffleTube, tips: list[tuple[float, float]], steepness: floa
 
 
 def steepest(openings: list[tuple[float, float]], tip: tuple[float, float]) -> float:
-    """Return the steepest slope dr/dz, away from the axis, of rays past a tip and earlier openings, (z, r) in mm."""
+    """
+    Return the steepest slope dr/dz, away from the axis, of rays past a tip and earlier openings, (z, r) in mm.
+
+    It is infinite without earlier openings.
+    """
     z, a = tip
     return min(((a + other) / (z - at) for at, other in openings), default=math.inf)
 
@@ -326,11 +336,11 @@ def _bevelled_side(
     name: str, edge: VaneEdge | None, before: list[tuple[float, float]], tip: tuple[float, float], tube: BaffleTube
 ) -> str:
     """
-    Return the face of a vane on which its bevel is dark or unseen: "front" or "rear".
+    Return the face of a vane on which its bevel is dark or unseen: "front" or "rear"; "front" without a bevel.
 
     A bevel rises from the tip by 1/tan β per mm along the axis. On the front face the optic does not see it if the ray
     from the optic's far rim past the tip is less steep. On the rear face no light meets it if the steepest ray from
-    outside is less steep.
+    outside is less steep. Raise `MistrayError` if neither holds.
     """
     if edge is None or edge.bevel_deg is None:
         return "front"

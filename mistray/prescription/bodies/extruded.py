@@ -48,7 +48,7 @@ def prism(
     material, outside : str
         Materials of the body and around it, see `mistray.materials`.
     faces : sequence of str, optional
-        Names of the faces; by default their numbers from 1 on.
+        Names of the faces; by default their indices, from 1.
     coatings : mapping of str to Coating or None
         Face → coating; faces without one are bare, with Fresnel and total reflection.
     mirrors : str or sequence of str
@@ -66,7 +66,8 @@ def prism(
     Raises
     ------
     MistrayError
-        If the section crosses itself or has no area, or if a name is not that of a face.
+        If the section crosses itself or has no area, the width is not above 0, the names do not match the faces, or a
+        coating or mirror names no face.
 
     Examples
     --------

@@ -65,7 +65,8 @@ def fresnel(
     Raises
     ------
     MistrayError
-        If a size is not above 0, the surface ends within its semi-diameter, or there are more than 2000 rings.
+        If not just one of `groove_mm` and `depth_mm` is given, a size is not above 0, the conic ends within the
+        semi-diameter, or there are more than 2000 rings or none.
 
     Examples
     --------
@@ -113,7 +114,12 @@ def fresnel(
 def _edges(
     owner: str, height: Any, semi_diameter: float, groove_mm: float | None, depth_mm: float | None
 ) -> list[float]:
-    """Return the ascending radii at which rings begin and end, mm; grooves have equal widths or equal depths."""
+    """
+    Return the ascending radii at which rings begin and end, mm.
+
+    Grooves have equal widths `groove_mm`, or equal depths `depth_mm` if that is None. Raise `MistrayError` if there are
+    too many.
+    """
     if groove_mm is not None:
         count = math.ceil(semi_diameter / groove_mm * (1 - 1e-12))
         _count(owner, count)

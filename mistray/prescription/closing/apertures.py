@@ -47,7 +47,7 @@ def own_clip(row: Row) -> dict[str, Any]:
 
 def _clear_and_opaque(row: Row) -> tuple[Outline | None, list[Outline]]:
     """
-    Return the clear outline of a row's aperture, or None, and its opaque outlines.
+    Return the clear outline of a row's aperture, None if it has none, and its opaque outlines.
 
     Holes in the aperture of a lens count as opaque.
     """
@@ -63,7 +63,7 @@ def aperture_pieces(
     row: Row, name: str, on_surface: bool, ahead: bool, widest: float, material: str
 ) -> tuple[list[Shape], list[str]]:
     """
-    Make opaque plates in the frame of a row: obscurations, and openings of rows that are no optical surface.
+    Make opaque plates in the frame of a row: obscurations, and openings of rows that are not optical surfaces.
 
     Parameters
     ----------
@@ -106,7 +106,11 @@ def aperture_pieces(
 
 
 def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[str]) -> list[Shape]:
-    """Return flat opaque faces around an opening, out to at least the radius `widest`, mm; add remarks to `notes`."""
+    """
+    Return flat opaque faces around an opening, out to at least the radius `widest`, mm; add remarks to `notes`.
+
+    The list is empty if figures cannot express the face around the opening.
+    """
     first = clear.figures[0]
     if not clear.bounded:
         notes.append(f"surface {number}: its aperture has no end on one side; a plate of {widest:.6g} mm ends it")
@@ -128,7 +132,12 @@ def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[st
 
 
 def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Surface:
-    """Return an opaque surface with the shape of a row and the outline `opaque`, its vertex at `z`; lengths in mm."""
+    """
+    Return an opaque surface with the shape of a row and the outline `opaque`, its vertex at `z`; lengths in mm.
+
+    An outline that extends beyond the radius `widest`, or beyond the end of the conic, is cut there, unless it is an
+    annulus.
+    """
     own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients, "sag": row.sag}
     ring, sides = opaque.annulus, opaque.sides
     if ring and opaque.bounded:

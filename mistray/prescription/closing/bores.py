@@ -56,11 +56,7 @@ class _Body:
         return float(_sag(self.lower, r).min()), float(_sag(self.upper, r).max()) + self.gap
 
     def reached(self, shape: Surface | Structure, z: float) -> float:
-        """
-        Return the largest radius, mm, at which a shape with its vertex at z, mm, lies in the glass; 0 if nowhere.
-
-        The result is 0 if it does not.
-        """
+        """Return the largest radius, mm, at which a shape with its vertex at z, mm, lies in the glass; 0 if nowhere."""
         r, heights = _profile(shape)
         own = np.minimum(r, self.radius)
         below, above = heights + z - _sag(self.lower, own), _sag(self.upper, own) + self.gap - heights - z
@@ -171,7 +167,11 @@ class _Standing:
 
 
 def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, str]]:
-    """Return the parts of the beam that cross a lens body out of sequence: radius (mm), target row, light share."""
+    """
+    Return the parts of the beam that cross a lens body out of sequence; none in a lens without mirrors.
+
+    Each has its largest radius there, mm, the number of the row that it goes to, and its share of the light in words.
+    """
     if not any(row.mirror for row in table.lens.rows):
         return []
     frame = body.lower.to_world()
@@ -195,7 +195,7 @@ def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, 
 
 
 def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
-    """Return the least radius, mm, at which rays of the design beam meet the faces of a body in sequence."""
+    """Return the least radius, mm, at which rays of the design beam meet the faces of a body; inf if none does."""
     frame = body.lower.to_world()
     places = [k + 1 for k, surface in table.surfaces.items() if surface.name in body.names]
     local = (table.beam[places][:, ~table.blocked] - frame[:3, 3]) @ frame[:3, :3]

@@ -118,7 +118,11 @@ class Closing:
                 self._wall(a, b, forward)
 
     def _bodies(self, chain: list[tuple[Item, bool]]) -> None:
-        """Add the edges of lens bodies; cemented bodies share a rim."""
+        """
+        Add the edges of lens bodies; cemented bodies share a rim.
+
+        Glass between surfaces without a common axis gets a note instead.
+        """
         run: list[Surface] = []
         forward = True
         done: set[tuple[str, str]] = set()
@@ -144,7 +148,11 @@ class Closing:
             forward = ahead if not item.mirror else not ahead
 
     def _body(self, run: list[Surface], forward: bool) -> None:
-        """Add the edges of a lens body or of cemented bodies; `run` has their surfaces in the order of +z."""
+        """
+        Add the edges of a lens body or of cemented bodies; `run` has their surfaces in the order of +z.
+
+        A body with an outline that is not a centred circle gets a note instead.
+        """
         frame, local = _local(run)
         rim = max(surface.outer_radius for surface in local)
         coating = None if self.edges == "open" else BLACK
@@ -252,8 +260,7 @@ def mirror_back(
     Returns
     -------
     tuple of Surface or Structure
-        Face ``<mirror>_rear`` and, for a round mirror, the walls ``<mirror>_rim`` and ``<mirror>_bore``, if it has a
-        hole.
+        Face ``<mirror>_rear``. A round mirror also has the wall ``<mirror>_rim`` and, around a hole, ``<mirror>_bore``.
     """
     step = thickness if ahead else -thickness
     frame = mirror.to_world()
@@ -314,7 +321,7 @@ def meets_plane(surface: Surface, plane: np.ndarray, above: bool) -> float:
     """
     Return the smallest radius, mm, at which a coaxial surface lies below a plane, or above it if not `above`.
 
-    It is inf if none does.
+    It is infinite if it lies so nowhere.
     """
     z = float((np.linalg.inv(surface.to_world()) @ plane)[2, 3])
     r = np.linspace(0.0, surface.outer_radius, _SAMPLES)

@@ -77,12 +77,16 @@ def beam_shares(table: OpticalSurfaces) -> np.ndarray:
 
 
 def percent(share: float) -> str:
-    """Format a fraction of the beam as text, such as "about 12 %"."""
+    """Return a fraction of the beam in words, such as "about 12 %"."""
     return f"about {percent_text(share)}"
 
 
 def _drilled(table: OpticalSurfaces, k: int, mirror: Surface, free: float, legs: list[tuple[int, int]]) -> Surface:
-    """Return a mirror with a hole for later parts of the beam; the hole leaves all that its own beam needs."""
+    """
+    Return a mirror with a hole for later parts of the beam; the hole leaves all that its own beam needs.
+
+    A mirror that needs no hole, or is not round, is returned as it is.
+    """
     hole = mirror.inner_semi_diameter
     if mirror.semi_diameter is None:
         return mirror

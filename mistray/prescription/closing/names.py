@@ -85,7 +85,7 @@ def names_of(lens: Sequential, has_effect: Callable[[int], bool]) -> Names:
     """
     Return names for the rows of a lens that become surfaces.
 
-    A label is kept, with _ for blanks and signs, if it is unique and not the name of a generated part. Otherwise the
+    A label is kept, with _ for spaces and signs, if it is unique and not the name of a generated part. Otherwise the
     name is S and the number of the row.
 
     Parameters

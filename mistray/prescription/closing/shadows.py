@@ -21,7 +21,7 @@ def shadowing_spaces(
     pieces: Iterable[Structure | Surface], segments: Iterable[tuple[Array, Array]], part: str = "barrel"
 ) -> set[int]:
     """
-    Return the numbers of the optical spaces whose walls are crossed by rays.
+    Return the indices of the optical spaces whose walls are crossed by rays.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def shadowing_spaces(
     Returns
     -------
     set of int
-        Numbers of the spaces.
+        Indices of the spaces, as in `Structure.space`.
     """
     legs = list(segments)
     walls = [piece for piece in pieces if isinstance(piece, Structure) and piece.part == part]

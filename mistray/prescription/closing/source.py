@@ -22,7 +22,9 @@ _SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
 
 def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
     """
-    Return the source for the first field of a lens.
+    Return the source for the first field of a lens: collimated light, or a point for a near object.
+
+    The source of a virtual object is collimated.
 
     Notes on assumptions and on how it fills the stop go to `table`.
     """
@@ -87,7 +89,11 @@ def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, f
 
 
 def _direction(table: OpticalSurfaces) -> tuple[float, float]:
-    """Return field angle and azimuth of the first field, degrees; in the yz plane a sign replaces the azimuth."""
+    """
+    Return field angle and azimuth of the first field, degrees; in the yz plane a sign replaces the azimuth.
+
+    If the field is off the axis, `table` gets a note.
+    """
     x, y = (float(slope) for slope in field_tangents(table.lens, table.rays.data)[0])
     slope, azimuth = (math.hypot(x, y), math.degrees(math.atan2(-x, y))) if x else (y, 0.0)
     field = round(math.degrees(math.atan(slope)), _SOURCE_DIGITS)
@@ -98,7 +104,9 @@ def _direction(table: OpticalSurfaces) -> tuple[float, float]:
 
 def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
     """
-    Return a text on how far the beam of the first field fills the stop, from real rays with clipping.
+    Return the note that says how far the beam of the first field fills the stop, from real rays with clipping.
+
+    If the file marks no stop, the note says so.
 
     Parameters
     ----------

@@ -198,7 +198,12 @@ class OpticalSurfaces:
         return frame
 
     def _clear(self, k: int) -> dict[str, Any]:
-        """Return arguments of `Surface` for the clip of row `k`, mm: its stated size, or the beam's with a margin."""
+        """
+        Return arguments of `Surface` for the clip of row `k`, mm: its stated size, or the beam's with a margin.
+
+        A mirror that the beam meets next to its vertex becomes a disc there. A radius beyond the end of the conic is
+        reduced. Both are noted.
+        """
         row, reach = self.lens.rows[k], float(self.rays.reach[k])
         clip = own_clip(row)
         outline: Outline | None = clip.pop("outline", None)

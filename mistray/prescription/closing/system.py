@@ -119,7 +119,8 @@ def to_prescription(
     Raises
     ------
     MistrayError
-        If a material is unknown, no ray gets through, surfaces cross, or there are more than `MOST_SURFACES`.
+        If an option is invalid, a material is unknown, no ray gets through, surfaces cross, or there are more than
+        `MOST_SURFACES`.
 
     Examples
     --------
@@ -153,7 +154,11 @@ def build(
     beam: Beam = "pupil",
     detector_half_mm: tuple[float, float] | None = None,
 ) -> Built:
-    """Make a closed system as `to_prescription` does, and return it with first-order data and notes."""
+    """
+    Make a closed system as `to_prescription` does, and return it with first-order data and notes.
+
+    Raise `MistrayError` in the same cases.
+    """
     if edges not in EDGES:
         raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
     check_beam(beam, ("pupil", "front", "exact"))
@@ -205,7 +210,11 @@ def _structured(
 def _without_shadows(
     table: OpticalSurfaces, structures: list[Structure | Surface], detector: Detector
 ) -> list[Structure | Surface]:
-    """Return the structures except those walls that the folded design beam would have to cross."""
+    """
+    Return the structures except those walls that the folded design beam would have to cross.
+
+    A lens without mirrors keeps all of them. Notes on the walls left out are added to `table`.
+    """
     if not any(row.mirror for row in table.lens.rows):
         return structures
     segments = []
@@ -237,7 +246,11 @@ def _stop(table: OpticalSurfaces, k: int) -> StopPlane:
 
 
 def _plates(table: OpticalSurfaces, k: int, widest: float) -> list[Surface | Structure]:
-    """Return opaque faces for stated apertures of row `k` outside its surface's clip, up to the radius `widest`, mm."""
+    """
+    Return opaque faces for stated apertures of row `k` outside its surface's clip, up to the radius `widest`, mm.
+
+    A coordinate break has none.
+    """
     row = table.lens.rows[k]
     if row.kind == "coordinate_break":
         return []
@@ -323,7 +336,7 @@ def _half_size(surface: Surface) -> float:
 
 
 def _cross(a: Surface | Structure, b: Surface | Structure) -> bool:
-    """True if two surfaces on a common axis cross within their clear radii."""
+    """True if two surfaces on a common axis cross within their clear areas; False for other pairs."""
     if not (isinstance(a, Surface) and isinstance(b, Surface) and on_axis(a.to_world(), b.to_world())):
         return False
     gap = float((np.linalg.inv(a.to_world()) @ b.to_world())[2, 3])

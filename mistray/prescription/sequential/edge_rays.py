@@ -42,11 +42,11 @@ class EdgeRays:
     data : SequentialFirstOrder
         First-order data of the lens.
     stop_radius : float
-        Radius at which the real marginal ray on the axis meets the stop, mm. If the lens is `telecentric`, the largest
-        radius that rays reach there.
+        Radius of the stop, mm: the stated one, else that at which the real marginal ray on the axis meets it. If the
+        lens is `telecentric`, the largest radius that rays reach there.
     positions, directions : (n_rows, n, 3) float64
         Positions (mm) and directions at each row, as from `mistray.prescription.sequential.rays.trace`; NaN from where
-        a surface or a stated aperture stops a ray.
+        a surface or a stated aperture stops a ray. If no ray of the rim gets through, apertures stop none.
     world : (n_rows + 1, n, 3) float64
         Positions in the world at which each ray starts, upstream of all surfaces, and meets each row, mm.
     entering : (2, 17, 3) float64
@@ -54,7 +54,7 @@ class EdgeRays:
         row.
     pupils : (k, 2) float64
         Points at which rays from a distant object that meet the rim of the stop cross the plane of the entrance pupil,
-        mm. All fields are included, without vignetting.
+        mm. All fields are included, without vignetting. It is empty for a near object and for a pupil at infinity.
     reach : (n_rows,) float64
         Largest distance of a ray from the axis of each row, mm; 0 if no ray arrives.
     chief : (n_rows, 3) float64
@@ -209,7 +209,7 @@ def _pupils(
     rim: Array,
     aimed: Mapping[int, tuple[Array, Array]],
 ) -> Array:
-    """Return points (n, 2), mm, at which rays to the stop's rim cross the entrance pupil; see `EdgeRays.pupils`."""
+    """Return points (k, 2), mm, at which rays to the stop's rim cross the entrance pupil; see `EdgeRays.pupils`."""
     if lens.telecentric or not math.isinf(lens.object_distance) or math.isinf(data.entrance_pupil_z):
         return np.zeros((0, 2))
     found = []
@@ -222,7 +222,11 @@ def _pupils(
 
 
 def _inner_rays(start: Array, heading: Array) -> tuple[Array, Array]:
-    """Return starts, mm, and directions, (n, 3), of rays between the chief ray, which is first, and the rim rays."""
+    """
+    Return starts, mm, and directions, (n, 3), of rays between the chief ray and the rim rays.
+
+    `start` and `heading` are those of the chief ray, in row 0, and of the rim rays.
+    """
     points = np.concatenate([start[0] + share * (start[1:] - start[0]) for share in _WITHIN])
     along = np.concatenate([heading[0] + share * (heading[1:] - heading[0]) for share in _WITHIN])
     return points, along / np.linalg.norm(along, axis=1, keepdims=True)
@@ -254,7 +258,8 @@ def _aimed_at(
     """
     Return rays of a field aimed at points (n, 2) of the paraxial entrance pupil, mm from its centre.
 
-    Starts, mm, and unit directions are (n, 3).
+    Starts, mm, and unit directions are (n, 3). If the pupil is at infinity, points lie in the plane of the first row,
+    relative to the chief ray. Raise `MistrayError` if object and entrance pupil coincide, or both lie at infinity.
     """
     z = data.entrance_pupil_z  # at infinity, points lie in the plane of the first row, from the chief ray
     if math.isinf(lens.object_distance):
@@ -280,7 +285,11 @@ def _aimed_at(
 
 
 def _object_point(lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float]) -> Array:
-    """Return the point (x, y), mm, of a field on an object at a finite distance."""
+    """
+    Return the point (x, y), mm, of a field on an object at a finite distance.
+
+    Raise `MistrayError` if the field has no such point because the magnification is 0 or the lens is telecentric.
+    """
     if lens.field_kind == "object_height":
         return np.array(field)
     if lens.field_kind == "image_height":
@@ -294,7 +303,11 @@ def _object_point(lens: Sequential, data: SequentialFirstOrder, field: tuple[flo
 
 
 def _stop_radius(lens: Sequential, data: SequentialFirstOrder) -> float:
-    """Return the radius of the stop, mm: the stated one, else that at which the real marginal ray meets it."""
+    """
+    Return the radius of the stop, mm: the stated one, else that at which the real marginal ray meets it.
+
+    If that ray is lost, it is the paraxial one.
+    """
     stop = stop_place(lens)
     row = lens.rows[stop]
     opening = row.aperture.annulus if row.stop and row.aperture else None
@@ -363,7 +376,7 @@ def _aimed_at_stop(
 
 
 def _clip(lens: Sequential, hits: Array, onward: Array) -> str:
-    """Set rays in `hits` and `onward` to NaN from where an aperture stops them; return a note on losses, "" if none."""
+    """Set rays in `hits` and `onward` to NaN from where an aperture stops them; return a note on losses, else ""."""
     alive = np.ones(hits.shape[1], dtype=bool)
     losses = []
     for k, row in enumerate(lens.rows):

@@ -44,7 +44,7 @@ class SequentialFirstOrder:
     stop_radius : float
         Paraxial radius of the stop, mm.
     stop_number : int
-        Number of the row that is the stop.
+        Number of the stop's surface, as counted by the file.
     magnification : float
         Image height per object height; 0 for an object at infinity.
     wavelength_nm : float
@@ -91,7 +91,7 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> Sequent
     ------
     MistrayError
         If a material is unknown, if the kind of aperture is undefined for the lens, such as an F-number of an afocal
-        one, or if numbers overflow.
+        one, or if values overflow.
     """
     wavelength = lens.wavelength_nm if wavelength_nm is None else wavelength_nm
     system, sign = paraxial_system(lens, wavelength)
@@ -211,6 +211,11 @@ def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: f
     to_stop : tuple of two float
         Height in the stop, mm, of a ray that meets the first row at height 1 mm and slope 0, and of one at height 0 and
         slope 1.
+
+    Raises
+    ------
+    MistrayError
+        If the aperture is out of range, or does not determine the beam of this lens.
     """
     kind, value, distance = lens.aperture_kind, lens.aperture, lens.object_distance
     if not 0 < value < math.inf:

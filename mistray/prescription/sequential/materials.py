@@ -27,7 +27,8 @@ def same_material(names: Sequence[str], index_at: Callable[[float], float], wave
     Returns
     -------
     str
-        A name, else a constant index or a table of n at these wavelengths; `` k=0`` is appended if k is unknown.
+        "air" if n is 1; a name, else a constant index or a table of n at these wavelengths; `` k=0`` is appended if k
+        is unknown.
     """
     indices = [float(index_at(wavelength)) for wavelength in wavelengths_nm]
     if all(abs(n - 1) < _ROUND_OFF for n in indices):

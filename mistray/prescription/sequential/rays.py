@@ -80,7 +80,7 @@ def indices(lens: Sequential, wavelength_nm: float | None = None) -> Array:
     Returns
     -------
     (n_rows + 1,) float64
-        Refractive indices n.
+        Refractive indices n. Behind a mirror or a coordinate break it is that in front.
 
     Raises
     ------

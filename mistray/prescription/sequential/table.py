@@ -100,7 +100,7 @@ class Row:
         Comment or name in the file; "" if there is none.
     radius, conic, coefficients, sag
         Figure as in `Surface`: radius in mm (``inf`` for a plane), conic constant, (a4, a6, …) in mm⁻³, mm⁻⁵, …, and
-        numbers of a freeform by name.
+        parameters of a freeform by name.
     thickness : float
         Distance to the next row along z, mm; negative after an odd number of mirrors.
     material : str
@@ -121,7 +121,7 @@ class Row:
     decentre : Decentre or None
         Move of the frame before the surface.
     line : int
-        Line number at which the surface begins in the file.
+        Line number at which the surface begins in the file; 0 if it has none.
 
     Examples
     --------
@@ -152,7 +152,7 @@ class Row:
 
     @property
     def sag_numbers(self) -> dict[str, Any]:
-        """Numbers that define the sag, in mm and powers of it, by their names in `mistray.physics.sags.terms`."""
+        """Parameters that define the sag, by their names and in their units in `mistray.physics.sags.terms`."""
         return with_even(1 / self.radius if self.radius else 0.0, self.conic, self.coefficients, self.sag)
 
 

@@ -37,8 +37,8 @@ def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> BsdfSamples | 
     Raises
     ------
     MistrayError
-        If the file or a column is missing, a column is unknown, a cell is no number, or the rows are no full grid. The
-        message has the number of the line if there is one.
+        If the file or a column is missing, a column is unknown, a cell is not a number, or the rows are not a full
+        grid. It is also raised for the reasons of `BsdfSamples` and `by_rotation`.
     """
     what = f"BSDF table '{path}'"
     (_, header), *below = read_cells(path, "BSDF table") or [(0, [])]
@@ -72,6 +72,8 @@ def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> BsdfSamples | 
 def write_bsdf_csv(samples: BsdfSamples | RotatedSamples, path: str | Path, comment: str = "") -> None:
     """
     Write a table in the frame "normal" as a CSV file that `read_bsdf_csv` reads.
+
+    The lines of `comment` stand at its head.
 
     Raises
     ------

@@ -50,8 +50,8 @@ class PsdTable(RoughSurface):
     Raises
     ------
     MistrayError
-        If a number is out of range. `lobes` raises it for a surface that is too rough for the theory at a wavelength,
-        and for a table that ends too early.
+        If a parameter or a value of the table is out of range. `lobes` raises it for a surface that is too rough for
+        the theory at a wavelength, and for a table that ends too early.
     """
 
     frequency_1_um: tuple[float, ...]
@@ -109,7 +109,8 @@ class PsdTable(RoughSurface):
         Raises
         ------
         MistrayError
-            If the file is missing, has other columns, or a cell is no number; with the number of the line.
+            If the file is missing, has other columns, or a cell is not a number; with the number of the line. It is
+            also raised for the reasons of the class.
         """
         what = f"PSD table '{path}'"
         (_, header), *below = read_cells(path, "PSD table") or [(0, [])]
@@ -140,7 +141,11 @@ class PsdTable(RoughSurface):
         return spectrum
 
     def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
-        """Return the rms roughness, µm, that scatters into the half space of index n, see `RoughSurface`."""
+        """
+        Return the rms roughness, µm, that scatters into the half space of index n, see `RoughSurface`.
+
+        Raise `MistrayError` if the table ends below 2 n/λ and `beyond` is "error".
+        """
         highest = n / (wavelength_nm * 1e-3)
         if self.beyond == "error" and 2 * highest > self.frequency_1_um[-1]:
             raise MistrayError(

@@ -103,7 +103,7 @@ def by_rotation(
         Name of the table, for error messages.
     rotation_deg : (d,) float64
         Rotations as in `RotatedSamples`. Data at both 0° and 360° are one position, and are averaged. Angles over half
-        a circle, with or without 180° beside 0°, belong to a surface that is symmetric under half a turn.
+        a circle, from 0° with or without 180°, belong to a surface that is symmetric under half a turn.
     azimuth_deg : (b,) float64
         Azimuths, ascending from 0 to 180°, to 360°, or to one step before 360°.
     values : (d, a, b, c) float64
@@ -147,7 +147,7 @@ def by_rotation(
 
 def whole_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return azimuths 0 … 360° and their values, (…, b, c), from a mirrored half circle or a closed full circle.
+    Return azimuths 0 … 360° and their values, (…, b, c). A half circle is mirrored, an open full circle closed.
 
     Raises
     ------
@@ -166,7 +166,12 @@ def whole_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tup
 
 
 def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return ascending sample rotations over one turn, degrees, (d,), each only once, and the data at them, (d, …)."""
+    """
+    Return ascending sample rotations over one turn, degrees, (d,), each only once, and the data at them, (d, …).
+
+    Rotations over half a turn are repeated with 180° added. Raise `MistrayError` if the data at 0° and 180° differ and
+    there are none beyond.
+    """
     span = float(rotation_deg[-1] - rotation_deg[0])
     check_rotations(title, rotation_deg)
     step = float(np.max(np.diff(rotation_deg))) if len(rotation_deg) > 1 else 360.0

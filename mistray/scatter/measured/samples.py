@@ -136,7 +136,7 @@ class BsdfSamples:
 
     def check_cover(self) -> None:
         """
-        Raise `MistrayError` if the polar angles of the table end before the hemisphere does.
+        Check that the polar angles of the table cover the hemisphere.
 
         Raises
         ------
@@ -166,7 +166,7 @@ class BsdfSamples:
         """
         Return unit vectors, (…, 3), of polar angle and azimuth in the table's frame, at incidence `specular_deg`.
 
-        All in degrees.
+        All angles are in degrees and broadcast together.
         """
         phi, alpha, theta = (np.radians(angle) for angle in (azimuth_deg, polar_deg, specular_deg))
         y = np.sin(alpha) * np.sin(phi)
@@ -223,7 +223,7 @@ class BsdfSamples:
         grid : (a, b, c) float64
             Values of the function.
         index : int
-            Number of the direction of incidence.
+            Index of the angle of incidence in `specular_deg`.
         directions : (…, 3) float64
             Unit vectors.
         beyond : {"hold", "zero", "error"}
@@ -240,7 +240,11 @@ class BsdfSamples:
         return np.asarray(values)
 
     def totals(self, cosine_corrected: bool = False, beyond: str = "hold") -> np.ndarray:
-        """Return the total integrated scatter, a fraction, ∫ f cos θs dΩ, at each angle of incidence, (a,)."""
+        """
+        Return the total integrated scatter, a fraction, ∫ f cos θs dΩ, at each angle of incidence, (a,).
+
+        `cosine_corrected` is that of `bsdf`, and `beyond` that of `at`.
+        """
         polar = (np.arange(FINE_POLAR) + 0.5) * (180 / FINE_POLAR)
         if self.frame == "normal":
             polar = polar / 2
@@ -265,7 +269,7 @@ def uncovered(title: str, azimuth_deg: np.ndarray) -> MistrayError:
 
 
 def check_rotations(title: str, rotation_deg: np.ndarray, most: float = 360 + ANGLE_ROUNDING_DEG) -> None:
-    """Raise `MistrayError` if rotations of a sample, degrees, do not ascend, or span more than `most`."""
+    """Raise `MistrayError` if rotations of a sample, degrees, do not ascend, or span more than `most`, degrees."""
     if np.any(np.diff(rotation_deg) <= 0) or rotation_deg[-1] - rotation_deg[0] > most:
         raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
 
@@ -285,7 +289,8 @@ def one_rotation(title: str, rotation_deg: np.ndarray, values: np.ndarray, aniso
     title : str
         Name of the table, for error messages.
     rotation_deg : (d,) float64
-        Rotations, ascending over a full turn, with or without 360° beside 0°, or over a part that represents it.
+        Rotations, ascending over a full turn, with or without 360° in addition to 0°, or over a part that represents
+        it.
     values : (d, …) float64
         Data at each rotation.
     anisotropy : {"error", "mean"}
@@ -328,7 +333,7 @@ def half_circle(
     title: str, azimuth_deg: np.ndarray, values: np.ndarray, anisotropy: str = "error"
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return azimuths and data over 0 … 360° reduced to 0 … 180°.
+    Return azimuths and data reduced to 0 … 180°; those that end there are returned as they are.
 
     Parameters
     ----------
@@ -344,8 +349,8 @@ def half_circle(
     Raises
     ------
     MistrayError
-        If the two sides of the plane of incidence differ by more than 0.1 % of the largest value, which is
-        anisotropic scatter, and are not averaged.
+        If the two sides of the plane of incidence differ by more than 0.1 % of the largest value, which is anisotropic
+        scatter, and are not averaged; or if an azimuth has no mirror image.
     """
     check_anisotropy(title, anisotropy)
     if azimuth_deg[-1] <= 180 + ANGLE_ROUNDING_DEG:

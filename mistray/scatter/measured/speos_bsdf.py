@@ -1,4 +1,4 @@
-"""Anisotropic BSDF files of Ansys Speos (.anisotropicbsdf), in text.
+"""Reader of anisotropic BSDF files of Ansys Speos (.anisotropicbsdf) in text form.
 
 The layout follows Ansys' help, "Structure of Anisotropic BSDF Files". A file has a header, the mode, texts, the
 anisotropy vector, flags for reflection and transmission, and the kind of the values. Then follow the angles of the
@@ -47,7 +47,7 @@ class _Lines:
         return f"{self.title}, line {self._next}"
 
     def text(self) -> str:
-        """Return the text of the next line, without blanks at its ends."""
+        """Return the next line, without spaces at its ends; raise `MistrayError` at the end of the file."""
         if self._next >= len(self._lines):
             raise MistrayError(f"{self.title}: it ends after {self._next} lines, before its data; copy it again")
         self._next += 1
@@ -83,8 +83,9 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     Raises
     ------
     MistrayError
-        If the file is missing, binary, malformed or of another version. If it has transmission, totals that depend on
-        the wavelength, or rotations with different incidences. For errors of `BsdfSamples` and `by_rotation`, too.
+        If the file is missing, binary, malformed or of another version. The same holds if it has transmission, totals
+        that depend on the wavelength, or rotations with different incidences. It is also raised for the reasons of
+        `BsdfSamples` and `by_rotation`.
     """
     lines = _Lines(path)
     if not _HEADER.fullmatch(lines.text()):

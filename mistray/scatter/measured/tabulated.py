@@ -137,7 +137,7 @@ class Tabulated(Placement):
         Raises
         ------
         MistrayError
-            If the file name has another ending, or for an error of the readers.
+            If the file name has another ending, the file is not valid, or for the reasons of the class.
         """
         readers = {".bsdf": read_zemax_bsdf, ".csv": read_bsdf_csv, SUFFIX: read_speos_bsdf}
         suffix = Path(path).suffix.lower()
@@ -151,7 +151,7 @@ class Tabulated(Placement):
         return f"Tabulated '{self.name or self.samples.name}'"
 
     def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
-        """Return the lobe of an event, or () if only the other was measured, see `Placement.event_lobes`."""
+        """Return the lobe of an event, or () if only the other event was measured, see `Placement.event_lobes`."""
         if self.samples.event not in (None, event):
             return ()
         return (Lobe(event, self._carrier, shares=self.shares, ratio=self._ratio),)
@@ -281,7 +281,9 @@ class Tabulated(Placement):
 
         Returns
         -------
-        (incidences, m, k) float64
+        (a, m, k) float64
+            Values of `relative` for each measured angle of incidence, node of `second` and node of
+        `angle`.
         """
         planes, second = [], second[:, None]
         for index, specular in enumerate(np.radians(table.specular_deg)):

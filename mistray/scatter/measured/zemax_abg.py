@@ -60,7 +60,8 @@ def read_abg_data(path: str | Path) -> dict[str, AbgEntry]:
     Raises
     ------
     MistrayError
-        If the file is missing, a line has another form, or a name occurs twice or has no numbers; with the line.
+        If the file is missing, a line has another form, or a name occurs twice or has no line of values; with the
+        number of the line.
     """
     found: dict[str, AbgEntry] = {}
     entry = None
@@ -107,7 +108,8 @@ def abg_from_catalogue(spec: str, **placement: Any) -> ABg:
     Raises
     ------
     MistrayError
-        If `spec` has another form, the name is missing, its numbers change with the angle, or ABg refuses them.
+        If `spec` has another form, the file is not valid, the name is not in it, or A, B and g of the entry change with
+        the angle or are out of range.
     """
     match = NAMED.fullmatch(spec.strip())
     if match is None:

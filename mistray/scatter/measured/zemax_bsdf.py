@@ -48,7 +48,11 @@ class _Lines:
         return words
 
     def choice(self, key: str, known: tuple[str, ...]) -> str:
-        """Return the value, one of `known`, in the next line, which must read `key value`; in lower case."""
+        """
+        Return the value in the next line, in lower case.
+
+        The line must read `key value`, with a value in `known`; otherwise raise `MistrayError`.
+        """
         words = self.next(key)
         if words[0].lower() != key.lower() or len(words) != 2:
             raise MistrayError(f"{self.where}: '{' '.join(words)}'; expected {key} {'|'.join(known)}")
@@ -57,7 +61,11 @@ class _Lines:
         return words[1].lower()
 
     def values(self, count: int, expected: str) -> list[float]:
-        """Return the next `count` numbers, from one line or several; `expected` describes them in messages."""
+        """
+        Return the next `count` values, from one line or several; `expected` describes them in messages.
+
+        Raise `MistrayError` if the last line has more values than that, or the file ends.
+        """
         found: list[float] = []
         while len(found) < count:
             words = self.next(expected)
@@ -81,8 +89,8 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     Raises
     ------
     MistrayError
-        If the file is missing or malformed, with the number of the line. If it has colours, or anisotropic scatter that
-        is refused. For errors of `BsdfSamples`, too.
+        If the file is missing or malformed, with the number of the line, or if it has colours. It is also raised for
+        the reasons of `BsdfSamples` and `by_rotation`.
     """
     rows = (
         (n, line.split())
@@ -119,7 +127,12 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
 
 
 def _block(lines: _Lines, azimuths: int, radials: int, angle: float) -> np.ndarray:
-    """Return the BSDF, 1/sr, (azimuths, radials), at one angle of incidence, degrees, read from the next lines."""
+    """
+    Return the BSDF, 1/sr, (azimuths, radials), at one angle of incidence, degrees, read from the next lines.
+
+    Lines ``TIS`` before them are skipped. Raise `MistrayError` if the number of values is wrong, or a value is
+    negative.
+    """
     found: list[float] = []
     while len(found) < azimuths * radials:
         words = lines.next(f"the data at {angle:g}°")
