@@ -17,6 +17,7 @@ from mistray.analyses.validate.result import (
     KNOWN,
     NOT_ASKED,
     TOO_FEW,
+    UNJUDGED,
     ComparedRow,
     PackSummary,
     Validation,
@@ -87,9 +88,13 @@ def finding(found: Validation) -> str:
     words = {AGREES: "agree", KNOWN: "known to differ", DIFFERS: "differ and should agree"}
     words |= {FAILED: "whose program failed", NOT_ASKED: "without the program that they ask"}
     words |= {TOO_FEW: "with too few rays"}
-    told = ", ".join(f"{found.count(verdict)} {text}" for verdict, text in words.items() if found.count(verdict))
+    told = {verdict: f"{found.count(verdict)} {text}" for verdict, text in words.items() if found.count(verdict)}
+    judged = [text for verdict, text in told.items() if verdict not in UNJUDGED]
+    unjudged = [text for verdict, text in told.items() if verdict in UNJUDGED]
+    if unjudged:
+        judged.append(f"{sum(map(found.count, UNJUDGED))} without a verdict ({', '.join(unjudged)})")
     numbers = "number" if len(found.rows) == 1 else "numbers"
-    return f"{len(found.rows)} {numbers} beside ours: {told}"
+    return f"{len(found.rows)} {numbers} beside ours: {', '.join(judged)}"
 
 
 def text(found: Validation) -> str:

@@ -1,4 +1,4 @@
-"""Numbers to compare that a trace of a scene gives: of its image, of a ghost, or a PST (point source transmittance).
+"""Numbers to compare that a trace of a scene gives: of its image, a ghost, scattered light, or a PST.
 
 A path is named by the surfaces that reflect its light, without those that reflect the light of the image. Of several
 such paths it is the strongest.
@@ -7,13 +7,14 @@ such paths it is the strongest.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
-from mistray.errors import errors_of
+from mistray.errors import MistrayError, errors_of
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.scene_values import assign
 from mistray.scene import load
@@ -67,6 +68,10 @@ class SceneNumbers:
         if row.quantity == "pst":
             return self._pst(row)
         t = self._trace(row)
+        if row.quantity == "detected_W":
+            return Estimate(t.energy.detected_W, t.energy.detected_se_W)
+        if row.quantity == "scattered_W":
+            return scattered(t, row.scattered_by)
         found = named_path(t, row.path)
         if found is None:
             return None
@@ -84,6 +89,12 @@ class SceneNumbers:
             if values:
                 with errors_of("set"):
                     assign(mi.traverse(loaded), {key: np.array([value]) for key, value in values.items()})
+            if self._file.pivot_mm is not None:
+                turning = [source for source in loaded.emitters() if hasattr(source, "field_deg")]
+                if not turning:
+                    raise MistrayError("pivot_mm is given, but no source of the scene has a field angle; leave it out")
+                for source in turning:
+                    source.matrix[:3, 3] = self._file.pivot_mm
             self._scenes[key] = loaded
         return self._scenes[key]
 
@@ -135,6 +146,15 @@ def named_path(t: Trace, surfaces: Sequence[str]) -> PathRow | None:
     design = _reflecting(image) if image is not None else []
     rows = [row for row in t.paths if _without(_reflecting(row), design) == list(surfaces)]
     return max(rows, key=lambda row: row.power_W, default=None)
+
+
+def scattered(t: Trace, pattern: str) -> Estimate | None:
+    """Return the power on the detector, W, of light that is scattered once, by surfaces whose names fit; None if none.
+
+    Light that anything but a mirror of the design reflects does not count.
+    """
+    ids = [row.path_id for row in t.paths if row.kind == "single scatter" and fnmatchcase(row.scatter_1, pattern)]
+    return Estimate(*t.paths.power(ids)) if ids else None
 
 
 def _reflecting(row: PathRow) -> list[str]:
