@@ -269,6 +269,12 @@ def test_light_that_surfaces_scatter(folder: Path) -> None:
     assert "none takes this way" in found["other"].why
 
 
+def test_many_rows_with_one_reason_are_counted() -> None:
+    rows = [ComparedRow("pack", f"r{k}", "", ROW_SAYS, ROW_SAYS, 1.0, KNOWN, "another glass") for k in range(6)]
+    assert page.reasons(rows[:4]) == ["r0; r1; r2; r3: another glass"]
+    assert page.reasons(rows) == ["6 numbers, such as r0; r1; r2: another glass"]
+
+
 def test_only_some_rows(capsys: Captured) -> None:
     found = run_validation(ValidateRequest(only=("tracepro_abg/TIS*", "mie_*")))
     assert {row.pack for row in found.rows} == {"tracepro_abg", "mie_spheres"}
