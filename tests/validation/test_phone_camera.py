@@ -117,6 +117,7 @@ def test_the_window_pair_and_the_stop(scene, ghosts):
     assert 1 - power[0.0] / unclipped == pytest.approx(0.029, abs=0.004)
 
 
+@pytest.mark.long
 def test_the_study_turns_its_source_in_its_place_and_its_stop_is_the_rim_of_lens_1():
     """With both its fifteen numbers agree; without one of them nine or twelve do not. And the table of the page."""
     rows = phone_camera.beams_and_stops(20_000)

@@ -6,6 +6,7 @@ such paths it is the strongest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
 from mistray.errors import MistrayError, errors_of
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.scene_values import assign
+from mistray.recorders.sampled import ERROR_RAYS
 from mistray.scene import load
 from mistray.trace import trace
 from mistray.trace.paths import PathRow
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 FAINTEST = 1e-9  # flux of a ray relative to a start ray, below which it is cut
 SUBSETS = 16  # of the hits of a path, whose extents tell the error of that of all hits
 LEAST_HITS = 16  # of a subset
+SUMS = ("detected_W", "scattered_W")  # of many paths, whose spread over fewer rays than `ERROR_RAYS` is no error
 REFLECTED = ("SpecRefl", "TIR")
 OF_PATH: Mapping[str, tuple[str, str]] = {
     "power_W": ("power_W", "power_se_W"),
@@ -68,10 +71,9 @@ class SceneNumbers:
         if row.quantity == "pst":
             return self._pst(row)
         t = self._trace(row)
-        if row.quantity == "detected_W":
-            return Estimate(t.energy.detected_W, t.energy.detected_se_W)
-        if row.quantity == "scattered_W":
-            return scattered(t, row.scattered_by)
+        if row.quantity in SUMS:
+            found = detected(t) if row.quantity == "detected_W" else scattered(t, row.scattered_by)
+            return found if found is None or self._rays >= ERROR_RAYS else Estimate(found.value, math.nan)
         found = named_path(t, row.path)
         if found is None:
             return None
@@ -146,6 +148,11 @@ def named_path(t: Trace, surfaces: Sequence[str]) -> PathRow | None:
     design = _reflecting(image) if image is not None else []
     rows = [row for row in t.paths if _without(_reflecting(row), design) == list(surfaces)]
     return max(rows, key=lambda row: row.power_W, default=None)
+
+
+def detected(t: Trace) -> Estimate:
+    """Return the power that the detector absorbs, W, of all paths."""
+    return Estimate(t.energy.detected_W, t.energy.detected_se_W)
 
 
 def scattered(t: Trace, pattern: str) -> Estimate | None:

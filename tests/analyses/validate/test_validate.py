@@ -44,8 +44,6 @@ TRACED = (
     "rubin_ghosts", "lsst", "hsc", "decam", "phone_camera", "phone_camera_pst", "phone_camera_objects", "veiling_glare",
 )  # fmt: skip
 CLOSED = tuple(pack.name for pack in PACKS if pack.name not in TRACED)
-# 19 rays here and 66 in the study, of a million: four errors tell them apart with some seeds
-AT_THE_LIMIT = {("phone_camera_objects", "illuminated: B 2, cone 3 + 22")}
 ROW = DeclaredRow("row", published=2.0, uncertainty=0.3, tolerance=0.1, relative=0.05)
 ROW_SAYS = Estimate(2.0, 0.3)
 # Two faces of R 0.1 and T 0.8 before a detector: image T², ghost T² R² of the beam
@@ -444,10 +442,12 @@ def check(found: Validation) -> None:
     """No row differs without a reason, and a row with one differs indeed, if not by much."""
     assert found.rows
     assert not [row for row in found.rows if row.verdict in (DIFFERS, TOO_FEW)]
-    reasons = {(pack.name, row.name) for pack in PACKS for row in pack.file.rows if row.differs}
-    with_one = {(row.pack, row.name): row for row in found.rows if (row.pack, row.name) in reasons}
-    assert {name for name, row in with_one.items() if row.verdict != KNOWN} <= AT_THE_LIMIT
-    assert {(row.pack, row.name) for row in found.rows if row.verdict == KNOWN} <= with_one.keys()
+    reasons = {(pack.name, row.name): row for pack in PACKS for row in pack.file.rows if row.differs}
+    for row in found.rows:
+        reason = reasons.get((row.pack, row.name))
+        assert (row.verdict == KNOWN) <= (reason is not None), row.name
+        if reason is not None and row.verdict != KNOWN:  # a small difference, which some seeds tell from none
+            assert abs(reason.expected - row.published.value) <= row.allowed, row.name
 
 
 @pytest.mark.validation
@@ -462,6 +462,24 @@ def test_packs_without_rays() -> None:
 @pytest.mark.parametrize("name", TRACED)
 def test_packs_of_traces(name: str) -> None:
     check(run_validation(ValidateRequest(only=(name,))))
+
+
+@pytest.mark.validation
+@pytest.mark.long
+def test_the_weights_of_scattered_rays_tell_what_the_phone_camera_study_knows(capsys: Captured) -> None:
+    """Mean square over squared mean of the BSDF in a cone of 18°: polish of its Table 13, and dust, once forwards."""
+    said = {"window_front": (93, 400, 0.1099), "window_rear": (31, 300, 0.1099)}
+    said |= {"lens": (44, 300, 0.0738), "L4": (57, 300, 0.05465)}
+    for name, (factor, level, b0) in said.items():
+        found = json.loads(succeeds(capsys, "bsdf", "particulate", "--level", str(level), "--json"))
+        curve = next(one for one in found["curves"] if one["incidence_deg"] == 0)
+        angle, dust = np.radians(curve["theta_s_deg"]), np.array(curve["bsdf_1_sr"]) / 2  # reflected: forwards twice
+        beta = np.linspace(1e-5, np.sin(np.radians(18)), 100_000)
+        weight = b0 * (1 + (beta / 0.01) ** 2) ** -0.75 + np.interp(
+            np.arcsin(beta), angle[angle >= 0], dust[angle >= 0]
+        )
+        means = [np.average(weight**power, weights=beta) for power in (1, 2)]
+        assert means[1] / means[0] ** 2 == pytest.approx(factor, rel=0.03), name
 
 
 def test_page_and_result() -> None:
