@@ -72,8 +72,8 @@ class SceneNumbers:
             return self._pst(row)
         t = self._trace(row)
         if row.quantity in SUMS:
-            found = detected(t) if row.quantity == "detected_W" else scattered(t, row.scattered_by)
-            return found if found is None or self._rays >= ERROR_RAYS else Estimate(found.value, math.nan)
+            light = detected(t) if row.quantity == "detected_W" else scattered(t, row.scattered_by)
+            return light if light is None or self._rays >= ERROR_RAYS else Estimate(light.value, math.nan)
         found = named_path(t, row.path)
         if found is None:
             return None
