@@ -32,6 +32,7 @@ ON_AXIS_RAYS = 4_000_000
 GHOST_RAYS = {0.0: 400_000, 5.0: 400_000, 10.0: 400_000}
 FAR_GHOST_RAYS = 2_000_000
 THREE_REFLECTION_RAYS = 1_000_000
+BEAM_RAYS = 100_000
 TOP = 4
 PST_RAYS, PST_BEAM_RAYS = 1_000_000, 50_000
 PST_BEAM_FIELDS_DEG = [10, 20, 30, 40]
@@ -145,7 +146,6 @@ def _write_phone_camera() -> None:
     }
     limits = {"stop": "stop", "beam": "source, no stop"}
     on_axis = [row | {"limit": limits[row["limit"]]} for row in _in_kilowatts(phone_camera.on_axis(ON_AXIS_RAYS))]
-    radii = phone_camera.implied_radii(tables)
     image = table(
         "field ° | RMS spot µm | same rays, float64 | evenly sampled | figure | chief ray mm | figure mm | passed | "
         "figure passed | illumination | figure rel. | with barrel | figure barrel",
@@ -172,10 +172,11 @@ def _write_phone_camera() -> None:
                 phone_camera.ghost_pairs(tables[0]),
             ),
             "ghosts": _ghost_rows(tables, three),
-            "radii": table(
-                "field ° | ghost | power mW | RMS radius µm | study implies µm | difference in quadrature µm",
-                "{field_deg:g} | {surfaces} | {power_mW:.3f} | {rms_um:.1f} | {study_rms_um:.1f} | {blur}",
-                [row | {"blur": f"{row['blur_um']:.0f}" if math.isfinite(row["blur_um"]) else "–"} for row in radii],
+            "turned": table(
+                "number | study W/mm² | its beam and stop | beam about the stop | stop of 1.2517 mm",
+                "{name} | {study±study_se} | {studied±studied_se} | {about_stop±about_stop_se} | "
+                "{own_stop±own_stop_se}",
+                phone_camera.beams_and_stops(BEAM_RAYS),
             ),
         },
     )

@@ -65,9 +65,10 @@ PAIRS = {
     ("sweep", "pst"): "a sweep of PSTs, with their curves and tables",
     ("sweep", "sensitivity"): "edits are ranked by what parameters may do",
     ("transfer", "image"): "the transfer function of the direct image",
+    ("validate", "objects"): "the flux on critical and illuminated objects is compared",
     ("validate", "pst"): "PSTs and the veiling glare index are compared",
 }
-MOST_PAIRS = 16
+MOST_PAIRS = 17
 # Names that change between Mitsuba releases live in one file.
 RELEASE_NAMES = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
 

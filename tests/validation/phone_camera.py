@@ -15,6 +15,7 @@ from oracles import beams, scene_xml
 from oracles.replay import Replay, replay
 
 import mistray
+from mistray.analyses.validate.packs.known import PACKS
 from mistray.analysis import ghosts
 from mistray.prescription import Prescription, from_json
 from mistray.prescription.scene_file import xml_text
@@ -273,23 +274,19 @@ def ghost_pairs(table: pd.DataFrame) -> list[dict[str, Any]]:
     return rows
 
 
-def implied_radii(tables: Mapping[float, pd.DataFrame]) -> list[dict[str, Any]]:
-    """RMS radii, µm, that the study's ghosts of the detector imply at our power, and the difference in quadrature."""
-    rows = []
-    for ghost in REPORT:
-        if len(ghost.surfaces) == 2 and ghost.surfaces[0] == "detector" and "bevel" not in ghost.surfaces[1]:
-            row = strongest(tables[ghost.field_deg], ghost.surfaces)
-            own, study = 1e3 * row.rms_radius_mm, 1e3 * np.sqrt(row.power_W / (np.pi * ghost.irradiance))
-            rows.append(
-                {
-                    "field_deg": ghost.field_deg,
-                    "surfaces": row.surfaces,
-                    "power_mW": 1e3 * row.power_W,
-                    "rms_um": own,
-                    "study_rms_um": study,
-                    "blur_um": float(np.sqrt(study**2 - own**2)) if study > own else float("nan"),
-                }
-            )
+def beams_and_stops(rays: int) -> list[dict[str, Any]]:
+    """Numbers of the pack with the study's beam and stop, a beam about the stop, and the stop of its Figure 6."""
+    (pack,) = [one for one in PACKS if one.name == "phone_camera"]
+    changes: dict[str, dict[str, None]] = {"studied": {}, "about_stop": {"pivot_mm": None}, "own_stop": {"set": None}}
+    found = {name: pack.numbers(replace(pack.file, rays=rays, **change), None, 0) for name, change in changes.items()}
+    rows: list[dict[str, Any]] = []
+    for row in pack.file.rows:
+        cells = {"name": row.name, "study": row.published, "study_se": row.uncertainty}
+        for name, ours in found.items():
+            value, se = ours(row)
+            agree = abs(value - row.published) <= row.allowed(se, row.published, row.uncertainty)
+            cells |= {name: value, f"{name}_se": se, f"{name}_agrees": agree}
+        rows.append(cells)
     return rows
 
 

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import vectors
 
 import mistray
 from mistray.analyses.objects.result import Objects
 from mistray.analyses.objects.run import objects
+from mistray.analyses.validate.packs.known import PACKS
 from mistray.trace.host.ray_sources import DiskSource
 
 FILE = "phone_camera_objects.md"
@@ -31,11 +31,13 @@ class Row:
 
 
 def _rows(which: str) -> tuple[Row, ...]:
+    (pack,) = [one for one in PACKS if one.name == "phone_camera_objects"]
     rows = []
-    for line in vectors.rows("phone_camera_objects.csv"):
-        if line["list"] == which:
-            here = tuple(tuple(place.split(":")) for place in line["here"].split())
-            rows.append(Row(line["label"], int(line["rays"]), float(line["power"]), line["common"] == "1", here))
+    for row in pack.file.rows:
+        if row.argument("list") == which:
+            here = tuple(tuple(place.split(":")) for place in row.argument("here"))
+            label = row.name.removeprefix(f"{which}: ")
+            rows.append(Row(label, row.argument("rays"), row.published, row.argument("common"), here))
     return tuple(rows)
 
 

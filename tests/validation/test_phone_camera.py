@@ -104,7 +104,7 @@ def test_every_pair_of_surfaces_on_axis(scene):
     assert len(found) == 105
 
 
-def test_the_window_pair_the_stop_and_the_radii_of_the_study(scene, ghosts):
+def test_the_window_pair_and_the_stop(scene, ghosts):
     """The stop takes 3 % of the returning light on axis, passes a fifth of it at 5°, and nothing at 10°."""
     power = {}
     for field in (0.0, 5.0, 10.0):
@@ -115,13 +115,21 @@ def test_the_window_pair_the_stop_and_the_radii_of_the_study(scene, ghosts):
     assert power[5.0] / power[0.0] == pytest.approx(0.22, abs=0.03)
     assert power[10.0] == 0
     assert 1 - power[0.0] / unclipped == pytest.approx(0.029, abs=0.004)
-    # The study's irradiances at our powers imply radii that exceed ours by 0.1 to 0.15 mm in quadrature in eight of ten
-    rows = phone_camera.implied_radii(ghosts)
-    off_axis = [row["blur_um"] for row in rows if row["field_deg"] > 0]
-    assert len(off_axis) == 10
-    assert sum(95 < blur < 150 for blur in off_axis) == 8
-    filters = [row["blur_um"] for row in rows if row["field_deg"] == 0 and "filter" in row["surfaces"]]
-    assert not any(blur > 10 for blur in filters)
+
+
+@pytest.mark.long
+def test_the_study_turns_its_source_in_its_place_and_its_stop_is_the_rim_of_lens_1():
+    """With both its fifteen numbers agree; without one of them nine or twelve do not. And the table of the page."""
+    rows = phone_camera.beams_and_stops(20_000)
+    agree = {name: sum(row[f"{name}_agrees"] for row in rows) for name in ("studied", "about_stop", "own_stop")}
+    assert agree == {"studied": 15, "about_stop": 6, "own_stop": 3}
+    columns = {"its beam and stop": "studied", "beam about the stop": "about_stop", "stop of 1.2517 mm": "own_stop"}
+    for row, written in zip(rows, read("phone_camera.md", "turned"), strict=True):
+        assert written["number"] == row["name"]
+        for column, name in columns.items():
+            expected, se = value(written[column])
+            # A few rays near the rim of lens 1 carry most of some spots, so that their errors are uncertain
+            assert abs(row[name] - expected) < 5 * np.hypot(se, row[f"{name}_se"]) + 0.01 * expected, written
 
 
 def test_pairs_of_table_22(ghosts):

@@ -5,6 +5,8 @@ import pytest
 from validation import phone_camera_objects, phone_camera_pst
 from validation.tables import read, value
 
+from mistray.analyses.validate.packs.known import PACKS
+
 pytestmark = [pytest.mark.validation, pytest.mark.slow]
 
 PST_RAYS, BEAM_RAYS = 100_000, 10_000
@@ -24,6 +26,18 @@ def test_the_notebook_has_the_rays_of_the_page_of_objects():
     """Tables 7 and 9 were typed twice, by different hands: here they are found in the notebook and beside the page."""
     for name, rows in (("TABLE_7", phone_camera_objects.CRITICAL), ("TABLE_9", phone_camera_objects.ILLUMINATED)):
         assert sum(rays for _, _, rays in phone_camera_pst.study()[name]) == sum(row.rays for row in rows)
+
+
+def test_the_notebook_has_the_powers_of_the_pack():
+    """Table 27: what a surface scatters, and power over share, which is all light or all scattered light."""
+    (pack,) = [one for one in PACKS if one.name == "phone_camera_pst"]
+    typed = {(angle, ours): power for angle, _, power, _, ours in phone_camera_pst.study()["TABLE_27"]}
+    whole = phone_camera_pst.implied().power
+    for row in pack.file.rows:
+        if row.scattered_by in ("", "*"):
+            assert row.published == pytest.approx(whole[row.field_deg], rel=4e-3), row.name
+        else:
+            assert row.published == typed[row.field_deg, row.scattered_by], row.name
 
 
 def test_image_is_what_pupil_and_coatings_give_and_the_curve_that_of_the_page(curve):

@@ -13,12 +13,13 @@ if TYPE_CHECKING:
 
 FILES = ("report.html", "validation.csv", "packs.csv", "validation.json", "differences.png")
 DISAGREES = 1  # exit code: a row differs that should agree, or a program failed
+UNDECIDED = 3  # exit code: else, and a row has too few rays, or no row has a verdict
 COMMAND = Command(
     "validate",
     "published numbers beside ours, with a verdict on each",
     "Compare numbers of publications and of other programs with ours, row by row: both numbers, their\n"
     "errors, what is allowed, and a verdict. The exit code is 1 if a row differs that should agree, or a\n"
-    "program that it asks failed.",
+    "program that it asks failed. Else it is 3 if a row has too few rays for a verdict, or no row has one.",
     (
         "mistray validate",
         "mistray validate --only phone_camera 'rubin_ghosts/*flux' --out out",
@@ -35,7 +36,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run `mistray validate` with parsed options; return 1 if a row differs that should agree or a program failed."""
+    """Run `mistray validate` with parsed options; return 0 if it holds, else `DISAGREES` or `UNDECIDED`."""
     from mistray.analyses.validate.request import ValidateRequest
 
     request = request_of(ValidateRequest, vars(options))
@@ -52,4 +53,4 @@ def run(options: Options) -> int:
         found = run_validation(request, tell)
     files = options.write(lambda _, command: page.page(found, command))
     options.show(lambda: page.record(found), lambda: page.text(found), files, result=found)
-    return 0 if found.holds else DISAGREES
+    return DISAGREES if found.refuted else 0 if found.holds else UNDECIDED

@@ -6,6 +6,7 @@ The files of the packs that come along and those of users have the same form.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +18,12 @@ from mistray.ranges import (
     FIELD_DEG,
     FINITE,
     NOT_NEGATIVE,
+    PLACE_MM,
     RAYS,
     TEXT,
     WAVELENGTH_NM,
     ByName,
+    Each,
     OfType,
     Words,
     check_fields,
@@ -38,6 +41,8 @@ UNITS = {
     "rms_irradiance_W_mm2": "W/mm²",
     "diameter_x_mm": "mm",
     "diameter_y_mm": "mm",
+    "detected_W": "W",
+    "scattered_W": "W",
     "pst": "1",
 }
 """Quantities of a scene that a row may name, and their units; see `mistray.analyses.validate.scene_numbers`."""
@@ -70,6 +75,7 @@ class DeclaredRow:
     path: tuple[str, ...] = Several(TEXT, 0).field(
         (), "surfaces that reflect the light, in order; those of the design are left out. Empty: the image"
     )
+    scattered_by: str = TEXT.field("", "surfaces that scatter the light of `scattered_W`, with * for any letters")
     field_deg: float | None = FIELD_DEG.field(None, "field angle, degrees; that of the file")
     azimuth_deg: float | None = AZIMUTH_DEG.field(None, "azimuth of the field, degrees; that of the file")
     wavelength_nm: float | None = WAVELENGTH_NM.field(None, "wavelength, nm; that of the file")
@@ -84,8 +90,10 @@ class DeclaredRow:
         if bool(self.differs) != (self.expected is not None):
             given, missing = ("differs", "expected") if self.differs else ("expected", "differs")
             raise MistrayError(f"{where}: {given} is given without {missing}; give both: why, and our number")
-        if self.quantity == "pst" and self.path:
-            raise MistrayError(f"{where}: path is given for a pst, which has the light of all paths; leave it out")
+        if self.quantity in OF_MANY_PATHS and self.path:
+            raise MistrayError(f"{where}: path is given for {self.quantity}, the light of many paths; leave it out")
+        if (self.quantity == "scattered_W") != bool(self.scattered_by):
+            raise MistrayError(f"{where}: give scattered_by with the quantity scattered_W, and with no other")
         if self.quantity == "pst" and self.field_deg is None:
             raise MistrayError(f"{where}: field_deg is missing, the angle of the pst; give it in the row or the file")
 
@@ -100,9 +108,10 @@ class DeclaredRow:
 
         The numbers and their standard errors are in the unit of the quantity.
         """
-        return ERRORS * float((se**2 + published_se**2) ** 0.5) + self.tolerance + self.relative * abs(published)
+        return ERRORS * math.hypot(se, published_se) + self.tolerance + self.relative * abs(published)
 
 
+OF_MANY_PATHS = ("detected_W", "scattered_W", "pst")
 ERRORS = 4.0  # standard errors within which numbers agree: by chance one of 16,000 rows does not
 
 
@@ -119,6 +128,9 @@ class ReferenceFile:
     field_deg: float | None = FIELD_DEG.field(None, "field angle, degrees; that of the scene")
     azimuth_deg: float | None = AZIMUTH_DEG.field(None, "azimuth of the field, degrees; that of the scene")
     wavelength_nm: float | None = WAVELENGTH_NM.field(None, "wavelength, nm; that of the scene")
+    pivot_mm: tuple[float, ...] | None = Each(PLACE_MM, count=3).field(
+        None, "x, y and z of the point about which the beam turns with the field angle, mm; that of the scene"
+    )
     set: Mapping[str, float] | None = ByName(FINITE, "L1_front.bsdf.R=0.01").field(
         None, "values of parameters of the scene, by key"
     )

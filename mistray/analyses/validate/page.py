@@ -17,6 +17,7 @@ from mistray.analyses.validate.result import (
     KNOWN,
     NOT_ASKED,
     TOO_FEW,
+    UNJUDGED,
     ComparedRow,
     PackSummary,
     Validation,
@@ -34,6 +35,7 @@ CRITERION = (
     "its source leaves open. Both are stated before the run."
 )
 WRONG = {DIFFERS: "differs and should agree", FAILED: "the other program failed"}
+NAMES_TOLD = 4  # of the rows with one reason; all have it in the CSV file
 LEAST_DIGITS, PRINTED, MOST_DIGITS = 4, 6, 10
 HEADS = ("<number", "<verdict", "published", "ours", "difference", "allowed", "<unit")
 COUNTS = ("pack", "title", "count", "agree", "known", "differ", "left_out", "seconds")
@@ -76,14 +78,21 @@ def rows_table(found: Validation) -> Table:
 
 
 def reasons(rows: Sequence[ComparedRow]) -> list[str]:
-    """Return why rows differ or were left out, each reason once with the names of its rows."""
+    """Return why rows differ or were left out, each reason once with its rows: their names, or their number if many."""
     by_reason: dict[str, list[str]] = {}
     for row in rows:
         if row.why:
             by_reason.setdefault(row.why, []).append(row.name)
         elif row.verdict == DIFFERS:
             by_reason.setdefault("no reason is known; please report it with this table", []).append(row.name)
-    return [f"{'; '.join(names)}: {why}" for why, names in by_reason.items()]
+    return [f"{_told(names)}: {why}" for why, names in by_reason.items()]
+
+
+def _told(names: Sequence[str]) -> str:
+    """Return the names, or of more than `NAMES_TOLD` the first ones with the number of all."""
+    if len(names) <= NAMES_TOLD:
+        return "; ".join(names)
+    return f"{len(names)} numbers, such as {'; '.join(names[: NAMES_TOLD - 1])}"
 
 
 def finding(found: Validation) -> str:
@@ -91,9 +100,13 @@ def finding(found: Validation) -> str:
     words = {AGREES: "agree", KNOWN: "known to differ", DIFFERS: "differ and should agree"}
     words |= {FAILED: "whose program failed", NOT_ASKED: "without the program that they ask"}
     words |= {TOO_FEW: "with too few rays"}
-    told = ", ".join(f"{found.count(verdict)} {text}" for verdict, text in words.items() if found.count(verdict))
+    told = {verdict: f"{found.count(verdict)} {text}" for verdict, text in words.items() if found.count(verdict)}
+    judged = [text for verdict, text in told.items() if verdict not in UNJUDGED]
+    unjudged = [text for verdict, text in told.items() if verdict in UNJUDGED]
+    if unjudged:
+        judged.append(f"{sum(map(found.count, UNJUDGED))} without a verdict ({', '.join(unjudged)})")
     numbers = "number" if len(found.rows) == 1 else "numbers"
-    return f"{len(found.rows)} {numbers} beside ours: {told}"
+    return f"{len(found.rows)} {numbers} beside ours: {', '.join(judged)}"
 
 
 def text(found: Validation) -> str:

@@ -15,6 +15,7 @@ from mistray.toolkit.rows import column, derived
 AGREES, KNOWN, DIFFERS = "agrees", "known to differ", "differs"
 FAILED, NOT_ASKED, TOO_FEW = "peer failed", "peer not installed", "too few rays"
 VERDICTS = (AGREES, KNOWN, DIFFERS, FAILED, NOT_ASKED, TOO_FEW)
+UNJUDGED = (NOT_ASKED, TOO_FEW)  # neither an agreement nor a difference
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class PackSummary:
     agree: int = column("rows that agree")
     known: int = column("rows that are known to differ", head="known to differ")
     differ: int = column("rows that differ and should agree, or whose program failed")
-    left_out: int = column("rows whose program is not installed, or with too few rays for an error")
+    left_out: int = column("rows without a verdict: their program is not installed, or the rays are too few")
     seconds: float = column("time that the pack took, s", head="seconds", digits=".1f")
     source: str = column("source of its numbers")
     licence: str = column("their licence", "")
@@ -89,9 +90,15 @@ class Validation(Result, table=".page:rows_table", figure=".figures:differences_
         return sum(row.verdict == verdict for row in self.rows)
 
     @property
+    def refuted(self) -> bool:
+        """Whether a row differs without a known reason, or another program failed."""
+        return bool(self.count(DIFFERS) or self.count(FAILED))
+
+    @property
     def holds(self) -> bool:
-        """Whether no row differs without a known reason and no other program failed."""
-        return not self.count(DIFFERS) and not self.count(FAILED)
+        """Whether nothing is refuted and every row is judged but those whose program is missing, one at least."""
+        judged = len(self.rows) - self.count(NOT_ASKED)
+        return not self.refuted and judged > 0 and not self.count(TOO_FEW)
 
     def of(self, pack: str) -> list[ComparedRow]:
         """Return the rows of the named source of numbers (pack)."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from mistray.analyses.validate.declared import UNITS, DeclaredRow, ReferenceFile, read_reference, require_own
+from mistray.analyses.validate.declared import ERRORS, UNITS, DeclaredRow, ReferenceFile, read_reference, require_own
 from mistray.analyses.validate.pack import Finder, Pack, PeerError
 from mistray.analyses.validate.packs.known import PACKS
 from mistray.analyses.validate.request import ValidateRequest
@@ -31,6 +31,8 @@ from mistray.estimate import UNKNOWN, Estimate
 from mistray.notes import Code, Note, quiet
 from mistray.trace.forward import versions
 
+# Standard errors, and light that is missing, stand in the rows; how to trace better is no matter of a comparison
+LEFT_OUT = (Code.ERROR, Code.AIMED, Code.SCATTERED_RAYS, Code.SILENT, Code.OUTSIDE_SEEN)
 Progress = Callable[[str, int, int], None]
 """Called with the title of the pack that begins, the number of packs before it and that of all."""
 
@@ -87,8 +89,7 @@ def run_validation(request: ValidateRequest, progress: Progress | None = None) -
         kept: list[Note] = []
         with quiet(kept):
             found = _compared(pack, file, declared, request)
-        # Standard errors stand in the rows
-        notes += [note.beside(pack.name) for note in dict.fromkeys(kept) if note.code != Code.ERROR]
+        notes += [note.beside(pack.name) for note in dict.fromkeys(kept) if note.code not in LEFT_OUT]
         rows += found
         packs.append(_summary(pack, file, found, time.monotonic() - began))
     facts = {"rays": request.rays or "as each pack says", "seed": request.seed}
@@ -145,7 +146,8 @@ def _compared(
                 ComparedRow(pack.name, row.name, unit, UNKNOWN, UNKNOWN, math.nan, published.verdict, published.why)
             )
         else:
-            rows.append(judged(pack.name, row, unit, published, ours(row)))
+            fewer = request.rays is not None and request.rays < file.rays
+            rows.append(judged(pack.name, row, unit, published, ours(row), fewer=fewer))
     return rows
 
 
@@ -176,21 +178,28 @@ def _asked(pack: Pack, row: DeclaredRow, ours: Finder) -> Estimate | _NoAnswer |
     return found
 
 
-def judged(pack: str, row: DeclaredRow, unit: str, published: Estimate | None, found: Estimate | None) -> ComparedRow:
+def judged(
+    pack: str, row: DeclaredRow, unit: str, published: Estimate | None, found: Estimate | None, *, fewer: bool = False
+) -> ComparedRow:
     """
     Return a row with its verdict.
 
-    Light that one side does not have, None, differs whatever the reason that the row gives. A number whose error is
-    unknown has no verdict.
+    Light that one side does not have, None, differs whatever the reason that the row gives. It has no verdict if ours
+    has none with fewer rays than the pack asks for. A number has no verdict if
+    its error is unknown, or so large that it could be anything, or that it fits the number from which it is known to
+    differ.
     """
     theirs, ours = published or UNKNOWN, found or UNKNOWN
     allowed = row.allowed(ours.se, theirs.value, theirs.se)
-    if published is None or found is None:
+    if found is None and published is not None and fewer:
+        verdict, why = TOO_FEW, "too few rays: none takes this way; give more rays"
+    elif published is None or found is None:
         verdict, why = DIFFERS, _lost(row, published, found)
     elif not math.isfinite(ours.se):
         verdict, why = TOO_FEW, "too few rays for a number with an error; give more rays"
     elif abs(ours.value - theirs.value) <= allowed:
-        verdict, why = AGREES, ""
+        why = _vague(row, theirs, ours)
+        verdict = TOO_FEW if why else AGREES
     elif row.expected is None:
         verdict, why = DIFFERS, ""
     elif abs(ours.value - row.expected) <= row.allowed(ours.se, row.expected, row.expected_uncertainty):
@@ -198,6 +207,22 @@ def judged(pack: str, row: DeclaredRow, unit: str, published: Estimate | None, f
     else:
         verdict, why = DIFFERS, f"ours was {row.expected:g} when this reason was found: {row.differs}"
     return ComparedRow(pack, row.name, unit, theirs, ours, allowed, verdict, why)
+
+
+def _vague(row: DeclaredRow, theirs: Estimate, ours: Estimate) -> str:
+    """Return why a number that agrees would do so in any case; empty if more rays can make no difference."""
+    if ERRORS * ours.se > max(abs(theirs.value), row.allowed(0.0, theirs.value, theirs.se)):
+        return f"too few rays: {ERRORS:g} standard errors are more than the number; give more rays"
+    if row.expected is None:
+        return ""
+
+    def agree(number: Estimate, other: Estimate) -> bool:
+        return abs(number.value - other.value) <= row.allowed(number.se, other.value, other.se)
+
+    expected = Estimate(row.expected, row.expected_uncertainty)
+    if agree(ours, expected) and not agree(expected, theirs):
+        return "too few rays to tell the number from the one that is known to differ; give more rays"
+    return ""
 
 
 def _lost(row: DeclaredRow, published: Estimate | None, found: Estimate | None) -> str:

@@ -1,4 +1,4 @@
-"""Numbers to compare that a trace of a scene gives: of its image, of a ghost, or a PST (point source transmittance).
+"""Numbers to compare that a trace of a scene gives: of its image, a ghost, scattered light, or a PST.
 
 A path is named by the surfaces that reflect its light, without those that reflect the light of the image. Of several
 such paths it is the strongest.
@@ -6,16 +6,19 @@ such paths it is the strongest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.validate.declared import DeclaredRow, ReferenceFile
-from mistray.errors import errors_of
+from mistray.errors import MistrayError, errors_of
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.scene_values import assign
+from mistray.recorders.sampled import ERROR_RAYS
 from mistray.scene import load
 from mistray.trace import trace
 from mistray.trace.paths import PathRow
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
 FAINTEST = 1e-9  # flux of a ray relative to a start ray, below which it is cut
 SUBSETS = 16  # of the hits of a path, whose extents tell the error of that of all hits
 LEAST_HITS = 16  # of a subset
+SUMS = ("detected_W", "scattered_W")  # of many paths, whose spread over fewer rays than `ERROR_RAYS` is no error
 REFLECTED = ("SpecRefl", "TIR")
 OF_PATH: Mapping[str, tuple[str, str]] = {
     "power_W": ("power_W", "power_se_W"),
@@ -71,6 +75,9 @@ class SceneNumbers:
         if row.quantity == "pst":
             return self._pst(row)
         t = self._trace(row)
+        if row.quantity in SUMS:
+            light = detected(t) if row.quantity == "detected_W" else scattered(t, row.scattered_by)
+            return light if light is None or self._rays >= ERROR_RAYS else Estimate(light.value, math.nan)
         found = named_path(t, row.path)
         if found is None:
             return None
@@ -88,6 +95,12 @@ class SceneNumbers:
             if values:
                 with errors_of("set"):
                     assign(mi.traverse(loaded), {key: np.array([value]) for key, value in values.items()})
+            if self._file.pivot_mm is not None:
+                turning = [source for source in loaded.emitters() if hasattr(source, "field_deg")]
+                if not turning:
+                    raise MistrayError("pivot_mm is given, but no source of the scene has a field angle; leave it out")
+                for source in turning:
+                    source.matrix[:3, 3] = self._file.pivot_mm
             self._scenes[key] = loaded
         return self._scenes[key]
 
@@ -143,6 +156,20 @@ def named_path(t: Trace, surfaces: Sequence[str]) -> PathRow | None:
     design = _reflecting(image) if image is not None else []
     rows = [row for row in t.paths if _without(_reflecting(row), design) == list(surfaces)]
     return max(rows, key=lambda row: row.power_W, default=None)
+
+
+def detected(t: Trace) -> Estimate:
+    """Return the power that the detector absorbs, W, of all paths."""
+    return Estimate(t.energy.detected_W, t.energy.detected_se_W)
+
+
+def scattered(t: Trace, pattern: str) -> Estimate | None:
+    """Return the power on the detector, W, of light that is scattered once, by surfaces whose names fit; None if none.
+
+    Light that anything but a mirror of the design reflects does not count.
+    """
+    ids = [row.path_id for row in t.paths if row.kind == "single scatter" and fnmatchcase(row.scatter_1, pattern)]
+    return Estimate(*t.paths.power(ids)) if ids else None
 
 
 def _reflecting(row: PathRow) -> list[str]:

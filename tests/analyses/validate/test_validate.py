@@ -40,7 +40,9 @@ from mistray.analyses.validate.run import judged, run_validation
 from mistray.analyses.validate.scene_numbers import FAINTEST, SceneNumbers, extent
 from mistray.estimate import UNKNOWN, Estimate
 
-TRACED = ("rubin_ghosts", "lsst", "hsc", "decam", "phone_camera", "veiling_glare")
+TRACED = (
+    "rubin_ghosts", "lsst", "hsc", "decam", "phone_camera", "phone_camera_pst", "phone_camera_objects", "veiling_glare",
+)  # fmt: skip
 CLOSED = tuple(pack.name for pack in PACKS if pack.name not in TRACED)
 ROW = DeclaredRow("row", published=2.0, uncertainty=0.3, tolerance=0.1, relative=0.05)
 ROW_SAYS = Estimate(2.0, 0.3)
@@ -69,6 +71,42 @@ def verdict(difference: float, se: float = 0.4, row: DeclaredRow = ROW) -> Compa
     return judged("pack", row, "mm", Estimate(2.0, 0.3), Estimate(2.0 + difference, se))
 
 
+def test_a_number_that_could_be_anything_has_no_verdict() -> None:
+    """Four errors beyond the number, and beyond what the source leaves open; or both numbers of a known difference."""
+    assert [verdict(0.0, se).verdict for se in (0.49, 0.51, 1e300)] == [AGREES, TOO_FEW, TOO_FEW]
+    assert "4 standard errors are more than the number" in verdict(0.0, 0.51).why
+    open_source = replace(ROW, published=1e-9, tolerance=1.0)
+    assert judged("pack", open_source, "mm", Estimate(1e-9, 0.0), Estimate(0.3, 0.2)).verdict == AGREES
+    known = replace(ROW, differs="another glass", expected=5.0)
+    assert [verdict(1.4, se, known).verdict for se in (0.3, 0.45)] == [AGREES, TOO_FEW]
+    assert "tell the number from the one that is known to differ" in verdict(1.4, 0.45, known).why
+    alike = replace(known, expected=2.5)
+    assert verdict(0.3, 0.1, alike).verdict == AGREES, "no number of rays would tell these"
+
+
+def test_what_is_not_judged_is_no_agreement(monkeypatch: Patch, capsys: Captured) -> None:
+    """The line says so, nothing holds, and the exit code is 3; a difference outweighs it."""
+    rows = {
+        "good": judged("pack", ROW, "mm", ROW_SAYS, Estimate(2.0, 0.1)),
+        "vague": judged("pack", ROW, "mm", ROW_SAYS, UNKNOWN),
+        "wrong": judged("pack", ROW, "mm", ROW_SAYS, Estimate(9.0, 0.1)),
+        "unasked": ComparedRow("pack", "row", "mm", UNKNOWN, UNKNOWN, math.nan, NOT_ASKED, "pip install x"),
+    }
+    for names, holds, code, words in (
+        ("good", True, 0, "1 number beside ours: 1 agree"),
+        ("good unasked", True, 0, "1 agree, 1 without a verdict (1 without the program that they ask)"),
+        ("good vague", False, 3, "1 agree, 1 without a verdict (1 with too few rays)"),
+        ("vague unasked", False, 3, "2 without a verdict (1 without the program that they ask, 1 with too few rays)"),
+        ("unasked", False, 3, "1 number beside ours: 1 without a verdict"),
+        ("good vague wrong", False, 1, "1 agree, 1 differ and should agree, 1 without a verdict"),
+    ):
+        found = Validation([rows[name] for name in names.split()], [PackSummary("pack", "", 1, 1, 0, 0, 0, 0.0, "")])
+        monkeypatch.setattr(run, "run_validation", lambda *_, found=found: found)
+        assert found.holds == holds, names
+        assert cli.main(["validate"]) == code, names
+        assert words in capsys.readouterr().out
+
+
 def test_criterion() -> None:
     """Four standard errors of both, 4 · 0.5, the tolerance of 0.1, and a twentieth of 2."""
     assert verdict(0.0).allowed == pytest.approx(2.2)
@@ -91,6 +129,9 @@ def test_criterion() -> None:
     ):
         missing = judged("pack", ROW, "", published, ours)
         assert (missing.verdict, side in missing.why) == (DIFFERS, True)
+        assert judged("pack", ROW, "", published, ours, fewer=True).verdict == (
+            TOO_FEW if published and not ours else DIFFERS
+        )
     no_number = judged("pack", ROW, "", ROW_SAYS, Estimate(math.nan, 0.0))
     assert no_number.verdict == DIFFERS, "an error of 0 is known, and so the rays are not too few"
     exact = judged("pack", DeclaredRow("n", published=3.0), "1", Estimate(3.0, 0.0), Estimate(3.0, 0.0))
@@ -119,7 +160,12 @@ def test_criterion() -> None:
         (OWN[OWN.index("[[row]]") :], "", "row is missing"),
         ("tolerance = 1e-6", "differs = 'rounded'", "row 'ghost': differs is given without expected; give both"),
         ("tolerance = 1e-6", "expected = 0", "row 'ghost': expected is given without differs; give both"),
-        ('"share_percent"\npath', '"pst"\npath', "row 'ghost': path is given for a pst"),
+        ('"share_percent"\npath', '"pst"\npath', "row 'ghost': path is given for pst, the light of many paths"),
+        ('"share_percent"\npath', '"detected_W"\npath', "row 'ghost': path is given for detected_W"),
+        ('"share_percent"\npublished', '"scattered_W"\npublished', "give scattered_by with the quantity scattered_W"),
+        ("tolerance = 1e-6", "scattered_by = 'p0_rear'", "give scattered_by with the quantity scattered_W"),
+        ('scene = "coated.xml"', 'scene = "coated.xml"\npivot_mm = [0, 0]', "pivot_mm has 2 numbers; give 3"),
+        ('scene = "coated.xml"', 'scene = "coated.xml"\npivot_mm = [0, 0, "x"]', "pivot_mm"),
         ('"share_percent"\npublished', '"pst"\npublished', "row 'image': field_deg is missing, the angle of the pst"),
     ],
 )
@@ -169,10 +215,11 @@ def test_every_quantity_of_a_scene(folder: Path) -> None:
     """Of the image: a disc of 5 mm beside its own closed forms, 2 r and r/√2, and E of a PST."""
     row = '\n[[row]]\nname = "{}"\nquantity = "{}"\npublished = {}\n'
     numbers = {"x_mm": 0, "y_mm": 0, "rms_radius_mm": 1, "rms_irradiance_W_mm2": 1, "power_W": 1, "pst": 1}
-    numbers |= {"share_percent": 99, "diameter_x_mm": 1, "diameter_y_mm": 1}
+    numbers |= {"share_percent": 99, "diameter_x_mm": 1, "diameter_y_mm": 1, "detected_W": 1, "scattered_W": 1}
     assert numbers.keys() == UNITS.keys()
     text = OWN[: OWN.index("[[row]]")] + "".join(row.format(key, key, value) for key, value in numbers.items())
     text = text.replace('quantity = "pst"', 'quantity = "pst"\nfield_deg = 1\nazimuth_deg = 90')
+    text = text.replace('quantity = "scattered_W"', 'quantity = "scattered_W"\nscattered_by = "p0_rear"')
     Path("own.toml").write_text(text, encoding="utf-8")
     rows = {one.name: one for one in run_validation(ValidateRequest(own=("own.toml",), rays=4000)).rows}
     radius = math.sqrt(2) * rows["rms_radius_mm"].ours.value
@@ -184,6 +231,46 @@ def test_every_quantity_of_a_scene(folder: Path) -> None:
     assert rows["power_W"].ours.value == pytest.approx(power, rel=1e-4)
     assert abs(rows["x_mm"].ours.value) < 5 * rows["x_mm"].ours.se + 1e-3
     assert rows["pst"].ours.value > 0
+
+
+def test_a_beam_turns_about_the_pivot_of_the_file(folder: Path) -> None:
+    """10 mm before the pivot of the scene, at 3°, its centroid moves by 10 tan 3°; a point of light has one, too."""
+    text = OWN.split("[[row]]")[0] + '\n[[row]]\nname = "y"\nquantity = "y_mm"\npublished = 0\nfield_deg = 3\n'
+    found = []
+    for pivot in ("", "pivot_mm = [0, 0, 0]\n", "pivot_mm = [0, 0, -10]\n"):
+        Path("own.toml").write_text(text.replace("\n[[row]]", f"{pivot}\n[[row]]"), encoding="utf-8")
+        (row,) = run_validation(ValidateRequest(own=("own.toml",), rays=64)).rows
+        found.append(row.ours.value)
+    assert found[0] == found[1]
+    assert found[2] - found[0] == pytest.approx(10 * math.tan(math.radians(3)), rel=1e-5)
+
+
+@pytest.mark.long
+def test_light_that_surfaces_scatter(folder: Path) -> None:
+    """The image and the light of both faces of a plate are all light but for that with reflections."""
+    (folder / "rough.xml").write_text(INPUTS["rough.xml"], encoding="utf-8")
+    head = OWN.split("[[row]]")[0].replace("coated.xml", "rough.xml")
+    scatter = {name: f'scattered_by = "{name}"\n' for name in ("front", "rear", "other")}
+    kinds = {"all": "detected_W", "image": "power_W"} | dict.fromkeys(scatter, "scattered_W")
+    rows = [
+        f'[[row]]\nname = "{name}"\nquantity = "{kind}"\npublished = 1\n{scatter.get(name, "")}'
+        for name, kind in kinds.items()
+    ]
+    Path("own.toml").write_text(head + "\n".join(rows), encoding="utf-8")
+    found = {row.name: row for row in run_validation(ValidateRequest(own=("own.toml",), rays=4000)).rows}
+    power = {name: row.ours.value for name, row in found.items()}
+    assert 0.3 < power["rear"] / power["front"] < 3
+    assert power["front"] > 10 * found["front"].ours.se > 0
+    assert power["all"] == pytest.approx(power["image"] + power["front"] + power["rear"], rel=0.01)
+    assert power["all"] > power["image"] + power["front"] + power["rear"]
+    assert found["other"].verdict == TOO_FEW, "a hundred thousand rays were asked for"
+    assert "none takes this way" in found["other"].why
+
+
+def test_many_rows_with_one_reason_are_counted() -> None:
+    rows = [ComparedRow("pack", f"r{k}", "", ROW_SAYS, ROW_SAYS, 1.0, KNOWN, "another glass") for k in range(6)]
+    assert page.reasons(rows[:4]) == ["r0; r1; r2; r3: another glass"]
+    assert page.reasons(rows) == ["6 numbers, such as r0; r1; r2: another glass"]
 
 
 def test_only_some_rows(capsys: Captured) -> None:
@@ -352,12 +439,15 @@ def test_every_file_names_its_source_and_its_licence() -> None:
 
 
 def check(found: Validation) -> None:
-    """No row differs without a reason, and a row with one differs indeed."""
+    """No row differs without a reason, and a row with one differs indeed, if not by much."""
     assert found.rows
     assert not [row for row in found.rows if row.verdict in (DIFFERS, TOO_FEW)]
-    reasons = {(pack.name, row.name) for pack in PACKS for row in pack.file.rows if row.differs}
-    known = {(row.pack, row.name) for row in found.rows if row.verdict == KNOWN}
-    assert known == {one for one in reasons if one in {(row.pack, row.name) for row in found.rows}}
+    reasons = {(pack.name, row.name): row for pack in PACKS for row in pack.file.rows if row.differs}
+    for row in found.rows:
+        reason = reasons.get((row.pack, row.name))
+        assert (row.verdict == KNOWN) <= (reason is not None), row.name
+        if reason is not None and row.verdict != KNOWN:  # a small difference, which some seeds tell from none
+            assert abs(reason.expected - row.published.value) <= row.allowed, row.name
 
 
 @pytest.mark.validation
@@ -372,6 +462,24 @@ def test_packs_without_rays() -> None:
 @pytest.mark.parametrize("name", TRACED)
 def test_packs_of_traces(name: str) -> None:
     check(run_validation(ValidateRequest(only=(name,))))
+
+
+@pytest.mark.validation
+@pytest.mark.long
+def test_the_weights_of_scattered_rays_tell_what_the_phone_camera_study_knows(capsys: Captured) -> None:
+    """Mean square over squared mean of the BSDF in a cone of 18°: polish of its Table 13, and dust, once forwards."""
+    said = {"window_front": (93, 400, 0.1099), "window_rear": (31, 300, 0.1099)}
+    said |= {"lens": (44, 300, 0.0738), "L4": (57, 300, 0.05465)}
+    for name, (factor, level, b0) in said.items():
+        found = json.loads(succeeds(capsys, "bsdf", "particulate", "--level", str(level), "--json"))
+        curve = next(one for one in found["curves"] if one["incidence_deg"] == 0)
+        angle, dust = np.radians(curve["theta_s_deg"]), np.array(curve["bsdf_1_sr"]) / 2  # reflected: forwards twice
+        beta = np.linspace(1e-5, np.sin(np.radians(18)), 100_000)
+        weight = b0 * (1 + (beta / 0.01) ** 2) ** -0.75 + np.interp(
+            np.arcsin(beta), angle[angle >= 0], dust[angle >= 0]
+        )
+        means = [np.average(weight**power, weights=beta) for power in (1, 2)]
+        assert means[1] / means[0] ** 2 == pytest.approx(factor, rel=0.03), name
 
 
 def test_page_and_result() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mistray.analyses.validate.pack import Pack, Peer
-from mistray.analyses.validate.packs import films, glare, roughness, spheres, telescopes, tracepro
+from mistray.analyses.validate.packs import films, glare, objects, roughness, spheres, telescopes, tracepro
 from mistray.analyses.validate.scene_numbers import SceneNumbers
 
 BATOID = Peer("batoid", "pip install 'mistray[batoid]'", telescopes.asked)
@@ -17,6 +17,8 @@ PACKS = (
     Pack("hsc", telescopes.TelescopeNumbers, BATOID),
     Pack("decam", telescopes.TelescopeNumbers, BATOID),
     Pack("phone_camera", SceneNumbers),
+    Pack("phone_camera_pst", SceneNumbers),
+    Pack("phone_camera_objects", objects.ours),
     Pack("veiling_glare", glare.ours),
     Pack("tracepro_abg", tracepro.ours),
     Pack("scatmech", roughness.ours, SCATMECH),
