@@ -150,7 +150,7 @@ CROWN, ALUMINIUM = 1.5168 + 0j, 0.958 + 6.69j
 
 
 def test_grazing_light_is_finite() -> None:
-    """What bare surfaces reflect is compared with `tmm` above, in test_fresnel.py with vectors."""
+    """What bare surfaces reflect is compared with `tmm` above, in test_thinfilm.py with vectors."""
     for front, back in ((1 + 0j, CROWN), (CROWN, 1 + 0j), (1.2 + 0j, ALUMINIUM), (1 + 0j, 1 + 0j)):
         grazing = Bare().response(550.0, front, back, np.array([0.0, 1e-12, 0.5]), True)
         np.testing.assert_allclose(grazing.R + grazing.T, 1.0, atol=1e-12)

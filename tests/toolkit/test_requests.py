@@ -1,4 +1,4 @@
-"""What a request alone gives, and rows of a result, of toys; `test_every_field` is about the analyses."""
+"""What a request alone gives, and rows of a result, of toys; `test_command_request` is about the analyses."""
 
 from __future__ import annotations
 
