@@ -8,7 +8,7 @@ from lit_detector import BLACK, lit, square
 from oracles.polarized import Hit, carry, ending, starting
 from oracles.skew_path import Face, skew_path
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
-from refusals import refused
+from refusals import each_refused, refused
 
 import mistray
 from mistray.physics.polarization.state import jones_numbers, polarization_state
@@ -145,15 +145,13 @@ def test_what_forgets_it_is_refused_unless_told_to(load_scene) -> None:
         settings = mistray.trace(unpolarized, rays=64).settings
         assert (settings["polarization"], "source_stokes" in settings) == ("unpolarized", False)
     metric = mistray.optimize.path_power(scene, "ghost", rays=16)
-    for call, words in (
+    each_refused(
         (lambda: mistray.trace(scene, rays=64, polarization="unpolarized"), r"polarised.*'unpolarized'.*'stokes'"),
         (lambda: mistray.pst(scene, [10.0], rays=640, method="adjoint"), r"polarised.*polarization='unpolarized'"),
         (lambda: mistray.pst(scene, [10.0], rays=640, method="forward"), r"polarised.*polarization='unpolarized'"),
         (lambda: mistray.study(scene, quick=True), r"polarised.*PST"),
         (lambda: mistray.gradient(metric, mi.traverse(scene), keys=["p0_front.z"]), "sources without stokes"),
-    ):
-        with pytest.raises(mistray.MistrayError, match=words):
-            call()
+    )
     assert np.all(np.isfinite(mistray.pst(scene, [10.0], rays=640, polarization="unpolarized").value))
     mistray.thermal(scene, rays=640)  # has nothing to do with the source
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import plates_text, scene_text, shape_xml
+from refusals import each_refused
 
 import mistray
-from mistray import MistrayError
 from mistray.physics.geometry.healpix import pixel, sides
 from mistray.recorders import FarField, Probe
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences
@@ -55,13 +55,12 @@ def test_edges() -> None:
 
 
 def test_bad_cells_are_one_line() -> None:
-    for words, arguments in (
-        ("field_deg is .*; it must lie", {"field_deg": np.array([[1.0, 2.0], [3.0, 4.0]])}),
-        ("field_deg must ascend", {"field_deg": [2.0, 2.0]}),
-        ("is 31; .* two azimuths, 30 degrees", {"azimuths_deg": [0.0, 30.0], "azimuth_cell_deg": 31.0}),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            DirectionGrid.of(**{"field_deg": [1.0]} | arguments)
+    each_refused(
+        ({"field_deg": np.array([[1.0, 2.0], [3.0, 4.0]])}, "field_deg is .*; it must lie"),
+        ({"field_deg": [2.0, 2.0]}, "field_deg must ascend"),
+        ({"azimuths_deg": [0.0, 30.0], "azimuth_cell_deg": 31.0}, "is 31; .* two azimuths, 30 degrees"),
+        by=lambda arguments: DirectionGrid.of(**{"field_deg": [1.0]} | arguments),
+    )
 
 
 def test_solid_angles_and_mean_cosines() -> None:
@@ -93,14 +92,13 @@ def test_nearest_cell() -> None:
         ((-19.0, 300.0), (2, 1)),
     ):
         assert grid.nearest(*direction) == cell
-    for direction, words in (
+    each_refused(
         ((2.1,), "angle 2.1° .*that of 0°.*0 … 2°"),
         ((22.5, 120.0), "angle 22.5° .*that of 20°.*18 … 22°"),
         ((10.0, 60.1), "azimuth 60.1° .*120°"),
         ((10.0, 10.1), "azimuth 10.1° .*0°"),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            grid.nearest(*direction)
+        by=lambda direction: grid.nearest(*direction),
+    )
 
 
 def device_cells(grid: DirectionGrid, d: np.ndarray) -> np.ndarray:
@@ -277,7 +275,7 @@ class TestProbe:
         assert abs(t.energy.closure) < 1e-5
 
     def test_bad_numbers(self, load_text) -> None:
-        for change, words in (
+        each_refused(
             ({"name": " "}, "not blank"),
             ({"half_width": 0.0}, "half_width"),
             ({"half_height": math.nan}, "half_height"),
@@ -288,16 +286,14 @@ class TestProbe:
             ({"pixels": (0, 4)}, "width in pixels"),
             ({"pixels": (65536, 65536)}, "number of its cells"),
             ({"directions": 0}, "number of directions"),
-        ):
-            with pytest.raises(mistray.MistrayError, match=words):
-                Probe(**{"name": "p", "centre": (0, 0, 0)} | change)
-        for numbers, words in (
+            by=lambda change: Probe(**{"name": "p", "centre": (0, 0, 0)} | change),
+        )
+        each_refused(
             ({"edges_deg": (0, 10, 10)}, "do not ascend"),
             ({"edges_deg": (0, 181)}, "edges_deg"),
             ({"azimuths": 0}, "azimuths"),
-        ):
-            with pytest.raises(mistray.MistrayError, match=words):
-                FarField("f", **numbers)
+            by=lambda numbers: FarField("f", **numbers),
+        )
         scene, _ = load_text(plates_text(1))
         twice = [Probe("focus", (0, 0, 1)), FarField("focus")]
         with pytest.raises(mistray.MistrayError, match="2 recorders have the name 'focus'"):

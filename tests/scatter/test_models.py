@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import fails, succeeds
-from refusals import refused
+from refusals import each_refused, refused
 
 from mistray.scatter.abg import ABg
 from mistray.scatter.chance import Chance, chance
@@ -78,20 +78,16 @@ def test_wrong_values(model: type, options: dict[str, Any], words: str) -> None:
     assert str(caught.value).startswith((f"{model.__name__} 'lens': ", "particles: "))
 
 
-@pytest.mark.parametrize(
-    ("model", "indices", "words"),
-    [
+def test_light_that_a_model_does_not_describe() -> None:
+    each_refused(
         (HarveyShack(rms_nm=15.0), (1.0, 1.5), r"rms roughness 15 nm is not smooth .*0\.343, limit 0\.251"),
         (HarveyShack(rms_nm=8.0), (1.5, 1.0), "not smooth in reflection"),
         (KCorrelation(20.0, 20.0, 3.0), (1.0, 1.5), "not smooth in reflection at 550 nm"),
         (KCorrelation(100.0, 20.0, 3.0, theory="ghs_full"), (1.0, 1.5), r"100 nm is too much .* limit 2\)"),
         (KCorrelation(**ROUGH, **VECTOR), (1.0, 1.0), "indices are 1 on both sides"),
         (EdgeDiffraction(0.01), (1.0, 1.0), "width_mm is 0.01 mm at 550 nm"),
-    ],
-)
-def test_light_that_a_model_does_not_describe(model: Any, indices: tuple[float, float], words: str) -> None:
-    with refused(words):
-        model.lobes(550.0, *indices, True)
+        by=lambda model, indices: model.lobes(550.0, *indices, True),
+    )
 
 
 @pytest.mark.parametrize(
@@ -178,13 +174,12 @@ def test_shares_and_steps() -> None:
 
 def test_refused_scans() -> None:
     model, dense = ABg(0.0025, 0.001, 1.8), IncidentLight(n_in=1.5, n_out=1.0)
-    for arguments, words in (
+    each_refused(
         ((model, [90.0]), "angle of incidence 90°"),
         ((model, [60.0], "transmission", dense), "is totally reflected, nothing is transmitted; give smaller angles"),
         ((Paint(0.2), [0.0], "transmission"), "scatters nothing in transmission"),
-    ):
-        with refused(words):
-            scan(*arguments)
+        by=lambda arguments: scan(*arguments),
+    )
 
 
 @pytest.mark.parametrize("frame", ["specular", "normal"])
@@ -234,18 +229,14 @@ def test_half_of_the_runs_hit() -> None:
         assert abs(hit.mean() - exact) < 4.4 * math.sqrt(exact * (1 - exact) / 20_000)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_refuses() -> None:
+    each_refused(
         ((90.0, 1e-6), "scattered direction is 90"),
         ((30.0, 0.0), "solid angle is 0"),
         ((30.0, math.nan), "solid angle is nan"),
         ((0.0, 1.0), "solid angle 1 sr: too large for one value"),
-    ],
-)
-def test_refuses(arguments: tuple[float, float], message: str) -> None:
-    with refused(message):
-        chance(LENS, *arguments)
+        by=lambda arguments: chance(LENS, *arguments),
+    )
 
 
 legendre = functools.cache(np.polynomial.legendre.leggauss)

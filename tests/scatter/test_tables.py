@@ -11,7 +11,7 @@ import pytest
 import vectors
 from command_line import fails, succeeds
 from oracles import brushed
-from refusals import refused
+from refusals import each_refused, refused
 
 import mistray  # noqa: F401
 from mistray.prescription import Scatter
@@ -132,9 +132,8 @@ def with_one(value: float) -> BsdfSamples:
     return BsdfSamples("bad", "normal", ANGLES, AZIMUTH, full.polar_deg, full.values)
 
 
-@pytest.mark.parametrize(
-    ("made", "words"),
-    [
+def test_refused() -> None:
+    each_refused(
         (lambda: Tabulated(level(1.5 / np.pi)), r"TIS = 1\.5 at \d+°, more than all light"),
         (lambda: Tabulated(level(0.0)), "all values are 0"),
         (lambda: Tabulated(level(), beyond="last"), "beyond is 'last'"),
@@ -163,11 +162,7 @@ def with_one(value: float) -> BsdfSamples:
             lambda: Tabulated(reduced([0, 90, 180, 270], lambda rho: 0.3 + 0.1 * np.cos(2 * np.radians(rho)))),
             r"TIS = 1.2\d* at 0° and rotation 0°, more than all light",
         ),
-    ],
-)
-def test_refused(made: Callable[[], object], words: str) -> None:
-    with refused(words):
-        made()
+    )
 
 
 def test_events_and_equality() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scene_dicts
 from oracles.small_scenes import scene_text, shape_xml, write
-from refusals import refused
+from refusals import each_refused
 
 import mistray
 from mistray.prescription import ObjectPoint, Source
@@ -150,9 +150,7 @@ def test_bad_spectra(wrong: dict[str, Any]) -> None:
     own = dict(wrong)
     for key in {"band_nm", "weights", "wavelength_nm"} & own.keys():
         own[key] = tuple(float(word) for word in str(own[key]).split(","))
-    for named, call in (
-        ("'lamp'", lambda: mistray.load({"type": "scene", "lamp": {"type": "sky", **wrong}})),
-        ("source", lambda: Source(radius=1.0, **own)),
-    ):
-        with refused(named):
-            call()
+    each_refused(
+        (lambda: mistray.load({"type": "scene", "lamp": {"type": "sky", **wrong}}), "'lamp'"),
+        (lambda: Source(radius=1.0, **own), "source"),
+    )

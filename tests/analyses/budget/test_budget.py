@@ -10,6 +10,7 @@ import pytest
 import vectors
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import scene_text, shape_xml, write
+from refusals import each_refused
 
 import mistray
 from mistray.analyses.budget.allocation import (
@@ -145,18 +146,14 @@ def test_bad_files(change: dict[str, Any], words: str) -> None:
         read_budget(study(1.0) | change)
 
 
-@pytest.mark.parametrize(
-    ("limit", "choose", "words"),
-    [
+def test_surfaces_that_do_not_fit(source: Path) -> None:
+    each_refused(
         (1.0, [RMS | {"parameter": "level", "best": 100, "worst": 300}], "no surface 'front' has a level with"),
         (1.0, [RMS | {"surfaces": "side", "best": 1, "worst": 3}], "those that have one are front, rear"),
         (1.0, [RMS | {"surfaces": name, "best": 1, "worst": 3} for name in ("front", "*")], "another section"),
         (1e3, [RMS | {"best": 1.0, "worst": 500.0}], "^budget 'budget': .*rms roughness 500 nm is not smooth"),
-    ],
-)
-def test_surfaces_that_do_not_fit(source: Path, limit: float, choose: list[dict[str, Any]], words: str) -> None:
-    with pytest.raises(MistrayError, match=words):
-        budget(source, study(limit, choose=choose))
+        by=lambda limit, choose: budget(source, study(limit, choose=choose)),
+    )
 
 
 def test_files(tmp_path: Path) -> None:

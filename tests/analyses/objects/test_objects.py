@@ -9,12 +9,12 @@ from oracles.scatter_integrals import disc_to_disc, element_to_disc
 from oracles.scatter_scenes import beam_xml, bsdf_xml, discs_text, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import interface_xml, plates_text
 from oracles.statistics import assert_z, z_limit
+from refusals import each_refused
 
 import mistray
 from mistray.analyses.objects.estimates import surface_bsdf
 from mistray.analyses.objects.patches import Patches
 from mistray.analyses.objects.run import objects
-from mistray.errors import MistrayError
 from mistray.execute.seen import see
 from mistray.sampling.sources import field_axes
 from mistray.surfaces.host_points import surface_points
@@ -239,7 +239,7 @@ def test_ray_controls(load_scene):
 
 
 def test_bad_arguments_are_one_line(phone):
-    for call, text in (
+    each_refused(
         (
             lambda: objects(phone.scene, field_deg=[1.0], half_angle_deg=3.0),
             "half_angle_deg and field_deg are given, two kinds of source",
@@ -251,9 +251,7 @@ def test_bad_arguments_are_one_line(phone):
         (lambda: DiskSource((0, 0, 0), 1.0, 10.0, inner_half_angle_deg=10.0), "inner_half_angle_deg is 10"),
         (lambda: DiskSource((0, 0, np.nan), 1.0, 10.0), "centre is"),
         (lambda: DiskSource((0, 0, 0), 1.0, 10.0, axis=(0, 0, 0)), "axis is 0, 0, 0"),
-    ):
-        with pytest.raises(MistrayError, match=text):
-            call()
+    )
 
 
 def test_a_detector_in_a_closed_box_says_so(load_scene):

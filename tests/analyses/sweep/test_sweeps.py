@@ -14,7 +14,7 @@ from command_line import fails, succeeds
 from oracles.object_scenes import common_area
 from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene, wall_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
-from refusals import refused
+from refusals import each_refused, refused
 
 import mistray
 from mistray.analyses.sweep.configurations import resolve
@@ -160,7 +160,7 @@ class TestKernels:
 
 
 def test_wrong_arguments(plate: Path) -> None:
-    for arguments, words in (
+    each_refused(
         (([0], [550, 550]), "give every wavelength once"),
         (([0], 550, {}), "configurations is empty"),
         (([0], 550, [Configuration("a", {})] * 2), "configuration 'a' is given twice"),
@@ -172,18 +172,15 @@ def test_wrong_arguments(plate: Path) -> None:
         (([0], 550, {"a": {"p0_front.z": "far"}}), "is 'far'; give a number"),
         (([0], 550, {"a": {"p0_front.faces": 1}}), "is no number but UInt"),
         (([0], 550, {"a": {"p0_rear.z": -5.0}}), "configuration 'a': surfaces 'p0_front' and 'p0_rear'"),
-    ):
-        with refused(words):
-            mistray.sweep(plate, *arguments, cache=False)
+        by=lambda arguments: mistray.sweep(plate, *arguments, cache=False),
+    )
     found = mistray.sweep(plate, [0, 1], 550, rays=64, cache=False)
-    for call, words in (
+    each_refused(
         (lambda: mistray.sweep(plate, ray=5), "sweep: there is no argument 'ray'"),
         (lambda: found.trace(), "field_deg is missing; choose from 0, 1"),
         (lambda: found.trace(field_deg=0, wavelength_nm=500), "wavelength_nm is 500; choose from 550"),
         (lambda: found.estimate("stray", field_deg=0), "no number 'stray' with an error; choose from detected_W"),
-    ):
-        with refused(words):
-            call()
+    )
 
 
 class TestToml:
@@ -417,15 +414,15 @@ def test_tables_and_command(ringed: Path, tmp_path: Path, capsys: pytest.Capture
 
 
 def test_wrong_edits_are_refused(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for change, words in (
+    each_refused(
         ({"paint": {"wal": 0.1}}, "paint 'wal=0.1' fits no surface and no part; the nearest names are wall"),
         ({"paint": {"wall": "flat_blak"}}, "did you mean flat_black"),
         ({"coat": {"plate": "bbr3"}}, "coating 'bbr3'.*did you mean 'bbar3'"),
         ({"coat": {"wall": "bbar3"}}, "'wall' is opaque; give an opaque coating"),
         ({"block": [Structure("wall", 1.0, 0.0, 2.0, 0.0)]}, "it has an object 'wall' already"),
-    ):
-        with refused(f"configuration 'x'.*{words}"):
-            swept(scene, Configuration("x", **change))
+        by=lambda change: swept(scene, Configuration("x", **change)),
+        pattern="configuration 'x'.*{}",
+    )
     with refused("relative_error would give the runs different rays"):
         swept(scene, Configuration("x"), relative_error=0.1)
     with refused("this name is that of the scene without changes"):
@@ -558,7 +555,7 @@ def test_ranking_and_steps(ringed: Path) -> None:
 
 
 def test_wrong_steps_are_refused(ringed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for change, words in (
+    each_refused(
         ({"steps": {"rim": 0.0}}, "step of 'ring.*' is 0.0; give a number greater than 0 in mm"),
         ({"steps": {"rim": "nan"}}, "is nan"),
         ({"steps": {"ring.z": "1 %"}}, "'ring.z' is 1 % of 0; give it in mm"),
@@ -566,9 +563,8 @@ def test_wrong_steps_are_refused(ringed: Path, capsys: pytest.CaptureFixture[str
         ({"steps": {"plate.curvature": 1.0}}, "none of the edits is about it"),
         ({"light": "edge_diffraction"}, "the PST at 15° is 0"),
         ({"method": "forward"}, "method of a PST metric"),
-    ):
-        with refused(words):
-            ranked(ringed, **change)
+        by=lambda change: ranked(ringed, **change),
+    )
     with refused("field_deg is empty"):
         rank_edits(ringed, [])
     for more in ("--rank", "--pst-field-deg 10 --step rim=1", "--pst-field-deg 10 --rank --step rim"):
