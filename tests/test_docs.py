@@ -178,16 +178,13 @@ def test_the_readme_is_short_and_has_two_commands_to_set_up() -> None:
     assert all(f"]({name})" in text for name in ("docs/tasks.md", "docs/support.md", "CONTRIBUTING.md"))
 
 
-def test_a_page_lists_all_scenes_and_notebooks() -> None:
+def test_pages_list_all_scenes_notebooks_and_commands() -> None:
     text = (ROOT / "docs" / "scenes_and_notebooks.md").read_text(encoding="utf-8")
     assert all(f"`{path.parent.name}`" in text for path in (ROOT / "scenes").glob("*/scene.xml"))
     notebooks = [path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")]
     assert notebooks
     assert all(f"](../{name})" in text for name in notebooks)
-
-
-def test_the_list_of_commands_has_all() -> None:
-    """But for completion, which a shell reads, the cache, and budget, whose file docs/sensitivity.md shows."""
+    # But for completion, which a shell reads, the cache, and budget, whose file docs/sensitivity.md shows.
     listed = {shlex.split(line)[1] for line in command_lines(COMMANDS)}
     assert {module.COMMAND.name for module in program.COMMANDS} - listed <= {"budget", "cache", "completion"}
 

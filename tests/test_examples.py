@@ -78,7 +78,7 @@ def run(name: str) -> None:
 
 
 @pytest.mark.quick
-def test_each_public_name_has_an_example() -> None:
+def test_each_public_name_has_an_example_and_each_attribute_a_line() -> None:
     without, idle = [], []
     for name, value in public().items():
         _, heading, text = (inspect.getdoc(value) or "").partition("Examples\n--------\n>>> ")
@@ -88,11 +88,7 @@ def test_each_public_name_has_an_example() -> None:
     assert len(public()) > 250
     assert (without, idle) == ([], []), "give it an example under Examples, which calls a function that it belongs to"
     assert [pattern for pattern in LONG if not fnmatch.filter(public(), pattern)] == []
-
-
-@pytest.mark.quick
-def test_each_public_attribute_is_described() -> None:
-    """By its class or one that it is derived from; the field of a request has its sentence where it is declared."""
+    # By its class or one that it is derived from; the field of a request has its sentence where it is declared.
     silent = []
     for name, value in public().items():
         if inspect.isclass(value) and not issubclass(value, Request):

@@ -166,14 +166,11 @@ def test_the_workflow_runs_the_command_of_the_repository() -> None:
     assert job["container"].startswith(f"python:{PYPROJECT['project']['requires-python'].removeprefix('>=')}")
 
 
-def test_actions_are_held_to_a_commit() -> None:
+def test_actions_are_held_to_a_commit_and_hooks_format_as_make_lint() -> None:
     (job,) = loaded(".github/workflows/tests.yml")["jobs"].values()
     used = [step["uses"] for step in job["steps"] if "uses" in step]
     assert used
     assert all(re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", one) for one in used)
-
-
-def test_hooks_format_as_make_lint_does() -> None:
     repos = {one["repo"].rpartition("/")[2]: one for one in loaded(".pre-commit-config.yaml")["repos"]}
     (ruff,) = [one for one in map(Requirement, PYPROJECT["dependency-groups"]["lint"]) if one.name == "ruff"]
     assert ruff.specifier.contains(repos["ruff-pre-commit"]["rev"].removeprefix("v"))
@@ -185,7 +182,7 @@ def test_templates_ask_for_what_the_page_of_support_names(name: str) -> None:
     assert f'"{title}"' in (ROOT / "docs" / "support.md").read_text(encoding="utf-8")
 
 
-def test_addresses_stand_in_one_place() -> None:
+def test_addresses_stand_in_one_place_and_what_the_owner_says() -> None:
     """Only pyproject.toml says where the project is and who keeps it, and CITATION.cff its DOI."""
     names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True).stdout.split("\0")
     names = [name for name in names if name.endswith((".md", ".yml", ".yaml", ".cff")) and "/data/" not in name]
@@ -194,9 +191,6 @@ def test_addresses_stand_in_one_place() -> None:
     assert {name: found for name, found in stated.items() if found and name != "CITATION.cff"} == {}
     doi = PYPROJECT["project"].get("urls", {}).get("DOI", "").removeprefix("https://doi.org/")
     assert loaded("CITATION.cff").get("doi", "") == doi
-
-
-def test_what_only_the_owner_can_say() -> None:
     assert len(release_check.missing({})) == 5
     urls = dict.fromkeys(release_check.URLS, "https://example.org")
     assert release_check.missing({"urls": urls, "maintainers": [{"name": "A", "email": "a@example.org"}]}) == []

@@ -80,25 +80,19 @@ def test_where_the_first_layer_lies(first: str, front: complex, back: complex, f
         compare(stack, front, back, False, own[::-1])
 
 
-def test_the_sides_of_an_absorbing_stack_differ() -> None:
+def test_absorbing_opaque_and_shifted_stacks() -> None:
     """The test above would not see a stack taken the wrong way round if these were equal."""
     from_air, from_glass = (Stack(ABSORBING).response(550.0, AIR, GLASS, COSINES[:1], side) for side in (True, False))
     turned = Stack(ABSORBING, "back").response(550.0, AIR, GLASS, COSINES[:1], True)
     for other in (from_glass, turned):
         assert abs(from_air.R - other.R).min() > 0.003
     np.testing.assert_allclose(from_air.T, from_glass.T, atol=1e-12)
-
-
-def test_opaque_stacks_pass_nothing() -> None:
     layers = (Layer("1.6", 171.875), Layer("0.958+6.69i", 150.0))
     shut, open_ = (Stack(layers, opaque=opaque).response(550.0, AIR, GLASS, COSINES, True) for opaque in (True, False))
     assert np.all(shut.T == 0)
     np.testing.assert_array_equal(shut.R, open_.R)
     assert open_.T.max() < 1e-9, "150 nm of aluminium are dark, so that the statement is true"
     assert [Stack(layers, opaque=opaque).opaque for opaque in (True, False)] == [True, False]
-
-
-def test_shifts_are_added_at_every_wavelength() -> None:
     layer = Layer("N-BK7", 100.0, n_shift=0.02, k_shift=1e-3)
     for wavelength in (450.0, 650.0):
         plain = Layer("N-BK7", 100.0).index(wavelength)
@@ -243,7 +237,7 @@ def test_metals(name: str, low: float, high: float) -> None:
     assert spectrum(Stack(preset(name).layers), np.arange(400.0, 1001.0, 25.0), [0.0]).T.max() < 1e-6
 
 
-def test_design_wavelength() -> None:
+def test_design_wavelength_and_what_is_no_preset() -> None:
     """The curves of a design without dispersion scale with the wavelength; a metal keeps its thickness."""
     short = spectrum(preset("bbar3", 550.0), [500.0, 550.0], [0.0, 30.0], back=SUBSTRATE)
     long = spectrum(preset("bbar3", 1100.0), [1000.0, 1100.0], [0.0, 30.0], back=SUBSTRATE)
@@ -252,9 +246,6 @@ def test_design_wavelength() -> None:
     for name, design in PRESETS.items():
         stack = preset(name)
         assert (stack.first, stack.name, stack.layers[0].material) == ("outside", name, design.films[0][0])
-
-
-def test_what_is_no_preset() -> None:
     for name, words in (("bbar5", "did you mean 'bbar4'?"), ("xyz", f"choose one of {', '.join(PRESETS)}")):
         with refused(f"coating preset '{name}' is unknown", words):
             preset(name)

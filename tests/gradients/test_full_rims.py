@@ -444,17 +444,14 @@ def test_mirror_roof(make: Make) -> None:
     check(derivative(scene, path_power(scene, "all", rays=30_000)), ROOF)
 
 
-def test_one_mirror_alone() -> None:
+def test_one_mirror_alone_and_tilt_of_the_roof() -> None:
     """Behind its end there is nothing: the whole of it counts by its own keys."""
     face = inclined("P_top", 1.0)
     scene = system((face,), ABOVE)
     found = mistray.gradient(path_power(scene, "all", rays=60_000), mi.traverse(scene), keys=["P_top.y", "P_top.z"])
     way = face.to_world()[:3, :3].T @ (0.0, 1.0, 0.0)
     check(found.along({f"P_top.{axis}": float(part) for axis, part in zip("yz", way[1:], strict=True)}), ROOF)
-
-
-def test_tilt_of_the_roof() -> None:
-    """The middle of its vertices lies 7.5 mm behind its ridge: a tilt about it moves the ridge."""
+    # The middle of its vertices lies 7.5 mm behind its ridge: a tilt about it moves the ridge.
     scene = roof()
     metric = path_power(scene, "all", rays=30_000)
     check(derivative(scene, metric, "tilt_x"), ROOF * 7.5 * math.pi / 180)

@@ -172,7 +172,7 @@ def test_jones_vectors_are_their_fields_in_time(seed) -> None:
     assert np.sign(np.sum(x[:-1] * np.diff(y) - y[:-1] * np.diff(x))) == -np.sign(s3)
 
 
-def test_ways_to_state_it() -> None:
+def test_ways_to_state_it_and_what_no_light_can_be() -> None:
     for given, expected in (
         ({"polarization_deg": 0.0}, (1, 0, 0)),
         ({"polarization_deg": -45.0}, (0, -1, 0)),
@@ -190,9 +190,6 @@ def test_ways_to_state_it() -> None:
     ):
         assert polarization_state("", **given) == pytest.approx(expected, abs=1e-5)
     assert jones_numbers("", "1, 0.5-2i") == (1, 0.5 - 2j)
-
-
-def test_what_no_light_can_be() -> None:
     for given, fact in [
         *vectors.toml("refusals.toml")["polarization of a source"],
         ({"jones": (complex("nan"), 1)}, "2 numbers"),

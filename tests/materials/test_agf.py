@@ -192,7 +192,7 @@ def test_nd_and_vd_come_back_and_tables_are_linear():
     assert complex_index("n(500)=0.2 n(600)=0.3 k=3", 550.0) == pytest.approx(0.25 + 3j, abs=1e-15)
 
 
-def test_an_explicit_k_replaces_that_of_the_data():
+def test_an_explicit_k_a_shift_of_n_and_extrapolation():
     """With other suffixes before or behind it."""
     assert complex_index("N-BK7", 400.0).imag > 0
     assert complex_index("N-BK7 k=0", 400.0) == complex_index("N-BK7", 400.0).real
@@ -200,9 +200,6 @@ def test_an_explicit_k_replaces_that_of_the_data():
     expected = complex(refractive_index("N-BK7 Extrapolate", 280.0), 2e-7)
     for text in ("N-BK7 k=2e-7 extrapolate", "N-BK7   extrapolate k=2e-7"):
         assert complex_index(text, 280.0) == expected
-
-
-def test_a_shift_is_added_to_n():
     n, k = refractive_index("N-BK7", 550.0), complex_index("N-BK7", 550.0).imag
     assert complex_index("N-BK7 shift=-2e-3", 550.0) == complex(n - 2e-3, k)
     assert refractive_index("SCHOTT/N-BK7 shift = 0.25 k=0", 550.0) == n + 0.25
@@ -211,10 +208,7 @@ def test_a_shift_is_added_to_n():
     assert shifted("N-BK7 k=0", 1e-5) == "N-BK7 k=0 shift=1e-05"
     assert shifted(" N-BK7 shift=0.5 k=0", 0.25) == "N-BK7 k=0 shift=0.75"
     assert shifted("N-BK7 shift=0.5", -0.5) == "N-BK7"
-
-
-def test_extrapolation_goes_on_with_the_formula_and_keeps_the_end_of_a_table():
-    """N-BK7 from 300 nm on: at 280 nm its Sellmeier formula and the k of 300 nm; a table of n keeps its end, too."""
+    # N-BK7 from 300 nm on: at 280 nm its Sellmeier formula and the k of 300 nm; a table of n keeps its end, too.
     assert refractive_index("N-BK7 extrapolate", 280.0) == pytest.approx(glass.refractive_index("N-BK7", 280.0), 1e-12)
     assert complex_index("N-BK7 extrapolate", 280.0).imag == complex_index("N-BK7", 300.0).imag
     assert complex_index("Ag extrapolate", 5000.0) == complex_index("Ag", source("Ag").n_range_nm[1])

@@ -113,7 +113,7 @@ def test_a_film_and_a_glass_that_differ_in_capitals_are_kept_apart(film, glass_n
     assert not any(set(catalogue) & set(PINNED) for catalogue in glasses().values())
 
 
-def test_source_names_page_and_paper():
+def test_sources_zeros_and_the_pinned_release():
     found = source("fused silica")
     assert found.page == "main/SiO2/nk/Malitson"
     assert "J. Opt. Soc. Am. 55, 1205-1208 (1965)" in found.reference
@@ -125,18 +125,12 @@ def test_source_names_page_and_paper():
     assert source("1.5").reference == "given in the string"
     assert source("nd=1.5 Vd=60").page is None
     assert source("MgF2").comment.startswith("Film MgF2; Deposited by e-beam evaporation")
-
-
-def test_zeros_of_suppliers_are_no_data():
-    """SK2 of Hikari: k = 0 except one negative number. LAK7: k = 0 at 700 nm, where the transmittance was rounded."""
+    # SK2 of Hikari: k = 0 except one negative number. LAK7: k = 0 at 700 nm, where the transmittance was rounded.
     assert read_page("specs/hikari/optical/SK2").k is None
     assert source("hikari/LAK7").k_range_nm[1] == 650.0
     assert source("SiO2").k_range_nm == source("SiO2").n_range_nm
     assert complex_index("Al2O3", 550.0).imag == 0, "in papers, k = 0 is a result"
-
-
-def test_the_pinned_release():
-    """Another release of the data may change numbers: then look at the names and at docs/materials.md again."""
+    # Another release of the data may change numbers: then look at the names and at docs/materials.md again.
     version = (data_folder().parents[1] / "_database_version.py").read_text()
     assert 'DATABASE_VERSION = "v2026-05-24"' in version
 
@@ -249,7 +243,7 @@ def test_second_sources(name: str, other: str, wavelengths_nm: tuple[float, ...]
         assert refractive_index(name, nm) - 1 == pytest.approx(refractive_index(other, nm) - 1, rel=FOCAL_LENGTH), nm
 
 
-def test_names_of_lens_files_and_makers() -> None:
+def test_names_of_makers_and_pages_by_the_wavelength() -> None:
     for name, others in {
         "Ge": "GERMANIUM germanium GERMLW",
         "Si": "SILICON",
@@ -267,10 +261,7 @@ def test_names_of_lens_files_and_makers() -> None:
     }.items():
         for other in others.split():
             assert source(other).name == name
-
-
-def test_pages_go_by_the_wavelength() -> None:
-    """Germanium has a page of the visible and one of the infrared; in the visible it is what it always was."""
+    # Germanium has a page of the visible and one of the infrared; in the visible it is what it always was.
     first = source("Ge")
     assert first.beyond is not None
     assert [first.page, first.beyond.page] == ["main/Ge/nk/Nunley", "main/Ge/nk/Burnett"]

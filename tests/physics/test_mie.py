@@ -55,7 +55,7 @@ def test_scattering_is_the_integral_of_the_intensity() -> None:
     np.testing.assert_allclose(total, answer.scattering, rtol=1e-6)
 
 
-def test_small_spheres_scatter_as_rayleigh_says() -> None:
+def test_small_spheres_scatter_as_rayleigh_says_and_bad_input() -> None:
     """Qsca = 8/3 x⁴ |(m² - 1)/(m² + 2)|² up to x², and (1 + cos²θ)/2 over the angle."""
     index, x = 1.5 + 0.1j, 0.01
     angle = np.radians([0, 30, 60, 90, 120])
@@ -68,9 +68,6 @@ def test_small_spheres_scatter_as_rayleigh_says() -> None:
     # Without absorption all that is lost is scattered, at any size
     answer = mie.spheres(np.geomspace(0.02, 500, 40), 1.6)
     np.testing.assert_allclose(answer.scattering, answer.extinction, rtol=1e-8)
-
-
-def test_bad_input() -> None:
     for x, index, words in (
         ([1.0], 1.5 - 0.1j, "k between 0 and 100"),
         ([1.0], 0j, "n must lie between 0.01 and 100"),
@@ -140,7 +137,7 @@ def test_scattered_light(column: str) -> None:
     np.testing.assert_allclose(cloud.f(np.radians(table["theta_deg"].to_numpy())), table[column], rtol=PARTICLES)
 
 
-def test_totals() -> None:
+def test_totals_and_truncation_and_immersion_matter() -> None:
     """Extinction 2.106 times the covered area, scatter 1.548 times: the particles absorb the rest."""
     cloud = contamination.cloud(WAVELENGTH_UM, DUST, 300.0)
     area = contamination.coverage_percent(300.0) / 100
@@ -148,10 +145,7 @@ def test_totals() -> None:
     assert cloud.scattering / area == pytest.approx(1.5494, rel=PARTICLES)
     assert cloud.between(0, np.pi) == pytest.approx(cloud.scattering, rel=1e-5)
     assert cloud.between(0, 1) + cloud.between(1, np.pi) == pytest.approx(cloud.scattering, rel=1e-5)
-
-
-def test_truncation_and_immersion_matter() -> None:
-    """Small angles belong to large particles, and in a medium of their own index they are not seen."""
+    # Small angles belong to large particles, and in a medium of their own index they are not seen.
     whole = contamination.cloud(WAVELENGTH_UM, DUST, 300.0)
     cut = contamination.cloud(WAVELENGTH_UM, DUST, 300.0, max_um=50.0)
     assert cut.f(1e-4) < 0.25 * whole.f(1e-4)
@@ -279,7 +273,7 @@ def test_drjit() -> None:
     assert np.all(np.isfinite(dr.grad(q)))
 
 
-def test_band_limited_roughness() -> None:
+def test_band_limited_roughness_and_relevant_roughness() -> None:
     """A' and the BSDF of a smooth surface, S = 1.5, 2 (a logarithm) and 2.5."""
     table = vectors.frame("kcorr_bandlimited.csv")
     assert set(table["s"]) >= {1.5, 2.0, 2.5}
@@ -292,9 +286,6 @@ def test_band_limited_roughness() -> None:
         assert ghs.smooth(row.dn, psd, row.lambda_um) * cosine == pytest.approx(row[8], rel=NEAR, abs=1e-15)
         relevant = kc.relevant_rms_um(amplitude, row.B_um, row.s, row.lambda_um)
         assert relevant == pytest.approx(row.sigma_prime_um, rel=NEAR)
-
-
-def test_relevant_roughness() -> None:
     for row in vectors.frame("kcorr_sigma_rel.csv").itertuples(index=False):
         amplitude = kc.amplitude_um4(row.sigma_um, row.B_um, row.C + 1)
         sine = math.sin(math.radians(row.theta_i_deg))
@@ -342,7 +333,7 @@ def test_reflection_by_generalized_harvey_shack() -> None:
         assert ghs.phase_variance(path, row.sigma_um, row.lambda_um) == pytest.approx(row.phase_variance_a, rel=NEAR)
 
 
-def test_transmission_by_generalized_harvey_shack() -> None:
+def test_generalized_harvey_shack_in_transmission_and_its_share() -> None:
     """Smooth, σ = 4 nm, lc = 10 µm, λ = 0.55 µm, from both sides."""
     length = 2 * math.pi * 10
     amplitude = kc.amplitude_um4(0.004, length, 3.0)
@@ -351,10 +342,7 @@ def test_transmission_by_generalized_harvey_shack() -> None:
         psd = kc.psd_um4(row.f_1_per_um, amplitude, length, 3.0)
         path = ghs.path_in_transmission(ci, cs, row.n1, row.n2)
         assert ghs.smooth(path, psd, 0.55, row.n2) == pytest.approx(row.BTDF_over_T, rel=NEAR)
-
-
-def test_share_of_a_rough_surface() -> None:
-    """Normal incidence, σ = 0.1 µm, lc = 50 µm, λ = 0.6328 µm: 0.968565 scattered, as some waves are evanescent."""
+    # Normal incidence, σ = 0.1 µm, lc = 50 µm, λ = 0.6328 µm: 0.968565 scattered, as some waves are evanescent.
     r, weight = scatter_integrals.gauss_legendre(
         np.concatenate([[0.0], np.logspace(-7, -0.2, 80), 1 - np.logspace(-0.5, -9, 40), [1.0]]), 12
     )
@@ -362,10 +350,7 @@ def test_share_of_a_rough_surface() -> None:
     bsdf = ghs.exponential(path, r / 0.6328, 0.1, 50.0, 0.6328)
     assert np.sum(weight * 2 * np.pi * r * bsdf) == pytest.approx(0.968565, abs=1e-6)
     assert -math.expm1(-ghs.phase_variance(2.0, 0.1, 0.6328)) == pytest.approx(0.980621, abs=1e-6)
-
-
-def test_number_of_terms() -> None:
-    """With a bound instead of the largest variance, and beyond what the series is for."""
+    # With a bound instead of the largest variance, and beyond what the series is for.
     arguments = (np.array([0.1, 2.0]), 0.3, 0.1, 2.0, 0.6328)
     np.testing.assert_allclose(ghs.exponential(*arguments, max_variance=30.0), ghs.exponential(*arguments), rtol=1e-12)
     single = ghs.exponential(mi.Float(arguments[0]), mi.Float(0.3), mi.Float(0.1), *arguments[3:], max_variance=4.0)

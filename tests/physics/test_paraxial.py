@@ -80,7 +80,7 @@ def images_seen(system: ParaxialSystem) -> tuple[np.ndarray, np.ndarray]:
     return image_seen(marginal[:, 0], marginal[:, 1], chief[:, 0], chief[:, 1])
 
 
-def test_image_seen_from_a_lens():
+def test_image_seen_from_a_lens_and_natural_illumination():
     length, height = images_seen(SINGLET)
     assert length[-1] == pytest.approx(SINGLET.bfl, rel=1e-13)
     assert height[-1] == pytest.approx(SINGLET.efl * math.tan(math.radians(1)), rel=1e-12)
@@ -92,10 +92,7 @@ def test_image_seen_from_a_lens():
     length, height = images_seen(diverging)
     assert np.all(length < 0)
     assert np.all(height > 0)
-
-
-def test_natural_illumination():
-    """The 17.14° and 0.834 of "Stray Light Analysis of a Mobile Phone Camera", equations 3 and 4."""
+    # The 17.14° and 0.834 of "Stray Light Analysis of a Mobile Phone Camera", equations 3 and 4.
     height = 7.075 * np.tan(np.radians(17.14))
     angle = chief_ray_angle([0.0, height, -height], 7.075)
     np.testing.assert_allclose(np.degrees(angle), [0.0, 17.14, -17.14], rtol=1e-12)

@@ -399,7 +399,7 @@ class TestScene:
         )
         assert mi.load_file(str(tmp_path / "scene.xml")).model.particle == str(tmp_path / "dust.csv")
 
-    def test_alone(self) -> None:
+    def test_alone_update_and_refusal(self) -> None:
         """By itself it is an interface with R = 1, or R = 0 where the scatter is absolute."""
         mirror = mi.load_dict({**MODELS["abg"], "back": "1.5", "R": 0.9, "T": 0.05})
         assert set(mi.traverse(mirror).keys()) == {"R", "T", "A", "B", "g", "n_front_shift", "n_back_shift"}
@@ -408,8 +408,6 @@ class TestScene:
         for name, reflectance in (("harvey_shack", 1.0), ("paint", 0.0)):
             bsdf = mi.load_dict(MODELS[name])
             assert (float(bsdf.R[0]), float(bsdf.T[0])) == (reflectance, 0.0)
-
-    def test_update_and_refusal(self) -> None:
         bsdf = surface(MODELS["abg"])
         parameters, si = mi.traverse(bsdf), interaction(direction(20.0, True), 1)
         wo = vectors(np.array([[0.5, 0.3, -np.sqrt(1 - 0.34)]]))

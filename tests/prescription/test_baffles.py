@@ -285,7 +285,7 @@ def test_it_shades_its_own_area(vanes, offset):
     assert abs(taken - share) < 4 * math.sqrt(share / 400_000) + 2e-5  # the end of a vane is round, not straight
 
 
-def test_faces_are_boxes():
+def test_faces_are_boxes_and_what_cannot_be_a_spider():
     """The middles of the four faces of a vane stand half a thickness or half a depth from its own middle."""
     faces = spider("s", **(KIND | {"start_deg": 30.0}), coating=Coating(R=0.1))
     assert [face.name for face in faces[:4]] == ["s_1_front", "s_1_rear", "s_1_left", "s_1_right"]
@@ -301,9 +301,6 @@ def test_faces_are_boxes():
     assert normals == [pytest.approx(v, abs=1e-9) for v in ([0, 0, 1], [0, 0, 1], np.abs(aside), np.abs(aside))]
     assert {face.coating for face in faces} == {Coating(R=0.1)}
     assert len(faces) == 16
-
-
-def test_what_cannot_be_a_spider():
     each_refused(
         ({"vanes": 0}, "vanes is 0"),
         ({"thickness": 0.0}, "thickness is 0"),

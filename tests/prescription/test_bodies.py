@@ -126,7 +126,7 @@ class TestPrism:
 
 
 class TestCubeAndBox:
-    def test_cube(self) -> None:
+    def test_cube_and_box(self) -> None:
         """R of the diagonal goes to +y and T on, through two bare faces; also turned and displaced with its beam."""
         cube = beam_splitter_cube("cube", 20.0, material="1.5", splitter=Coating(R=0.3, T=0.6))
         up = Detector("up", y=100.0, tilt_deg=(90.0, 0.0, 0.0), half_width=5.0, half_height=5.0)
@@ -140,9 +140,7 @@ class TestCubeAndBox:
         (up,) = moved_as_one([up], **motion)
         t = traced(*moved_as_one(cube, **motion), detectors=(up,), source=beam, max_reflections=1)
         assert t.energy.detected_W == pytest.approx(np.pi * 0.3 * 0.96**2, rel=1e-5)
-
-    def test_box(self) -> None:
-        """It takes all light that meets it, wherever it stands."""
+        # It takes all light that meets it, wherever it stands.
         dark = box("dark", (1.0, 2.0, 3.0), centre=(0.3, -0.2, 10.0))
         beam = Source(half_width=3.0, half_height=3.0, z=-5.0)
         glass = Surface("glass", z=-1.0, semi_diameter=9.0, coating=Coating(R=0.0, T=1.0))
@@ -464,7 +462,7 @@ def test_surfaces_that_would_cross_end_where_they_meet():
     assert any("'S2' and 'S3' cross" in note for note in built.notes)
 
 
-def test_names_of_surfaces_and_bodies():
+def test_names_of_surfaces_and_bodies_and_those_not_kept():
     for labels, names, parts in (
         # Those that mistray's own scenes have, also with a blank; the body is called as both faces
         ("L1_front;L1 rear;L2 front;L2_rear", "L1_front L1_rear L2_front L2_rear", "L1 L2"),
@@ -481,9 +479,6 @@ def test_names_of_surfaces_and_bodies():
         prescription = to_prescription(triplet().with_rows(rows))
         assert [s.name for s in prescription.surfaces][:4] == names.split()
         assert [s.part for s in prescription.surfaces][:4:2] == parts.split()
-
-
-def test_every_name_that_is_not_kept_is_told():
     labels = ["L1 front", "it's", "twin", "twin", "iris", "stop_front", "", "FPA"]
     rows = [replace(row, label=name) for row, name in zip(triplet().rows, labels, strict=True)]
     prescription = to_prescription(triplet().with_rows(rows))

@@ -94,15 +94,12 @@ def test_what_they_become(bsdf: dict[str, Any], sides: str) -> None:
     assert sides in str(translated(bsdf))
 
 
-def test_two_paints_on_two_sides() -> None:
+def test_paints_on_two_sides_also_of_our_own_surfaces() -> None:
     both = {"type": "twosided", "a": {"type": "diffuse", "reflectance": 0.1}, "b": {"type": "diffuse"}}
     first, second = translated(both).scatter
     assert (first.reflectance, second.reflectance) == pytest.approx((0.1, 0.5))
     assert (first.side, second.side) == ("back", "front")
-
-
-def test_our_own_surfaces_are_painted_on_both_sides() -> None:
-    """Light comes to an asphere from its front, and the normal points to its back."""
+    # Light comes to an asphere from its front, and the normal points to its back.
     scene = scene_of({"type": "diffuse"})
     scene["ball"] = {"type": "asphere", "semi_diameter": 3.0, "bsdf": {"type": "diffuse"}}
     (model,) = on_ball(scene).scatter
@@ -146,7 +143,7 @@ def test_gold_at_an_angle(field_deg: float) -> None:
     assert theirs[0] == pytest.approx(exact, abs=1e-6)
 
 
-def test_tables_of_a_metal_are_those_of_mitsuba() -> None:
+def test_tables_of_a_metal_and_a_slab_of_glass() -> None:
     for name in ("Au", "Cu", "a-C"):
         n, k = (np.loadtxt(SPD / f"{name}.{part}.spd") for part in ("eta", "k"))
         for nm in (400.0, 633.0):
@@ -154,10 +151,7 @@ def test_tables_of_a_metal_are_those_of_mitsuba() -> None:
             assert mistray.materials.complex_index(f"mitsuba/{name}", nm) == pytest.approx(exact, rel=1e-12)
     with pytest.raises(mistray.MistrayError, match=r"Mitsuba has no tables of it; the nearest are .*mitsuba/Cu, "):
         mistray.materials.complex_index("mitsuba/CU", 550.0)
-
-
-def test_slab_of_glass() -> None:
-    """A cube whose faces have one `dielectric`: (1 - R)² goes straight through at 25°."""
+    # A cube whose faces have one `dielectric`: (1 - R)² goes straight through at 25°.
     scene = scene_of(None, field_deg=25.0)
     scene["ball"] = {"type": "cube", "to_world": T().translate([0, 0, 10]).scale(9), "bsdf": {"type": "dielectric"}}
     t = mistray.trace(mistray.load(scene), rays=2000, max_reflections=0)

@@ -42,7 +42,7 @@ def test_bands_of_a_blackbody(kelvin: float) -> None:
         assert light.wavelengths_nm[k] == pytest.approx(mean, rel=1e-9)
 
 
-def test_lamps_and_daylight_of_standards() -> None:
+def test_lamps_daylight_lines_and_lumens() -> None:
     """The candela until 1979 was that of platinum, 2042 K; parts of the sun by the trapezoidal rule; 133 klx."""
     assert spectrum("blackbody:2042").lumens == pytest.approx(0.6, rel=5e-3)
     sun = spectrum("am0")
@@ -54,9 +54,6 @@ def test_lamps_and_daylight_of_standards() -> None:
     known, table = observer()
     xyz = np.array([light.weights @ np.interp(light.wavelengths_nm, known, row) for row in table.T])
     assert xyz[:2] / xyz.sum() == pytest.approx([0.31272, 0.32903], abs=2e-4)
-
-
-def test_lines_and_lumens() -> None:
     light = light_of("F, d C", weights=[1, 2, 1])
     assert light.wavelengths_nm == pytest.approx([486.1327, 587.5618, 656.2725])
     assert light.weights == pytest.approx([0.25, 0.5, 0.25])

@@ -219,12 +219,9 @@ def scene(request: pytest.FixtureRequest, load_text) -> Iterator[Scene]:
         yield made
 
 
-def test_rays_through_the_scene(scene: Scene) -> None:
+def test_rays_through_the_scene_and_from_a_surface(scene: Scene) -> None:
     hits, fragile = scene.compare(scene.through(15_000, seed=1))
     assert hits > max(1000, 1e3 * fragile)
-
-
-def test_rays_that_leave_a_surface(scene: Scene) -> None:
     rays = scene.leaving(15_000, seed=2)
     hits, fragile = scene.compare(rays)
     assert fragile < 1e-3 * hits

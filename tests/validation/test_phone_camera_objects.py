@@ -35,7 +35,7 @@ def ratios(found, rows, which):
     return result
 
 
-def test_critical_objects(found):
+def test_critical_illuminated_and_common_objects(found):
     """Ten of the sixteen large rows within 13 %; the walls of spaces 6 and 7 together with the filter's seats 4 %."""
     large = [row for row in study.CRITICAL if row.rays > 1000 and row.here]
     assert len(large) == 16
@@ -46,10 +46,7 @@ def test_critical_objects(found):
     walls = [(f"barrel_{k}_{part}", side) for k in (6, 7) for part, side in (("cone", "front"), ("IR_seat", "back"))]
     theirs = sum(row.power for row in study.CRITICAL if row.label in ("B 6, cone 3 + 22", "B 7, cone 2 + 31"))
     assert sum(here[wall] for wall in walls) == pytest.approx(theirs, rel=0.045)
-
-
-def test_illuminated_objects(found):
-    """In front of the stop within 8 % (the plane around it 11 %), behind it a factor of 2 and the errors."""
+    # In front of the stop within 8 % (the plane around it 11 %), behind it a factor of 2 and the errors.
     found_ratios = ratios(found, study.ILLUMINATED, "illuminated")
     for label in IN_FRONT:
         assert found_ratios[label][0] == pytest.approx(1, abs=0.08), label
@@ -58,9 +55,6 @@ def test_illuminated_objects(found):
         ratio, se = found_ratios[label]
         assert 0.5 - 4 * se < ratio < 2 + 4 * se, label
     assert found_ratios["B 7, cone 2 + 31"][0] == 0
-
-
-def test_common_objects(found):
     rows = study.common_rows(found)
     theirs = [label for label, _, in_study, _ in rows if in_study]
     assert len(theirs) == len(study.COMMON) == 15

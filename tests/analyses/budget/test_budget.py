@@ -192,7 +192,7 @@ class TestByHand:
         unscaled = (self.weights / factors) ** (1 / 3)
         return unscaled * np.sqrt((self.limit - self.fixed) / np.sum(factors * unscaled**2))
 
-    def test_numbers(self) -> None:
+    def test_numbers_and_the_model_from_derivatives(self) -> None:
         model = Model(np.array([self.fixed]), (self.factors * AS_GIVEN**2)[None, :])
         free = self.by_hand(self.factors)
         found = allocate([polish(w) for w in self.weights], model, np.array([self.limit]))
@@ -204,9 +204,7 @@ class TestByHand:
         found = allocate([polish(self.weights[0], low=low), polish(self.weights[1])], model, np.array([self.limit]))
         second = np.sqrt((self.limit - self.fixed - self.factors[0] * low**2) / self.factors[1])
         assert found == pytest.approx([low, second], rel=1e-5)
-
-    def test_the_model_from_derivatives(self) -> None:
-        """Of M = fixed + Σ a σ² the derivative is 2 a σ, the part is a σ²."""
+        # Of M = fixed + Σ a σ² the derivative is 2 a σ, the part is a σ².
         variables = [polish(), polish()]
         value = self.fixed + self.factors.sum() * AS_GIVEN**2
         model = Model.of(variables, np.array([value]), (2 * self.factors * AS_GIVEN)[None, :])

@@ -92,7 +92,7 @@ def test_calls_answer(server, explorer):
     assert "\n" not in found["error"]
 
 
-def test_bad_calls_are_one_line(server):
+def test_bad_calls_other_kinds_and_sizes_are_refused(server):
     for body in ("", "{", "[]", "3", '"move"', "NaN", "[" * 100_000, '{"call": 3}', '{"call": "eval"}',
                  '{"call": "__init__"}', '{"call": "move"}', '{"call": "move", "given": []}',
                  '{"call": "move", "given": {"values": []}}', '{"call": "move", "given": {"values": {"layers": NaN}}}',
@@ -100,10 +100,7 @@ def test_bad_calls_are_one_line(server):
         status, _, found = ask(server, "POST", f"/{server.token}/call", body, **{"Content-Type": "application/json"})
         assert status == 400, body
         assert "\n" not in json.loads(found)["error"]
-
-
-def test_other_kinds_and_sizes_are_refused(server):
-    """Of lengths that are none, and by a second host, nothing of the body is read."""
+    # Of lengths that are none, and by a second host, nothing of the body is read.
     path = f"/{server.token}/call"
     for kind in ({"Content-Type": "text/plain"}, {}):
         assert ask(server, "POST", path, '{"call": "page"}', **kind)[0] == 415

@@ -88,14 +88,12 @@ class TestScales:
         assert held >= 51
         assert len(model.points) < 200, "most draws found a point of an earlier one"
 
-    def test_from_either_side_and_far_away_the_same(self):
+    def test_every_start_ends_at_the_same_and_the_interval_is_the_profile(self):
         value = weak(np.array([0.5, 1.0, -0.4])).value
         for start in (3.0, -2.0, 0.0):
             found = fit(weak, value, 0.01 * value, {"rough": 1.0, "grey": 2.0, "shift": start}, **SCALES)
             assert found.value == pytest.approx([0.5, 1.0, -0.4], rel=2e-3)
-
-    def test_interval_is_the_profile(self):
-        """Its ends: where the least χ² over the other two parameters is 3.841 above that of all."""
+        # Its ends: where the least χ² over the other two parameters is 3.841 above that of all.
         value = weak(np.array(list(WEAK.values()))).value
         data = value * (1 + 0.05 * np.random.default_rng(7).standard_normal(20))
         found = fit(weak, data, 0.05 * value, dict(WEAK), **SCALES)

@@ -122,7 +122,7 @@ def test_wavelengths_count_by_the_light_that_arrives():
     assert found.shares == pytest.approx(light / light.sum(), rel=2e-3)
 
 
-def test_light_that_is_not_resolved_has_no_psf():
+def test_what_has_no_psf_and_what_is_refused():
     """A point at 300 mm before a lens that is focused at infinity: the spot is there, a note says why MTF is not."""
     found = mistray.image_quality(mistray.load("cooke_triplet", "point:0,0,-300"), field_mm=5.0)
     (image,) = found
@@ -130,9 +130,6 @@ def test_light_that_is_not_resolved_has_no_psf():
     assert np.isnan(image.strehl)
     assert np.isfinite(image.rms_spot_mm())
     assert "field 5 mm" in found.notes[0]
-
-
-def test_refused():
     scene, blind = mistray.load(paraboloid()), paraboloid()
     del blind["mirror"]
     each_refused(

@@ -153,7 +153,7 @@ def test_lit_and_seen_in_different_places(load_scene, vanes, length, detector, h
         assert all(entry.side == "front" for entry in found.common)
 
 
-def test_common_objects_are_in_both_lists(phone):
+def test_common_objects_are_in_both_lists_and_rows_agree_with_the_kernel(phone):
     critical = {(entry.id, entry.side) for entry in phone.critical}
     illuminated = {(entry.id, entry.side) for entry in phone.illuminated}
     common = {(entry.id, entry.side) for entry in (*phone.common, *phone.apart)}
@@ -170,10 +170,7 @@ def test_common_objects_are_in_both_lists(phone):
     assert len(found.common) < len(phone.common)
     without = {entry.id for entry in objects(phone.scene, rays=RAYS, total_reflection=False).critical}
     assert without < {entry.id for entry in phone.critical} - {"board_left"}
-
-
-def test_rows_agree_with_the_kernel(phone):
-    """The ray tree backwards, with the same ray control, sees the same shares; one of a thousand fails by chance."""
+    # The ray tree backwards, with the same ray control, sees the same shares; one of a thousand fails by chance.
     seen = see(phone.scene, rays=200_000, ray_control="transmit_specular")
     own = {entry.id: (entry.critical_power, entry.critical_power_se) for entry in phone.optics}
     for entry in phone.critical:  # of a surface with two sides their sum

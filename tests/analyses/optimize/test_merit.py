@@ -74,7 +74,7 @@ class TestContribution:
         assert dr.grad(v)[0] == pytest.approx(expected, rel=1e-6, abs=1e-6)
         assert by_value(term, value, 4.5) == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
-    def test_a_floor(self) -> None:
+    def test_a_floor_and_pieces(self) -> None:
         """With one a term may vanish: darker than so far below the start is dark enough."""
         term = Term("t", "path_power", floor_of_start=0.01)
         assert float(contribution(term, mi.Float64(0.0), 4.0)[0]) == pytest.approx(math.log(0.01 / 1.01))
@@ -87,9 +87,7 @@ class TestContribution:
         least = 2 * math.log(1e-15) + math.log(0.01 / 1.01)
         assert least_merit([Term("a", "path_power", weight=2.0), term]) == pytest.approx(least, rel=1e-14)
         assert least_merit([Term("c", "path_power", "at_most", limit=1.0)]) == 0
-
-    def test_pieces(self) -> None:
-        """Taken apart and put together again: value and slope are those of the sum."""
+        # Taken apart and put together again: value and slope are those of the sum.
         rng = np.random.default_rng(1)
         slopes = {goal: rng.standard_normal(3) for goal in self.TERMS}
         terms = [replace(term, name=goal) for goal, (term, _) in self.TERMS.items()]

@@ -328,7 +328,7 @@ class TestStarts:
         radius = Variable("r", "mm", 1.0, 100.0, "log", (VariablePlace("vane.r0", 0, 1.0, 12.0),))
         return Variables(params, [*found, radius])
 
-    def test_latin_hypercube(self) -> None:
+    def test_latin_hypercube_and_minima_of_coatings(self) -> None:
         """One point in each of as many equal parts of the way from bound to bound, which is one of ratios here."""
         variables = self.variables()
         given, *others = starts(variables, (), (), (), 9, 3)
@@ -337,8 +337,6 @@ class TestStarts:
         assert [int(8 * share) for share in shares] == list(range(8))
         again = starts(variables, (), (), (), 9, 3)
         assert [start.x.tolist() for start in again[1:]] == [start.x.tolist() for start in others]
-
-    def test_minima_of_coatings_leave_other_variables(self) -> None:
         placed = placed_coating("1.38 90", ["L1_front"], [10.0, 400.0])
         given, *others = starts(self.variables(1), (placed,), (550.0,), (1.0,), 4, 0)
         assert given.x.tolist() == [90.0, 12.0]

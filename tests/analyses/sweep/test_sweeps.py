@@ -528,7 +528,7 @@ def test_parts_move_as_a_whole() -> None:
     assert not {*keys, "lens_front.tilt_x"} & labels
 
 
-def test_several_angles_share_one_pst(ringed: Path) -> None:
+def test_several_angles_ranking_and_steps(ringed: Path) -> None:
     both = rank_edits(ringed, [ANGLE, 25.0], "total", rays=20_000, max_scatters=1)
     metric = pst_bin(mistray.load(ringed), 25.0, "total", pst_field_deg=[ANGLE, 25.0], rays=20_000, max_scatters=1)
     # One width of the zones at rims for all edits, where a gradient by one of them may choose another
@@ -537,9 +537,6 @@ def test_several_angles_share_one_pst(ringed: Path) -> None:
     assert both.pst[1].value == pytest.approx(gradient.value, rel=1e-12)
     assert both["ring.r0"].derivative[1].value == pytest.approx(gradient.gradient["ring.r0"][0], rel=1e-12)
     assert list(both.to_pandas().angle_deg[:2]) == [ANGLE, 25.0]
-
-
-def test_ranking_and_steps(ringed: Path) -> None:
     found = ranked(ringed, steps={"rim": 0.2, "wall.bsdf.*": "5 %", "coating": 3.0, "ring.z": "1 %"} | {"ring.z": 0.3})
     assert found["ring.r0"].step == 0.2
     assert found["wall.bsdf.paint.reflectance"].step == pytest.approx(0.02)
