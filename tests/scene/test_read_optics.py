@@ -151,7 +151,7 @@ def test_values(tmp_path: Path) -> None:
         assert sorted(named(folder, f'<string name="front" value="{value}"/>', *files, "other.csv")) == files
 
 
-def test_includes_paths_and_parameters(tmp_path: Path) -> None:
+def test_includes_paths_and_parameters_of_all_scenes(tmp_path: Path) -> None:
     body = """<default name="where" value="data"/><default name="where_else" value="more"/>
               <path value="found"/><include filename="inner/part.xml"/>
               <string name="a" value="$where/one.csv"/><string name="b" value="$where_else/two.csv"/>
@@ -167,10 +167,7 @@ def test_includes_paths_and_parameters(tmp_path: Path) -> None:
     scene = tmp_path / "scene" / "scene.xml"
     scene.write_text(f"<scene version='3.0.0'><string name='a' value='{elsewhere}:entry'/></scene>")
     assert scene_files(scene)[1:] == [elsewhere.resolve()]
-
-
-def test_parameters_hold_in_all_scenes(tmp_path: Path) -> None:
-    """As in Mitsuba: in a scene that is included, behind it, and the first of a name wins; also all round."""
+    # As in Mitsuba: in a scene that is included, behind it, and the first of a name wins; also all round.
     (tmp_path / "scene").mkdir()
     part = """<scene version='3.0.0'><default name='where' value='other'/><default name='more' value='$where'/>
               <string name='a' value='$where/one.csv'/></scene>"""

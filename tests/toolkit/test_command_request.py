@@ -207,11 +207,8 @@ def test_every_schema_of_a_result(name: str) -> None:
     assert {"request", "files"} <= {*schema["required"]}
 
 
-def test_a_command_that_prints_no_json(capsys: Captured) -> None:
+def test_a_command_that_prints_no_json_and_schemas_are_printed(capsys: Captured) -> None:
     assert fails(capsys, "completion", "--schema", "result").startswith("completion prints no JSON; --schema request")
-
-
-def test_schemas_are_printed(capsys: Captured) -> None:
     for words in ((), ("request",)):
         assert json.loads(succeeds(capsys, "thermal", "--schema", *words)) == schema_of_request(KNOWN["thermal"])
     assert main(["thermal", "no_such_scene", "--schema"]) == 0
