@@ -199,14 +199,6 @@ def test_an_interrupt_before_anything_is_saved(
         assert run(capsys, *command) == (130, "", "mistray: interrupted, nothing was written\n")
 
 
-def test_import_knows_the_variants_of_the_file(capsys: Captured, tmp_path: Path) -> None:
-    lens = Path(__file__).parents[1] / "scenes" / "phone_camera" / "prescription.json"
-    line = fails(capsys, "import", lens, "-o", tmp_path / "a.xml", "--variant", "nope")
-    assert "variant 'nope' is unknown; it has R13=5.272" in line
-    succeeds(capsys, "import", lens, "-o", tmp_path / "a.xml", "--wavelength-nm", "600")
-    assert list(mistray.scene.load(tmp_path / "a.xml").emitters()[0].wavelengths_nm) == [600.0]
-
-
 def test_a_real_scene_in_colour(capfd: Captured, tmp_path: Path) -> None:
     """The plate does not disperse: each line holds its share of every number."""
     out = tmp_path / "out"

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import json_units
 import pytest
+import vectors
 from command_line import fails, run, succeeds
 from singlet_files import SEQ, ZMX
 
@@ -18,15 +19,7 @@ pytestmark = pytest.mark.quick
 COATINGS = Path(__file__).parent / "data" / "coating_sample.dat"
 CAMERA = Path(mistray.scenes.__file__).parent / "phone_camera" / "prescription.json"
 INDEX = 1.5168
-DARK = """opticalSystem:
-  type: CompoundOptic
-  name: dark
-  pupilSize: 0.1
-  items:
-    - {type: Baffle, name: lid, surface: {type: Plane}, coordSys: {z: 2},
-       obscuration: {type: ObscCircle, radius: 0.2}}
-    - {type: Detector, name: D, surface: {type: Plane}, obscuration: {type: ClearCircle, radius: 0.1}}
-"""
+DARK = vectors.text("dark.yaml")
 
 
 @pytest.fixture(autouse=True)
@@ -78,6 +71,7 @@ def test_json(capsys):
     record = json_units.read("\n".join(imported(capsys, ZMX, "--json")))
     assert record["arriving_share"] == pytest.approx(bare, rel=5 * (0.1 / 0.9 / 4000) ** 0.5)
     assert any("wider than the pupil" in note for note in record["notes"])
+    assert "it has R13=5.272" in fails(capsys, "import", CAMERA, "-o", "camera.xml", "--variant", "nope")
     record = json_units.read(succeeds(capsys, "import", CAMERA, "-o", "camera.xml", "--json"))
     assert (record["surfaces"], record["unread"]) == (len(shapes("camera.xml")), [])
 

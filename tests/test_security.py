@@ -94,21 +94,7 @@ def test_a_library_leaves_its_mark_where_mitsuba_loads_it(payload: Payload, tmp_
 
 
 KINDS_OF_OBJECTS = ("shape", "bsdf", "emitter", "integrator", "texture")
-# Where the library lies, and what stands in scene/scene.xml; the command works in here/
-WAYS = {
-    "relative": ("scene/plugins/sub/evil", '<{kind} type="sub/evil" id="odd one"/>'),
-    "upwards": ("evil", '<{kind} type="../../evil" id="odd one"/>'),
-    "absolute": ("evil", '<{kind} type="{folder}/evil" id="odd one"/>'),
-    "beside": ("scene/plugins/evil", '<{kind} type="evil" id="odd one"/>'),
-    "here": ("here/plugins/evil", '<{kind} type="evil" id="odd one"/>'),
-    "include": ("scene/more/plugins/evil", '<include filename="more/inner.xml"/><path value="more"/>'),
-    "path": ("scene/more/plugins/evil", '<path value="more"/><shape type="evil"/>'),
-    "default": ("more/plugins/evil", '<default name="x" value="../more/plugins/"/><shape type="$x/evil"/>'),
-    "alias": (
-        "scene/more/plugins/evil",
-        '<path value="more"/><shape type="sphere" id="a"><bsdf type="evil"/></shape><alias id="a" as="b"/>',
-    ),
-}
+WAYS = vectors.toml("tables.toml")["ways to a library"]
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -10,6 +10,7 @@ from textwrap import dedent
 from types import SimpleNamespace
 
 import pytest
+import vectors
 from refusals import refused
 
 from mistray import _libatomic, _llvm, _mitsuba_compat, _variant
@@ -30,14 +31,7 @@ def run_python(code: str, *arguments: str, **environment: str | None) -> subproc
 
 @pytest.mark.parametrize(
     ("before", "environment", "argument", "expected"),
-    [
-        ("", {"MISTRAY_VARIANT": "llvm_ad_spectral"}, "", "llvm_ad_spectral"),
-        ("", {"MISTRAY_VARIANT": "llvm_ad_spectral"}, "'llvm_ad_mono'", "llvm_ad_mono"),
-        ("mi.set_variant('llvm_ad_mono')", {"MISTRAY_VARIANT": "llvm_ad_spectral"}, "", "llvm_ad_mono"),
-        ("mi.set_variant('scalar_rgb')", {}, "", "variant 'scalar_rgb' cannot run the ray tree"),
-        ("", {"MISTRAY_VARIANT": "scalar_rgb"}, "", "variant 'scalar_rgb' cannot run the ray tree"),
-        ("", {}, "'llvm_rgb'", "variant 'llvm_rgb' is not part of Mitsuba"),
-    ],
+    vectors.toml("tables.toml")["choice of the variant"],
 )
 def test_choice_of_the_variant(before, environment, argument, expected):
     run = run_python(

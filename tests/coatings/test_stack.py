@@ -112,13 +112,7 @@ def test_what_is_no_stack() -> None:
     ):
         with pytest.raises(MistrayError, match=f"^coating 'ar'.*{re.escape(words)}"):
             Stack(tuple(layers), first, "ar").response(nm, AIR, GLASS, COSINES, True)
-    for text, design_nm, words in (
-        ("MgF2 10, ", 550.0, "layer 2: '' has no material and thickness; write 'material thickness'"),
-        ("MgF2 10 nm", 550.0, "layer 1: 'MgF2 10 nm' has no"),
-        ("MgF 0.25w", 550.0, "layer 1: material 'MgF' is unknown"),
-        ("1.38 10, 0.2 20", 550.0, "layer 2: material '0.2'"),
-        ("1.38 0.25w", 0.0, "design_nm = 0"),
-    ):
+    for text, design_nm, words in vectors.toml("refusals.toml")["layers"]:
         with pytest.raises(MistrayError, match=f"^coating 'ar'.*{re.escape(words)}"):
             parse_layers(text, design_nm, name="ar")
 

@@ -22,17 +22,7 @@ from mistray.materials import (
 )
 from mistray.materials.formulas import AGF_FORMULAS
 
-N_BK7 = """NM N-BK7 2 517642.251 1.5168 64.17 0 1 1
-GC step 0.5 available
-ED 7.1 8.3 2.51 -0.0009 0
-CD 1.03961212E+00 6.00069867E-03 2.31792344E-01 2.00179144E-02 1.01046945E+00 1.03560653E+02 0 0 0 0
-TD 1.86E-06 1.31E-08 -1.37E-11 4.34E-07 6.27E-10 0.17 20
-OD 1.00 1.0 0.0 1.0 2.3 2.3
-LD 0.3 2.5
-IT 0.35 0.920 25.0
-IT 0.40 0.992 25.0
-IT 0.50 0.998 25.0
-"""
+N_BK7 = vectors.text("n_bk7.agf")
 HEAD = N_BK7.partition("IT")[0]
 
 
@@ -254,15 +244,6 @@ def test_k_has_its_own_range():
     assert complex_index("YbF3 k=0", 2000.0).imag == 0
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("N-BK7 k=0", "N-BK7 k=0"),
-        ("My Glass.CSV  k=1e-7 extrapolate", "/data/My Glass.CSV  k=1e-7 extrapolate"),
-        ("a/makers.agf:N-BK7", "/data/a/makers.agf:N-BK7"),
-        ("C:/a.AGF:F2 extrapolate", "/data/C:/a.AGF:F2 extrapolate"),
-        ("COATING.DAT:MGF2 k=0", "/data/COATING.DAT:MGF2 k=0"),
-    ],
-)
+@pytest.mark.parametrize(("text", "expected"), vectors.toml("tables.toml")["places of files"])
 def test_resolved(text, expected):
     assert resolved(text, lambda path: f"/data/{path}") == expected

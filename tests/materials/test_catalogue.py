@@ -244,21 +244,7 @@ def test_second_sources(name: str, other: str, wavelengths_nm: tuple[float, ...]
 
 
 def test_names_of_makers_and_pages_by_the_wavelength() -> None:
-    for name, others in {
-        "Ge": "GERMANIUM germanium GERMLW",
-        "Si": "SILICON",
-        "ZnSe": "ZNSE",
-        "ZnS": "ZNS_IR ZNS_BROAD zns-ir Cleartran",
-        "CdTe": "CDTE",
-        "KRS-5": "KRS5 krs-5",
-        "sapphire": "SAPPHIRE",
-        "schott/IRG26": "IRG26 irg-26 IRG26",
-        "vitron/IG6": "IG6 IG-6",
-        "ami/AMTIR-1": "AMTIR1 AMTIR-1 AMTIR_1",
-        "ami/AMTIR-3": "AMTIR3",
-        "lightpath/BD-2": "BD2 BD-2",
-        "lightpath/BD6": "BD6 bd-6",
-    }.items():
+    for name, others in vectors.toml("tables.toml")["names of makers"].items():
         for other in others.split():
             assert source(other).name == name
     # Germanium has a page of the visible and one of the infrared; in the visible it is what it always was.

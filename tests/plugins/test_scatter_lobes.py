@@ -25,6 +25,7 @@ from scatter_surfaces import (
     vectors,
     write_table,
 )
+from vectors import toml
 
 from mistray import MistrayError
 from mistray.scatter.evaluate import bsdf as float64_bsdf
@@ -262,19 +263,7 @@ def test_chi_square_of_a_table_and_of_several_models(tmp_path: Path) -> None:
         assert scatter_p("harvey_shack", bsdf, bsdf, event, 45.0, True, IMPORTANCE) > FALSE_ALARM
 
 
-@pytest.mark.parametrize(
-    ("name", "key", "factor"),
-    [
-        ("abg", "B", 1.3),
-        ("abg_narrow", "B", 1.3),
-        ("k_correlation", "B_um", 1.3),
-        ("gaussian_lobe", "width", 1.1),
-        ("phong", "exponent", 1.1),
-        ("polynomial", "l10", 1.3),
-        ("particulate", "slope", 1.1),
-        ("paint", "l", 1.3),
-    ],
-)
+@pytest.mark.parametrize(("name", "key", "factor"), toml("tables.toml")["wrong densities"])
 def test_a_wrong_density_fails(name: str, key: str, factor: float) -> None:
     model = MODELS[name]
     given = {"particulate": 0.926}.get(name, model.get(key))

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import vectors
 from sequential_lenses import by_name, lens, newtonian, triplet
 
 import mistray
@@ -463,17 +464,7 @@ def test_surfaces_that_would_cross_end_where_they_meet():
 
 
 def test_names_of_surfaces_and_bodies_and_those_not_kept():
-    for labels, names, parts in (
-        # Those that mistray's own scenes have, also with a blank; the body is called as both faces
-        ("L1_front;L1 rear;L2 front;L2_rear", "L1_front L1_rear L2_front L2_rear", "L1 L2"),
-        ("window front;window_rear;;", "window_front window_rear S3 S4", "window L2"),
-        # No body without a name of its own is called as another one
-        ("window;;L1_front;L1_rear", "window S2 L1_front L1_rear", "L2 L1"),
-        # Names of generated faces, of a body, and of another row are not kept, nor what two rows have
-        ("L1;L2_edge;S7;S4", "S1 S2 S3 S4", "L1 L2"),
-        ("detector;Detector window;board_left;boards", "S1 Detector_window S3 boards", "L1 L2"),
-        ("front lens;a.b;twin;twin", "front_lens a_b S3 S4", "L1 L2"),
-    ):
+    for labels, names, parts in vectors.toml("tables.toml")["names of surfaces"]:
         named = zip(triplet().rows, [*labels.split(";"), *8 * [""]], strict=False)
         rows = [replace(row, label=name) for row, name in named]
         prescription = to_prescription(triplet().with_rows(rows))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import vectors
 
 import mistray
 from mistray.errors import MistrayError
@@ -94,15 +95,7 @@ def test_bad_parts():
 
 
 def test_which_coatings_have_layers_and_are_opaque():
-    kinds = [
-        ({"R": 0.1}, False, True),
-        ({"R": 0.1, "T": 0.1}, False, False),
-        ({"table": "a.csv"}, False, False),
-        ({"table": "COATING.DAT:AR"}, True, False),
-        ({"preset": "bbar3"}, True, False),
-        ({"preset": "protected_al"}, True, True),
-        ({"layers": "1.38 10"}, True, False),
-    ]
+    kinds = vectors.toml("tables.toml")["coatings"]
     for recipe, layered, opaque in kinds:
         assert (Coating(**recipe).layered, Coating(**recipe).opaque) == (layered, opaque), recipe
     assert system(*lens(front=AR, rear=AR)).shared_coatings() == {"ar": AR}

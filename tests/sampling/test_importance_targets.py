@@ -275,20 +275,7 @@ def test_impossible_targets(aims) -> None:
     )
 
 
-KINDS = {
-    "sphere": {"kind": "sphere", "scale": 3.0},
-    "ellipsoid": {"kind": "sphere", "half_axes": "1, 4, 2.5"},
-    "around the sheet": {"kind": "sphere", "half_axes": "30, 40, 25"},
-    "point": {"about": "point", "cone_deg": 9.0},
-    "direction": {"about": "direction", "cone_deg": 11.0},
-    "specular": {"about": "specular", "cone_deg": 11.0},
-    "anywhere": {"about": "point", "cone_deg": 180.0},
-    "entity": {"entity": "detector"},
-    "large entity": {"entity": "detector", "scale": 1.5},
-    "disk": {"scale": 2.0},
-    "virtual sphere": {"kind": "sphere", "scale": 3.0, "reverse": True, "at": (0.0, 0.0, -10.0)},
-    "virtual point": {"about": "point", "cone_deg": 9.0, "reverse": True, "at": (0.0, 0.0, -10.0)},
-}
+KINDS = vectors.toml("tables.toml")["targets"]
 
 
 def sheet(*targets: str) -> str:

@@ -317,16 +317,7 @@ def two_fold(rho: np.ndarray) -> np.ndarray:
     return 0.1 + 0.05 * np.cos(2 * np.radians(rho))
 
 
-@pytest.mark.parametrize(
-    ("given", "kept"),
-    [
-        ([0, 90, 180, 270], [0, 90, 180, 270]),
-        ([0, 90, 180, 270, 360], [0, 90, 180, 270]),
-        ([0, 45, 90, 135], [0, 45, 90, 135, 180, 225, 270, 315]),
-        ([0, 60, 120, 180], [0, 60, 120, 180, 240, 300]),
-        ([0, 90], [0, 90, 180, 270]),
-    ],
-)
+@pytest.mark.parametrize(("given", "kept"), vectors.toml("tables.toml")["rotations"])
 def test_rotations_all_round(given: list[float], kept: list[float]) -> None:
     """Or over half the circle of a surface that is the same after half a turn; what is isotropic is read so."""
     found = reduced(given, two_fold)
@@ -429,17 +420,7 @@ def test_incidences_and_azimuths_of_speos(tmp_path):
     assert (samples.azimuth_deg[azimuth], samples.polar_deg[polar]) == (0.0, 60.0)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("v8.0", "v5.0", "line 1: it is no 'OPTIS"),
-        ("v8.0\n0\n", "v8.0\n1\n", "line 2: it is in binary mode; save it as text"),
-        ("\n1\t0\n1\n", "\n1\t1\n1\n", "line 7: it holds transmission"),
-        ("850\t30", "850\t31", "keep one of them"),
-        ("\n0.5\t", "\n0.5\tx", "line 21: could not convert"),
-        ("0.0\t30.0\t60.0", "0.0\t30.0", "line 12: 2 numbers; 3 are needed"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), vectors.toml("refusals.toml")["files of Speos"])
 def test_wrong_speos_files(tmp_path, old, new, message):
     file = speos(tmp_path / "a.anisotropicbsdf", lambda i, t, p: 1.0)
     content = file.read_text(encoding="utf-8")

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
+import vectors
 
 import mistray
 
@@ -295,32 +296,8 @@ def test_mistakes_are_named(bsdf: dict[str, Any], words: str) -> None:
     assert "\n" not in str(info.value)
 
 
-MATERIALS = """<scene version="3.0.0">
-  <bsdf type="twosided" id="black"><bsdf type="diffuse"><rgb name="reflectance" value="$albedo"/></bsdf></bsdf>
-  <bsdf type="twosided" id="gold"><bsdf type="conductor"><string name="material" value="Au"/></bsdf></bsdf>
-  <bsdf type="dielectric" id="glass"><string name="int_ior" value="bk7"/><string name="ext_ior" value="air"/></bsdf>
-  <bsdf type="diffuse" id="white"><spectrum name="reflectance" filename="white.spd"/></bsdf>
-</scene>"""
-ROOM = """<scene version="3.0.0">
-  <default name="albedo" value="0.05 0.05 0.05"/><default name="turn" value="180"/>
-  <include filename="materials.xml"/>
-  <integrator type="path"><integer name="max_depth" value="8"/></integrator>
-  <sensor type="perspective"><transform name="to_world">
-    <lookat origin="0, 10, -60" target="0, 0, 0" up="0, 1, 0"/></transform></sensor>
-  <shape type="rectangle" id="lamp">
-    <transform name="to_world"><scale x="4" y="4"/><translate z="-40"/></transform>
-    <emitter type="area"><rgb name="radiance" value="2.0"/></emitter></shape>
-  <shape type="sphere" id="ball"><point name="center" x="0" y="0" z="0"/><float name="radius" value="5"/>
-    <ref id="glass"/></shape>
-  <shape type="rectangle" id="mirror"><transform name="to_world">
-    <scale value="8"/><lookat origin="20, 0, 0" target="0, 0, 0" up="0, 1, 0"/></transform><ref id="gold"/></shape>
-  <shape type="cylinder" id="tube">
-    <point name="p0" value="0 0 -20"/><point name="p1" value="0 0 30"/><float name="radius" value="12"/>
-    <ref id="black"/></shape>
-  <shape type="rectangle" id="board"><transform name="to_world">
-    <rotate y="1" angle="$turn"/><scale value="9"/><translate z="20"/></transform><ref id="white"/>
-    <sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor></shape>
-</scene>"""
+MATERIALS = vectors.text("mitsuba_materials.xml")
+ROOM = vectors.text("mitsuba_room.xml")
 
 
 @pytest.mark.long
@@ -336,7 +313,8 @@ def test_a_scene_as_users_of_mitsuba_write_it(tmp_path: Path) -> None:
     params = mi.traverse(scene)
     assert params["black.paint.reflectance"][0] == pytest.approx(0.05)
     assert params["glass.n_front_shift"][0] == 0
+    materials = MATERIALS.partition("\n")[2].removesuffix("</scene>\n")
     older = ROOM.replace("3.0.0", "0.6.0").replace("max_depth", "maxDepth")  # its parameters are in camel case
-    (tmp_path / "scene.xml").write_text(older.replace('<include filename="materials.xml"/>', MATERIALS[24:-8]))
+    (tmp_path / "scene.xml").write_text(older.replace('<include filename="materials.xml"/>', materials))
     again = mistray.trace(mistray.load(tmp_path / "scene.xml"), rays=5000)
     assert again.energy.detected_W == t.energy.detected_W

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import vectors
 from refusals import refused
 
 from mistray.physics.geometry.pose import moved
@@ -17,17 +18,7 @@ from mistray.scenes.phone_camera.prescription import build as phone_camera
 pytestmark = pytest.mark.quick
 
 GLASS = '<bsdf type="interface"><string name="back" value="N-BK7"/></bsdf>'
-SCENE = """<scene version="3.0.0">
-    <default name="R" value="50"/>
-    <emitter type="collimated"><float name="radius" value="4"/><string name="wavelength_nm" value="486.1, 656.3"/>
-        <string name="weights" value="1 3"/><float name="field_deg" value="10"/></emitter>
-    <bsdf type="thinfilm" id="AR"><string name="preset" value="bbar3"/></bsdf>
-    {shapes}
-    <shape type="asphere" id="film"><float name="half_width" value="2"/><float name="half_height" value="1"/>
-        <transform name="to_world"><translate z="60"/></transform>
-        <bsdf type="interface"><float name="R" value="0"/></bsdf>
-        <sensor type="irradiancemeter"/></shape>
-</scene>"""
+SCENE = vectors.text("optics.xml")
 
 
 KEYS = ("name", "curvature", "conic", "coefficients", "semi_diameter", "half_width", "front", "back", "mirror")

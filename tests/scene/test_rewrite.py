@@ -80,22 +80,7 @@ class TestText:
             '<float name="x" value="0.1"/>',
         ]
 
-    @pytest.mark.parametrize(
-        "values",
-        [
-            {"a.curvature": 0.02},
-            {"a.curvature": 0.0},
-            {"a.curvature": 0.013},  # 1/(1/0.013) is another number
-            {"polish.l": 0.02},
-            {"d.bsdf.n_back_shift": 0.25, "d.bsdf.n_front_shift": 0.5},
-            {"waves.thickness_nm": [99.5, 130.5]},
-            {"waves.n_shift": [0, 0.1]},
-            {"stop.bsdf.paint.reflectance": 0.0625},
-            {"stop.bsdf.T": 0.5},
-            {"stop.r0": 2.5},
-            {"b.bsdf.abg_2.A": 0.0005},
-        ],
-    )
+    @pytest.mark.parametrize("values", vectors.toml("tables.toml")["values of a scene"])
     def test_where_values_go(self, values: dict[str, Any], tmp_path: Path) -> None:
         source = write(tmp_path, SCENE)
         gone, new = changes(SCENE, rewritten(source, values, tmp_path))

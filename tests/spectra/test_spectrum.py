@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scene_dicts
+import vectors
 from oracles.small_scenes import scene_text, shape_xml, write
 from refusals import each_refused
 
@@ -128,18 +129,7 @@ def test_bands_add_up_to_the_spectrum(tmp_path: Path) -> None:
 
 SPECTRA = ("X", "d C X", "", "blackbody", "blackbody:-1", "blackbody:nan", "blackbody:1e308", "blackbody:0", "d d",
            "blackbody:20", "nowhere.csv")  # fmt: skip
-WRONG: tuple[dict[str, Any], ...] = (
-    {"spectrum": "d65", "band_nm": "200, 700"},
-    {"spectrum": "d65", "band_nm": "700, 400"},
-    {"spectrum": "d65", "band_nm": "400"},
-    {"spectrum": "d65", "bands": 0},
-    {"spectrum": "d65", "bands": 2.5},
-    {"spectrum": "d65", "weights": "1"},
-    {"spectrum": "d65", "wavelength_nm": 551.0},
-    {"spectrum": "d", "bands": 2},
-    {"bands": 2},
-    {"band_nm": "400, 500"},
-)
+WRONG: tuple[dict[str, Any], ...] = vectors.toml("refusals.toml")["spectra"]
 
 
 @pytest.mark.parametrize("wrong", [*({"spectrum": text} for text in SPECTRA), *WRONG], ids=str)

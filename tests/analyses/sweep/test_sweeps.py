@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
+import vectors
 from command_line import fails, succeeds
 from oracles.object_scenes import common_area
 from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene, wall_xml
@@ -184,21 +185,8 @@ def test_wrong_arguments(plate: Path) -> None:
 
 
 class TestToml:
-    def test_values(self, tmp_path: Path) -> None:
-        text = """
-        [[configuration]]
-        name = "as designed"
-        [[configuration]]
-        name = "tele"
-        values = { "G2.z" = 1.5, "AR.thickness_nm" = [90, 120.5] }
-        [[configuration]]
-        name = "warm"
-        [configuration.values]
-        "N-BK7.index" = 1e-4
-        """
-        path = tmp_path / "states.toml"
-        path.write_text(text, encoding="utf-8")
-        found = read_configurations(path)
+    def test_values(self) -> None:
+        found = read_configurations(vectors.DATA / "zoom_states.toml")
         assert [one.name for one in found] == ["as designed", "tele", "warm"]
         assert [dict(one.values) for one in found] == [
             {}, {"G2.z": (1.5,), "AR.thickness_nm": (90.0, 120.5)}, {"N-BK7.index": (1e-4,)},
@@ -218,13 +206,7 @@ class TestToml:
         path = tmp_path / "states.toml"
         with refused(r"configurations '.*states\.toml': No such file or directory"):
             read_configurations(path)
-        for text, words in (
-            ("", "configuration is missing; add at least one section"),
-            ("[[configuration]]\nname='a'\nvalue={}", "configuration\\[1\\].value is unknown; did you mean 'values'"),
-            ("[[configuration]]\nname='a'\nvalues={x='1'}", "configuration\\[1\\].values.x is '1'; give a number"),
-            ("[[configuration]]\nname='a'\nvalues={x=nan}", "the numbers must be finite"),
-            ("[[configuration]", "correct the TOML"),
-        ):
+        for text, words in vectors.toml("refusals.toml")["configurations"]:
             path.write_text(text, encoding="utf-8")
             with refused(words):
                 read_configurations(path)
