@@ -110,17 +110,7 @@ def test_options_reach_the_scene(capsys):
     assert "../lib/COATING.DAT:AR" in text
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        ("a.zmx", ("--variant", "b"), "--variant b: Zemax files hold no variants; leave it out"),
-        ("a.json", ("--edges", "open"), "--edges open: JSON files hold no edges to choose; leave it out"),
-        ("a.zmx", ("--glass", "BK7"), "--glass: 'BK7' is no NAME=MATERIAL, such as 'MYGLASS=N-BK7'"),
-        ("a.zmx", ("--margin", "-1"), "--margin: -1 must lie between 0 and 10"),
-        ("a.osl", (), "files of type '.osl' cannot be read; give one of .json, .yaml, .yml, .zmx, .seq, .len, .lens,"),
-        ("a.fbx", (), "files of type '.fbx' cannot be read; export it as STL, OBJ, PLY or GLB, one of "),
-    ],
-)
+@pytest.mark.parametrize(("name", "options", "message"), vectors.toml("refusals.toml")["imports"])
 def test_what_makes_no_sense_is_refused(capsys, name, options, message):
     Path(name).write_text(ZMX)
     assert message in fails(capsys, "import", name, *options)

@@ -78,18 +78,7 @@ class TestGeometry:
 
 class TestSceneXml:
     def test_transforms_act_in_xml_order(self) -> None:
-        text = """<scene version="3.0.0"><default name="angle" value="90"/>
-        <shape type="rectangle" id="a"><transform name="to_world"><scale x="2" y="3"/><rotate y="1" angle="$angle"/>
-        <translate x="5"/></transform></shape>
-        <shape type="disk" id="b"><transform name="to_world">
-        <lookat origin="1, 2, 3" target="1, 2, 9" up="0, 1, 0"/></transform></shape>
-        <shape type="disk" id="c"><transform name="to_world">
-        <translate z="1"/><rotate value="1, 0, 0" angle="90"/></transform></shape>
-        <shape type="disk" id="d"><transform name="to_world">
-        <matrix value="0 -1 0 7  1 0 0 8  0 0 1 9  0 0 0 1"/></transform></shape>
-        <shape type="sphere" id="e"><float name="radius" value="2"/>
-        <point name="center" x="1" y="0" z="4"/></shape></scene>"""
-        a, b, c, d, e = scene_xml.parse_scene(text).shapes
+        a, b, c, d, e = scene_xml.parse_scene(vectors.text("transforms.xml")).shapes
         assert isinstance(a.surface, Plane)
         assert (a.surface.half_width, a.surface.half_height) == pytest.approx((2, 3))
         np.testing.assert_allclose(a.normal(np.array([[5.0, 0, 0]]))[0], [1, 0, 0], atol=1e-15)
@@ -101,16 +90,7 @@ class TestSceneXml:
         hit = e.first_hit(np.array([[1.0, 0, 0]]), np.array([[0.0, 0, 1]]), np.array([False]))
         assert hit[0] == pytest.approx(2.0)
 
-    @pytest.mark.parametrize(
-        ("text", "message"),
-        [
-            ('<shape type="cube" id="x"/>', "shape type 'cube'"),
-            ('<shape type="asphere" id="x"><float name="semidiameter" value="1"/></shape>', "semidiameter"),
-            ('<shape type="disk" id="x"/><shape type="disk" id="x"/>', "not unique"),
-            ('<shape type="disk" id="x"><bsdf type="diffuse"/></shape>', "diffuse"),
-            ('<emitter type="point"/>', "point"),
-        ],
-    )
+    @pytest.mark.parametrize(("text", "message"), vectors.toml("refusals.toml")["scenes of the oracles"])
     def test_nothing_is_half_read(self, text: str, message: str) -> None:
         with pytest.raises(ValueError, match=message):
             scene_xml.parse_scene(f"<scene>{text}</scene>")

@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 import peers
 import pytest
+import vectors
 from example_scripts import DOCS, ROOT, script
 
 from mistray._variant import plugin_modules
@@ -127,18 +128,7 @@ def test_examples_load(manual: Any, files: None) -> None:
     assert mi.load_dict(recipe, optimize=False) is not None
 
 
-# Recipes beside those of the pages, for parameters that exclude each other
-OTHER_RECIPES = [
-    {"type": "asphere", "half_width": 2.0, "half_height": 1.0, "bsdf": {"type": "interface"}},
-    {"type": "interface", "R": 0.5},
-    {"type": "harvey_shack", "rms_nm": 2.0},
-    {"type": "particulate", "level": 300},
-    {"type": "thinfilm", "R": 0.5, "T": 0.25},
-    {"type": "point_source", "z": -9.0, "intensity": 2.0},
-    {"type": "point_source", "z": -9.0, "profile": "0:1, 20:0.9, 25:0"},
-    {"type": "surface_source", "z": -9.0, "radius": 2.0, "inner_radius": 0.5, "half_angle_deg": 20.0},
-    {"type": "distant_disc", "radiance": 2.0},
-]
+OTHER_RECIPES = vectors.toml("tables.toml")["recipes"]
 
 
 @pytest.mark.parametrize(

@@ -187,13 +187,7 @@ def test_every_surface_has_its_own(source: Path) -> None:
 
 def test_new_values(source: Path) -> None:
     """One value changes, and nothing else; without models of their own they stay shared."""
-    for key, value in (
-        ("rear.bsdf.harvey_shack.rms_nm", 1.5),
-        ("front.bsdf.particulate.coverage_percent", 0.02),
-        ("tube.bsdf.paint.reflectance", 0.02),
-        ("cone.bsdf.reflectance", 0.03),
-        ("polish.rms_nm", 2.0),
-    ):
+    for key, value in vectors.toml("tables.toml")["new values"]:
         file = SceneText(source, not key.startswith("polish"))
         before = with_own(file, source.parent)
         file.set(key, value)

@@ -124,26 +124,7 @@ def test_schema_and_program_take_the_same(name: str) -> None:
             assert check.is_valid(value) == taken(key, value), (key.name, value)
 
 
-WRONG = {
-    "{": "Expecting property name",
-    "": "Expecting value",
-    "[]": "it holds no object; write keys and values",
-    "3": "it holds no object",
-    "[" * 100_000: "it is nested too deeply",
-    '{"scene": "plate", "rays": NaN}': "NaN is no number of JSON",
-    "{}": "scene is missing; give it there, or on the command line",
-    '{"scen": "plate"}': "there is no key 'scen'; did you mean 'scene'?",
-    '{"--field-deg": 1}': "there is no key '--field-deg'; did you mean 'field_deg'?",
-    '{"stops": 1}': "there is no key 'stops'; it stands in the object 'look'",
-    '{"look": {"stop": 1}}': "look: there is no argument 'stop'; did you mean 'stops'?",
-    '{"scene": ""}': "scene is ''; it must be text",
-    '{"rays": 0}': "rays is 0; it must be a whole number between 1",
-    '{"field_deg": []}': "field_deg is empty; give at least one number",
-    '{"rank": "rmss"}': "rank is 'rmss'; did you mean 'rms'?",
-    '{"scatter": {"L*": 3}}': "scatter of 'L*' is 3; it must be text",
-    '{"json": 1}': "json is 1; it must be true or false",
-    '{"scene": "plate", "least_share": 0.1}': None,
-}
+WRONG = vectors.toml("refusals.toml")["requests"] | {"[" * 100_000: "it is nested too deeply"}
 
 
 @pytest.mark.parametrize("text", WRONG)
@@ -152,7 +133,7 @@ def test_wrong_files(text: str, tmp_path: Path, capsys: Captured) -> None:
     file.write_text(text, encoding="utf-8")
     told = fails(capsys, "ghosts", "--request", file)
     expected = WRONG[text]
-    if expected is None:  # what two keys say together
+    if not expected:  # what two keys say together
         assert told.startswith("--least-share is about the path analysis")
     else:
         assert told.startswith(f"request '{file}': {expected}")

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import vectors
 from oracles.object_scenes import common_area, open_tube_text, painted_tube_text, vane_text
 from oracles.scatter_integrals import disc_to_disc, element_to_disc
 from oracles.scatter_scenes import beam_xml, bsdf_xml, discs_text, placed_xml, scatter_scene, scattering_xml
@@ -191,15 +192,7 @@ def test_the_stop_is_found_by_marginal_rays():
 
 def test_before_and_after_the_stop(phone):
     places = {entry.id: (entry.between, entry.stop) for entry in (*phone.critical, *phone.illuminated)}
-    expected = {
-        "barrel_0_cone": ("window_rear – L1_front", "before"),
-        "stop_wall": ("window_rear – L1_front", "stop"),
-        "barrel_1_cone": ("window_rear – L1_front", "after"),
-        "barrel_3_cone": ("L2_rear – L3_front", "after"),
-        "L3_edge": ("L3_front – L3_rear", "after"),
-        "barrel_6_cone": ("L5_rear – filter_front", "after"),
-        "barrel_0_window_seat": ("window_front – window_rear", "before"),
-    }
+    expected = {name: tuple(place) for name, place in vectors.toml("tables.toml")["places of objects"].items()}
     assert {name: places[name] for name in expected} == expected
     assert objects(phone.scene, rays=2000, ray_control="allow_all").stop == phone.stop == "stop"
     found = objects(phone.scene, rays=20_000, stop="L3_front")

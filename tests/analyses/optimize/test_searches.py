@@ -349,17 +349,7 @@ class TestStarts:
         assert first.name == "minimum 1 of the mean square R"
 
 
-VALUES = {
-    "vane_1.r0": [11.0],
-    "vane_2.r0": [12.0],
-    "vane_3.r0": [14.0],
-    "lens_front.curvature": [0.02],
-    "lens_rear.curvature": [-0.02],
-    "window.z": [0.0],
-    "paint.A": [1e-3],
-    "polish.A": [4e-3],
-    "AR.thickness_nm": [90.0, 120.0, 60.0],
-}
+VALUES = vectors.toml("tables.toml")["parameters of a search"]
 UNITS = {"r0": "mm", "curvature": "1/mm", "z": "mm", "A": "1/sr", "thickness_nm": "nm"}
 LOWS = {"r0": 0.0, "curvature": -1.0, "z": -1e3, "A": 0.0, "thickness_nm": 0.0}
 
