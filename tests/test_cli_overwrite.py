@@ -109,7 +109,7 @@ def test_every_command_that_writes_is_here() -> None:
     known = {name: {option.dest for option in own} for name, own in options.items()}
     writing = {name for name, own in known.items() if own & {"out", "output", "plot", "csv", "state"}}
     claimed = {name for name, own in options.items() if any(option.writes is not None for option in own)}
-    tried.add("app")  # it writes when its page says so: tests/analyses/explorer/test_saving.py
+    tried.add("app")  # it writes when its page says so: tests/analyses/explorer/test_server.py
     assert tried == writing == claimed
     assert all("force" in known[name] for name in tried)
 

@@ -219,7 +219,7 @@ OTHERS = {
     "--scheduler": "needs the workers of a cluster; tests/cluster",
     "cuda_ad_rgb": "needs a GPU; tests/test_gpu.py",
     "cache clear": "would clear the cache of whoever runs this",
-    "explored_scene.xml": "needs what the explorer saves; tests/analyses/explorer/test_saving.py",
+    "explored_scene.xml": "needs what the explorer saves; tests/analyses/explorer/test_server.py",
 }
 WRITTEN_BY_OTHERS = {"imported_files.md": "tests/test_plugin_pages.py runs them"}
 

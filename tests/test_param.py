@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from command_line import fails
 from oracles.small_scenes import plates_text
 from refusals import refused
@@ -199,3 +201,25 @@ def test_wrong_names_warnings_and_a_number_or_several() -> None:
     for wrong in ("3", [], [90.0], [[1.0, 2.0]], [None], float("nan")):
         with refused(r"^scene: field_deg is "):
             FIELD_DEG.check_each("field_deg", wrong, "scene")
+
+
+SCALED, MIRRORED = mi.ScalarTransform4f().scale(1.000012), mi.ScalarTransform4f().scale([-1, 1, 1])
+SHEARED = mi.ScalarTransform4f([[1, 0.5, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+MOVED = (
+    {"type": "collimated", "radius": 1.0},
+    {"type": "asphere", "semi_diameter": 2.0},
+    {"type": "frustum", "r0": 5.0, "z0": -1.0, "r1": 3.0, "z1": 4.0},
+)
+WRONG = [
+    *vectors.toml("plugin_refusals.toml")["alone"],
+    *((one | {"to_world": pose}, "to_world scales, shears or mirrors; use a rigid motion")
+      for one in MOVED for pose in (SCALED, MIRRORED, SHEARED)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("values", "words"), WRONG)
+def test_wrong_values(values: dict[str, Any], words: str) -> None:
+    with pytest.raises((mistray.MistrayError, RuntimeError, TypeError)) as caught:
+        mi.load_dict({**values, "id": "S"})
+    assert words in str(caught.value)
+    assert not isinstance(caught.value, mistray.MistrayError) or "\n" not in str(caught.value)

@@ -30,8 +30,7 @@ def run_python(code: str, *arguments: str, **environment: str | None) -> subproc
 
 
 @pytest.mark.parametrize(
-    ("before", "environment", "argument", "expected"),
-    vectors.toml("tables.toml")["choice of the variant"],
+    ("before", "environment", "argument", "expected"), vectors.toml("tables.toml")["choice of the variant"]
 )
 def test_choice_of_the_variant(before, environment, argument, expected):
     run = run_python(

@@ -330,8 +330,7 @@ class TestPlugins:
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "values", "reason"),
-    vectors.toml("refusals.toml")["values without derivative"],
+    ("kind", "name", "values", "reason"), vectors.toml("refusals.toml")["values without derivative"]
 )
 def test_values_without_derivative(
     load_scene: Load, kind: str, name: str, values: dict[str, float], reason: str

@@ -18,10 +18,7 @@ SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
 WIDE = bsdf_xml("abg", A=0.02, B=0.05, g=2.0)
 ROUGH = bsdf_xml("harvey_shack", b0=0.5, l=0.02, s=-1.5)
 PAINT = bsdf_xml("paint", reflectance=0.05)
-LIMITS = {
-    "single": {"max_scatters": 1, "max_reflections": 1},
-    "double": {"max_scatters": 2, "max_reflections": 0},
-}
+LIMITS = {"single": {"max_scatters": 1, "max_reflections": 1}, "double": {"max_scatters": 2, "max_reflections": 0}}
 MODES: dict[str, dict[str, Any]] = {
     "unaimed": {"aim": "none", "rays": 200_000},
     "aimed": {"aim": "auto", "rays": 60_000},

@@ -258,10 +258,7 @@ def test_zones_are_those_of_the_cast_rays(name, exclusion_deg):
     assert seen
     for z in np.linspace(0.25, 99.75, 150):
         point = (tube.wall_radius(z) - 1e-9, 0.0, z)
-        for zones, cast in (
-            (lit, is_lit(tube, point, exclusion_deg, 3600)),
-            (seen, is_seen(tube, point, 3600)),
-        ):
+        for zones, cast in ((lit, is_lit(tube, point, exclusion_deg, 3600)), (seen, is_seen(tube, point, 3600))):
             inside = any(a <= z <= b for a, b in zones)
             at_border = any(abs(z - end) < 1.3 for zone in zones for end in zone)  # the oracle's rays have gaps
             assert cast == inside or (inside and at_border), z

@@ -56,11 +56,7 @@ def test_bad_parts():
     for part, values, wanted in (
         (Surface, {"semi_diameter": -5.0}, "surface 'x': semi_diameter is -5; it must lie between 1e-15 and 1e12 mm"),
         (Surface, {"half_width": 1.0}, "give either semi_diameter, both half sizes or an outline"),
-        (
-            Surface,
-            {"semi_diameter": 1.0, "inner_semi_diameter": 1.0},
-            "between 0 and 1 mm, 1 excluded",
-        ),
+        (Surface, {"semi_diameter": 1.0, "inner_semi_diameter": 1.0}, "between 0 and 1 mm, 1 excluded"),
         (Surface, {"semi_diameter": 1.0, "coefficients": (0.0,) * 10}, "at most 9"),
         (Surface, {"half_width": 1.5, "half_height": 1.5, "radius": 2.0}, "2.12132 mm; its conic ends at 2 mm"),
         (Coating, {}, "coating 'x': it has no recipe; give one of R (and T), table, layers and preset"),

@@ -239,7 +239,7 @@ REFUSED = {
         {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
     ],
     r"'diffuse' \(twosided\), .*load the scene by mistray.load": [
-        {"type": "twosided", "a": {"type": "diffuse"}, "b": {"type": "plastic"}},
+        {"type": "twosided", "a": {"type": "diffuse"}, "b": {"type": "plastic"}}
     ],
     "'dielectric', .*without specular factors": [{"type": "dielectric", "specular_transmittance": 0.5}],
     "'conductor', .*eta and k of a metal": [
@@ -281,10 +281,7 @@ def test_mitsubas_own_loaders_leave_them() -> None:
         ({"type": "diffuse", "reflectance": 1.5}, "reflectance is 1.5; it must lie between 0 and 1"),
         ({"type": "diffuse", "reflectance": spectrum((400, 0.1), (500, 1.2))}, "reflectance is 1.2; it must lie"),
         ({"type": "conductor", "specular_reflectance": -0.5}, "specular_reflectance is -0.5; it must lie"),
-        (
-            {"type": "conductor", "material": "Gold"},
-            "material 'mitsuba/Gold': Mitsuba has no tables of it; the",
-        ),
+        ({"type": "conductor", "material": "Gold"}, "material 'mitsuba/Gold': Mitsuba has no tables of it; the"),
         ({"type": "dielectric", "int_ior": "glass"}, "Unable to find an IOR value"),
         ({"type": "diffuse", "reflektance": 0.3}, "unknown parameter 'reflektance'"),
     ],

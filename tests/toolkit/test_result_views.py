@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import io
-import sys
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from types import SimpleNamespace
@@ -14,7 +12,7 @@ from typing import Any
 import matplotlib
 import pytest
 import stubs
-from command_line import Captured, Patch
+from command_line import Captured, Patch, on_a_terminal
 from refusals import refused
 from result_calls import CALLS, LONG
 
@@ -157,18 +155,6 @@ def test_parts_of_a_trace() -> None:
     assert "paths: not kept" in repr(mistray.trace(mistray.load("coated.xml"), rays=64, ledger=False))
 
 
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def looked_at(monkeypatch: Patch) -> Terminal:
-    """The terminal that is now stderr; a fixture is too early, as pytest sets stderr once more before the test."""
-    made = Terminal()
-    monkeypatch.setattr(sys, "stderr", made)
-    return made
-
-
 @pytest.mark.parametrize(
     ("states", "share"),
     [
@@ -184,7 +170,7 @@ def looked_at(monkeypatch: Patch) -> Terminal:
     ],
 )
 def test_states_of_all_functions(monkeypatch: Patch, states: list[Any], share: int) -> None:
-    terminal = looked_at(monkeypatch)
+    terminal = on_a_terminal(monkeypatch)
     with mistray.ProgressBar("PST") as bar:
         for state in states:
             bar(*state)
@@ -193,7 +179,7 @@ def test_states_of_all_functions(monkeypatch: Patch, states: list[Any], share: i
 
 
 def test_a_trace(monkeypatch: Patch) -> None:
-    terminal = looked_at(monkeypatch)
+    terminal = on_a_terminal(monkeypatch)
     mistray.trace(mistray.load("plate"), rays=1000, progress=mistray.ProgressBar())
     assert "tracing: 100%" in terminal.getvalue()
     assert "\n" not in terminal.getvalue()

@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 import vectors
-from fake_ledger import (
-    EDGE,
-    GLASS,
-    REFLECTOR,
-    SENSOR,
-    STRUCTURE,
-    decoded,
-    design_of,
-    encode,
-    fake_run,
-    hit_sums,
-)
+from fake_ledger import EDGE, GLASS, REFLECTOR, SENSOR, STRUCTURE, decoded, design_of, encode, fake_run, hit_sums
 
 from mistray.errors import MistrayError
 from mistray.recorders.path_events import Events, describe_events
