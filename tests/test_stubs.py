@@ -1,4 +1,4 @@
-"""Stubs say what the functions are when they run, type checkers find wrong calls by them, and public names are there."""
+"""Stubs say what the functions are when they run, type checkers find wrong calls by them, public names exist."""
 
 import importlib.metadata
 import os
