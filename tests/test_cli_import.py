@@ -72,7 +72,9 @@ def test_json(capsys):
     assert record["arriving_share"] == pytest.approx(bare, rel=5 * (0.1 / 0.9 / 4000) ** 0.5)
     assert any("wider than the pupil" in note for note in record["notes"])
     assert "it has R13=5.272" in fails(capsys, "import", CAMERA, "-o", "camera.xml", "--variant", "nope")
-    record = json_units.read(succeeds(capsys, "import", CAMERA, "-o", "camera.xml", "--json"))
+    line = ("import", CAMERA, "-o", "camera.xml", "--wavelength-nm", 600, "--json")
+    record = json_units.read(succeeds(capsys, *line))
+    assert list(mistray.load("camera.xml").emitters()[0].wavelengths_nm) == [600.0]
     assert (record["surfaces"], record["unread"]) == (len(shapes("camera.xml")), [])
 
 

@@ -90,7 +90,7 @@ def test_walls_are_recorded_and_painted(capsys: Captured) -> None:
     assert '"wall":"screen"' not in text
 
 
-def test_several_fields_and_classes_and_rays_from_the_detector(capsys: Captured) -> None:
+def test_several_fields_and_classes(capsys: Captured) -> None:
     few = ("--rays", 64, "--rays-per-path", 3, "--quiet", "--save-rays", "rays.json", "--field-deg", 0, 5)
     classes = ("--classes", "direct", "blocked", "escaped", "--out", "classes.html")
     assert succeeds(capsys, "view", "singlet_window_detector", *classes, *few) == ""
@@ -101,7 +101,10 @@ def test_several_fields_and_classes_and_rays_from_the_detector(capsys: Captured)
     assert 0 < sum(end.endswith(":A") for end in ends) <= 6  # blocked
     gone = [line for line in lines if len(line.points) == len(line.events.split()) + 2]
     assert len(gone) == 6  # escaped, with a piece of their way out
-    # They leave the detector, cross the window and the lens backwards, and end outside or where they are swallowed.
+
+
+def test_rays_from_the_detector(capsys: Captured) -> None:
+    """They leave the detector, cross the window and the lens backwards, and end outside or where they are swallowed."""
     few = ("--rays", 64, "--rays-per-path", 40, "--quiet", "--save-rays", "rays.json", "--field-deg", 0, 5)
     succeeds(capsys, "view", "singlet_window_detector", "--classes", "backward", *few, "--out", "back.html")
     lines = read_rays("rays.json")

@@ -184,7 +184,7 @@ def test_pages_list_all_scenes_notebooks_and_commands() -> None:
     notebooks = [path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")]
     assert notebooks
     assert all(f"](../{name})" in text for name in notebooks)
-    # But for completion, which a shell reads, the cache, and budget, whose file docs/sensitivity.md shows.
+    # But for completion, which a shell reads, the cache, and budget, whose file docs/sensitivity.md shows
     listed = {shlex.split(line)[1] for line in command_lines(COMMANDS)}
     assert {module.COMMAND.name for module in program.COMMANDS} - listed <= {"budget", "cache", "completion"}
 

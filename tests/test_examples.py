@@ -88,7 +88,7 @@ def test_each_public_name_has_an_example_and_each_attribute_a_line() -> None:
     assert len(public()) > 250
     assert (without, idle) == ([], []), "give it an example under Examples, which calls a function that it belongs to"
     assert [pattern for pattern in LONG if not fnmatch.filter(public(), pattern)] == []
-    # By its class or one that it is derived from; the field of a request has its sentence where it is declared.
+    # By its class or one that it is derived from; the field of a request has its sentence where it is declared
     silent = []
     for name, value in public().items():
         if inspect.isclass(value) and not issubclass(value, Request):

@@ -38,7 +38,7 @@ def test_nothing_is_left_out_and_damages_change_every_sample() -> None:
     for name in (("pst", "--azimuths-deg"), ("bsdf", "--A"), ("thermal", "--part"), ("objects", "--disc")):
         assert places[name] == set(NASTY)
     assert places["ghosts", "--filter"] == set(WORDS)
-    # Each sort of damage changes a file of each kind for some seed, and gives the same for the same seed.
+    # Each sort of damage changes a file of each kind for some seed, and gives the same for the same seed
     for kind in KINDS.values():
         for damage, sample in itertools.product(kind.damages, kind.samples):
             data = sample if isinstance(sample, bytes) else sample.read_bytes()

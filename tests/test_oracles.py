@@ -103,7 +103,7 @@ class TestStatistics:
         rng = np.random.default_rng(11)
         alarms = (np.abs(rng.normal(size=(4000, 50))).max(axis=1) > statistics.z_limit(50, 0.05)).mean()
         statistics.assert_z("false alarms", alarms, 0.05, np.sqrt(0.05 * 0.95 / 4000))
-        # Beyond the limit, one of several, without an error, beyond the relative limit; a value that is no number.
+        # Beyond the limit, one of several, without an error, beyond the relative limit; a value that is no number
         for message, wrong in (
             ("off by 5.00 standard errors", ("plate T", 1.1, 1.0, 0.02)), ("inf", ("count", 5, 4, 0)),
             (r"\[1\].*1 of 3", ("T", [1, 2, 3], [1, 1, 3], 0.1)),
@@ -170,7 +170,7 @@ class TestClosedForms:
             (INDEX, 2, faces),
         ]
         assert_slopes(lens(1e-5, c1, c2, str(n), D), THROUGH, [HEIGHT, 0.0, -10.0], AXIAL, expected, 1e-6)
-        # An oblique ray: y at the screen moves by tan θ' - tan θ per mm of glass, by t d(tan θ')/dn per index.
+        # An oblique ray: y at the screen moves by tan θ' - tan θ per mm of glass, by t d(tan θ')/dn per index
         n, theta, t = 1.5, np.radians(35.0), 4.0
         sine, tangent = np.sin(theta) / n, np.tan(theta)
         inside = sine / np.sqrt(1 - sine**2)
@@ -178,7 +178,7 @@ class TestClosedForms:
         scene, ray = lens(t, 0.0, 0.0, str(n), 20.0), ([0.0, -1.0, -1.0], [0.0, np.sin(theta), np.cos(theta)])
         assert_slopes(scene, THROUGH, *ray, expected, 1e-9)
         assert_slopes(scene, THROUGH, *ray, [(INDEX, 1, -t * sine / n / (1 - sine**2) ** 1.5)], 1e-8)
-        # A mirror that turns by a sends the light off by 2 a: at the distance D d(tan 2a)/da = 2 D.
+        # A mirror that turns by a sends the light off by 2 a: at the distance D d(tan 2a)/da = 2 D
         bsdf = interface_xml(R=0.9, mirror=True)
         scene = before_screen(shape_xml("asphere", "mirror", 30.0, bsdf, semi_diameter=5.0), -20.0)
         turned = 2 * 50.0 * np.pi / 180
@@ -263,7 +263,7 @@ class TestSequentialOracle:
         pose = read_frozen(text).pose("rear")
         for one, other in zip(scene.pose("rear"), pose, strict=True):
             np.testing.assert_allclose(one, other, atol=1e-12)
-        # A derivative along a direction is the sum of those by the numbers; paths start where they begin to differ.
+        # A derivative along a direction is the sum of those by the numbers; paths start where they begin to differ
         scene = read_frozen(asphere_text())
         origin = np.column_stack([np.linspace(-4, 4, 9), np.full(9, 1.0), np.full(9, -5.0)])
         heading = np.tile([0.0, 0.0, 1.0], (9, 1))

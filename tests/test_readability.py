@@ -103,6 +103,6 @@ def test_sentences(folder: str) -> None:
     found, private = [], re.compile(rf"\b(?:{'|'.join(PROSE)})\b", re.IGNORECASE)
     for file in sorted((MODULES / folder).rglob("*.py")):
         text = re.sub(r"\s+#?\s*", " ", file.read_text(encoding="utf-8"))
-        found += [f"{file.relative_to(ROOT)}: {phrase}" for phrase in PHRASES if phrase in text]
-        found += [f"{file.relative_to(ROOT)}: {word}" for word in private.findall(text)]
+        found += [f"{file.relative_to(MODULES)}: {phrase}" for phrase in PHRASES if phrase in text]
+        found += [f"{file.relative_to(MODULES)}: {word}" for word in private.findall(text)]
     assert found == []

@@ -451,7 +451,7 @@ def test_one_mirror_alone_and_tilt_of_the_roof() -> None:
     found = mistray.gradient(path_power(scene, "all", rays=60_000), mi.traverse(scene), keys=["P_top.y", "P_top.z"])
     way = face.to_world()[:3, :3].T @ (0.0, 1.0, 0.0)
     check(found.along({f"P_top.{axis}": float(part) for axis, part in zip("yz", way[1:], strict=True)}), ROOF)
-    # The middle of its vertices lies 7.5 mm behind its ridge: a tilt about it moves the ridge.
+    # The middle of its vertices lies 7.5 mm behind its ridge: a tilt about it moves the ridge
     scene = roof()
     metric = path_power(scene, "all", rays=30_000)
     check(derivative(scene, metric, "tilt_x"), ROOF * 7.5 * math.pi / 180)

@@ -130,7 +130,7 @@ class TestClosedForms:
         axis = np.degrees(np.arctan2(at[1], at[0])) + 15.0
         exact = small_detector(FLAT + TWO_FOLD * np.cos(2 * np.radians(100.0 - axis)), 40.0)
         assert_z("meridian", found, exact, se, k=4.0, floor=0.01 * exact)
-        # A tube looks alike from all sides: a beam to its wall sends the same back, whatever its azimuth.
+        # A tube looks alike from all sides: a beam to its wall sends the same back, whatever its azimuth
         tube = {"type": "frustum", "r0": 10.0, "z0": -40.0, "r1": 10.0, "z1": 40.0}
         found = []
         for azimuth in (0.0, 70.0, 200.0):

@@ -198,7 +198,7 @@ def test_an_explicit_k_a_shift_of_n_and_extrapolation():
     assert shifted("N-BK7 k=0", 1e-5) == "N-BK7 k=0 shift=1e-05"
     assert shifted(" N-BK7 shift=0.5 k=0", 0.25) == "N-BK7 k=0 shift=0.75"
     assert shifted("N-BK7 shift=0.5", -0.5) == "N-BK7"
-    # N-BK7 from 300 nm on: at 280 nm its Sellmeier formula and the k of 300 nm; a table of n keeps its end, too.
+    # N-BK7 from 300 nm on: at 280 nm its Sellmeier formula and the k of 300 nm; a table of n keeps its end, too
     assert refractive_index("N-BK7 extrapolate", 280.0) == pytest.approx(glass.refractive_index("N-BK7", 280.0), 1e-12)
     assert complex_index("N-BK7 extrapolate", 280.0).imag == complex_index("N-BK7", 300.0).imag
     assert complex_index("Ag extrapolate", 5000.0) == complex_index("Ag", source("Ag").n_range_nm[1])

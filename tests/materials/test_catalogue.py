@@ -125,12 +125,12 @@ def test_sources_zeros_and_the_pinned_release():
     assert source("1.5").reference == "given in the string"
     assert source("nd=1.5 Vd=60").page is None
     assert source("MgF2").comment.startswith("Film MgF2; Deposited by e-beam evaporation")
-    # SK2 of Hikari: k = 0 except one negative number. LAK7: k = 0 at 700 nm, where the transmittance was rounded.
+    # SK2 of Hikari: k = 0 except one negative number. LAK7: k = 0 at 700 nm, where the transmittance was rounded
     assert read_page("specs/hikari/optical/SK2").k is None
     assert source("hikari/LAK7").k_range_nm[1] == 650.0
     assert source("SiO2").k_range_nm == source("SiO2").n_range_nm
     assert complex_index("Al2O3", 550.0).imag == 0, "in papers, k = 0 is a result"
-    # Another release of the data may change numbers: then look at the names and at docs/materials.md again.
+    # Another release of the data may change numbers: then look at the names and at docs/materials.md again
     version = (data_folder().parents[1] / "_database_version.py").read_text()
     assert 'DATABASE_VERSION = "v2026-05-24"' in version
 
@@ -247,7 +247,7 @@ def test_names_of_makers_and_pages_by_the_wavelength() -> None:
     for name, others in vectors.toml("tables.toml")["names of makers"].items():
         for other in others.split():
             assert source(other).name == name
-    # Germanium has a page of the visible and one of the infrared; in the visible it is what it always was.
+    # Germanium has a page of the visible and one of the infrared; in the visible it is what it always was
     first = source("Ge")
     assert first.beyond is not None
     assert [first.page, first.beyond.page] == ["main/Ge/nk/Nunley", "main/Ge/nk/Burnett"]

@@ -59,7 +59,7 @@ class TestClosedForms:
         assert g.value == pytest.approx(0.01, rel=1e-6)
         assert g.gradient[FRONT_R] == pytest.approx([0.1], rel=3e-6)
         assert g.gradient[FRONT_T] == pytest.approx([0.0], abs=1e-7)
-        # T1 T2/(1 - R1 R2), followed to order 20.
+        # T1 T2/(1 - R1 R2), followed to order 20
         traced = {"rays": 64, "max_reflections": 20, "flux_threshold": 0.0}
         g = gradient(path_power(plate, "all", **traced), mi.traverse(plate))
         assert g.value == pytest.approx(T * T / (1 - R * R), rel=1e-6)

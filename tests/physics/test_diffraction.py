@@ -52,7 +52,7 @@ def test_half_plane_by_keller_sommerfeld_and_fresnel() -> None:
     theta = np.radians([-80.0, -45, -20, -10, 10, 20, 45, 80])
     for found, soft in zip(diffraction.keller(theta, LAMBDA), (True, False), strict=True):
         np.testing.assert_allclose(found, sommerfeld(theta, 2000 * LAMBDA, soft), rtol=0.01)
-    # Deep in the shadow the irradiance by Fresnel's integrals is the flux of the edge over the screen.
+    # Deep in the shadow the irradiance by Fresnel's integrals is the flux of the edge over the screen
     theta, distance = np.array([0.01, 0.03]), 1000.0
     s, c = fresnel(theta * distance * math.sqrt(2 / (LAMBDA * distance)))
     irradiance = 0.5 * ((0.5 - c) ** 2 + (0.5 - s) ** 2)
@@ -97,7 +97,7 @@ def test_circular_aperture_and_heisenberg_vectors() -> None:
         pattern = j1(x) ** 2 / (math.pi * (x / (k * radius)) ** 2)
         expected = np.mean((pattern * (x / (k * radius)) ** 3)[:-1]) / theta**3
         assert diffraction.circular_aperture(theta, LAMBDA, radius) == pytest.approx(expected, rel=1e-3)
-    # A strip of any width diffracts, far out, by length of the edge: width · density.
+    # A strip of any width diffracts, far out, by length of the edge: width · density
     table = vectors.frame("diffraction_hup.csv")
     column = table.columns[2]
     for row in table.to_dict("records"):

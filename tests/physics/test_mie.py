@@ -145,7 +145,7 @@ def test_totals_and_truncation_and_immersion_matter() -> None:
     assert cloud.scattering / area == pytest.approx(1.5494, rel=PARTICLES)
     assert cloud.between(0, np.pi) == pytest.approx(cloud.scattering, rel=1e-5)
     assert cloud.between(0, 1) + cloud.between(1, np.pi) == pytest.approx(cloud.scattering, rel=1e-5)
-    # Small angles belong to large particles, and in a medium of their own index they are not seen.
+    # Small angles belong to large particles, and in a medium of their own index they are not seen
     whole = contamination.cloud(WAVELENGTH_UM, DUST, 300.0)
     cut = contamination.cloud(WAVELENGTH_UM, DUST, 300.0, max_um=50.0)
     assert cut.f(1e-4) < 0.25 * whole.f(1e-4)
@@ -342,7 +342,7 @@ def test_generalized_harvey_shack_in_transmission_and_its_share() -> None:
         psd = kc.psd_um4(row.f_1_per_um, amplitude, length, 3.0)
         path = ghs.path_in_transmission(ci, cs, row.n1, row.n2)
         assert ghs.smooth(path, psd, 0.55, row.n2) == pytest.approx(row.BTDF_over_T, rel=NEAR)
-    # Normal incidence, σ = 0.1 µm, lc = 50 µm, λ = 0.6328 µm: 0.968565 scattered, as some waves are evanescent.
+    # Normal incidence, σ = 0.1 µm, lc = 50 µm, λ = 0.6328 µm: 0.968565 scattered, as some waves are evanescent
     r, weight = scatter_integrals.gauss_legendre(
         np.concatenate([[0.0], np.logspace(-7, -0.2, 80), 1 - np.logspace(-0.5, -9, 40), [1.0]]), 12
     )
@@ -350,7 +350,7 @@ def test_generalized_harvey_shack_in_transmission_and_its_share() -> None:
     bsdf = ghs.exponential(path, r / 0.6328, 0.1, 50.0, 0.6328)
     assert np.sum(weight * 2 * np.pi * r * bsdf) == pytest.approx(0.968565, abs=1e-6)
     assert -math.expm1(-ghs.phase_variance(2.0, 0.1, 0.6328)) == pytest.approx(0.980621, abs=1e-6)
-    # With a bound instead of the largest variance, and beyond what the series is for.
+    # With a bound instead of the largest variance, and beyond what the series is for
     arguments = (np.array([0.1, 2.0]), 0.3, 0.1, 2.0, 0.6328)
     np.testing.assert_allclose(ghs.exponential(*arguments, max_variance=30.0), ghs.exponential(*arguments), rtol=1e-12)
     single = ghs.exponential(mi.Float(arguments[0]), mi.Float(0.3), mi.Float(0.1), *arguments[3:], max_variance=4.0)

@@ -92,7 +92,7 @@ def test_image_seen_from_a_lens_and_natural_illumination():
     length, height = images_seen(diverging)
     assert np.all(length < 0)
     assert np.all(height > 0)
-    # The 17.14° and 0.834 of "Stray Light Analysis of a Mobile Phone Camera", equations 3 and 4.
+    # The 17.14° and 0.834 of "Stray Light Analysis of a Mobile Phone Camera", equations 3 and 4
     height = 7.075 * np.tan(np.radians(17.14))
     angle = chief_ray_angle([0.0, height, -height], 7.075)
     np.testing.assert_allclose(np.degrees(angle), [0.0, 17.14, -17.14], rtol=1e-12)

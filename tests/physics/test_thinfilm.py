@@ -239,7 +239,7 @@ class TestLimits:
         s, p = -2 * np.arctan(decay / (GLASS * cosine)), -2 * np.arctan(GLASS * decay / cosine)
         slack = 100 * library.tolerance  # the phase is steep at the critical angle
         np.testing.assert_allclose(np.angle(r / np.exp(1j * np.array([s, p]))), 0, atol=slack)
-        # Airy's formula for a gap with the internal reflection coefficient, for a real exponent that may underflow.
+        # Airy's formula for a gap with the internal reflection coefficient, for a real exponent that may underflow
         cosine, gap, wavelength = cosines(55.0), np.array([1.0, 30.0, 200.0, 1000.0, 1e6]), 550.0
         decay = np.sqrt(GLASS**2 * (1 - cosine**2) - 1)
         through = np.exp(-2 * math.pi * decay * gap / wavelength)
@@ -283,7 +283,7 @@ class TestLimits:
         R, T, *_ = library.solve(Stack(1.5, (1.5, 1.5), (100.0, 200.0), 1.5), 550.0, [0.0, 1e-9, 0.5])
         np.testing.assert_allclose(R, 0, atol=1e-7)
         np.testing.assert_allclose(T, 1, atol=1e-7)
-        # A millimetre of silver, forty times: R of bulk silver, T = 0, no NaN.
+        # A millimetre of silver, forty times: R of bulk silver, T = 0, no NaN
         silver = 0.055 + 3.32j
         stack = Stack(1.0, (silver,) * 40, (1e6,) * 40, 1.5)
         cosine = cosines([0, 30, 60, 89, 90])

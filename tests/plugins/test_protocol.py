@@ -218,7 +218,7 @@ def test_light_of_surfaces_and_a_probe_under_stock_integrators() -> None:
     value, se = found["maps"].maps["wall"].irradiance
     assert value.shape == (4, 6)
     assert np.all(np.abs(value - 1) < 6 * se)  # of 24 cells, from 32 batches: a false alarm in 3e-5 of runs
-    # π L under a uniform sky, however it is turned.
+    # π L under a uniform sky, however it is turned
     scene = scene_dicts.load(
         probe={"type": "probe", "half_width": 2.0, "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 50)},
         sky={"type": "constant", "radiance": 2.0},

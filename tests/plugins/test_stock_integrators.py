@@ -332,7 +332,7 @@ class TestParameters:
         params["curvature"] = params["curvature"] * 1.01
         params.update()
         assert shape.values["curvature"] == pytest.approx(-0.0303, rel=1e-6)
-        # A plate that becomes a lens of f = 60/0.5 = 120 mm, 15 mm before the screen, and a plate again.
+        # A plate that becomes a lens of f = 60/0.5 = 120 mm, 15 mm before the screen, and a plate again
         scene = mistray.load("plate")
         params = mi.traverse(scene)
         radii = []

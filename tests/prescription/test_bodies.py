@@ -141,7 +141,7 @@ class TestCubeAndBox:
         (up,) = moved_as_one([up], **motion)
         t = traced(*moved_as_one(cube, **motion), detectors=(up,), source=beam, max_reflections=1)
         assert t.energy.detected_W == pytest.approx(np.pi * 0.3 * 0.96**2, rel=1e-5)
-        # It takes all light that meets it, wherever it stands.
+        # It takes all light that meets it, wherever it stands
         dark = box("dark", (1.0, 2.0, 3.0), centre=(0.3, -0.2, 10.0))
         beam = Source(half_width=3.0, half_height=3.0, z=-5.0)
         glass = Surface("glass", z=-1.0, semi_diameter=9.0, coating=Coating(R=0.0, T=1.0))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 import pytest
+from peers import optiland
 from sequential_lenses import BORED, by_name, lens, newtonian, triplet
 
 import mistray
@@ -16,8 +17,6 @@ from mistray.prescription import Coating, Decentre, Row, Sequential, from_optila
 from mistray.prescription.closing.system import build
 from mistray.prescription.sequential.edge_rays import edge_rays
 from mistray.prescription.sequential.rays import trace
-from tests.peers import optiland
-from tests.sequential_lenses import triplet_file
 
 RAYS = 40_000
 CLEAR = Coating(R=0.0, T=1.0)
@@ -293,7 +292,7 @@ FEWER = 20_000
 
 
 def test_the_beam_covers_the_pupils_of_all_fields_and_a_twentieth_more():
-    lens = triplet_file()
+    lens = triplet()
     built = build(lens)
     source = built.prescription.source
     reach = np.hypot(*edge_rays(lens).pupils.T).max()
@@ -312,7 +311,7 @@ def test_its_numbers_are_those_of_the_pupil(tmp_path):
     """On axis, where both beams fill the same stop: 5 standard errors of the stop's share, once in 1e6."""
     values = {}
     for beam in ("exact", "pupil"):
-        prescription = to_prescription(triplet_file(), beam=beam)
+        prescription = to_prescription(triplet(), beam=beam)
         prescription.to_xml(tmp_path / f"{beam}.xml")  # the area travels with the file
         scene = mistray.load(tmp_path / f"{beam}.xml")
         settings = {"field_deg": 0.0, "rays": FEWER, "max_reflections": 0}
@@ -326,7 +325,7 @@ def test_its_numbers_are_those_of_the_pupil(tmp_path):
 
 def test_light_beside_the_pupil_does_not_bypass_the_lens():
     """All that reaches the detector has met every lens, off the axis too; but for reflections nothing escapes."""
-    scene = to_prescription(triplet_file()).to_scene()
+    scene = to_prescription(triplet()).to_scene()
     faces = {f"S{number}" for number in (1, 2, 3, 4, 6, 7)}
     for field_deg in (0.0, 14.0, 20.0):
         t = mistray.trace(scene, field_deg=field_deg, rays=FEWER)

@@ -277,7 +277,7 @@ def test_what_has_no_meaning_and_apertures_that_no_ray_passes():
             edge_rays(singlet(**system))
     with pytest.raises(MistrayError, match=r"lens 'test', surface 1: .*NOGLASS"):
         trace(lens(Row(1, material="NOGLASS")), *parallel(1.0))
-    # Of one that no sampled ray passes the lens is not hidden; at the stop itself it is the stop.
+    # Of one that no sampled ray passes the lens is not hidden; at the stop itself it is the stop
     rows = (Row(7, radius=20.0, material="1.5", decentre=Decentre(y=100.0), stop=True), Row(8, kind="image"))
     with pytest.raises(MistrayError, match=r"no ray reaches the image; field .* 17 at surface 7"):
         edge_rays(Sequential("away", rows, aperture=3.0))

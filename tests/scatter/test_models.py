@@ -323,7 +323,7 @@ def test_shares_losses_budget_and_nothing_beyond_the_critical_angle() -> None:
     for centre, expected in (("specular", 0.0), ("normal", wide(np.sin(np.radians(20))))):
         lobe = Lobe("transmission", wide, centre=centre)
         assert bsdf([lobe], "transmission", cos_i[3], THERE[None], 1.5, 1.0, 1.0)[0] == pytest.approx(expected)
-    # c0 + c1 X + c2 X², and an extinction that is more than what is scattered.
+    # c0 + c1 X + c2 X², and an extinction that is more than what is scattered
     cos_i = np.array([1.0, 0.5])
     lobe = Lobe("reflection", wide, measure="angle", shares=(0.5, 0.25, 0.125), optical_depth=0.3, oblique_limit=1.5)
     sums = totals([lobe], cos_i, 1.0, 1.0)

@@ -384,12 +384,12 @@ INCIDENCES = (0.0, 30.0, 60.0)
 
 def speos(path: Path, values, *, of_bsdf: bool = True, total: str = "350\t30\n850\t30", text: str = "") -> Path:
     head = "OPTIS - Anisotropic BSDF surface file v8.0\n0\nComment\n23\nMeasurement description\n0\t1\t0\n1\t0\n"
-    head += f"{int(of_bsdf)}\n1\n0.0\n{len(INCIDENCE)}\n" + "\t".join(map(str, INCIDENCES))
+    head += f"{int(of_bsdf)}\n1\n0.0\n{len(INCIDENCES)}\n" + "\t".join(map(str, INCIDENCES))
     blocks = []
     for incidence in INCIDENCES:
         rows = ["\t".join(map(str, PHIS))]
         rows += ["\t".join(map(str, [t, *(values(incidence, t, p) for p in PHIS)])) for t in THETAS]
-        blocks.append(f"{len(POLAR)} {len(AZIMUTH)}\n" + "\n".join(rows))
+        blocks.append(f"{len(THETAS)} {len(PHIS)}\n" + "\n".join(rows))
     lines = total.count("\n") + 1
     path.write_text(f"{head}\t\n0.0\t0\n\n{lines}\n{total}\n" + "\n".join(blocks) + "\n" + text, encoding="utf-8")
     return path

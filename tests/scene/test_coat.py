@@ -214,7 +214,7 @@ class TestWhatChanges:
         coating = ['<bsdf type="thinfilm" id="AR">', '<string name="layers" value="1.38 99.5, 2.1 131.25"/>', "</bsdf>"]
         note = "<!-- Coatings put on by mistray: for a test - - x -->"
         assert [line for line in new if line] == [note, *coating, *2 * ['<ref id="AR"/>']]
-        # Shared interface, shared coating, nested coating, coating alone, nothing: all end with the new design.
+        # Shared interface, shared coating, nested coating, coating alone, nothing: all end with the new design
         source = write(tmp_path, SCENE)
         done = write_recoated(source, [SharedCoating("AR", AR, ("a", "b", "c", "d", "e"))], tmp_path / "new.xml")
         text = done.read_text(encoding="utf-8")

@@ -100,7 +100,7 @@ def test_paints_on_two_sides_also_of_our_own_surfaces() -> None:
     first, second = translated(both).scatter
     assert (first.reflectance, second.reflectance) == pytest.approx((0.1, 0.5))
     assert (first.side, second.side) == ("back", "front")
-    # Light comes to an asphere from its front, and the normal points to its back.
+    # Light comes to an asphere from its front, and the normal points to its back
     scene = scene_of({"type": "diffuse"})
     scene["ball"] = {"type": "asphere", "semi_diameter": 3.0, "bsdf": {"type": "diffuse"}}
     (model,) = on_ball(scene).scatter
@@ -152,7 +152,7 @@ def test_tables_of_a_metal_and_a_slab_of_glass() -> None:
             assert mistray.materials.complex_index(f"mitsuba/{name}", nm) == pytest.approx(exact, rel=1e-12)
     with pytest.raises(mistray.MistrayError, match=r"Mitsuba has no tables of it; the nearest are .*mitsuba/Cu, "):
         mistray.materials.complex_index("mitsuba/CU", 550.0)
-    # A cube whose faces have one `dielectric`: (1 - R)² goes straight through at 25°.
+    # A cube whose faces have one `dielectric`: (1 - R)² goes straight through at 25°
     scene = scene_of(None, field_deg=25.0)
     scene["ball"] = {"type": "cube", "to_world": T().translate([0, 0, 10]).scale(9), "bsdf": {"type": "dielectric"}}
     t = mistray.trace(mistray.load(scene), rays=2000, max_reflections=0)

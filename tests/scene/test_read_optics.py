@@ -158,14 +158,15 @@ def test_includes_paths_and_parameters_of_all_scenes(tmp_path: Path) -> None:
     scene = tmp_path / "scene" / "scene.xml"
     scene.write_text(f"<scene version='3.0.0'><string name='a' value='{elsewhere}:entry'/></scene>")
     assert scene_files(scene)[1:] == [elsewhere.resolve()]
-    # As in Mitsuba: in a scene that is included, behind it, and the first of a name wins; also all round.
-    (tmp_path / "scene").mkdir()
+    # As in Mitsuba: in a scene that is included, behind it, and the first of a name wins; also all round
+    again = tmp_path / "again"
+    (again / "scene").mkdir(parents=True)
     part = """<scene version='3.0.0'><default name='where' value='other'/><default name='more' value='$where'/>
               <string name='a' value='$where/one.csv'/></scene>"""
-    (tmp_path / "scene" / "part.xml").write_text(part.replace("</scene>", "<include filename='scene.xml'/></scene>"))
+    (again / "scene" / "part.xml").write_text(part.replace("</scene>", "<include filename='scene.xml'/></scene>"))
     body = """<default name="where" value="data"/><include filename="part.xml"/>
               <string name="b" value="$more/two.csv"/>"""
-    found = named(tmp_path, body, "data/one.csv", "other/one.csv", "data/two.csv", "other/two.csv")
+    found = named(again, body, "data/one.csv", "other/one.csv", "data/two.csv", "other/two.csv")
     assert found == ["part.xml", "data/one.csv", "data/two.csv"]
 
 

@@ -246,7 +246,7 @@ def test_moves_by_hand_and_folding_does_not_change_the_lens():
     # Three mirrors that bend the axis: heights in the plane of the bends keep their size
     for name in ("dec_tilt_test.seq", "dar_test.seq"):
         assert np.abs(straight(name, 0.2, 0.3)) == pytest.approx([0.2, 0.3, 0], abs=1e-9)
-    # folded_lenses.seq is unfolded_lenses_w_ape.seq with three plane mirrors.
+    # folded_lenses.seq is unfolded_lenses_w_ape.seq with three plane mirrors
     folded, unfolded = first_order(lens("folded_lenses.seq")), first_order(lens("unfolded_lenses_w_ape.seq"))
     assert (folded.efl, folded.bfl) == pytest.approx((unfolded.efl, unfolded.bfl), rel=1e-12)
     for x, y in ((0.1, 0.3), (-0.2, 0.0), (0.3, -0.4)):
@@ -327,7 +327,7 @@ def test_bk7_of_an_achromat_and_model_glasses():
     found = lens("zmax_55278.zmx")
     assert first_order(found).efl == pytest.approx(52.24, abs=0.005)
     assert first_order(found).bfl == pytest.approx(found.rows[-2].thickness, rel=1e-8)
-    # HoO-V2C18Ex27 has glasses of nd and Vd alone: at 550 nm three formulas give three indices, 2e-4 apart at most.
+    # HoO-V2C18Ex27 has glasses of nd and Vd alone: at 550 nm three formulas give three indices, 2e-4 apart at most
     file = "rayoptics/zemax/tests/HoO-V2C18Ex27.zmx"
     row, found = SUMMARY[file], lens("HoO-V2C18Ex27.zmx")
     efl = first_order(found).efl

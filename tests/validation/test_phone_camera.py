@@ -64,7 +64,7 @@ def test_relative_illumination_of_the_metric_and_irradiance_on_axis():
         assert metric.value() == pytest.approx(exact, rel=2e-3)
         assert chief == pytest.approx(exact, rel=1.5e-2)
         assert chief > 1.007 * exact
-    # The published figure lies between the light that passes the stop and the whole beam; no other reading has it.
+    # The published figure lies between the light that passes the stop and the whole beam; no other reading has it
     rows = phone_camera.on_axis(400_000)
     for row in rows:
         assert_z(f"{row['limit']}, {row['wavelength_nm']} nm", row["traced"], row["quadrature"], row["traced_se"], k=4)
@@ -132,7 +132,7 @@ def test_pairs_of_table_22_and_retro_ghosts_of_the_filter(ghosts):
             # the outermost rays decide: they miss the stop on their way back and again; without it the study agrees
             assert row["unclipped"] == pytest.approx(row["study"], rel=0.005)
             assert row["quadrature"] / row["unclipped"] > 2.4
-    # Closed form: a beam of slope u that returns through a gap of the air-equivalent length g has the radius 2 g u.
+    # Closed form: a beam of slope u that returns through a gap of the air-equivalent length g has the radius 2 g u
     surfaces = {surface.name: surface for surface in phone_camera.shipped().surfaces}
     rear, front = surfaces["filter_rear"], surfaces["filter_front"]
     index = refractive_index(rear.front, 550.0)

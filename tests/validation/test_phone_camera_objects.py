@@ -46,7 +46,7 @@ def test_critical_illuminated_and_common_objects(found):
     walls = [(f"barrel_{k}_{part}", side) for k in (6, 7) for part, side in (("cone", "front"), ("IR_seat", "back"))]
     theirs = sum(row.power for row in study.CRITICAL if row.label in ("B 6, cone 3 + 22", "B 7, cone 2 + 31"))
     assert sum(here[wall] for wall in walls) == pytest.approx(theirs, rel=0.045)
-    # In front of the stop within 8 % (the plane around it 11 %), behind it a factor of 2 and the errors.
+    # In front of the stop within 8 % (the plane around it 11 %), behind it a factor of 2 and the errors
     found_ratios = ratios(found, study.ILLUMINATED, "illuminated")
     for label in IN_FRONT:
         assert found_ratios[label][0] == pytest.approx(1, abs=0.08), label

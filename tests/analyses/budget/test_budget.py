@@ -204,7 +204,7 @@ class TestByHand:
         found = allocate([polish(self.weights[0], low=low), polish(self.weights[1])], model, np.array([self.limit]))
         second = np.sqrt((self.limit - self.fixed - self.factors[0] * low**2) / self.factors[1])
         assert found == pytest.approx([low, second], rel=1e-5)
-        # Of M = fixed + Σ a σ² the derivative is 2 a σ, the part is a σ².
+        # Of M = fixed + Σ a σ² the derivative is 2 a σ, the part is a σ²
         variables = [polish(), polish()]
         value = self.fixed + self.factors.sum() * AS_GIVEN**2
         model = Model.of(variables, np.array([value]), (2 * self.factors * AS_GIVEN)[None, :])

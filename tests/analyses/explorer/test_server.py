@@ -107,7 +107,7 @@ def test_bad_calls_other_kinds_and_sizes_are_refused(server):
         status, _, found = ask(server, "POST", f"/{server.token}/call", body, **{"Content-Type": "application/json"})
         assert status == 400, body
         assert "\n" not in json.loads(found)["error"]
-    # Of lengths that are none, and by a second host, nothing of the body is read.
+    # Of lengths that are none, and by a second host, nothing of the body is read
     path = f"/{server.token}/call"
     for kind in ({"Content-Type": "text/plain"}, {}):
         assert ask(server, "POST", path, '{"call": "page"}', **kind)[0] == 415

@@ -93,7 +93,7 @@ class TestScales:
         for start in (3.0, -2.0, 0.0):
             found = fit(weak, value, 0.01 * value, {"rough": 1.0, "grey": 2.0, "shift": start}, **SCALES)
             assert found.value == pytest.approx([0.5, 1.0, -0.4], rel=2e-3)
-        # Its ends: where the least χ² over the other two parameters is 3.841 above that of all.
+        # Its ends: where the least χ² over the other two parameters is 3.841 above that of all
         value = weak(np.array(list(WEAK.values()))).value
         data = value * (1 + 0.05 * np.random.default_rng(7).standard_normal(20))
         found = fit(weak, data, 0.05 * value, dict(WEAK), **SCALES)

@@ -171,7 +171,7 @@ def test_common_objects_are_in_both_lists_and_rows_agree_with_the_kernel(phone):
     assert len(found.common) < len(phone.common)
     without = {entry.id for entry in objects(phone.scene, rays=RAYS, total_reflection=False).critical}
     assert without < {entry.id for entry in phone.critical} - {"board_left"}
-    # The ray tree backwards, with the same ray control, sees the same shares; one of a thousand fails by chance.
+    # The ray tree backwards, with the same ray control, sees the same shares; one of a thousand fails by chance
     seen = see(phone.scene, rays=200_000, ray_control="transmit_specular")
     own = {entry.id: (entry.critical_power, entry.critical_power_se) for entry in phone.optics}
     for entry in phone.critical:  # of a surface with two sides their sum

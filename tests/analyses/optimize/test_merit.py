@@ -88,7 +88,7 @@ class TestContribution:
         least = 2 * math.log(1e-15) + math.log(0.01 / 1.01)
         assert least_merit([Term("a", "path_power", weight=2.0), term]) == pytest.approx(least, rel=1e-14)
         assert least_merit([Term("c", "path_power", "at_most", limit=1.0)]) == 0
-        # Taken apart and put together again: value and slope are those of the sum.
+        # Taken apart and put together again: value and slope are those of the sum
         rng = np.random.default_rng(1)
         slopes = {goal: rng.standard_normal(3) for goal in self.TERMS}
         terms = [replace(term, name=goal) for goal, (term, _) in self.TERMS.items()]

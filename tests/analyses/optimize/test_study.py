@@ -82,7 +82,7 @@ class TestReading:
         assert read_study(study).optimizer.starts == 1
         adam = read_study(changed("optimizer.method", "adam")).optimizer
         assert (adam.method, adam.patience) == ("adam", 10)
-        # An entry of a list, a range of wavelengths, a thickness in waves of design_nm.
+        # An entry of a list, a range of wavelengths, a thickness in waves of design_nm
         (group, _) = read_study(changed("variable.0.parameters", ["AR.thickness_nm[2]", "vane_[12].r0"])).variables
         assert group.parameters == (Moved("AR.thickness_nm", 2), Moved("vane_[12].r0"))
         study = changed("trace.wavelength_nm", {"start": 450, "stop": 500, "step": 12.5})
@@ -185,7 +185,7 @@ class TestSurfaces:
         ):
             with pytest.raises(MistrayError, match=message):
                 place(scene, read_study(changed(f"coating.{key}", value)))
-        # That of the first term which is to be minimised; the scene's own if it names no wavelengths.
+        # That of the first term which is to be minimised; the scene's own if it names no wavelengths
         assert band(scene, read_study(GOOD)) == ((500.0, 600.0), (0.25, 0.75))
         assert band(scene, read_study({**LIGHT, "coating": GOOD["coating"]})) == ((587.5618,), (1.0,))
         study = changed("term.1.wavelength_nm", [450])
