@@ -2,7 +2,7 @@
 
     python docs/make_key_tables.py
 
-Each table stands below a comment that names its sections. `tests/test_key_tables.py` keeps the pages current.
+Each table stands below a comment that names its sections. `tests/test_plugin_pages.py` keeps the pages current.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
     PYTHONPATH=tests python docs/make_support_matrix.py
 
-The table stands below a comment that names this script. `tests/test_support_matrix.py` keeps the page current.
+The table stands below a comment that names this script. `tests/test_packaging.py` keeps the page current.
 """
 
 from __future__ import annotations

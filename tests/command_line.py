@@ -1,11 +1,29 @@
 """A command run in this process, as the entry point runs it: exit code, output, and the line of an error."""
 
+import io
+import sys
+
 import pytest
 
 from mistray import cli
 
 Captured = pytest.CaptureFixture[str]
 Patch = pytest.MonkeyPatch
+
+
+class Terminal(io.StringIO):
+    """What stands in for stderr on a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def on_a_terminal(monkeypatch: Patch) -> Terminal:
+    """Within the test, because pytest puts its own stream in place after the fixtures."""
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr("mistray.cli.progress.FIRST_SECOND", 0.05)
+    return stream
 
 
 def run(capsys: Captured, *arguments: object) -> tuple[int, str, str]:

@@ -54,7 +54,7 @@ def test_work_that_differs_gives_no_ratio():
     assert "flux 2 here and 1 there" in refused.other
 
 
-def test_clock_alternates_and_exponents():
+def test_clock_alternates_and_exponents_and_verdicts_and_what_got_worse():
     from rows import alternate, slope
 
     turns = []
@@ -63,9 +63,6 @@ def test_clock_alternates_and_exponents():
     assert all(0 < one.seconds < 1 for one in pair)
     x = np.array([10, 20, 40, 80])
     assert slope(x, 3e-9 * x**2) == pytest.approx(2, abs=1e-12)
-
-
-def test_verdicts_and_what_got_worse():
     from record import worse
 
     for ratio, bar, small, verdict in (

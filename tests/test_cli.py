@@ -21,14 +21,13 @@ import vectors
 from analyses.fake_pst import fake_pst
 from analyses.fake_scene import lens_scene
 from analyses.fake_trace import EXTENT, trace_at
-from command_line import Captured, Patch, fails, run, succeeds
+from command_line import Captured, Patch, fails, on_a_terminal, run, succeeds
 
 import mistray.scene
 from mistray import cli
 from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.state import PstProgress
 from mistray.cli import program
-from mistray.cli import progress as shown
 from mistray.cli.options import Options
 from mistray.cli.progress import progress_bar, working
 from mistray.errors import MistrayError
@@ -199,14 +198,6 @@ def test_an_interrupt_before_anything_is_saved(
         assert run(capsys, *command) == (130, "", "mistray: interrupted, nothing was written\n")
 
 
-def test_import_knows_the_variants_of_the_file(capsys: Captured, tmp_path: Path) -> None:
-    lens = Path(__file__).parents[1] / "scenes" / "phone_camera" / "prescription.json"
-    line = fails(capsys, "import", lens, "-o", tmp_path / "a.xml", "--variant", "nope")
-    assert "variant 'nope' is unknown; it has R13=5.272" in line
-    succeeds(capsys, "import", lens, "-o", tmp_path / "a.xml", "--wavelength-nm", "600")
-    assert list(mistray.scene.load(tmp_path / "a.xml").emitters()[0].wavelengths_nm) == [600.0]
-
-
 def test_a_real_scene_in_colour(capfd: Captured, tmp_path: Path) -> None:
     """The plate does not disperse: each line holds its share of every number."""
     out = tmp_path / "out"
@@ -222,19 +213,6 @@ def test_a_real_scene_in_colour(capfd: Captured, tmp_path: Path) -> None:
     assert field["paths_ghost"] == parts[0]["paths_ghost"]
     assert len(parts[1]["worst_paths"]) == len(field["worst_paths"])
     assert (out / "colour_0deg.png").is_file()
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def on_a_terminal(monkeypatch: Patch) -> Terminal:
-    """Within the test, because pytest puts its own stream in place after the fixtures."""
-    stream = Terminal()
-    monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setattr(shown, "FIRST_SECOND", 0.05)
-    return stream
 
 
 def test_what_takes_long_says_so_and_leaves_nothing_behind(monkeypatch: Patch) -> None:

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import json_units
 import pytest
+import vectors
 from command_line import fails, run, succeeds
 from singlet_files import SEQ, ZMX
 
@@ -18,15 +19,7 @@ pytestmark = pytest.mark.quick
 COATINGS = Path(__file__).parent / "data" / "coating_sample.dat"
 CAMERA = Path(mistray.scenes.__file__).parent / "phone_camera" / "prescription.json"
 INDEX = 1.5168
-DARK = """opticalSystem:
-  type: CompoundOptic
-  name: dark
-  pupilSize: 0.1
-  items:
-    - {type: Baffle, name: lid, surface: {type: Plane}, coordSys: {z: 2},
-       obscuration: {type: ObscCircle, radius: 0.2}}
-    - {type: Detector, name: D, surface: {type: Plane}, obscuration: {type: ClearCircle, radius: 0.1}}
-"""
+DARK = vectors.text("dark.yaml")
 
 
 @pytest.fixture(autouse=True)
@@ -78,7 +71,10 @@ def test_json(capsys):
     record = json_units.read("\n".join(imported(capsys, ZMX, "--json")))
     assert record["arriving_share"] == pytest.approx(bare, rel=5 * (0.1 / 0.9 / 4000) ** 0.5)
     assert any("wider than the pupil" in note for note in record["notes"])
-    record = json_units.read(succeeds(capsys, "import", CAMERA, "-o", "camera.xml", "--json"))
+    assert "it has R13=5.272" in fails(capsys, "import", CAMERA, "-o", "camera.xml", "--variant", "nope")
+    line = ("import", CAMERA, "-o", "camera.xml", "--wavelength-nm", 600, "--json")
+    record = json_units.read(succeeds(capsys, *line))
+    assert list(mistray.load("camera.xml").emitters()[0].wavelengths_nm) == [600.0]
     assert (record["surfaces"], record["unread"]) == (len(shapes("camera.xml")), [])
 
 
@@ -116,17 +112,7 @@ def test_options_reach_the_scene(capsys):
     assert "../lib/COATING.DAT:AR" in text
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        ("a.zmx", ("--variant", "b"), "--variant b: Zemax files hold no variants; leave it out"),
-        ("a.json", ("--edges", "open"), "--edges open: JSON files hold no edges to choose; leave it out"),
-        ("a.zmx", ("--glass", "BK7"), "--glass: 'BK7' is no NAME=MATERIAL, such as 'MYGLASS=N-BK7'"),
-        ("a.zmx", ("--margin", "-1"), "--margin: -1 must lie between 0 and 10"),
-        ("a.osl", (), "files of type '.osl' cannot be read; give one of .json, .yaml, .yml, .zmx, .seq, .len, .lens,"),
-        ("a.fbx", (), "files of type '.fbx' cannot be read; export it as STL, OBJ, PLY or GLB, one of "),
-    ],
-)
+@pytest.mark.parametrize(("name", "options", "message"), vectors.toml("refusals.toml")["imports"])
 def test_what_makes_no_sense_is_refused(capsys, name, options, message):
     Path(name).write_text(ZMX)
     assert message in fails(capsys, "import", name, *options)

@@ -43,14 +43,7 @@ SYSTEM = {
     "other.csv": TABLE,
 }
 NOTE = "written by hand\n"
-OWN = """title = "image"
-source = "nobody"
-scene = "scene.xml"
-[[row]]
-name = "power"
-quantity = "power_W"
-published = 1
-"""
+OWN = vectors.text("own_power.toml")
 # The arguments of every command with --out, and a file that it writes there
 FOLDERS = {
     ("ghosts", "scene.xml", "--formats", "fits"): ("paths.csv", "ghosts_12.5deg.png", "irradiance_0deg.fits"),
@@ -116,7 +109,7 @@ def test_every_command_that_writes_is_here() -> None:
     known = {name: {option.dest for option in own} for name, own in options.items()}
     writing = {name for name, own in known.items() if own & {"out", "output", "plot", "csv", "state"}}
     claimed = {name for name, own in options.items() if any(option.writes is not None for option in own)}
-    tried.add("app")  # it writes when its page says so: tests/analyses/explorer/test_saving.py
+    tried.add("app")  # it writes when its page says so: tests/analyses/explorer/test_server.py
     assert tried == writing == claimed
     assert all("force" in known[name] for name in tried)
 
@@ -178,23 +171,6 @@ def test_files_by_name(capsys: Captured, folder: Path, command: tuple[str, ...])
         assert Path(name).is_symlink()
 
 
-@pytest.mark.parametrize(
-    ("command", "name"),
-    [
-        ("import {here}/lens.zmx -o ./lens.zmx", "lens.zmx"),
-        ("export lens.xml -o lens.zmx", "lens.zmx"),
-        ("optimize scene.xml study.toml --out .", "scene.xml"),
-        ("import lens.zmx", "lens.xml"),  # the name by default
-    ],
-)
-def test_an_input_is_never_replaced(capsys: Captured, folder: Path, command: str, name: str) -> None:
-    succeeds(capsys, "import", "lens.zmx")
-    before = Path(name).read_bytes()
-    for force in ("", "--force") if command.startswith(("import {", "optimize")) else ("",):
-        assert name in fails(capsys, *f"{command} {force}".format(here=folder).split())
-        assert Path(name).read_bytes() == before
-
-
 @pytest.mark.parametrize("read", [*SYSTEM, "table.csv", "study.toml", "budget.toml"])
 def test_the_folder_of_the_scene(capsys: Captured, folder: Path, traces: list[Any], read: str) -> None:
     """Whatever a command has opened, or Mitsuba for it, stays, although --force is given and a link hides it."""
@@ -234,13 +210,15 @@ def test_a_file_that_was_read(capsys: Captured, folder: Path, command: str, read
 
 
 def test_meshes_beside_a_scene_of_mechanics(capsys: Captured, folder: Path) -> None:
-    succeeds(capsys, "import", "cube.obj", "-o", "parts.xml")
-    (mesh,) = folder.glob("parts_*.ply")
-    Path("parts.xml").unlink()
+    """Also by the name that a scene has where none is given."""
+    succeeds(capsys, "import", "cube.obj")
+    (mesh,) = folder.glob("cube_*.ply")
+    assert "cube.xml" in fails(capsys, "import", "cube.obj")
+    Path("cube.xml").unlink()
     mesh.write_text(NOTE)
-    assert mesh.name in fails(capsys, "import", "cube.obj", "-o", "parts.xml")
+    assert mesh.name in fails(capsys, "import", "cube.obj")
     assert mesh.read_text() == NOTE
-    assert not Path("parts.xml").exists()
+    assert not Path("cube.xml").exists()
 
 
 def test_a_state_goes_on_with_resume_alone(capsys: Captured, traces: list[Any]) -> None:

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 
 import pytest
+import vectors
 from command_line import succeeds
 
 from mistray.cli import program
@@ -56,16 +57,7 @@ def test_bash_proposes_what_the_parsers_take(bash, commands):
 
 
 # Words of a line, its last one unfinished, and all that is proposed
-PROPOSALS = {
-    "gh": "ghosts", "--v": "--version", "xyz": "", "ghosts plate --max-ref": "--max-reflections",
-    "pst plate --field-deg 0 10 --map-": "--map-field-deg --map-azimuth-deg --map-pixels",
-    "ghosts plate --splitting ": "split one", "ghosts plate --aim ta": "targets", "ghosts plate --rays ": "",
-    "completion ": "bash zsh fish",
-    # An option of several values goes on
-    "ghosts plate --formats parquet ": "parquet exr fits npy dat pdf",
-    "ghosts le": "lens_and_reflector lens_and_screen lens_and_window lens.xml", "ghosts plate --out o": "out",
-    "import len": "lens.xml",
-}  # fmt: skip
+PROPOSALS = vectors.toml("tables.toml")["completion"]  # fmt: skip
 
 
 @pytest.mark.parametrize("line", PROPOSALS)

@@ -22,16 +22,13 @@ def test_pictures_are_made_of_what_is_there():
     assert set(picture_record.record()) == set(picture_record.inputs())
 
 
-def test_commands_of_pictures_stand_beside_them():
+def test_commands_of_pictures_and_outputs_of_cells():
     texts = [file.read_text(encoding="utf-8") for file in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))]
     words = " ".join(" ".join(texts).split())
     for name, (command, _) in picture_record.COMMANDS.items():
         assert f"images/{name}" in words
         told = f"mistray {re.sub(r' --(out|plot|layout) .*', '', command)}"
         assert told in words, told
-
-
-def test_outputs_of_cells():
     stream = {"output_type": "stream", "name": "stdout", "text": ["a <b>\n"] * 50}
     picture = {"output_type": "display_data", "data": {"image/png": "QQ==\n", "text/plain": "<Figure>"}}
     view = {

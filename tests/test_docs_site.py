@@ -85,7 +85,7 @@ def targets(page: str, links: list[str]) -> Iterator[tuple[str, str]]:
             yield path, unquote(parts.fragment)
 
 
-def test_links_and_anchors_lead_somewhere(site: Path, pages: dict[str, Page]) -> None:
+def test_links_lead_somewhere_and_nothing_comes_from_the_network(site: Path, pages: dict[str, Page]) -> None:
     missing = []
     for name, page in pages.items():
         for path, anchor in targets(name, page.links + page.loaded):
@@ -94,9 +94,6 @@ def test_links_and_anchors_lead_somewhere(site: Path, pages: dict[str, Page]) ->
     assert len(pages) > 120
     assert not missing
     assert not [(name, url) for name, page in pages.items() for url in page.unnamed]  # pictures without words
-
-
-def test_nothing_comes_from_the_network(site: Path, pages: dict[str, Page]) -> None:
     assert not [(name, url) for name, page in pages.items() for url in page.loaded if re.match(r"(https?:)?//", url)]
     for sheet in site.rglob("*.css"):
         assert not re.search(r"(url\(|@import )['\"]?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet

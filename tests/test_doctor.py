@@ -131,12 +131,7 @@ H100, K80 = ("NVIDIA H100", (9, 0), 80 << 30), ("Tesla K80", (3, 7), 12 << 30)
     [
         (None, True, "optional", ("no driver", "compute capability 7.5", "535 or newer")),
         (Driver(12040), True, "optional", ("a driver, but no GPU", "compute capability 7.5")),
-        (
-            Driver(12040, K80, H100),
-            True,
-            "ok",
-            ("Tesla K80 (compute capability 3.7, 12 GiB), NVIDIA H100",),
-        ),
+        (Driver(12040, K80, H100), True, "ok", ("Tesla K80 (compute capability 3.7, 12 GiB), NVIDIA H100",)),
         (Driver(12040, K80), True, "optional", ("too old a GPU", "compute capability 7.5")),
         (Driver(12010, H100), True, "optional", ("CUDA 12.1, too old", "update the driver to version 570")),
         (Driver(12070, H100), True, "optional", ("CUDA 12.7, which miscompiles", "version 570")),

@@ -1,5 +1,6 @@
 """Bad input: one line on stderr that names the object, the value and the remedy; exit code 2; nothing written."""
 
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -7,6 +8,8 @@ from pathlib import Path
 
 import pytest
 import vectors
+from command_line import Captured, Patch, fails
+from test_every_command import INPUTS, STUDY
 
 import mistray
 from mistray import cli
@@ -102,3 +105,34 @@ def test_a_stop_wider_than_its_plate(folder: Path, capfd: pytest.CaptureFixture[
     assert cli.main(["import", "scene.json", "-o", "made.xml"]) == 2
     Path("scene.json").unlink()
     check_line(capfd.readouterr().err, ("stop 'stop': radius is 9; it must lie between 0 and",))
+
+
+REFUSED = vectors.toml("cli_refusals.toml")
+
+
+@pytest.fixture
+def working_folder(tmp_path: Path, monkeypatch: Patch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    for name, text in (("lens.xml", INPUTS["coated.xml"]), ("study.toml", STUDY), ("media.yaml", "")):
+        Path(name).write_text(text)
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", REFUSED)
+def test_one_line_and_nothing_is_written(command: str, working_folder: Path, capsys: Captured) -> None:
+    before = sorted(working_folder.rglob("*"))
+    for arguments, words in REFUSED[command]:
+        line = fails(capsys, *([command] if command else []), *shlex.split(arguments))
+        assert words in line, arguments
+    assert sorted(working_folder.rglob("*")) == before
+
+
+@pytest.mark.usefixtures("working_folder")
+def test_a_missing_package_is_told_before_the_trace(capsys: Captured, monkeypatch: Patch) -> None:
+    monkeypatch.setattr("mistray.scene.load", None)
+    for name in {"astropy", *(name for name in sys.modules if name.startswith("astropy."))}:  # other tests import it
+        monkeypatch.setitem(sys.modules, name, None)
+    assert "astropy" in fails(capsys, "ghosts", "x", "--out", "out", "--formats", "fits")
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    assert "pip install 'mistray[view]'" in fails(capsys, "view", "x", "--out", "v.html")
+    assert not Path("out").exists()

@@ -13,9 +13,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import nbformat
 import numpy as np
 import peers
 import pytest
+import vectors
+from nbclient import NotebookClient
+from tiers import slow_unless
 
 import mistray
 from mistray.toolkit.fields import Request
@@ -74,7 +78,7 @@ def run(name: str) -> None:
 
 
 @pytest.mark.quick
-def test_each_public_name_has_an_example() -> None:
+def test_each_public_name_has_an_example_and_each_attribute_a_line() -> None:
     without, idle = [], []
     for name, value in public().items():
         _, heading, text = (inspect.getdoc(value) or "").partition("Examples\n--------\n>>> ")
@@ -84,11 +88,7 @@ def test_each_public_name_has_an_example() -> None:
     assert len(public()) > 250
     assert (without, idle) == ([], []), "give it an example under Examples, which calls a function that it belongs to"
     assert [pattern for pattern in LONG if not fnmatch.filter(public(), pattern)] == []
-
-
-@pytest.mark.quick
-def test_each_public_attribute_is_described() -> None:
-    """By its class or one that it is derived from; the field of a request has its sentence where it is declared."""
+    # By its class or one that it is derived from; the field of a request has its sentence where it is declared
     silent = []
     for name, value in public().items():
         if inspect.isclass(value) and not issubclass(value, Request):
@@ -126,3 +126,56 @@ def test_a_wrong_example_is_told() -> None:
         """
 
     assert "Got:\n    '2.00 ± 0.10'" in failures("wrong", wrong)
+
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+CELL_SECONDS = 300
+# Run after the last cell of a notebook: its claims
+CLAIMS: dict[str, str] = vectors.toml("notebook_claims.toml")
+
+# Run before the notebook of optiland, which the tests import without what it draws with
+NOTED = re.compile(r".*MistrayWarning: .*\[[a-z-]+\]\n.*\n")  # a note of a result, and the line that has called
+BEFORE = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import peers; _ = peers.optiland('optic')"
+
+
+def read(path: Path) -> nbformat.NotebookNode:
+    return nbformat.read(path, as_version=4)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_committed_without_outputs_and_with_links_that_lead_somewhere(path):
+    assert set(CLAIMS) <= {path.stem for path in NOTEBOOKS}
+    notebook = read(path)
+    nbformat.validate(notebook)
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            assert (cell.outputs, cell.execution_count) == ([], None), f"{path.name}: clear the outputs"
+    assert set(notebook.metadata) <= {"kernelspec", "language_info"}
+    assert notebook.metadata.kernelspec.name == "python3"
+    assert set(notebook.metadata.language_info) == {"name"}
+    text = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)", text):
+        assert (path.parent / target).exists(), target
+    for target in re.findall(r"\b(?:docs|examples)/[\w/]+\.(?:md|py)", text):  # also without a link
+        assert (path.parents[1] / target).is_file(), target
+
+
+# Their studies are those of examples/, which have tests of their own in tests/analyses/optimize
+STUDIES = ("baffle_vanes", "phone_camera_ar", "triplet_ar")
+RUN = [pytest.param(path, id=path.stem, marks=slow_unless(path.stem not in STUDIES)) for path in NOTEBOOKS]
+
+
+@pytest.mark.parametrize("path", RUN)
+def test_runs(path, tmp_path):
+    notebook = read(path)
+    if path.stem == "optiland":
+        peers.need("optiland")
+        notebook.cells.insert(0, nbformat.v4.new_code_cell(BEFORE))
+    notebook.cells.append(nbformat.v4.new_code_cell(CLAIMS.get(path.stem, "")))
+    NotebookClient(notebook, timeout=CELL_SECONDS, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    assert any("image/png" in output.get("data", {}) for output in outputs), "no picture"
+    widget = "application/vnd.jupyter.widget-view+json"
+    assert any(widget in output.get("data", {}) for output in outputs) is (path.stem == "explorer")
+    complaints = [output.text for output in outputs if output.output_type == "stream" and output.name == "stderr"]
+    assert "".join(NOTED.sub("", text) for text in complaints) == ""

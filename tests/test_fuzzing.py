@@ -23,7 +23,7 @@ def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Worker]:
 
 
 @pytest.mark.quick
-def test_nothing_is_left_out() -> None:
+def test_nothing_is_left_out_and_damages_change_every_sample() -> None:
     """Every command with a numeric option has its lines, every option and parameter every value."""
     assert {name for name, parser in parsers().items() if numeric(parser)} == set(LINES)
     assert {manual.plugin for manual in MANUALS} <= set(NUMBERS)
@@ -38,11 +38,7 @@ def test_nothing_is_left_out() -> None:
     for name in (("pst", "--azimuths-deg"), ("bsdf", "--A"), ("thermal", "--part"), ("objects", "--disc")):
         assert places[name] == set(NASTY)
     assert places["ghosts", "--filter"] == set(WORDS)
-
-
-@pytest.mark.quick
-def test_damages_change_every_sample() -> None:
-    """Each sort of damage changes a file of each kind for some seed, and gives the same for the same seed."""
+    # Each sort of damage changes a file of each kind for some seed, and gives the same for the same seed
     for kind in KINDS.values():
         for damage, sample in itertools.product(kind.damages, kind.samples):
             data = sample if isinstance(sample, bytes) else sample.read_bytes()

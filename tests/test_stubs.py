@@ -1,5 +1,6 @@
-"""Stubs say what the functions are when they run, and type checkers find wrong calls of users by them."""
+"""Stubs say what the functions are when they run, type checkers find wrong calls by them, public names exist."""
 
+import importlib.metadata
 import os
 import re
 import subprocess
@@ -8,6 +9,8 @@ from pathlib import Path
 
 import pytest
 import stubs
+
+import mistray
 
 # Of a user, whose checker takes Mitsuba as it comes
 SCRIPT = """\
@@ -61,3 +64,17 @@ def test_a_user_is_told_of_wrong_calls(tmp_path: Path) -> None:
     assert len(told) == len(WRONG), done.stdout + done.stderr
     for line, start in zip(told, WRONG, strict=True):
         assert line.startswith(start)
+
+
+@pytest.mark.quick
+def test_the_version_is_that_of_the_installed_package() -> None:
+    assert mistray.__version__ == importlib.metadata.version("mistray")
+    assert "__version__" in dir(mistray)
+
+
+@pytest.mark.quick
+def test_what_the_docstring_of_trace_names_is_there() -> None:
+    named = set(re.findall(r"`mistray\.trace\.(\w+)", mistray.trace.__doc__ or ""))
+    assert {"Settings", "PolarizationChoice"} <= named
+    assert [name for name in sorted(named) if not hasattr(mistray.trace, name)] == []
+    assert mistray.trace.Trace is mistray.Trace  # type: ignore[attr-defined]

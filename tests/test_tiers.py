@@ -45,7 +45,7 @@ def test_the_continuous_integration_calls_the_command_of_the_readme() -> None:
 
 
 class TestParts:
-    def test_together_they_are_the_tier(self) -> None:
+    def test_together_they_are_the_tier_and_files_stay_together(self) -> None:
         tier = {
             file: {name: s for name, s in of.items() if s > tiers.AT_ONCE_S} for file, of in tiers.recorded().items()
         }
@@ -53,8 +53,6 @@ class TestParts:
         every = [place for part in cut for place in part]
         assert sorted(every) == sorted((file, name) for file, names in tier.items() for name in names)
         assert all(sum(tier[file][name] for file, name in part) <= tiers.MOST_S for part in cut)
-
-    def test_files_stay_together_unless_they_are_long(self) -> None:
         half = tiers.MOST_S / 2
         cut = tiers.parts({"a": {"x": half - 20, "y": 10.0}, "b": {"x": half, "y": half, "z": half}, "c": {"x": 1.0}})
         assert len(cut) == 2

@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pandas as pd
+import vectors
 
 from mistray.analyses.pst.result import CLASSES, Pst
 from mistray.recorders.directions import DirectionGrid
@@ -24,16 +25,7 @@ FACTS = {
     "notes": ["single rays carry more than 10 % of the scattered light at 72, 74, 76, 78, 80°"],
 }
 # events, order, kind, ghosts, first scatter surface, scatters, structure, class, level at each angle
-PATHS = (
-    ("L1_front:T L1_rear:T detector:A", 0, "direct", "-", "-", "-", 0, 0),
-    ("L1_front:T L1_rear:T detector:R L1_rear:R detector:A", 2, "ghost", "detector", "L1_rear", "-", 0, 0),
-    ("window_front:t L1_front:T detector:A", 0, "single scatter", "-", "-", "window_front", 1, 0),
-    ("L1_front:T barrel_1:r detector:A", 0, "single scatter", "-", "-", "barrel_1", 1, 0),
-    ("L1_front:T stop_wall:r detector:A", 0, "single scatter", "-", "-", "stop_wall", 1, 0),
-    ("L1_front:T barrel_1:r stop_wall:r detector:A", 0, "multiple scatter", "-", "-", "barrel_1", 2, 0),
-    ("barrel_1:R L1_front:T detector:A", 0, "structure", "barrel_1", "-", "-", 0, 1),
-    ("detector:A", 0, "straight shot", "-", "-", "-", 0, 0),
-)
+PATHS = vectors.toml("tables.toml")["paths of a PST"]
 COLUMNS = [
     "cell", "azimuth_cell", "key", "label", "events", "path", "order", "kind", "ghost_1", "ghost_2", "scatter_1",
     "scatters", "structure_bounces", "tir", "rays", "pst_normal", "pst_normal_se",

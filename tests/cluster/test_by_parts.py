@@ -544,10 +544,7 @@ def test_no_client(capsys):
 def test_a_worker_with_threads_is_refused(tmp_path, scene):
     processes = start(tmp_path, 1, threads=2)
     try:
-        with (
-            pytest.raises(MistrayError, match="has 2 threads"),
-            mistray.distribute(processes.address),
-        ):
+        with pytest.raises(MistrayError, match="has 2 threads"), mistray.distribute(processes.address):
             mistray.trace(scene, rays=1000)
     finally:
         processes.end()

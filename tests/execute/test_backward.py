@@ -12,6 +12,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import pytest
+import vectors
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
 from oracles.statistics import assert_z
@@ -70,16 +71,7 @@ class TestSee:
     def test_limits_and_chances_are_booked(self, name: str) -> None:
         """Without aiming every start ray weighs 1, so that the balance holds in each batch: to 1e-5."""
         scene = mistray.load(name)
-        for limits in (
-            {"max_events": 3},
-            {"max_reflections": 0, "max_scatters": 0},
-            {"flux_threshold": 0.05},
-            {"flux_threshold": 0.05, "below_threshold": "roulette"},
-            {"ray_control": "transmit_specular"},
-            {"ray_control": "halt_all"},
-            {"splitting": "one"},
-            {"max_scatters": 3},
-        ):
+        for limits in vectors.toml("tables.toml")["limits of backward traces"]:
             total, error = balance(see(scene, rays=3200, aim="none", **limits))
             assert total == pytest.approx(1.0, abs=1e-5), limits
             assert error < 1e-6

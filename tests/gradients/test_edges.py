@@ -190,7 +190,7 @@ class TestCorners:
         check("radius", tied, np.cos(self.FIELD) * 4 * r * np.arccos(apart / (2 * r)))
         check("vane.r0", found["vane.r0"], -np.cos(self.FIELD) * 2 * np.pi * 1.0)
 
-    def test_part_of_a_side(self, load_scene) -> None:
+    def test_part_of_a_side_and_a_touching_circle(self, load_scene) -> None:
         """A half mirror stands on a part of a black square's side; both move, and only the square's width counts."""
         large = shape_xml("asphere", "large", 5.0, half_width=4.0, half_height=4.0)
         small = placed_xml(
@@ -206,8 +206,6 @@ class TestCorners:
         found = traced(load_scene, text, ["large.half_height", "small.z"], field_deg=20.0, rays=1_000_000)
         check("sides", sum(found.values()), -np.cos(self.FIELD) * 16.0)
         assert abs(sums(found["small.z"])[0][0]) > 5 * sums(found["small.z"])[1][0]
-
-    def test_a_circle_that_touches_a_tube_at_a_point(self, load_scene) -> None:
         disc = placed_xml("frustum", "disc", at=(5.0, 0.0, 5.0), r0=1.0, z0=0.0, r1=5.0, z1=0.0)
         tube = shape_xml("frustum", "tube", 0.0, r0=10.0, z0=0.0, r1=10.0, z1=20.0)
         found = traced(load_scene, scene_text(disc, tube, detector(25.0), radius=11.0), ["disc.r1"])

@@ -7,6 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from oracles import scatter_integrals as integrals
 from oracles.derivatives import central_differences
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
@@ -329,19 +330,7 @@ class TestPlugins:
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "values", "reason"),
-    [
-        ("abg", "A", {"A": 0.0, "B": 1e-3, "g": 2.0}, "lobes come or go at A = 0"),
-        ("abg", "g", {"A": 0.1, "B": 0.01, "g": 0.0}, "lobes come or go at g = 0"),
-        ("harvey_shack", "rms_nm", {"rms_nm": 0.0}, "lobes come or go at rms_nm = 0"),
-        ("paint", "b0", {"reflectance": 0.1}, "lobes come or go at b0 = 0"),
-        (
-            "k_correlation",
-            "slope",
-            {"rms_nm": 4.0, "B_um": 20.0, "slope": 3.0, "theory": "ghs_full", "side": "front", "event": "reflection"},
-            "slope can only be 3",
-        ),
-    ],
+    ("kind", "name", "values", "reason"), vectors.toml("refusals.toml")["values without derivative"]
 )
 def test_values_without_derivative(
     load_scene: Load, kind: str, name: str, values: dict[str, float], reason: str

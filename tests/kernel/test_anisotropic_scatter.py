@@ -120,7 +120,7 @@ class TestClosedForms:
         assert e.absorbed["plate"][0] / e.launched_W == pytest.approx(1 - tis, abs=7e-3 * tis)
         assert abs(e.closure) < 1e-6
 
-    def test_meridian(self, two_fold: dict[str, Any]) -> None:
+    def test_meridian_and_lathe_turned_tube(self, two_fold: dict[str, Any]) -> None:
         """On a turned plate the axis points away from the middle, here to a spot aside."""
         turned = two_fold | {"sample_axis": "meridian", "rotation_deg": 15.0}
         at = np.array([3.0, 1.5, 0.0])
@@ -130,9 +130,7 @@ class TestClosedForms:
         axis = np.degrees(np.arctan2(at[1], at[0])) + 15.0
         exact = small_detector(FLAT + TWO_FOLD * np.cos(2 * np.radians(100.0 - axis)), 40.0)
         assert_z("meridian", found, exact, se, k=4.0, floor=0.01 * exact)
-
-    def test_lathe_turned_tube(self, two_fold: dict[str, Any]) -> None:
-        """A tube looks alike from all sides: a beam to its wall sends the same back, whatever its azimuth."""
+        # A tube looks alike from all sides: a beam to its wall sends the same back, whatever its azimuth
         tube = {"type": "frustum", "r0": 10.0, "z0": -40.0, "r1": 10.0, "z1": 40.0}
         found = []
         for azimuth in (0.0, 70.0, 200.0):

@@ -13,6 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from oracles.scatter_scenes import bsdf_xml, placed_xml, scattering_xml
 from oracles.small_scenes import interface_xml, scene_text, write
 
@@ -21,16 +22,7 @@ from mistray.surfaces.upload import download, upload
 
 PAGE = Path(__file__).parents[2] / "docs" / "kernels.md"
 TRACE = {"rays": 256, "max_scatters": 1}
-ORDINARY: dict[str, dict[str, Any]] = {
-    "source": {"radius": 3.0, "field_deg": 2.0},
-    "front": {"radius": 30.0, "conic": -0.5, "a4": 1e-5, "semi_diameter": 4.0},
-    "lobe": {"A": 1e-4, "B": 1e-3, "g": 2.0},
-    "rear": {"radius": -40.0, "semi_diameter": 4.0},
-    "coating": {"R": 0.02, "T": 0.9},
-    "stop": {"r0": 3.0, "z0": 0.0, "r1": 4.5, "z1": 0.0},
-    "barrel": {"r0": 4.5, "z0": 3.5, "r1": 5.0, "z1": 39.0},
-    "detector": {"semi_diameter": 3.0},
-}
+ORDINARY: dict[str, dict[str, Any]] = vectors.toml("tables.toml")["ordinary numbers"]
 HARVEY = bsdf_xml("harvey_shack", b0=0.1, l=0.01, s=-1.5)
 VANE = placed_xml("frustum", "vane", at=(0, 0, 20), r0=4.0, z0=0.0, r1=4.7, z1=0.0)
 SCREEN = placed_xml("rectangle", "screen", at=(0, 0, 20), scale=(0.1, 0.1, 1.0))

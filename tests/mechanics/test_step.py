@@ -343,14 +343,11 @@ def test_exact_surfaces_and_meshes(
     assert np.all(apart(pst(painted, seed=seed), typed) < 3)
 
 
-def test_paint_inside_of_the_body_is_dark(typed: Any, tube: Mechanics, tmp_path: Path) -> None:
+def test_paint_inside_is_dark_and_the_comparison_can_fail(typed: Any, tube: Mechanics, tmp_path: Path) -> None:
     painted = tube.painted({"vane*": "paint reflectance=0.1 side=front"}).structures(tmp_path)
     assert np.all(pst(painted, seed=5, rays=RAYS // 10).stray == 0)
     assert np.all(typed.stray > 0)
-
-
-def test_the_comparison_can_fail(typed: Any, tube: Mechanics, tmp_path: Path) -> None:
-    """The tube 4 mm further in front: a unit or a place that is wrong would show."""
+    # The tube 4 mm further in front: a unit or a place that is wrong would show
     value, error = typed.curve("multiple_scatter")
     assert np.all(error < 0.1 * value)
     there = Placed(z=-4.0).to_world()

@@ -85,15 +85,7 @@ class TestPaint:
         assert layered.coating == Coating(layers="MgF2 100", first="front", name="c_turned")
 
     def test_mistakes(self, assembly: Mechanics) -> None:
-        for rules, words in (
-            ({"paint": {"rnig*": "black"}}, "no part or face is called 'rnig*'; the nearest are ring, "),
-            ({"space": {"zzz": 1}}, "no part or face is called 'zzz'; the nearest are ring_front, ring, "),
-            ({"paint": {"ring": "flatblack"}}, "'flatblack': there is none of this name; did you mean flat_black"),
-            ({"paint": {"ring": "R=x"}}, "paint 'R=x'"),
-            ({"paint": {"ring": "1.5"}}, "reflectance is 1.5"),
-            ({"paint": {"ring": "paint reflectance=0.1 reflectance=0.2"}}, "reflectance is given twice; give it once"),
-            ({"paint": {"ring": "paint reflectanc=1"}}, "there is no 'reflectanc'"),
-        ):
+        for rules, words in vectors.toml("refusals.toml")["paint of mechanics"]:
             with refused("", words):
                 assembly.painted(**rules)
 

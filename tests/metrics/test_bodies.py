@@ -140,7 +140,7 @@ class TestStudy:
         for key, change in expected.items():
             assert values[key] == pytest.approx([change], abs=1e-9), key
 
-    def test_chain_rule(self, here: Any) -> None:
+    def test_chain_rule_and_refusals(self, here: Any) -> None:
         """Against central differences of all numbers of the surfaces, far from the start."""
         found = self.variables(here, *({"parameters": key} for key in (["L.tilt_x", "P.tilt_x"], "P.y", "L.tilt_z")))
         rng, x, h = np.random.default_rng(0), np.array([4.0, -1.0, 6.0]), 1e-4
@@ -150,8 +150,6 @@ class TestStudy:
             more, less = found.parameters(x + step), found.parameters(x - step)
             expected = sum(float(gradient[key][0] * (more[key] - less[key])[0]) for key in gradient) / (2 * h)
             assert slope[k] == pytest.approx(expected, rel=1e-6)
-
-    def test_refusals(self, here: Any) -> None:
         one, two = {"parameters": "L.tilt_x", "low": 1, "high": 2}, {"parameters": "L.tilt_x"}
         for sections, message in (
             ([one], "L.tilt_x starts with 0"),

@@ -28,10 +28,7 @@ POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 TRACED = {"max_reflections": 2, "flux_threshold": 0.0, "azimuth_deg": 30.0}
 
 # A cone, and a cylinder whose numbers run against the light
-WALLS = {
-    "tube": {"r0": 10.0, "z0": 20.0, "r1": 9.5, "z1": 50.0},
-    "end": {"r0": 9.5, "z0": 80.0, "r1": 9.5, "z1": 50.0},
-}
+WALLS = {"tube": {"r0": 10.0, "z0": 20.0, "r1": 9.5, "z1": 50.0}, "end": {"r0": 9.5, "z0": 80.0, "r1": 9.5, "z1": 50.0}}
 
 
 def singlet() -> Case:

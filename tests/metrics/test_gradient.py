@@ -44,7 +44,7 @@ def before_mirror(load_scene) -> Any:
 class TestClosedForms:
     """Plate with R, T on either face: direct T1 T2, ghost T1 R2 R1 T2."""
 
-    def test_ghost(self, plate) -> None:
+    def test_ghost_and_all_orders(self, plate) -> None:
         """Of the ghost, of the direct path, to which the others must not leak, and of their ratio, R1 R2 whatever T."""
         traced, params = {"rays": 256, "max_reflections": 2}, mi.traverse(plate)
         g = gradient(path_power(plate, "ghost", **traced), params)
@@ -59,9 +59,7 @@ class TestClosedForms:
         assert g.value == pytest.approx(0.01, rel=1e-6)
         assert g.gradient[FRONT_R] == pytest.approx([0.1], rel=3e-6)
         assert g.gradient[FRONT_T] == pytest.approx([0.0], abs=1e-7)
-
-    def test_all_orders(self, plate) -> None:
-        """T1 T2/(1 - R1 R2), followed to order 20."""
+        # T1 T2/(1 - R1 R2), followed to order 20
         traced = {"rays": 64, "max_reflections": 20, "flux_threshold": 0.0}
         g = gradient(path_power(plate, "all", **traced), mi.traverse(plate))
         assert g.value == pytest.approx(T * T / (1 - R * R), rel=1e-6)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from oracles.derivatives import central_differences
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
+from refusals import each_refused
 
 import mistray
-from mistray import MistrayError
 from mistray.analyses.ghosts.combine import by_path
 from mistray.metrics import views
 from mistray.metrics.metric import (
@@ -304,9 +304,8 @@ def of_one(scene: Any, function: Any, **settings: Any) -> float:
     return Metric(scene, lambda seen: function(seen[0]), field_deg=3.0, settings={"rays": 64, **settings}).value()
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
+def test_refusals(scene) -> None:
+    each_refused(
         (lambda scene: path_power(scene, ray=16), "there is no setting 'ray'"),
         (lambda scene: rms_spot(scene, field_deg=()), "field_deg is empty"),
         (lambda scene: relative_illumination(scene, field_deg=0.0), "needs field_deg off the axis"),
@@ -345,8 +344,5 @@ def of_one(scene: Any, function: Any, **settings: Any) -> float:
             lambda scene: of_one(scene, lambda o: o.moments_of_each("ghost").x, rays=20),
             "paths 'ghost': none has 30 rays at field 3°",
         ),
-    ],
-)
-def test_refusals(scene, call, message: str) -> None:
-    with pytest.raises(MistrayError, match=message):
-        call(scene)
+        by=lambda call: call(scene),
+    )

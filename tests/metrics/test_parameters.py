@@ -161,15 +161,12 @@ def test_tolerances(known: dict[str, Any]) -> None:
     assert abs(sags[1] - sags[0]) == pytest.approx(5e-4, rel=0.02)
 
 
-def test_what_is_kept_or_without_use() -> None:
+def test_what_is_kept_or_without_use_and_groups() -> None:
     there = scene(spare=FILM | {"id": "spare"})
     params = mi.traverse(there)
     assert not [key for key in parameters(there) if key.startswith("spare")]
     params.keep(["front.x", "ring.bsdf.R", "AR.thickness_nm"])
     assert set(parameters(there, params)) == {"front.x", "ring.bsdf.R", "AR.thickness_nm"}
-
-
-def test_groups() -> None:
     place = mi.ScalarTransform4d()
     side = {"type": "asphere", "semi_diameter": 1.0, "part": "prism", "bsdf": {"type": "interface", "back": "1.7"}}
     known = parameters(

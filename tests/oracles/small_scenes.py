@@ -7,10 +7,7 @@ from .geometry import Asphere
 
 # rear of the second lens of the phone camera: rim slope 2.07, the conic part ends at r = 1.118 mm
 STEEP_REAR = Asphere(
-    1 / 3.482,
-    8.701,
-    ((2, 0.00521579), (3, 0.0715829), (4, -0.0460926), (5, 0.012431), (6, 0.0332216)),
-    1.06523826,
+    1 / 3.482, 8.701, ((2, 0.00521579), (3, 0.0715829), (4, -0.0460926), (5, 0.012431), (6, 0.0332216)), 1.06523826
 )
 
 TAGS = {float: "float", int: "integer", bool: "boolean", str: "string"}

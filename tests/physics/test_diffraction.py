@@ -47,15 +47,12 @@ def sommerfeld(theta: np.ndarray, distance: float, soft: bool) -> np.ndarray:
     return np.abs(field) ** 2 * distance
 
 
-def test_keller_against_sommerfeld() -> None:
+def test_half_plane_by_keller_sommerfeld_and_fresnel() -> None:
     """The exact field 2000 wavelengths behind the edge, on both sides of the beam."""
     theta = np.radians([-80.0, -45, -20, -10, 10, 20, 45, 80])
     for found, soft in zip(diffraction.keller(theta, LAMBDA), (True, False), strict=True):
         np.testing.assert_allclose(found, sommerfeld(theta, 2000 * LAMBDA, soft), rtol=0.01)
-
-
-def test_half_plane_by_fresnel_integrals() -> None:
-    """Deep in the shadow the irradiance by Fresnel's integrals is the flux of the edge over the screen."""
+    # Deep in the shadow the irradiance by Fresnel's integrals is the flux of the edge over the screen
     theta, distance = np.array([0.01, 0.03]), 1000.0
     s, c = fresnel(theta * distance * math.sqrt(2 / (LAMBDA * distance)))
     irradiance = 0.5 * ((0.5 - c) ** 2 + (0.5 - s) ** 2)
@@ -86,7 +83,7 @@ def test_unpolarised_keller_at_any_incidence() -> None:
         assert diffraction.obliquity(cos_s, cos_i, r2) == diffraction.obliquity(cos_i, cos_s, r2)
 
 
-def test_circular_aperture() -> None:
+def test_circular_aperture_and_heisenberg_vectors() -> None:
     """Vectors, and the mean of the Airy pattern over 40 rings, I = J1²(ka sin θ)/(π sin² θ)."""
     for row in vectors.frame("diffraction_circular.csv").itertuples():
         found = diffraction.circular_aperture(row.theta_rad, row.lambda_mm, row.radius_mm)
@@ -100,10 +97,7 @@ def test_circular_aperture() -> None:
         pattern = j1(x) ** 2 / (math.pi * (x / (k * radius)) ** 2)
         expected = np.mean((pattern * (x / (k * radius)) ** 3)[:-1]) / theta**3
         assert diffraction.circular_aperture(theta, LAMBDA, radius) == pytest.approx(expected, rel=1e-3)
-
-
-def test_heisenberg_vectors() -> None:
-    """A strip of any width diffracts, far out, by length of the edge: width · density."""
+    # A strip of any width diffracts, far out, by length of the edge: width · density
     table = vectors.frame("diffraction_hup.csv")
     column = table.columns[2]
     for row in table.to_dict("records"):

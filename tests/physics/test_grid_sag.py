@@ -96,7 +96,7 @@ def text(heights: np.ndarray, head: str = "21 17 0.7 0.9 0 1 -2", tail: str = ""
     return f"! remark\n{head}\n{rows}\n"
 
 
-def test_files(tmp_path: Path) -> None:
+def test_files_points_without_a_height_and_no_code(tmp_path: Path) -> None:
     """Text from the upper left corner on, in any unit, and our own archive; both know their file."""
     heights = bicubic(*np.meshgrid(X, Y))
     path = tmp_path / "with a blank.dat"
@@ -110,9 +110,6 @@ def test_files(tmp_path: Path) -> None:
     assert read_grid(path).corners == pytest.approx(grid().corners, abs=1e-12)
     with refused(r"written as \.npz"):
         save_grid(found, tmp_path / "grid.dat")
-
-
-def test_points_without_a_height(tmp_path: Path) -> None:
     heights = bicubic(*np.meshgrid(X, Y))
     heights[0, 0] = np.nan
     with refused(r"column 1, row 1 .* not finite"):
@@ -123,9 +120,6 @@ def test_points_without_a_height(tmp_path: Path) -> None:
     assert "no height near" in found.lacks(X[:1] + 0.1, Y[:1] + 0.1)
     assert "in x and" in found.lacks(X[-1:] + 0.1, Y[:1])
     assert read_grid(save_grid(found, tmp_path / "g.npz").path).lacks(X[:1] + 0.1, Y[:1] + 0.1)
-
-
-def test_no_code_of_a_file_is_run(tmp_path: Path) -> None:
     runs_code = tmp_path / "evil.npz"
     np.savez(runs_code, corners=np.array([print], dtype=object), step=[1, 1], middle=[0, 0], missing=[[False]])
     with refused("no grid that mistray wrote"):

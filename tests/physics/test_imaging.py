@@ -62,7 +62,7 @@ def test_transfer_function(obstruction, azimuth_deg):
     assert pupil.cut_off((x, y)) == pytest.approx(CUT_OFF, rel=2e-3 if azimuth_deg in (0, 90) else 0.01)
 
 
-def test_defocus():
+def test_defocus_and_tilt():
     """Strehl is sinc² of the defocus, and the best focus is where it was before."""
     for waves in (0.25, 0.6, 1.0):
         pupil = disc(w20=waves)
@@ -74,9 +74,6 @@ def test_defocus():
     assert moved.best_focus_mm() == pytest.approx(-0.004, rel=1e-9)
     assert moved.rms_waves("focus") == pytest.approx(0, abs=1e-9)
     assert moved.rms_waves() == pytest.approx(0.004 * NA**2 / 2 / WAVELENGTH_MM / np.sqrt(12), rel=0.03)
-
-
-def test_tilt_moves_the_image_and_the_total_is_that_of_the_pupil():
     pupil, dx = disc(), 2e-3
     a, _ = np.meshgrid(pupil.alpha, pupil.beta)
     tilted = replace(pupil, opd_waves=np.where(pupil.lit, a * dx / WAVELENGTH_MM, 0.0))

@@ -214,7 +214,7 @@ def test_tis_next_to_a_slope_of_two(slope: float) -> None:
     assert harvey_shack.tis(1.0, 0.01, -2.0) == pytest.approx(math.pi * 1e-4 * math.log1p(1e4), rel=1e-14)
 
 
-def test_table_13() -> None:
+def test_table_13_and_limit_of_smooth_surfaces() -> None:
     """b0 and TIS of four glasses, l = 0.01, s = -1.5; Δn of reflection is 2 from air and 2n from inside."""
     for row in vectors.frame("harvey_table13.csv").itertuples():
         share = harvey_shack.tis_from_rms(**POLISH, index_step=row.n - 1)
@@ -229,10 +229,7 @@ def test_table_13() -> None:
         assert harvey_shack.b0_from_tis(share, 0.01, -1.5) == pytest.approx(row.b0_seed, rel=1e-3)
     aslant = harvey_shack.tis_from_rms(**POLISH, index_step=2, cos_i=0.5)
     assert aslant == pytest.approx(share * (2 / (row.n - 1)) ** 2 / 4)
-
-
-def test_limit_of_smooth_surfaces() -> None:
-    """At the limit the mirror has σ = 0.02 λ; the smooth formula is then 3 % above that of Bennett and Porteus."""
+    # At the limit the mirror has σ = 0.02 λ; the smooth formula is then 3 % above that of Bennett and Porteus
     assert harvey_shack.phase_rms(0.02 * 0.55, 0.55, 2) == pytest.approx(harvey_shack.MAX_PHASE, rel=1e-12)
     share = harvey_shack.MAX_PHASE**2
     assert share == pytest.approx(0.063, abs=5e-4)

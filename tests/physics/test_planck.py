@@ -61,7 +61,7 @@ def test_any_band_by_quadrature(temperature: float, band: tuple[float, float]) -
         assert planck.band_derivative(temperature, *band) == pytest.approx(estimate, rel=1e-3 + (1e-3 * first) ** 2)
 
 
-def test_spectrum() -> None:
+def test_spectrum_and_self_emission_and_narcissus() -> None:
     wavelengths = np.geomspace(0.3, 300, 20)
     expected = [PER_M2 * radiance(w, 293.0) for w in wavelengths]
     np.testing.assert_allclose(planck.spectral_radiance(wavelengths, 293.0), expected, rtol=1e-11)
@@ -70,9 +70,6 @@ def test_spectrum() -> None:
     nodes, radiances = planck.band_nodes(293.0, 3.0, 5.0)
     expected = quad(lambda w: radiance(w, 293.0) * math.sin(w), 3.0, 5.0, epsrel=1e-13)[0]
     assert np.sum(radiances * np.sin(nodes)) == pytest.approx(PER_M2 * expected, rel=1e-12)
-
-
-def test_self_emission_and_narcissus() -> None:
     for row in vectors.frame("self_emission.csv").itertuples():
         solid_angle = planck.cone_projected_solid_angle(row.F)
         assert solid_angle == pytest.approx(row.proj_solid_angle, rel=1e-12)

@@ -1,4 +1,4 @@
-"""Stacks and their derivatives in NumPy and Dr.Jit against tables, `tmm`, closed forms and differences."""
+"""Fresnel's formulas and stacks, with derivatives, in NumPy and Dr.Jit against tables, `tmm` and closed forms."""
 
 import functools
 import math
@@ -16,8 +16,11 @@ from oracles.derivatives import central_differences
 from oracles.stacks import Stack, by_tmm, random_stack
 
 import mistray
-from mistray.physics import thinfilm
+from mistray.physics import fresnel, thinfilm
+from mistray.physics.fresnel import cos2_refracted, reflectance
 from mistray.physics.thinfilm import amplitudes, reflectance_transmittance
+
+pytestmark = pytest.mark.quick
 
 GLASS = 1.5168
 # Vectors: 1e-12 where the computation is float64 throughout; 2e-6 with float32 arguments.
@@ -225,7 +228,7 @@ class TestEnergy:
 
 class TestLimits:
     @each_library
-    def test_total_reflection(self, library):
+    def test_total_and_frustrated_total_reflection(self, library):
         """|r| = 1 and the phases of Born and Wolf, 7th ed., section 1.5.4; it survives lossless layers."""
         cosine = cosines(np.linspace(41.5, 89.9, 50))
         for layers in (((1.38, 2.1, 1.2), (90.0, 50.0, 200.0)), ((), ())):
@@ -236,10 +239,7 @@ class TestLimits:
         s, p = -2 * np.arctan(decay / (GLASS * cosine)), -2 * np.arctan(GLASS * decay / cosine)
         slack = 100 * library.tolerance  # the phase is steep at the critical angle
         np.testing.assert_allclose(np.angle(r / np.exp(1j * np.array([s, p]))), 0, atol=slack)
-
-    @each_library
-    def test_frustrated_total_reflection(self, library):
-        """Airy's formula for a gap with the internal reflection coefficient, for a real exponent that may underflow."""
+        # Airy's formula for a gap with the internal reflection coefficient, for a real exponent that may underflow
         cosine, gap, wavelength = cosines(55.0), np.array([1.0, 30.0, 200.0, 1000.0, 1e6]), 550.0
         decay = np.sqrt(GLASS**2 * (1 - cosine**2) - 1)
         through = np.exp(-2 * math.pi * decay * gap / wavelength)
@@ -273,7 +273,7 @@ class TestLimits:
                 np.testing.assert_allclose(found, by_tmm(stack, 550.0, 0.6), rtol=0, atol=1e-13)
 
     @each_library
-    def test_grazing_incidence(self, library):
+    def test_grazing_incidence_and_thick_absorbing_layers(self, library):
         """cos θ = 0: all is reflected, unless there is no step of the index at all."""
         for stack in (INTERNAL["glass_MgF2_air"], designs()["HR_(HL)^7H"], designs()["Al_SiO_HW"]):
             R, T, r, t = library.solve(stack, 550.0, 0.0)
@@ -283,10 +283,7 @@ class TestLimits:
         R, T, *_ = library.solve(Stack(1.5, (1.5, 1.5), (100.0, 200.0), 1.5), 550.0, [0.0, 1e-9, 0.5])
         np.testing.assert_allclose(R, 0, atol=1e-7)
         np.testing.assert_allclose(T, 1, atol=1e-7)
-
-    @each_library
-    def test_thick_absorbing_layers(self, library):
-        """A millimetre of silver, forty times: R of bulk silver, T = 0, no NaN."""
+        # A millimetre of silver, forty times: R of bulk silver, T = 0, no NaN
         silver = 0.055 + 3.32j
         stack = Stack(1.0, (silver,) * 40, (1e6,) * 40, 1.5)
         cosine = cosines([0, 30, 60, 89, 90])
@@ -320,8 +317,6 @@ class TestCalls:
         assert type(r) is type(t) is complex_
         assert dr.width(r) == 2
 
-
-pytestmark = pytest.mark.quick
 
 WAVELENGTH = 550.0
 # Differences of fourth order: h⁴f⁽⁵⁾/30 of truncation and 1e-15/h of rounding, with f of order 1 in 2πnd/λ, are below
@@ -465,3 +460,40 @@ def test_finite_everywhere(real):
     for stack, cosine in places:
         assert np.all(np.isfinite(forward(stack, np.array(cosine), getattr(mi, real))))
         assert np.all(np.isfinite(backward(stack, np.array(cosine), np.ones(12), getattr(mi, real))))
+
+
+def refracted(angle_deg, n1, n2):
+    cos_i = math.cos(math.radians(angle_deg))
+    return cos_i, math.sqrt(max(0.0, cos2_refracted(cos_i, n1, n2)))
+
+
+def test_vectors():
+    for row in vectors.frame("fresnel.csv").itertuples():
+        at = *refracted(row.aoi, row.n1, row.n2), row.n1, row.n2
+        assert reflectance(*at) == pytest.approx(row.Runpol, abs=1e-12)
+        assert np.square(fresnel.amplitudes(*at)) == pytest.approx((row.Rs, row.Rp), abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [1.0, 1.3, 1.5168, 4.0])
+def test_limits(n):
+    """Normal and grazing incidence, the critical angle, and the same R from either side along a pair of angles."""
+    assert reflectance(1.0, 1.0, 1.0, n) == pytest.approx(((n - 1) / (n + 1)) ** 2, abs=1e-15)
+    assert reflectance(0.0, 0.0, n, n) == 0.0  # grazing without a step: 0/0 without the guard
+    cos_i = np.linspace(0.01, 1, 50)
+    cos_t = np.sqrt(cos2_refracted(cos_i, 1.0, n))
+    np.testing.assert_allclose(reflectance(cos_i, cos_t, 1.0, n), reflectance(cos_t, cos_i, n, 1.0), rtol=1e-13)
+    if n > 1:
+        assert reflectance(0.0, math.sqrt(1 - 1 / n**2), 1.0, n) == pytest.approx(1.0)
+        assert reflectance(*refracted(89.999, n, 1.0), n, 1.0) == pytest.approx(1.0, abs=1e-15)
+        cosine = math.cos(math.asin(1 / n))
+        assert cos2_refracted(cosine, n, 1.0) == pytest.approx(0, abs=4e-16 * n * n)
+        assert cos2_refracted(cosine - 1e-6, n, 1.0) < 0 < cos2_refracted(cosine + 1e-6, n, 1.0)
+
+
+def test_float32_stays_finite_and_in_range():
+    cos_i = np.concatenate([np.linspace(0, 1, 1001), [1e-7, 1e-20, 1e-38]]).astype(np.float32)
+    for n1, n2 in [(1.0, 1.5), (1.5, 1.0), (1.0, 1.0)]:
+        cos_t = np.sqrt(np.maximum(cos2_refracted(cos_i, np.float32(n1), np.float32(n2)), np.float32(0)))
+        r = reflectance(cos_i, cos_t, np.float32(n1), np.float32(n2))
+        assert r.dtype == np.float32
+        assert np.all((r >= 0) & (r <= 1 + 1e-6))

@@ -262,7 +262,7 @@ def test_it_is_another_index(name: str) -> None:
     assert compiled[1:] == [0, 0]
 
 
-def test_two_shifts_are_two_media() -> None:
+def test_two_shifts_are_two_media_and_bad_updates_change_nothing() -> None:
     scene = plate("N-BK7", {})
     assert SurfaceTable(scene, 550.0).optics.media == ["unknown", "air", "N-BK7"]
     params = mi.traverse(scene)
@@ -272,9 +272,6 @@ def test_two_shifts_are_two_media() -> None:
     front, rear = (shape.bsdf() for shape in scene.shapes() if shape.id() in ("front", "rear"))
     assert front.indices(500.0)[1] == rear.indices(500.0)[0] + SHIFT
     assert front.complex_indices(500.0)[1] == rear.complex_indices(500.0)[0] + SHIFT
-
-
-def test_bad_updates_leave_everything() -> None:
     bsdf = mi.load_dict({"type": "interface", "id": "face", "back": "1.5", "R": 0.1, "T": 0.8})
     params = mi.traverse(bsdf)
     for key, value, words in (
@@ -350,7 +347,7 @@ def test_direction_and_cross_section(plane: str, field_deg: float, azimuth_deg: 
     assert np.mean(np.sum(place**2, axis=1)) == pytest.approx(2.0, abs=4 * 2 / np.sqrt(3 * len(place)))
 
 
-def test_annulus_rectangle_and_start() -> None:
+def test_annulus_rectangle_start_and_grid() -> None:
     """Uniform, outside of the scene, or at a distance that is given."""
     origin, _ = start_rays(scene_with({"radius": 2.0, "inner_radius": 1.5}))
     r = np.hypot(origin[:, 0], origin[:, 1])
@@ -366,9 +363,6 @@ def test_annulus_rectangle_and_start() -> None:
         assert (corners @ direction[0]).min() > (origin @ direction[0]).max()
     origin, _ = start_rays(scene_with({"radius": 2.0, "distance": 7.0}, z=9.0))
     np.testing.assert_allclose(origin[:, 2], -7.0, atol=1e-6)
-
-
-def test_grid() -> None:
     scene = scene_with({"half_width": 1.0, "half_height": 2.0, "pattern": "grid"})
     t = mistray.trace(scene, rays=1000)
     assert t.settings["rays"] == 31**2

@@ -111,15 +111,12 @@ def target(**values: Any) -> Any:
     return mi.load_dict({"type": "target", "surfaces": "lens", **values})
 
 
-def test_parameters() -> None:
+def test_parameters_and_a_target_is_no_surface_of_the_ray_tree() -> None:
     bsdf = target(surfaces=" a_*,b ,", rays=10, scale=2, hole=0.5, reverse=True)
     assert bsdf.is_target
     assert (bsdf.surfaces, bsdf.rays, bsdf.scale, bsdf.hole, bsdf.reverse) == (("a_*", "b"), 10, 2, 0.5, True)
     plain = target()
     assert (plain.surfaces, plain.rays, plain.scale, plain.hole, plain.reverse) == (("lens",), 1, 1, 0, False)
-
-
-def test_a_target_is_no_surface_of_the_ray_tree() -> None:
     given = {
         "beam": {"type": "collimated", "radius": 1.0},
         "lens": {"type": "asphere", "semi_diameter": 3.0, "bsdf": {"type": "interface", "R": 0.1, "T": 0.9}},
@@ -204,7 +201,7 @@ def test_a_scene_of_a_file(plate: Path, load_text) -> None:
 
 
 @pytest.mark.quick
-def test_light_of_surfaces() -> None:
+def test_light_of_surfaces_and_a_probe_under_stock_integrators() -> None:
     """`surface_maps` and `flux_split` on a Lambertian wall across a beam of 1 W/mm²: shares and map in closed form."""
     scene = scene_dicts.load(
         beam={"type": "collimated", "half_width": 3.0, "half_height": 2.0},
@@ -221,11 +218,7 @@ def test_light_of_surfaces() -> None:
     value, se = found["maps"].maps["wall"].irradiance
     assert value.shape == (4, 6)
     assert np.all(np.abs(value - 1) < 6 * se)  # of 24 cells, from 32 batches: a false alarm in 3e-5 of runs
-
-
-@pytest.mark.quick
-def test_stock_integrators_see_the_irradiance_of_a_probe() -> None:
-    """π L under a uniform sky, however it is turned."""
+    # π L under a uniform sky, however it is turned
     scene = scene_dicts.load(
         probe={"type": "probe", "half_width": 2.0, "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 50)},
         sky={"type": "constant", "radiance": 2.0},

@@ -314,7 +314,7 @@ def test_defaults() -> None:
 
 
 class TestParameters:
-    def test_update_makes_the_mesh_again(self) -> None:
+    def test_updates_make_the_mesh_again_and_change_the_trace(self) -> None:
         """float32 cannot hold 0.1: what is not changed stays as the scene gave it."""
         shape = mi.load_dict(ASPHERE | {"conic": 0.1})
         params = mi.traverse(shape)
@@ -332,9 +332,7 @@ class TestParameters:
         params["curvature"] = params["curvature"] * 1.01
         params.update()
         assert shape.values["curvature"] == pytest.approx(-0.0303, rel=1e-6)
-
-    def test_update_in_a_scene_changes_the_trace(self) -> None:
-        """A plate that becomes a lens of f = 60/0.5 = 120 mm, 15 mm before the screen, and a plate again."""
+        # A plate that becomes a lens of f = 60/0.5 = 120 mm, 15 mm before the screen, and a plate again
         scene = mistray.load("plate")
         params = mi.traverse(scene)
         radii = []

@@ -38,15 +38,13 @@ class TestParameters:
         bsdf = load(layers="1.38 100, 2.1 50", n_shift="0.01, -0.02", k_shift="0 0.001")
         np.testing.assert_allclose(bsdf.coating.indices(550.0), [1.39, 2.08 + 0.001j], rtol=1e-7)
 
-    def test_files(self, tmp_path: Path) -> None:
+    def test_files_and_those_beside_the_scene(self, tmp_path: Path) -> None:
         (tmp_path / "ar.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,.1,.9\n")
         assert load(table=str(tmp_path / "ar.csv")).film is None
         zemax, mirror = load(table=f"{SAMPLE}:AR2"), load(table=f"{SAMPLE}:ALUM", opaque=True)
         np.testing.assert_allclose(np.array(zemax.thickness_nm), [99.8185, 0.5 * 550 / 2.05, 10.0], rtol=1e-6)
         assert (zemax.opaque, mirror.opaque) == (False, True)
         assert mirror.coating.layers[-1].thickness_nm > 500
-
-    def test_files_lie_beside_the_scene(self, tmp_path: Path) -> None:
         (tmp_path / "glass.csv").write_text("wavelength_nm,n,k\n500,1.5,0\n600,1.5,0\n")
         (tmp_path / "c.dat").write_text("MATE L\n0.55 1.38 0\nCOAT AR\nL .25\n")
         film = '<bsdf type="interface"><string name="back" value="glass.csv"/><bsdf type="thinfilm">{}</bsdf></bsdf>'

@@ -1,18 +1,42 @@
 """Prisms, boxes, cubes and plates: closed bodies that do to light what textbooks say, and arrays."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import vectors
+from sequential_lenses import by_name, lens, newtonian, triplet
 
 import mistray
-from mistray import Coating, Detector, Prescription, Source, Structure, Surface
+from mistray import Detector, MistrayError, Prescription, Source
 from mistray.physics.geometry.outline import Outline, OutlineFigure
-from mistray.prescription import array, beam_splitter_cube, box, circle, moved_as_one, plate, polygon, prism, rectangle
+from mistray.prescription import (
+    Coating,
+    Decentre,
+    Row,
+    Sequential,
+    Structure,
+    Surface,
+    Unread,
+    array,
+    beam_splitter_cube,
+    box,
+    circle,
+    moved_as_one,
+    plate,
+    polygon,
+    prism,
+    rectangle,
+)
+from mistray.prescription.closing.system import build, to_prescription
+from mistray.prescription.scene_file import beside
+from mistray.prescription.sequential.rays import to_world, trace
 from mistray.recorders import FarField, Probe
 from mistray.trace import Trace
 
 pytestmark = pytest.mark.quick
+
 FAR = Detector("far", z=500.0, half_width=1.0, half_height=1.0)
 BEAM = Source(radius=1.0, z=-50.0)
 CIRCLE, ELLIPSE = OutlineFigure("circle", sizes=(5.0,)), OutlineFigure("ellipse", sizes=(2.0, 1.0))
@@ -103,7 +127,7 @@ class TestPrism:
 
 
 class TestCubeAndBox:
-    def test_cube(self) -> None:
+    def test_cube_and_box(self) -> None:
         """R of the diagonal goes to +y and T on, through two bare faces; also turned and displaced with its beam."""
         cube = beam_splitter_cube("cube", 20.0, material="1.5", splitter=Coating(R=0.3, T=0.6))
         up = Detector("up", y=100.0, tilt_deg=(90.0, 0.0, 0.0), half_width=5.0, half_height=5.0)
@@ -117,9 +141,7 @@ class TestCubeAndBox:
         (up,) = moved_as_one([up], **motion)
         t = traced(*moved_as_one(cube, **motion), detectors=(up,), source=beam, max_reflections=1)
         assert t.energy.detected_W == pytest.approx(np.pi * 0.3 * 0.96**2, rel=1e-5)
-
-    def test_box(self) -> None:
-        """It takes all light that meets it, wherever it stands."""
+        # It takes all light that meets it, wherever it stands
         dark = box("dark", (1.0, 2.0, 3.0), centre=(0.3, -0.2, 10.0))
         beam = Source(half_width=3.0, half_height=3.0, z=-5.0)
         glass = Surface("glass", z=-1.0, semi_diameter=9.0, coating=Coating(R=0.0, T=1.0))
@@ -238,3 +260,286 @@ class TestPlacing:
         traced(tipped, recorders=[seen], max_reflections=0, source=Source(radius=0.001, z=-1.0))
         y = (int(np.argmax(seen.irradiance[0][:, 0])) + 0.5) * 6 / 301 - 3
         assert abs(abs(y) - 10 * math.tan(math.radians(0.2))) < 6 / 301
+
+
+def changed(number: int, given: Sequential | None = None, **values: object) -> Sequential:
+    """The triplet with other values of one row."""
+    given = given or triplet()
+    return given.with_rows([replace(row, **values) if row.number == number else row for row in given.rows])
+
+
+def test_a_triplet_is_closed_from_the_first_rim_to_the_detector():
+    closed = to_prescription(triplet())
+    shapes = by_name(closed)
+    assert [s.name for s in closed.surfaces] == ["S1", "S2", "S3", "S4", "S6", "S7"]
+    assert [s.part for s in closed.surfaces] == ["L1", "L1", "L2", "L2", "L3", "L3"]
+    assert shapes["S6"].z == pytest.approx(3.25896 + 6.00755 + 0.99998 + 2.0 + 2.75041)
+    # Each rim is the end of a wall and of an edge or its flange
+    pieces = [shape for shape in shapes.values() if isinstance(shape, Structure)]
+    profile = [end for piece in pieces for end in ((piece.r0, piece.z0), (piece.r1, piece.z1))]
+    for surface in closed.surfaces:
+        met = sum(math.dist(surface.rim, end) < 1e-9 for end in profile)
+        assert met == (1 if surface.name == "S1" else 2), surface.name
+    assert any(math.dist(end, closed.detector.rim) < 1e-9 for end in profile)
+    boards = [f"board_{side}" for side in ("bottom", "left", "right", "top")]
+    assert sorted(name for name in shapes if name.startswith("board")) == boards
+    for lens_name, glass in (("L1", "1.62041"), ("L2", "1.62005"), ("L3", "1.62041")):
+        edge = shapes[f"{lens_name}_edge"]
+        assert (edge.front, edge.coating, edge.r0) == (glass, Coating(R=0.0), edge.r1)
+    # The stop has the hole of the real marginal ray and closes the tube: outside of the wall that it pierces
+    hits, _ = trace(triplet(), [[0.0, 5.0, -1.0]], [[0.0, 0.0, 1.0]])
+    stop, barrel = closed.stop, shapes["barrel_2_wall"]
+    assert stop.radius == pytest.approx(hits[4, 0, 1], rel=1e-12)
+    assert stop.z_front == stop.z_rear == pytest.approx(3.25896 + 6.00755 + 0.99998 + 2.0)
+    assert stop.outer_front > np.interp(stop.z_front, [barrel.z0, barrel.z1], [barrel.r0, barrel.r1])
+
+
+def test_the_rectangle_that_the_image_states_is_the_detector():
+    """The image of the fields is no measure of a sensor: what lies beyond it sees past the rims of the lenses."""
+    given = triplet()
+    image = given.rows[-1]
+
+    def detector(aperture: Outline | None, **chosen):
+        row = replace(image, aperture=aperture, semi_diameter=5.0)
+        built = build(replace(given, rows=(*given.rows[:-1], row)), **chosen)
+        found = built.prescription.detector
+        return (found.half_width, found.half_height), " ".join(built.notes)
+
+    free, plain = detector(None)
+    assert free[0] == free[1] >= 1.02 * 5.0
+    wide, notes = detector(rectangle(240.0, 180.0))
+    assert (wide, notes) == ((240.0, 180.0), plain)
+    small, notes = detector(rectangle(3.0, 4.0))
+    assert small == (3.0, 4.0)
+    assert "field (0, 20)" in notes, "whose light meets no detector"
+    assert detector(rectangle(3.0, 4.0), detector_half_mm=(2.0, 1.0))[0] == (2.0, 1.0)
+    for other in (circle(5.0), rectangle(3.0, 4.0, y=1.0)):
+        size, notes = detector(other)
+        assert size[0] == size[1] >= 5.0
+        assert "no rectangle about its middle" in notes
+
+
+def test_clear_radii_are_those_of_rays_with_a_margin_unless_the_file_gives_them():
+    given = changed(6, changed(2, semi_diameter=12.0), semi_diameter=5.0, semi_diameter_fixed=True)
+    built = build(given, margin=0.1)
+    shapes = by_name(built.prescription)
+    assert (shapes["S2"].semi_diameter, shapes["S6"].semi_diameter) == (12.0, 5.0)
+    assert any("of 17 rays" in note and "at surface 6" in note for note in built.notes)
+    # The rays of 20° fill the stop; its upper and lower rims bound the first surface
+    assert shapes["S1"].semi_diameter > 1.1 * 5.0
+    narrow, wide = (by_name(to_prescription(triplet(), margin=m))["S1"].semi_diameter for m in (0.0, 0.1))
+    assert wide == pytest.approx(1.1 * narrow, rel=1e-12)
+    built = build(changed(1, semi_diameter=6.0))
+    assert by_name(built.prescription)["S1"].semi_diameter > 9.0
+    assert any("drawn clear radii" in note and note.endswith("surfaces 1") for note in built.notes)
+
+
+def test_cemented_lenses_share_a_rim_and_no_face_stands_twice():
+    rows = (
+        Row(1, radius=61.0, thickness=6.0, material="1.5168", stop=True, label="crown"),
+        Row(2, radius=-44.0, thickness=2.5, material="1.6727"),
+        Row(3, radius=-130.0, thickness=95.0),
+    )
+    doublet = lens(*rows, Row(4, kind="image"), aperture=20.0, fields=((0.0, 0.0), (0.0, 3.0)))
+    prescription = to_prescription(doublet)
+    shapes = by_name(prescription)
+    edges = [shapes["L1_edge"], shapes["L2_edge"]]
+    assert len({edge.r0 for edge in edges} | {edge.r1 for edge in edges}) == 1
+    assert edges[0].z1 == edges[1].z0
+    pieces = [piece for piece in prescription.structures if isinstance(piece, Structure)]
+    rings = [(piece.r0, piece.z0, piece.r1, piece.z1) for piece in pieces if piece.z0 == piece.z1]
+    assert len(rings) == len(set(rings))
+    assert shapes["crown"].part == "L1"
+
+
+def test_rays_of_the_table_meet_the_surfaces_of_the_prescription():
+    """Every point of the float64 trace, put into the world, lies on the placed surface."""
+    for given in (triplet(), newtonian()):
+        shapes = [*to_prescription(given).surfaces, to_prescription(given).detector]
+        starts = np.array([[x, y, -10.0] for x, y in ((0, 0), (1, 2), (-3, 1), (0, -4))], dtype=float)
+        hits, _ = trace(given, starts, np.tile([0.0, 0.0, 1.0], (4, 1)))
+        places = to_world(given, hits)
+        rows = [k for k, row in enumerate(given.rows) if row.mirror or row.material != "air" or row.kind == "image"]
+        for k in rows:
+            row = given.rows[k]
+            name = "detector" if row.kind == "image" else row.label or f"S{row.number}"
+            (shape,) = (shape for shape in shapes if shape.name == name)
+            own = np.linalg.inv(shape.to_world())
+            local = places[k] @ own[:3, :3].T + own[:3, 3]
+            flat = replace(shape, x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0))
+            assert local[:, 2] == pytest.approx(flat.z_at(np.hypot(local[:, 0], local[:, 1])), abs=1e-9)
+
+
+def test_coatings_come_by_name_and_edges_are_ground_or_open():
+    given = changed(3, changed(2, changed(1, coating="AR"), coating="lib/COATING.DAT:HEAR1"), coating="unknown")
+    built = build(given, coatings={"ar": Coating(preset="mgf2_quarter_wave")})
+    shapes = by_name(built.prescription)
+    assert shapes["S1"].coating == Coating(preset="mgf2_quarter_wave")
+    assert shapes["S2"].coating == Coating(table="lib/COATING.DAT:HEAR1")
+    assert shapes["S3"].coating is None
+    assert "coating 'unknown' of surface 3 is not given (coatings=): it is bare" in built.notes
+    assert by_name(beside(built.prescription, "out"))["S2"].coating.table == "../lib/COATING.DAT:HEAR1"
+    built = build(changed(1, material="nd=1.62 Vd=60"))
+    assert by_name(built.prescription)["S1"].back == "nd=1.62 Vd=60 k=0"
+    assert "material 'nd=1.62 Vd=60': its absorption is unknown and taken for 0" in built.notes
+    ground = by_name(to_prescription(triplet(), edges="ground", ground_reflectance=0.3))
+    (model,) = ground["L2_edge"].scatter
+    assert (model.kind, dict(model.properties), model.name) == ("paint", {"reflectance": 0.3}, "ground_edge")
+    assert ground["barrel_1_wall"].scatter == ()
+    open_ = by_name(to_prescription(triplet(), edges="open"))
+    assert open_["L2_edge"].coating is None
+    assert not any(name.startswith(("barrel", "board")) for name in open_)
+
+
+def test_provenance_lists_notes_and_every_line_without_effect(tmp_path):
+    pickups = Unread(0, "pickups", "values are taken as they are")
+    lines = ((12, "  XDAT 1 2", "not read"), (40, "TOL -- 3", "a tolerance"), (3, "\x01\x02 bad", "?"))
+    unread = tuple(Unread(*line) for line in lines)
+    given = replace(triplet(object_distance=500.0), name="a\x00b", source="Zemax file a.zmx", unread=(*unread, pickups))
+    prescription = to_prescription(given)
+    lines = prescription.provenance.splitlines()
+    assert lines[0] == "From Zemax file a.zmx."
+    assert "Without effect, line 12: XDAT 1 2 (not read)" in lines
+    assert "Without effect: pickups (values are taken as they are)" in lines
+    # Its pupil lies in the stop, which the source's frame has its origin in
+    source = prescription.source
+    assert source.distance - source.z == pytest.approx(500.0)
+    assert "Note: the object is virtual" in to_prescription(triplet(object_distance=-500.0)).provenance
+    prescription.to_xml(tmp_path / "a.xml")
+    text = (tmp_path / "a.xml").read_text(encoding="utf-8")
+    assert "line 40: TOL - - 3 (a tolerance)" in text
+    assert "\\x01\\x02 bad" in text
+    assert not set(map(chr, range(32))) - {"\n"} & set(text)
+
+
+def test_the_source_fills_the_pupil_or_the_front():
+    weighted = triplet(wavelengths_nm=(486.1, 587.6, 656.3), weights=(1.0, 2.0, 0.0), primary=1)
+    source = to_prescription(weighted, beam="exact").source
+    assert (source.radius, source.plane, source.pupil_area) == (5.0, "axis", None)
+    assert source.wavelength_nm == (486.1, 587.6)
+    assert source.weights == pytest.approx((1 / 3, 2 / 3))
+    built = build(triplet(), beam="front")
+    front = by_name(built.prescription)["S1"].semi_diameter
+    assert built.prescription.source.radius == pytest.approx(1.05 * front)
+    assert built.prescription.source.pupil_area == pytest.approx(math.pi * front**2)
+    # At the first field, slopes tan 3° and tan 4° in x and y: the azimuth turns from +y towards -x
+    tangents = [math.tan(math.radians(angle)) for angle in (3.0, 4.0)]
+    source = to_prescription(triplet(fields=((3.0, 4.0), (0.0, 0.0)))).source
+    assert source.field_deg == pytest.approx(math.degrees(math.atan(math.hypot(*tangents))), abs=1e-8)
+    assert source.azimuth_deg == pytest.approx(-math.degrees(math.atan2(*tangents)), abs=1e-8)
+    down = to_prescription(triplet(fields=((0.0, -5.0), (0.0, 5.0)))).source
+    assert (down.field_deg, down.azimuth_deg) == (-5.0, 0.0)
+
+
+def test_what_is_no_lens_to_build():
+    built = build(triplet(fields=tuple((0.0, 0.1 * k) for k in range(200))))
+    assert "of 200 fields the 24 outermost give sizes and vignetting" in built.notes
+    rows = triplet().rows
+    many = [*rows[:-1], *(Row(number, thickness=0.1) for number in range(8, 501)), rows[-1]]
+    for given, options, words in (
+        (triplet(), {"beam": "all"}, "beam = 'all'"),
+        (triplet(), {"edges": "shiny"}, "edges = 'shiny'"),
+        (changed(1, radius=1e-300), {}, "lens 'test'"),
+        (triplet().with_rows(many), {}, "has 501 surfaces, more than 500"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            build(given, **options)
+
+
+def test_surfaces_that_would_cross_end_where_they_meet():
+    """An equiconvex lens of R = 50, t = 2: the faces meet where 2 sag = 2, r² = 2 R - 1."""
+    biconvex = lens(
+        Row(1, stop=True, thickness=8.0),
+        Row(2, radius=50.0, thickness=2.0, material="1.5", semi_diameter=15.0),
+        Row(3, radius=-50.0, thickness=49.0, semi_diameter=15.0),
+        Row(4, kind="image"),
+    )
+    built = build(biconvex)
+    shapes = by_name(built.prescription)
+    knife = math.sqrt(2 * 50.0 * 1.0 - 1.0)
+    for name in ("S2", "S3"):
+        assert shapes[name].semi_diameter == pytest.approx(knife, rel=0.01)
+        assert shapes[name].semi_diameter < knife
+    assert any("'S2' and 'S3' cross" in note for note in built.notes)
+
+
+def test_names_of_surfaces_and_bodies_and_those_not_kept():
+    for labels, names, parts in vectors.toml("tables.toml")["names of surfaces"]:
+        named = zip(triplet().rows, [*labels.split(";"), *8 * [""]], strict=False)
+        rows = [replace(row, label=name) for row, name in named]
+        prescription = to_prescription(triplet().with_rows(rows))
+        assert [s.name for s in prescription.surfaces][:4] == names.split()
+        assert [s.part for s in prescription.surfaces][:4:2] == parts.split()
+    labels = ["L1 front", "it's", "twin", "twin", "iris", "stop_front", "", "FPA"]
+    rows = [replace(row, label=name) for row, name in zip(triplet().rows, labels, strict=True)]
+    prescription = to_prescription(triplet().with_rows(rows))
+    (note,) = [line for line in prescription.provenance.splitlines() if "'FPA'" in line]
+    pairs = {"L1 front": "'L1_front'", "twin": "'S3' and 'S4'", "iris": "'stop_front'", "stop_front": "'S6'"}
+    for old, new in {**pairs, "FPA": "'detector'"}.items():
+        assert f"'{old}' is {new}" in note
+    with pytest.raises(MistrayError, match="did you mean 'detector'"):
+        mistray.coat(prescription, {"FPA": "R=0.05"})
+
+
+def test_a_tilted_group_is_closed_in_its_own_frame():
+    tilted = lens(
+        Row(1, thickness=5.0, stop=True),
+        Row(2, kind="coordinate_break", decentre=Decentre(y=1.0, tilt_deg=(10.0, 0.0, 0.0))),
+        Row(3, radius=50.0, thickness=4.0, material="1.5"),
+        Row(4, radius=-50.0, thickness=40.0),
+        Row(5, kind="image"),
+        aperture=8.0,
+    )
+    shapes = by_name(to_prescription(tilted))
+    edge, surface = shapes["L1_edge"], shapes["S3"]
+    assert edge.tilt_deg == surface.tilt_deg == (10.0, 0.0, 0.0)
+    assert (edge.x, edge.y, edge.z) == (surface.x, surface.y, surface.z) == (0.0, 1.0, 5.0)
+    assert isinstance(surface, Surface)
+    assert shapes["board_left"].tilt_deg == (10.0, 0.0, 0.0)
+    assert shapes["detector"].z == pytest.approx(5.0 + 44.0 * math.cos(math.radians(10.0)))
+
+
+def test_the_stop_has_the_apertures_that_the_file_states():
+    shapes = by_name(to_prescription(changed(5, aperture=circle(3.0, 0.5))))
+    assert shapes["stop_front"].r1 == 3.0
+    disc = shapes["S5_obscuration"]
+    assert (disc.semi_diameter, disc.z) == pytest.approx((0.5, shapes["stop_front"].z0), abs=1e-9)
+    assert "S5_aperture" not in shapes
+    shapes = by_name(to_prescription(changed(5, aperture=rectangle(1.0, 3.0))))
+    assert shapes["S5_frame_left"].x + shapes["S5_frame_left"].half_width == pytest.approx(-1.0)
+    rows = list(newtonian().rows)
+    rows[0] = replace(rows[0], obscuration=circle(30.0))
+    rows[1] = replace(rows[1], aperture=circle(110.0, 20.0))
+    rows[3] = replace(rows[3], aperture=rectangle(25.0, 40.0))
+    shapes = by_name(to_prescription(newtonian().with_rows(rows)))
+    assert (shapes["sky_obscuration"].semi_diameter, shapes["sky_obscuration"].coating) == (30.0, Coating(R=0.0))
+    assert (shapes["primary"].semi_diameter, shapes["primary"].inner_semi_diameter) == (110.0, 20.0)
+    assert (shapes["flat"].half_width, shapes["flat"].half_height) == (25.0, 40.0)
+    assert "flat_rim" not in shapes
+    for number in (1, 2):
+        shapes = by_name(to_prescription(changed(number, obscuration=circle(2.0, y=1.0))))
+        patch, surface = shapes[f"S{number}_obscuration"], shapes[f"S{number}"]
+        # 1 µm before the surface, on its figure, in the material before it
+        assert (patch.outline, patch.z) == (circle(2.0, y=1.0), pytest.approx(surface.z - 1e-3))
+        assert (patch.radius, patch.conic) == (surface.radius, surface.conic)
+        assert patch.front == patch.back == surface.front
+
+
+def test_a_freeform_lens_has_an_edge_that_reaches_both_rims():
+    """A toroid in front of a plane: no light gets out between the rims and the edge, which is a little too long."""
+    rows = (
+        Row(1, radius=60.0, sag={"toroid_curvature": -1 / 80}, thickness=6.0, material="1.5", semi_diameter=10.0),
+        Row(2, radius=math.inf, sag={"zernike_6": 0.1, "zernike_radius": 10.0}, thickness=60.0, semi_diameter=10.0),
+        Row(3, kind="image"),
+    )
+    built = build(Sequential("toroid", rows, aperture=12.0, fields=((0.0, 0.0),)))
+    edge = by_name(built.prescription)["L1_edge"]
+    heights = 100 / 120, -100 / 160  # of the rim in y and in x, near enough
+    assert edge.z0 == pytest.approx(min(heights), rel=0.02)
+    assert edge.z1 == pytest.approx(6.0 + 0.1 * math.sqrt(6), rel=1e-6)
+    light = mistray.trace(built.prescription.to_scene(), rays=20_000, field_deg=30.0, max_reflections=3)
+    assert light.energy.cut["medium"] == 0.0
+    assert abs(light.energy.closure) < 1e-5
+    cut = [replace(rows[0], aperture=Outline((OutlineFigure("ellipse", sizes=(9.0, 8.0)),))), *rows[1:]]
+    notes = build(Sequential("toroid", tuple(cut), aperture=12.0)).notes
+    assert any("its outline is no centred circle" in note for note in notes)

@@ -139,7 +139,7 @@ def sag_of(r: np.ndarray | float) -> np.ndarray:
     return np.asarray(c * np.square(r) / (1 + np.sqrt(1 - (1 + CONIC) * c * c * np.square(r))))
 
 
-def test_spots_of_the_rings() -> None:
+def test_spots_of_the_rings_and_rings_of_equal_depth() -> None:
     """Ring k and its focus lie set back: the spot follows from straight lines; 4 SE of 10⁵ rays are 1 %."""
     found = trace(lens().to_scene(), rays=100_000, seed=1)
     rows = {row.events: row for row in found.paths}
@@ -157,9 +157,6 @@ def test_spots_of_the_rings() -> None:
     assert total == pytest.approx(found.energy.launched_W, rel=1e-4)
     assert abs(found.energy.closure) < 1e-6 * found.energy.launched_W
     assert found.energy.escaped_W < 1e-6 * found.energy.launched_W
-
-
-def test_rings_of_equal_depth() -> None:
     faces = fresnel("f", radius=RADIUS, conic=CONIC, semi_diameter=SIZE, depth_mm=0.5, front="1.5")
     risers = [face for face in faces if isinstance(face, Structure)]
     assert len(risers) == math.ceil(abs(float(sag_of(SIZE))) / 0.5) - 1

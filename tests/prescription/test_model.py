@@ -1,16 +1,33 @@
-"""Parts of a prescription: what they refuse, which coatings are opaque, and how shapes stand."""
+"""Parts of a prescription: what they refuse, how shapes stand; near objects, polarised sources, detectors."""
 
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import vectors
 
+import mistray
 from mistray.errors import MistrayError
-from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Structure, Surface
+from mistray.io.to_sequential import to_sequential
+from mistray.io.zemax.write import write_zemax
+from mistray.prescription import (
+    Coating,
+    Detector,
+    ObjectPoint,
+    Prescription,
+    Source,
+    Stop,
+    Structure,
+    Surface,
+    from_zemax,
+)
+from mistray.scene.read_optics import read_optics
 
 pytestmark = pytest.mark.quick
+
 DETECTOR = Detector(z=20.0, half_width=1.0, half_height=1.0)
 SOURCE = Source(radius=1.0)
 AR = Coating(preset="bbar3", name="ar")
@@ -39,11 +56,7 @@ def test_bad_parts():
     for part, values, wanted in (
         (Surface, {"semi_diameter": -5.0}, "surface 'x': semi_diameter is -5; it must lie between 1e-15 and 1e12 mm"),
         (Surface, {"half_width": 1.0}, "give either semi_diameter, both half sizes or an outline"),
-        (
-            Surface,
-            {"semi_diameter": 1.0, "inner_semi_diameter": 1.0},
-            "between 0 and 1 mm, 1 excluded",
-        ),
+        (Surface, {"semi_diameter": 1.0, "inner_semi_diameter": 1.0}, "between 0 and 1 mm, 1 excluded"),
         (Surface, {"semi_diameter": 1.0, "coefficients": (0.0,) * 10}, "at most 9"),
         (Surface, {"half_width": 1.5, "half_height": 1.5, "radius": 2.0}, "2.12132 mm; its conic ends at 2 mm"),
         (Coating, {}, "coating 'x': it has no recipe; give one of R (and T), table, layers and preset"),
@@ -78,15 +91,7 @@ def test_bad_parts():
 
 
 def test_which_coatings_have_layers_and_are_opaque():
-    kinds = [
-        ({"R": 0.1}, False, True),
-        ({"R": 0.1, "T": 0.1}, False, False),
-        ({"table": "a.csv"}, False, False),
-        ({"table": "COATING.DAT:AR"}, True, False),
-        ({"preset": "bbar3"}, True, False),
-        ({"preset": "protected_al"}, True, True),
-        ({"layers": "1.38 10"}, True, False),
-    ]
+    kinds = vectors.toml("tables.toml")["coatings"]
     for recipe, layered, opaque in kinds:
         assert (Coating(**recipe).layered, Coating(**recipe).opaque) == (layered, opaque), recipe
     assert system(*lens(front=AR, rear=AR)).shared_coatings() == {"ar": AR}
@@ -143,3 +148,110 @@ def test_paraxial_and_placement_about_x_then_y_then_z():
     np.testing.assert_allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-15)
     assert not placed.coaxial
     assert Surface("s", semi_diameter=1.0, z=3.0, tilt_deg=(0.0, 0.0, 45.0)).coaxial
+
+
+# An ellipsoid of revolution images one focus in the other without aberrations: at R/(1 - e) and R/(1 + e)
+RADIUS, ECCENTRICITY = -60.0, 0.5
+FAR, NEAR = -RADIUS / (1 - ECCENTRICITY), -RADIUS / (1 + ECCENTRICITY)
+ELLIPSOID = f"""MODE SEQ
+OBNA 0.1 0
+FTYP 1 0 2 1 0 0 0
+XFLN 0 0
+YFLN 0 2
+WAVM 1 0.55 1
+SURF 0
+  DISZ {FAR}
+SURF 1
+  STOP
+  CURV {1 / RADIUS}
+  CONI {-(ECCENTRICITY**2)}
+  GLAS MIRROR 0 0
+  DISZ {-NEAR}
+SURF 2
+  DISZ 0
+  DIAM 3 1
+"""
+
+
+def test_an_ellipsoid_images_its_focus(tmp_path: Path) -> None:
+    """It is written as it was read: Zemax file, scene, Zemax file."""
+    file = tmp_path / "ellipsoid.zmx"
+    file.write_text(ELLIPSOID)
+    lens = from_zemax(file)
+    assert isinstance(lens.source, ObjectPoint)
+    lens.to_xml(tmp_path / "scene.xml")
+    for scene in (lens.to_scene(), mistray.load(tmp_path / "scene.xml")):
+        (direct,) = mistray.trace(scene, rays=20_000, max_reflections=0).paths.select("kind == 'direct'")
+        assert direct.rms_radius_mm < 1e-4
+        assert np.hypot(direct.x_mm, direct.y_mm) < 1e-4
+        moved = mistray.trace(scene, rays=20_000, field_mm=1.0, max_reflections=0)
+        assert moved.paths.select("kind == 'direct'")[0].y_mm == pytest.approx(-NEAR / FAR, rel=0.05)
+    write_zemax(to_sequential(lens), tmp_path / "back.zmx")
+    back = from_zemax(tmp_path / "back.zmx").source
+    assert isinstance(back, ObjectPoint)
+    assert back.distance - back.z == pytest.approx(FAR)
+
+
+EMPTY = Prescription(name="empty", surfaces=(), detector=Detector(z=20.0, half_width=10.0, half_height=10.0))
+SOURCES = [Source(radius=2.0), ObjectPoint(distance=50.0)]
+STATES = [
+    ({"stokes": (0.25, -0.5, 0.75)}, (0.25, -0.5, 0.75)),
+    ({"jones": (1, -1j)}, (0, 0, 1)),
+    ({"jones": (0.5 + 1j, 2)}, ((1.25 - 4) / 5.25, 2 / 5.25, 4 / 5.25)),
+    ({"polarization_deg": 45.0}, (0, 1, 0)),
+    ({}, None),
+]
+
+
+@pytest.mark.parametrize(("light", "stokes"), STATES)
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_polarised_source_comes_back(tmp_path: Path, source, light, stokes) -> None:
+    lens = replace(EMPTY, source=replace(source, **light))
+    file = tmp_path / "lens.xml"
+    lens.to_xml(file)
+    for scene in (lens.to_scene(), mistray.load(file)):
+        (emitter,) = scene.emitters()
+        assert emitter.stokes == pytest.approx(stokes, abs=1e-12)
+    found, _ = read_optics(file)
+    assert {key: getattr(found.source, key) for key in light} == light
+    text = file.read_text(encoding="utf-8")
+    assert any(key in text for key in ("stokes", "jones", "polarization")) == bool(light)
+
+
+def test_sources_of_a_call_and_refusals() -> None:
+    for light in ({"stokes": (1, 1, 1)}, {"jones": (0, 0)}, {"jones": (1, 0), "polarization_deg": 3.0}):
+        for source in SOURCES:
+            with pytest.raises(mistray.MistrayError, match=next(iter(light))):
+                replace(source, **light)
+    scene = mistray.load("plate", sources=["beam:radius=2,stokes=0 0.6 0.8"])
+    (emitter,) = scene.emitters()
+    assert emitter.stokes == pytest.approx((0, 0.6, 0.8))
+    assert mistray.trace(scene, rays=64).paths[0].s2 == pytest.approx(0.6, abs=1e-6)
+
+
+TABLE = """wavelength_nm,angle_deg,R,T
+500,0,0.2,0.1
+500,60,0.4,0.3
+700,0,0.1,0.5
+700,60,0.3,0.6
+"""
+
+
+@pytest.mark.parametrize("field_deg", [0.0, 40.0, 60.0])
+def test_the_books_have_what_is_detected_lost_and_reflected(tmp_path: Path, field_deg: float) -> None:
+    """Linear between the nodes in wavelength and cosine; 600 nm lies in the middle."""
+    (tmp_path / "qe.csv").write_text(TABLE, encoding="utf-8")
+    size = {"half_width": 5.0, "half_height": 5.0}
+    lost = Surface("lost", z=10.1, coating=Coating(R=0.0), **size)
+    sensor = Detector("sensor", z=10.0, coating=Coating(table=str(tmp_path / "qe.csv")), **size)
+    parts = {"surfaces": (), "structures": (lost,), "detector": sensor, "source": Source(z=10.0, radius=1.0)}
+    scene = Prescription(name="sensor", **parts).to_scene()
+    t = mistray.trace(scene, rays=3000, field_deg=field_deg, wavelength_nm=(500.0, 600.0))
+    along = (np.cos(np.radians(field_deg)) - 0.5) / 0.5  # 1 at 0°, 0 at 60°
+    for nm, at_0, at_60 in ((500.0, (0.2, 0.1), (0.4, 0.3)), (600.0, (0.15, 0.3), (0.35, 0.45))):
+        r, lost = along * np.array(at_0) + (1 - along) * np.array(at_60)
+        energy = t.energy_at(nm)
+        assert energy.detected_W == pytest.approx((1 - r - lost) * energy.launched_W, rel=1e-5)
+        assert energy.absorbed["lost"][0] == pytest.approx(lost * energy.launched_W, rel=1e-5)
+        assert energy.escaped_W == pytest.approx(r * energy.launched_W, rel=1e-5)
+    assert abs(t.energy.closure) < 1e-6

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import vectors
 from oracles import nonsequential, scene_xml
 from refusals import refused
 
@@ -19,18 +20,7 @@ from mistray.prescription.sequential.rays import trace
 
 DATA = Path(__file__).parents[1] / "data" / "lenses" / "flaresim"
 # By the maker of a thick biconvex lens: 1/f = (n-1)(2/R - (n-1) t / (n R²)), its stop 1 mm behind
-SINGLET = """# A lens
-# 3 surfaces, 1 glass elements, f/5.0
-
-name: Singlet
-focal_length: 49.2
-
-surfaces:
-# radius thickness ior abbe semi_ap coating
-50.0   5.0   1.5168  64.17  {size}  1
--50.0  1.0   1.0     0.0    {size}  0
-stop   46.0  1.0     0.0    {stop}   0   # a remark
-"""
+SINGLET = vectors.text("flaresim_singlet.txt")
 
 
 def rows_of(path: Path) -> list[list[float]]:
@@ -129,15 +119,7 @@ def test_semi_diameters_by_the_f_number_and_cement(tmp_path):
 
 
 def test_what_cannot_be_read_is_named(tmp_path):
-    for old, new, message in (
-        ("", "", "it has no real focus (focal length -125.4"),
-        ("stop   46.0", "stop   x", r"line 11: thickness is 'x'; give a number"),
-        ("-50.0  1.0   1.0", "-50.0  -70.0   1.0", "line 10: thickness -70 mm; light does not go back"),
-        ("-50.0  1.0   1.0", "-50.0  1.0   0.9", "line 10: index 0.9"),
-        ("surfaces:", "rows:", "it holds no surfaces"),
-        ("{size}  1\n", "{size}  1 cyl_x\n", "line 9: surface of type 'cyl_x'"),
-        ("stop   46.0  1.0 ", "0   46.0  1.5 ", "the last surface has glass behind it"),
-    ):
+    for old, new, message in vectors.toml("refusals.toml")["files of FlareSim"]:
         text = SINGLET.replace(old, new).format(size=16, stop=9.4)
         path = written(tmp_path, text) if old else DATA / "converter.lens"
         with refused(re.escape(message), path.name):

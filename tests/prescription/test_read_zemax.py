@@ -17,15 +17,7 @@ from mistray.prescription.sequential.table import Decentre, Sequential
 
 pytestmark = pytest.mark.quick
 COATINGS = Path(__file__).parents[1] / "data" / "coating_sample.dat"
-SYSTEM = """MODE SEQ
-NAME Singlet
-UNIT MM X W X CM MR CPMM
-ENPD 8
-FTYP 0 0 1 1 0 0 0
-XFLN 0
-YFLN 0
-WAVM 1 0.5875618 1
-PWAV 1"""
+SYSTEM = vectors.text("zemax_system.txt").rstrip()
 FIELD = "FTYP 0 0 1 1 0 0 0\nXFLN 0\nYFLN 0"
 OBJECT = "SURF 0\n  TYPE STANDARD\n  DISZ INFINITY"
 FRONT = "SURF 1\n  STOP\n  TYPE STANDARD\n  CURV 0.02\n  DISZ 5\n  GLAS N-BK7 0 0 1.5 40"

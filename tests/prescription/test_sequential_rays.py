@@ -265,7 +265,7 @@ def test_edge_rays_meet_the_rim_of_the_stop():
     assert start[0, 1] == pytest.approx(5.0 * 0.7)
 
 
-def test_what_has_no_meaning_is_refused():
+def test_what_has_no_meaning_and_apertures_that_no_ray_passes():
     for system, message in (
         ({"aperture": 0.0}, "its aperture .* is 0; it must be greater than 0"),
         ({"aperture_kind": "object_na", "aperture": 0.1}, "object NA 0.1 needs an object at a finite distance"),
@@ -277,10 +277,7 @@ def test_what_has_no_meaning_is_refused():
             edge_rays(singlet(**system))
     with pytest.raises(MistrayError, match=r"lens 'test', surface 1: .*NOGLASS"):
         trace(lens(Row(1, material="NOGLASS")), *parallel(1.0))
-
-
-def test_apertures_that_no_ray_passes():
-    """Of one that no sampled ray passes the lens is not hidden; at the stop itself it is the stop."""
+    # Of one that no sampled ray passes the lens is not hidden; at the stop itself it is the stop
     rows = (Row(7, radius=20.0, material="1.5", decentre=Decentre(y=100.0), stop=True), Row(8, kind="image"))
     with pytest.raises(MistrayError, match=r"no ray reaches the image; field .* 17 at surface 7"):
         edge_rays(Sequential("away", rows, aperture=3.0))

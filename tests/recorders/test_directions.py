@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import plates_text, scene_text, shape_xml
+from refusals import each_refused
 
 import mistray
-from mistray import MistrayError
+from mistray.physics.geometry.healpix import pixel, sides
 from mistray.recorders import FarField, Probe
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences
 from mistray.recorders.direction_recorder import DirectionRecorder
@@ -54,13 +55,12 @@ def test_edges() -> None:
 
 
 def test_bad_cells_are_one_line() -> None:
-    for words, arguments in (
-        ("field_deg is .*; it must lie", {"field_deg": np.array([[1.0, 2.0], [3.0, 4.0]])}),
-        ("field_deg must ascend", {"field_deg": [2.0, 2.0]}),
-        ("is 31; .* two azimuths, 30 degrees", {"azimuths_deg": [0.0, 30.0], "azimuth_cell_deg": 31.0}),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            DirectionGrid.of(**{"field_deg": [1.0]} | arguments)
+    each_refused(
+        ({"field_deg": np.array([[1.0, 2.0], [3.0, 4.0]])}, "field_deg is .*; it must lie"),
+        ({"field_deg": [2.0, 2.0]}, "field_deg must ascend"),
+        ({"azimuths_deg": [0.0, 30.0], "azimuth_cell_deg": 31.0}, "is 31; .* two azimuths, 30 degrees"),
+        by=lambda arguments: DirectionGrid.of(**{"field_deg": [1.0]} | arguments),
+    )
 
 
 def test_solid_angles_and_mean_cosines() -> None:
@@ -92,14 +92,13 @@ def test_nearest_cell() -> None:
         ((-19.0, 300.0), (2, 1)),
     ):
         assert grid.nearest(*direction) == cell
-    for direction, words in (
+    each_refused(
         ((2.1,), "angle 2.1° .*that of 0°.*0 … 2°"),
         ((22.5, 120.0), "angle 22.5° .*that of 20°.*18 … 22°"),
         ((10.0, 60.1), "azimuth 60.1° .*120°"),
         ((10.0, 10.1), "azimuth 10.1° .*0°"),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            grid.nearest(*direction)
+        by=lambda direction: grid.nearest(*direction),
+    )
 
 
 def device_cells(grid: DirectionGrid, d: np.ndarray) -> np.ndarray:
@@ -276,7 +275,7 @@ class TestProbe:
         assert abs(t.energy.closure) < 1e-5
 
     def test_bad_numbers(self, load_text) -> None:
-        for change, words in (
+        each_refused(
             ({"name": " "}, "not blank"),
             ({"half_width": 0.0}, "half_width"),
             ({"half_height": math.nan}, "half_height"),
@@ -287,16 +286,14 @@ class TestProbe:
             ({"pixels": (0, 4)}, "width in pixels"),
             ({"pixels": (65536, 65536)}, "number of its cells"),
             ({"directions": 0}, "number of directions"),
-        ):
-            with pytest.raises(mistray.MistrayError, match=words):
-                Probe(**{"name": "p", "centre": (0, 0, 0)} | change)
-        for numbers, words in (
+            by=lambda change: Probe(**{"name": "p", "centre": (0, 0, 0)} | change),
+        )
+        each_refused(
             ({"edges_deg": (0, 10, 10)}, "do not ascend"),
             ({"edges_deg": (0, 181)}, "edges_deg"),
             ({"azimuths": 0}, "azimuths"),
-        ):
-            with pytest.raises(mistray.MistrayError, match=words):
-                FarField("f", **numbers)
+            by=lambda numbers: FarField("f", **numbers),
+        )
         scene, _ = load_text(plates_text(1))
         twice = [Probe("focus", (0, 0, 1)), FarField("focus")]
         with pytest.raises(mistray.MistrayError, match="2 recorders have the name 'focus'"):
@@ -334,3 +331,45 @@ def test_far_field_of_a_lambertian(load_text) -> None:
         edge = FarField("edge", edges_deg=(0, 5, 170, 180), axis=axis)
         mistray.trace(scene, rays=1000, recorders=[edge])
         assert np.argmax(edge.intensity[0] * edge.solid_angle_sr[:, None]) == row
+
+
+def fine(count: int = 200_000) -> np.ndarray:
+    """Directions that cover the sphere evenly: a Fibonacci lattice."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.pi * (1 + 5**0.5) * np.arange(count)
+    return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+
+
+def test_rings_go_south() -> None:
+    """The mean of cos θ falls from ring to ring: 4, 8, …, 4 N pixels, then 4 N in each of the belt."""
+    side = 8
+    d = fine()
+    number = pixel(side, d, False)
+    z = np.bincount(number, d[:, 2]) / np.bincount(number)
+    rings = np.split(z, np.cumsum([4 * min(k, side, 4 * side - k) for k in range(1, 4 * side)])[:-1])
+    assert max(float(np.ptp(ring)) for ring in rings) < 0.01
+    assert np.all(np.diff([ring.mean() for ring in rings]) < 0)
+
+
+@pytest.mark.parametrize("side", [1, 2, 4, 8, 16])
+def test_equal_areas_and_nested_parts(side: int) -> None:
+    """Of an even cover each pixel has as many points but for those along its rim; both numbers are of one pixel."""
+    d = fine()
+    ring, nested = (pixel(side, d, which) for which in (False, True))
+    each = len(d) / (12 * side * side)
+    for numbers in (ring, nested):
+        count = np.bincount(numbers)
+        assert len(count) == 12 * side * side
+        assert np.max(np.abs(count - each)) < 3 * np.sqrt(each)
+    assert np.array_equal(pixel(2 * side, d, True) // 4, nested)
+    assert len(np.unique(12 * side**2 * ring + nested)) == 12 * side * side
+
+
+def test_the_twelve_faces() -> None:
+    """Centres at cos θ = 2/3, 0, -2/3 and azimuths of 45°, 0°, 45° plus quarters of a turn."""
+    turn = np.radians([45, 135, 225, 315, 0, 90, 180, 270, 45, 135, 225, 315])
+    z = np.repeat([2 / 3, 0, -2 / 3], 4)
+    d = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
+    for nested in (False, True):
+        assert pixel(1, d, nested).tolist() == list(range(12))
+    assert (sides(12), sides(48), sides(3072), sides(13), sides(0)) == (1, 2, 16, 0, 0)

@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from lit_detector import BLACK, hazy_block, lit, meter, square, towards_origin
 from oracles.scatter_scenes import placed_xml, scatter_scene
 from oracles.small_scenes import scene_text, shape_xml, write
@@ -470,15 +471,7 @@ def test_a_lens_on_the_design_path_is_aimed_at_the_image_of_the_detector() -> No
     assert se < 0.5 * blind_se
 
 
-KINDS = {
-    "disk": {"type": "disk", "scale": 8.0},
-    "sphere": {"type": "sphere", "radius": 8.0},
-    "ellipsoid": {"type": "sphere", "half_axes": "3, 9, 20"},
-    "point": {"type": "sphere", "radius": 1.0, "about": "point", "cone_deg": 5.0},
-    "direction": {"type": "disk", "about": "direction", "cone_deg": 12.0},
-    "specular": {"type": "disk", "about": "specular", "cone_deg": 50.0},
-    "entity": {"type": "disk", "entity": "detector"},
-}
+KINDS = vectors.toml("tables.toml")["targets of media"]
 
 
 def target(angle_deg: float, rays: int, kind: str) -> dict[str, Any]:

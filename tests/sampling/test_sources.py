@@ -373,15 +373,7 @@ def test_a_rough_axis_is_named() -> None:
         turned_scene({**source, "half_angle_deg": 1e-3}, turn)
 
 
-FILES = {
-    "no unit.csv": "x,y,z,dx,dy,dz,flux_W\n0,0,-5,0,0,1,1\n",
-    "no unit.dat": "1\n1 2 3 0 0 1 5.5\n",
-    "lines.csv": "x_mm,y_mm,z_mm,dx,dy,dz,flux_W,wavelength_nm\n0,0,-5,0,0,1,1,500\n",
-    "falling.csv": "500,1\n400,2\n",
-    "dark.csv": "400,0\n500,0\n",
-    "hello.ies": "hello\n",
-    "lamp.ies": "IESNA:LM-63-2002\nTILT=NONE\n1 -1 1 3 1 1 2 0.1 0.1 0\n1 1 12.5 0 45 90 0 1 1 1\n",
-}
+FILES = vectors.toml("tables.toml")["files of lamps"]
 METAL = {"type": "interface", "back": "Al"}
 BLOCK = {"type": "sphere", "center": [0, 0, 50], "radius": 5.0, "flip_normals": True, "bsdf": METAL}
 SHAPES = """

@@ -407,7 +407,7 @@ def tm25(
 
 
 class TestTM25:
-    def test_watts_wavelengths_and_further_columns(self, tmp_path: Path) -> None:
+    def test_watts_wavelengths_and_further_columns_and_lumens(self, tmp_path: Path) -> None:
         file = tmp_path / "lamp.TM25RAY"
         file.write_bytes(tm25([[1, 2, 3, 0, 0, 1, 0.5], [4, 5, 6, 0, 0.6, 0.8, 1.5]], watts=8.0, spectrum=1, nm=632.8))
         found = read_ray_set(file)
@@ -421,9 +421,7 @@ class TestTM25:
         assert found.flux_W.tolist() == [1.0, 3.0]  # the header states no total
         assert found.wavelength_nm.tolist() == [450.0, 650.0]
         assert found.directions[1].tolist() == [0, 0, -1]
-
-    def test_lumens(self, tmp_path: Path) -> None:
-        """337 lm that are 0.694 W; without the watts, only with the power of all."""
+        # 337 lm that are 0.694 W; without the watts, only with the power of all
         rows = [[0, 0, 0, 0, 0, 1, 1.0], [1, 0, 0, 0, 0, 1, 3.0]]
         flags = (1, 1, 0, 0, 1, 0, 0, 0)
         (tmp_path / "both.tm25ray").write_bytes(tm25(rows, flags, watts=0.694, lumens=337.0))

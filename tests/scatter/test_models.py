@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import fails, succeeds
-from refusals import refused
+from refusals import each_refused, refused
 
 from mistray.scatter.abg import ABg
 from mistray.scatter.chance import Chance, chance
@@ -78,20 +78,16 @@ def test_wrong_values(model: type, options: dict[str, Any], words: str) -> None:
     assert str(caught.value).startswith((f"{model.__name__} 'lens': ", "particles: "))
 
 
-@pytest.mark.parametrize(
-    ("model", "indices", "words"),
-    [
+def test_light_that_a_model_does_not_describe() -> None:
+    each_refused(
         (HarveyShack(rms_nm=15.0), (1.0, 1.5), r"rms roughness 15 nm is not smooth .*0\.343, limit 0\.251"),
         (HarveyShack(rms_nm=8.0), (1.5, 1.0), "not smooth in reflection"),
         (KCorrelation(20.0, 20.0, 3.0), (1.0, 1.5), "not smooth in reflection at 550 nm"),
         (KCorrelation(100.0, 20.0, 3.0, theory="ghs_full"), (1.0, 1.5), r"100 nm is too much .* limit 2\)"),
         (KCorrelation(**ROUGH, **VECTOR), (1.0, 1.0), "indices are 1 on both sides"),
         (EdgeDiffraction(0.01), (1.0, 1.0), "width_mm is 0.01 mm at 550 nm"),
-    ],
-)
-def test_light_that_a_model_does_not_describe(model: Any, indices: tuple[float, float], words: str) -> None:
-    with refused(words):
-        model.lobes(550.0, *indices, True)
+        by=lambda model, indices: model.lobes(550.0, *indices, True),
+    )
 
 
 @pytest.mark.parametrize(
@@ -161,7 +157,7 @@ def test_paint_over_wavelength() -> None:
         Paint.of(spectrum=paint.spectrum, name="wall").lobes(701.0, 1.0, 1.5, True)
 
 
-def test_shares_and_steps() -> None:
+def test_shares_and_steps_and_refused_scans() -> None:
     """Relative to the specular beam or to all light; the step of index that light meets."""
     for model, shares in (
         (ABg(**ABG), (0, 1, 0)),
@@ -174,17 +170,13 @@ def test_shares_and_steps() -> None:
     assert index_step("reflection", 1.5, 1.0) == 3.0
     with refused("'flat_blak' is unknown"):
         Paint.preset("flat_blak")
-
-
-def test_refused_scans() -> None:
     model, dense = ABg(0.0025, 0.001, 1.8), IncidentLight(n_in=1.5, n_out=1.0)
-    for arguments, words in (
+    each_refused(
         ((model, [90.0]), "angle of incidence 90°"),
         ((model, [60.0], "transmission", dense), "is totally reflected, nothing is transmitted; give smaller angles"),
         ((Paint(0.2), [0.0], "transmission"), "scatters nothing in transmission"),
-    ):
-        with refused(words):
-            scan(*arguments)
+        by=lambda arguments: scan(*arguments),
+    )
 
 
 @pytest.mark.parametrize("frame", ["specular", "normal"])
@@ -223,7 +215,7 @@ def test_the_example_of_the_webinar(capsys: pytest.CaptureFixture[str]) -> None:
         assert "hit" in fails(capsys, *COMMAND, *half)
 
 
-def test_half_of_the_runs_hit() -> None:
+def test_half_of_the_runs_hit_and_what_is_refused() -> None:
     """Counted: 20 000 runs of as many rays as `rays_for` says. False alarm 1e-5 (4.4 standard errors)."""
     for confidence in (0.5, 0.9):
         rays = Chance(0.03, 0.5).rays_for(confidence)
@@ -232,20 +224,13 @@ def test_half_of_the_runs_hit() -> None:
         exact = 1 - (1 - 0.015) ** whole
         assert exact >= confidence > 1 - (1 - 0.015) ** (whole - 1)
         assert abs(hit.mean() - exact) < 4.4 * math.sqrt(exact * (1 - exact) / 20_000)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+    each_refused(
         ((90.0, 1e-6), "scattered direction is 90"),
         ((30.0, 0.0), "solid angle is 0"),
         ((30.0, math.nan), "solid angle is nan"),
         ((0.0, 1.0), "solid angle 1 sr: too large for one value"),
-    ],
-)
-def test_refuses(arguments: tuple[float, float], message: str) -> None:
-    with refused(message):
-        chance(LENS, *arguments)
+        by=lambda arguments: chance(LENS, *arguments),
+    )
 
 
 legendre = functools.cache(np.polynomial.legendre.leggauss)
@@ -332,16 +317,13 @@ def test_ratio(axes: str) -> None:
     assert found[0] == pytest.approx(expected * plain[0], rel=1e-12)
 
 
-def test_nothing_is_transmitted_beyond_the_critical_angle() -> None:
+def test_shares_losses_budget_and_nothing_beyond_the_critical_angle() -> None:
     cos_i = np.cos(np.radians([30.0, 41.0, 42.0, 80.0]))
     assert (lobe_total(LOBES["transmission"], cos_i, 1.5, 1.0) > 0).tolist() == [True, True, False, False]
     for centre, expected in (("specular", 0.0), ("normal", wide(np.sin(np.radians(20))))):
         lobe = Lobe("transmission", wide, centre=centre)
         assert bsdf([lobe], "transmission", cos_i[3], THERE[None], 1.5, 1.0, 1.0)[0] == pytest.approx(expected)
-
-
-def test_shares_and_losses() -> None:
-    """c0 + c1 X + c2 X², and an extinction that is more than what is scattered."""
+    # c0 + c1 X + c2 X², and an extinction that is more than what is scattered
     cos_i = np.array([1.0, 0.5])
     lobe = Lobe("reflection", wide, measure="angle", shares=(0.5, 0.25, 0.125), optical_depth=0.3, oblique_limit=1.5)
     sums = totals([lobe], cos_i, 1.0, 1.0)
@@ -349,9 +331,6 @@ def test_shares_and_losses() -> None:
     assert sums.scattered("reflection", np.array([0.4, 0.4])) == pytest.approx(total * (0.5 + 0.1 + 0.02))
     assert sums.loss["reflection"] == pytest.approx([0.3, 0.45])
     assert sums.scattered("transmission", np.ones(2)) == pytest.approx([0, 0])
-
-
-def test_budget() -> None:
     cos_i = np.cos(np.radians([0.0, 60.0, 80.0]))
     lambertian = Lobe("reflection", lambda r: 0.6 / np.pi + 0 * r, centre="normal", shares=(1.0, 0.0, 0.0))
     sums = totals([lambertian], cos_i, 1.0, 1.0)

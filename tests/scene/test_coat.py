@@ -206,7 +206,7 @@ SCENE = vectors.text("coat.xml")
 
 
 class TestWhatChanges:
-    def test_only_the_new_lines(self, tmp_path: Path) -> None:
+    def test_only_the_new_lines_and_every_way_to_have_a_coating(self, tmp_path: Path) -> None:
         before = TRIPLET.read_text(encoding="utf-8")
         after = recoated(TRIPLET, [SharedCoating("AR", AR, ("L1_front", "L3_rear"))], TRIPLET.parent, "for a test -- x")
         gone, new = changes(before, after)
@@ -214,9 +214,7 @@ class TestWhatChanges:
         coating = ['<bsdf type="thinfilm" id="AR">', '<string name="layers" value="1.38 99.5, 2.1 131.25"/>', "</bsdf>"]
         note = "<!-- Coatings put on by mistray: for a test - - x -->"
         assert [line for line in new if line] == [note, *coating, *2 * ['<ref id="AR"/>']]
-
-    def test_every_way_to_have_a_coating(self, tmp_path: Path) -> None:
-        """Shared interface, shared coating, nested coating, coating alone, nothing: all end with the new design."""
+        # Shared interface, shared coating, nested coating, coating alone, nothing: all end with the new design
         source = write(tmp_path, SCENE)
         done = write_recoated(source, [SharedCoating("AR", AR, ("a", "b", "c", "d", "e"))], tmp_path / "new.xml")
         text = done.read_text(encoding="utf-8")

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
+import vectors
 
 import mistray
 
@@ -94,15 +95,12 @@ def test_what_they_become(bsdf: dict[str, Any], sides: str) -> None:
     assert sides in str(translated(bsdf))
 
 
-def test_two_paints_on_two_sides() -> None:
+def test_paints_on_two_sides_also_of_our_own_surfaces() -> None:
     both = {"type": "twosided", "a": {"type": "diffuse", "reflectance": 0.1}, "b": {"type": "diffuse"}}
     first, second = translated(both).scatter
     assert (first.reflectance, second.reflectance) == pytest.approx((0.1, 0.5))
     assert (first.side, second.side) == ("back", "front")
-
-
-def test_our_own_surfaces_are_painted_on_both_sides() -> None:
-    """Light comes to an asphere from its front, and the normal points to its back."""
+    # Light comes to an asphere from its front, and the normal points to its back
     scene = scene_of({"type": "diffuse"})
     scene["ball"] = {"type": "asphere", "semi_diameter": 3.0, "bsdf": {"type": "diffuse"}}
     (model,) = on_ball(scene).scatter
@@ -146,7 +144,7 @@ def test_gold_at_an_angle(field_deg: float) -> None:
     assert theirs[0] == pytest.approx(exact, abs=1e-6)
 
 
-def test_tables_of_a_metal_are_those_of_mitsuba() -> None:
+def test_tables_of_a_metal_and_a_slab_of_glass() -> None:
     for name in ("Au", "Cu", "a-C"):
         n, k = (np.loadtxt(SPD / f"{name}.{part}.spd") for part in ("eta", "k"))
         for nm in (400.0, 633.0):
@@ -154,10 +152,7 @@ def test_tables_of_a_metal_are_those_of_mitsuba() -> None:
             assert mistray.materials.complex_index(f"mitsuba/{name}", nm) == pytest.approx(exact, rel=1e-12)
     with pytest.raises(mistray.MistrayError, match=r"Mitsuba has no tables of it; the nearest are .*mitsuba/Cu, "):
         mistray.materials.complex_index("mitsuba/CU", 550.0)
-
-
-def test_slab_of_glass() -> None:
-    """A cube whose faces have one `dielectric`: (1 - R)² goes straight through at 25°."""
+    # A cube whose faces have one `dielectric`: (1 - R)² goes straight through at 25°
     scene = scene_of(None, field_deg=25.0)
     scene["ball"] = {"type": "cube", "to_world": T().translate([0, 0, 10]).scale(9), "bsdf": {"type": "dielectric"}}
     t = mistray.trace(mistray.load(scene), rays=2000, max_reflections=0)
@@ -244,7 +239,7 @@ REFUSED = {
         {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
     ],
     r"'diffuse' \(twosided\), .*load the scene by mistray.load": [
-        {"type": "twosided", "a": {"type": "diffuse"}, "b": {"type": "plastic"}},
+        {"type": "twosided", "a": {"type": "diffuse"}, "b": {"type": "plastic"}}
     ],
     "'dielectric', .*without specular factors": [{"type": "dielectric", "specular_transmittance": 0.5}],
     "'conductor', .*eta and k of a metal": [
@@ -286,10 +281,7 @@ def test_mitsubas_own_loaders_leave_them() -> None:
         ({"type": "diffuse", "reflectance": 1.5}, "reflectance is 1.5; it must lie between 0 and 1"),
         ({"type": "diffuse", "reflectance": spectrum((400, 0.1), (500, 1.2))}, "reflectance is 1.2; it must lie"),
         ({"type": "conductor", "specular_reflectance": -0.5}, "specular_reflectance is -0.5; it must lie"),
-        (
-            {"type": "conductor", "material": "Gold"},
-            "material 'mitsuba/Gold': Mitsuba has no tables of it; the",
-        ),
+        ({"type": "conductor", "material": "Gold"}, "material 'mitsuba/Gold': Mitsuba has no tables of it; the"),
         ({"type": "dielectric", "int_ior": "glass"}, "Unable to find an IOR value"),
         ({"type": "diffuse", "reflektance": 0.3}, "unknown parameter 'reflektance'"),
     ],
@@ -301,32 +293,8 @@ def test_mistakes_are_named(bsdf: dict[str, Any], words: str) -> None:
     assert "\n" not in str(info.value)
 
 
-MATERIALS = """<scene version="3.0.0">
-  <bsdf type="twosided" id="black"><bsdf type="diffuse"><rgb name="reflectance" value="$albedo"/></bsdf></bsdf>
-  <bsdf type="twosided" id="gold"><bsdf type="conductor"><string name="material" value="Au"/></bsdf></bsdf>
-  <bsdf type="dielectric" id="glass"><string name="int_ior" value="bk7"/><string name="ext_ior" value="air"/></bsdf>
-  <bsdf type="diffuse" id="white"><spectrum name="reflectance" filename="white.spd"/></bsdf>
-</scene>"""
-ROOM = """<scene version="3.0.0">
-  <default name="albedo" value="0.05 0.05 0.05"/><default name="turn" value="180"/>
-  <include filename="materials.xml"/>
-  <integrator type="path"><integer name="max_depth" value="8"/></integrator>
-  <sensor type="perspective"><transform name="to_world">
-    <lookat origin="0, 10, -60" target="0, 0, 0" up="0, 1, 0"/></transform></sensor>
-  <shape type="rectangle" id="lamp">
-    <transform name="to_world"><scale x="4" y="4"/><translate z="-40"/></transform>
-    <emitter type="area"><rgb name="radiance" value="2.0"/></emitter></shape>
-  <shape type="sphere" id="ball"><point name="center" x="0" y="0" z="0"/><float name="radius" value="5"/>
-    <ref id="glass"/></shape>
-  <shape type="rectangle" id="mirror"><transform name="to_world">
-    <scale value="8"/><lookat origin="20, 0, 0" target="0, 0, 0" up="0, 1, 0"/></transform><ref id="gold"/></shape>
-  <shape type="cylinder" id="tube">
-    <point name="p0" value="0 0 -20"/><point name="p1" value="0 0 30"/><float name="radius" value="12"/>
-    <ref id="black"/></shape>
-  <shape type="rectangle" id="board"><transform name="to_world">
-    <rotate y="1" angle="$turn"/><scale value="9"/><translate z="20"/></transform><ref id="white"/>
-    <sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor></shape>
-</scene>"""
+MATERIALS = vectors.text("mitsuba_materials.xml")
+ROOM = vectors.text("mitsuba_room.xml")
 
 
 @pytest.mark.long
@@ -342,7 +310,8 @@ def test_a_scene_as_users_of_mitsuba_write_it(tmp_path: Path) -> None:
     params = mi.traverse(scene)
     assert params["black.paint.reflectance"][0] == pytest.approx(0.05)
     assert params["glass.n_front_shift"][0] == 0
+    materials = MATERIALS.partition("\n")[2].removesuffix("</scene>\n")
     older = ROOM.replace("3.0.0", "0.6.0").replace("max_depth", "maxDepth")  # its parameters are in camel case
-    (tmp_path / "scene.xml").write_text(older.replace('<include filename="materials.xml"/>', MATERIALS[24:-8]))
+    (tmp_path / "scene.xml").write_text(older.replace('<include filename="materials.xml"/>', materials))
     again = mistray.trace(mistray.load(tmp_path / "scene.xml"), rays=5000)
     assert again.energy.detected_W == t.energy.detected_W

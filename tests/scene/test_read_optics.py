@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import vectors
 from refusals import refused
 
 from mistray.physics.geometry.pose import moved
@@ -17,17 +18,7 @@ from mistray.scenes.phone_camera.prescription import build as phone_camera
 pytestmark = pytest.mark.quick
 
 GLASS = '<bsdf type="interface"><string name="back" value="N-BK7"/></bsdf>'
-SCENE = """<scene version="3.0.0">
-    <default name="R" value="50"/>
-    <emitter type="collimated"><float name="radius" value="4"/><string name="wavelength_nm" value="486.1, 656.3"/>
-        <string name="weights" value="1 3"/><float name="field_deg" value="10"/></emitter>
-    <bsdf type="thinfilm" id="AR"><string name="preset" value="bbar3"/></bsdf>
-    {shapes}
-    <shape type="asphere" id="film"><float name="half_width" value="2"/><float name="half_height" value="1"/>
-        <transform name="to_world"><translate z="60"/></transform>
-        <bsdf type="interface"><float name="R" value="0"/></bsdf>
-        <sensor type="irradiancemeter"/></shape>
-</scene>"""
+SCENE = vectors.text("optics.xml")
 
 
 KEYS = ("name", "curvature", "conic", "coefficients", "semi_diameter", "half_width", "front", "back", "mirror")
@@ -151,7 +142,7 @@ def test_values(tmp_path: Path) -> None:
         assert sorted(named(folder, f'<string name="front" value="{value}"/>', *files, "other.csv")) == files
 
 
-def test_includes_paths_and_parameters(tmp_path: Path) -> None:
+def test_includes_paths_and_parameters_of_all_scenes(tmp_path: Path) -> None:
     body = """<default name="where" value="data"/><default name="where_else" value="more"/>
               <path value="found"/><include filename="inner/part.xml"/>
               <string name="a" value="$where/one.csv"/><string name="b" value="$where_else/two.csv"/>
@@ -167,17 +158,15 @@ def test_includes_paths_and_parameters(tmp_path: Path) -> None:
     scene = tmp_path / "scene" / "scene.xml"
     scene.write_text(f"<scene version='3.0.0'><string name='a' value='{elsewhere}:entry'/></scene>")
     assert scene_files(scene)[1:] == [elsewhere.resolve()]
-
-
-def test_parameters_hold_in_all_scenes(tmp_path: Path) -> None:
-    """As in Mitsuba: in a scene that is included, behind it, and the first of a name wins; also all round."""
-    (tmp_path / "scene").mkdir()
+    # As in Mitsuba: in a scene that is included, behind it, and the first of a name wins; also all round
+    again = tmp_path / "again"
+    (again / "scene").mkdir(parents=True)
     part = """<scene version='3.0.0'><default name='where' value='other'/><default name='more' value='$where'/>
               <string name='a' value='$where/one.csv'/></scene>"""
-    (tmp_path / "scene" / "part.xml").write_text(part.replace("</scene>", "<include filename='scene.xml'/></scene>"))
+    (again / "scene" / "part.xml").write_text(part.replace("</scene>", "<include filename='scene.xml'/></scene>"))
     body = """<default name="where" value="data"/><include filename="part.xml"/>
               <string name="b" value="$more/two.csv"/>"""
-    found = named(tmp_path, body, "data/one.csv", "other/one.csv", "data/two.csv", "other/two.csv")
+    found = named(again, body, "data/one.csv", "other/one.csv", "data/two.csv", "other/two.csv")
     assert found == ["part.xml", "data/one.csv", "data/two.csv"]
 
 

@@ -80,22 +80,7 @@ class TestText:
             '<float name="x" value="0.1"/>',
         ]
 
-    @pytest.mark.parametrize(
-        "values",
-        [
-            {"a.curvature": 0.02},
-            {"a.curvature": 0.0},
-            {"a.curvature": 0.013},  # 1/(1/0.013) is another number
-            {"polish.l": 0.02},
-            {"d.bsdf.n_back_shift": 0.25, "d.bsdf.n_front_shift": 0.5},
-            {"waves.thickness_nm": [99.5, 130.5]},
-            {"waves.n_shift": [0, 0.1]},
-            {"stop.bsdf.paint.reflectance": 0.0625},
-            {"stop.bsdf.T": 0.5},
-            {"stop.r0": 2.5},
-            {"b.bsdf.abg_2.A": 0.0005},
-        ],
-    )
+    @pytest.mark.parametrize("values", vectors.toml("tables.toml")["values of a scene"])
     def test_where_values_go(self, values: dict[str, Any], tmp_path: Path) -> None:
         source = write(tmp_path, SCENE)
         gone, new = changes(SCENE, rewritten(source, values, tmp_path))
@@ -202,13 +187,7 @@ def test_every_surface_has_its_own(source: Path) -> None:
 
 def test_new_values(source: Path) -> None:
     """One value changes, and nothing else; without models of their own they stay shared."""
-    for key, value in (
-        ("rear.bsdf.harvey_shack.rms_nm", 1.5),
-        ("front.bsdf.particulate.coverage_percent", 0.02),
-        ("tube.bsdf.paint.reflectance", 0.02),
-        ("cone.bsdf.reflectance", 0.03),
-        ("polish.rms_nm", 2.0),
-    ):
+    for key, value in vectors.toml("tables.toml")["new values"]:
         file = SceneText(source, not key.startswith("polish"))
         before = with_own(file, source.parent)
         file.set(key, value)

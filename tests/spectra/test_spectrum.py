@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 import scene_dicts
+import vectors
 from oracles.small_scenes import scene_text, shape_xml, write
-from refusals import refused
+from refusals import each_refused
 
 import mistray
 from mistray.prescription import ObjectPoint, Source
@@ -42,7 +43,7 @@ def test_bands_of_a_blackbody(kelvin: float) -> None:
         assert light.wavelengths_nm[k] == pytest.approx(mean, rel=1e-9)
 
 
-def test_lamps_and_daylight_of_standards() -> None:
+def test_lamps_daylight_lines_and_lumens() -> None:
     """The candela until 1979 was that of platinum, 2042 K; parts of the sun by the trapezoidal rule; 133 klx."""
     assert spectrum("blackbody:2042").lumens == pytest.approx(0.6, rel=5e-3)
     sun = spectrum("am0")
@@ -54,9 +55,6 @@ def test_lamps_and_daylight_of_standards() -> None:
     known, table = observer()
     xyz = np.array([light.weights @ np.interp(light.wavelengths_nm, known, row) for row in table.T])
     assert xyz[:2] / xyz.sum() == pytest.approx([0.31272, 0.32903], abs=2e-4)
-
-
-def test_lines_and_lumens() -> None:
     light = light_of("F, d C", weights=[1, 2, 1])
     assert light.wavelengths_nm == pytest.approx([486.1327, 587.5618, 656.2725])
     assert light.weights == pytest.approx([0.25, 0.5, 0.25])
@@ -131,18 +129,7 @@ def test_bands_add_up_to_the_spectrum(tmp_path: Path) -> None:
 
 SPECTRA = ("X", "d C X", "", "blackbody", "blackbody:-1", "blackbody:nan", "blackbody:1e308", "blackbody:0", "d d",
            "blackbody:20", "nowhere.csv")  # fmt: skip
-WRONG: tuple[dict[str, Any], ...] = (
-    {"spectrum": "d65", "band_nm": "200, 700"},
-    {"spectrum": "d65", "band_nm": "700, 400"},
-    {"spectrum": "d65", "band_nm": "400"},
-    {"spectrum": "d65", "bands": 0},
-    {"spectrum": "d65", "bands": 2.5},
-    {"spectrum": "d65", "weights": "1"},
-    {"spectrum": "d65", "wavelength_nm": 551.0},
-    {"spectrum": "d", "bands": 2},
-    {"bands": 2},
-    {"band_nm": "400, 500"},
-)
+WRONG: tuple[dict[str, Any], ...] = vectors.toml("refusals.toml")["spectra"]
 
 
 @pytest.mark.parametrize("wrong", [*({"spectrum": text} for text in SPECTRA), *WRONG], ids=str)
@@ -150,9 +137,7 @@ def test_bad_spectra(wrong: dict[str, Any]) -> None:
     own = dict(wrong)
     for key in {"band_nm", "weights", "wavelength_nm"} & own.keys():
         own[key] = tuple(float(word) for word in str(own[key]).split(","))
-    for named, call in (
-        ("'lamp'", lambda: mistray.load({"type": "scene", "lamp": {"type": "sky", **wrong}})),
-        ("source", lambda: Source(radius=1.0, **own)),
-    ):
-        with refused(named):
-            call()
+    each_refused(
+        (lambda: mistray.load({"type": "scene", "lamp": {"type": "sky", **wrong}}), "'lamp'"),
+        (lambda: Source(radius=1.0, **own), "source"),
+    )

@@ -11,6 +11,8 @@ import scene_dicts
 
 import mistray
 from mistray.metrics import metric as metrics
+from mistray.surfaces.host_rays import crossings, first_hit, inside, normals
+from mistray.surfaces.surfaces import SurfaceTable
 
 SMALL, LARGE = 2.0**-13, 2.0**13
 STRONG = {f"a{order}": (-1) ** (order // 2) * 0.4 * 6.0 ** (1 - order) for order in range(4, 21, 2)}
@@ -243,3 +245,33 @@ def test_optical_path_of_an_oblique_ray(field_deg: float, azimuth_deg: float) ->
         direction = [-np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)]
         assert ray[["dx", "dy", "dz"]].iloc[0].to_numpy() == pytest.approx(direction, abs=1e-15)
     assert np.ptp(table[table.node == 0][["x_mm", "y_mm", "z_mm"]].to_numpy() @ direction) < 1e-11
+
+
+@pytest.mark.parametrize("name", ["cooke_triplet", "newtonian_scatter", "phone_camera", "head_up_display", "rubin"])
+def test_first_hits(name) -> None:
+    table = SurfaceTable(mistray.load(name), 550.0)
+    rng = np.random.default_rng(4)
+    n, count = 300, len(table.pieces)
+    size = np.ptp(table.vertices[:count], axis=0).max() + max(piece.size for piece in table.pieces)
+    # Half of the rays start on a surface, which they may meet again
+    last = np.where(np.arange(n) % 2, rng.integers(count, size=n), -1)
+    o = table.centre + size * rng.normal(size=(n, 3)) / 2
+    for ray in np.flatnonzero(last >= 0):
+        (q,) = table.pieces[last[ray]].points(*rng.random((2, 1)))
+        o[ray] = q @ table.rotations[last[ray]].T + table.vertices[last[ray]]
+    d = table.vertices[rng.integers(count, size=n)] + 0.2 * size * rng.normal(size=(n, 3)) - o
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    nearest, expected = np.full(n, np.inf), np.full(n, -1)
+    for k, piece in enumerate(table.pieces):
+        for t in crossings(table, k, o, d).T:
+            ahead = t > np.where(last == k, piece.self_hit, 0.0)
+            hit = ahead & (t < nearest) & inside(table, k, o + t[:, None] * d)
+            nearest[hit], expected[hit] = t[hit], k
+    surface, p, normal = first_hit(table, o, d, last)
+    assert np.count_nonzero(expected >= 0) > n / 3
+    assert len(set(expected)) > 5
+    assert np.array_equal(surface, expected)
+    hit = expected >= 0
+    assert np.allclose(p[hit], (o + np.where(hit, nearest, 0)[:, None] * d)[hit], rtol=0, atol=1e-9 * size)
+    for k in set(expected[hit]):
+        assert np.allclose(normal[surface == k], normals(table, k, p[surface == k]), rtol=0, atol=1e-12)

@@ -2,27 +2,44 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import math
+import pickle
 import re
 import shlex
 import sys
 import tomllib
+from collections.abc import Iterator
+from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import jsonschema
+import numpy as np
 import pytest
+import stubs
+import vectors
 from command_line import Captured, fails, succeeds
-from test_docs import ROOT
-from test_docs_commands import TITLED
+from refusals import refused
+from test_docs import ROOT, TITLED
+from toolkit.right_values import needed, right
 
+import mistray
+from mistray.analyses.coating.request import CoatingRequest
+from mistray.analyses.ghosts.request import GhostTables
+from mistray.analyses.image.request import ImageRequest
+from mistray.analyses.thermal.request import DetectorNoise, ThermalRequest
+from mistray.analyses.view.request import ViewRequest
 from mistray.cli.options import Options
 from mistray.cli.program import COMMANDS, main
 from mistray.errors import MistrayError
-from mistray.ranges import Interval
+from mistray.ranges import ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of
 from mistray.toolkit.arguments import Parser
 from mistray.toolkit.command import REQUEST, Command
 from mistray.toolkit.command_request import Keyword, asked, keywords, schema_of_request, schema_of_result, take_request
+from mistray.toolkit.fields import Nested, Request, Several, flat_fields
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
 from command_calls import CALLS
@@ -107,26 +124,7 @@ def test_schema_and_program_take_the_same(name: str) -> None:
             assert check.is_valid(value) == taken(key, value), (key.name, value)
 
 
-WRONG = {
-    "{": "Expecting property name",
-    "": "Expecting value",
-    "[]": "it holds no object; write keys and values",
-    "3": "it holds no object",
-    "[" * 100_000: "it is nested too deeply",
-    '{"scene": "plate", "rays": NaN}': "NaN is no number of JSON",
-    "{}": "scene is missing; give it there, or on the command line",
-    '{"scen": "plate"}': "there is no key 'scen'; did you mean 'scene'?",
-    '{"--field-deg": 1}': "there is no key '--field-deg'; did you mean 'field_deg'?",
-    '{"stops": 1}': "there is no key 'stops'; it stands in the object 'look'",
-    '{"look": {"stop": 1}}': "look: there is no argument 'stop'; did you mean 'stops'?",
-    '{"scene": ""}': "scene is ''; it must be text",
-    '{"rays": 0}': "rays is 0; it must be a whole number between 1",
-    '{"field_deg": []}': "field_deg is empty; give at least one number",
-    '{"rank": "rmss"}': "rank is 'rmss'; did you mean 'rms'?",
-    '{"scatter": {"L*": 3}}': "scatter of 'L*' is 3; it must be text",
-    '{"json": 1}': "json is 1; it must be true or false",
-    '{"scene": "plate", "least_share": 0.1}': None,
-}
+WRONG = vectors.toml("refusals.toml")["requests"] | {"[" * 100_000: "it is nested too deeply"}
 
 
 @pytest.mark.parametrize("text", WRONG)
@@ -135,7 +133,7 @@ def test_wrong_files(text: str, tmp_path: Path, capsys: Captured) -> None:
     file.write_text(text, encoding="utf-8")
     told = fails(capsys, "ghosts", "--request", file)
     expected = WRONG[text]
-    if expected is None:  # what two keys say together
+    if not expected:  # what two keys say together
         assert told.startswith("--least-share is about the path analysis")
     else:
         assert told.startswith(f"request '{file}': {expected}")
@@ -190,11 +188,8 @@ def test_every_schema_of_a_result(name: str) -> None:
     assert {"request", "files"} <= {*schema["required"]}
 
 
-def test_a_command_that_prints_no_json(capsys: Captured) -> None:
+def test_a_command_that_prints_no_json_and_schemas_are_printed(capsys: Captured) -> None:
     assert fails(capsys, "completion", "--schema", "result").startswith("completion prints no JSON; --schema request")
-
-
-def test_schemas_are_printed(capsys: Captured) -> None:
     for words in ((), ("request",)):
         assert json.loads(succeeds(capsys, "thermal", "--schema", *words)) == schema_of_request(KNOWN["thermal"])
     assert main(["thermal", "no_such_scene", "--schema"]) == 0
@@ -212,3 +207,174 @@ def test_the_files_of_the_docs_fit_the_schemas(tmp_path: Path) -> None:
         options = parsed(name, "--request x")
         take_request(KNOWN[name], options, tmp_path / file)
         assert asked(KNOWN[name], options).keys() == content.keys()
+
+
+ANALYSES = stubs.analyses()
+REMEDY = re.compile(r"must|give|did you mean|use |write |choose from|as in")
+NO_NUMBERS = ("x", b"1", True, np.True_, math.nan, 1j, {}, [], (1, 2), np.array([1.0, 2.0]), object())
+
+
+def wrong_numbers(of: Range) -> Iterator[Any]:
+    """Values that are no number of a range."""
+    yield from NO_NUMBERS
+    if math.isfinite(of.low):
+        yield from (of.low if of.above else of.low - max(1.0, abs(of.low)), -math.inf)
+    if math.isfinite(of.high):
+        yield from (of.high if of.below else of.high + max(1.0, abs(of.high)), math.inf)
+    if of.whole:
+        yield from (of.low + 0.5, Decimal("1.5"), Fraction(1, 2))
+
+
+def wrong(demand: Any) -> Iterator[Any]:
+    """Values that do not meet a demand."""
+    match demand:
+        case Range():
+            yield from wrong_numbers(demand)
+        case Words():
+            yield from (f"{demand.choices[0]}x", "", 3, b"x", [demand.choices[0]])
+        case Interval():
+            ends = right(demand.of), right(demand.of)
+            yield from (1.0, ends, (*ends, 1.0), ("x", "y"), object(), math.nan)
+        case Each():
+            single = [value for value in wrong_numbers(demand.of) if not isinstance(value, list | tuple | np.ndarray)]
+            yield from [[], object(), "x", *([value] for value in single)]
+        case ByName():
+            yield from (3, "x", {"": right(demand.of)}, {3: right(demand.of)}, {"a": next(wrong(demand.of))})
+        case Several():
+            yield from ([value] for value in wrong(demand.of))
+            yield from [[]] if demand.least else []
+        case Nested():
+            yield from (3, "x", {"no_such_field": 1}, [])
+        case OfType():
+            yield from (3, 0.5, b"x", object(), [])
+        case _:
+            yield from (object(), b"x", {"no": 1}, 1j)
+
+
+def call(name: str, /, **given: Any) -> Any:
+    """Call an analysis with objects that say nothing in place of what it needs beside its fields."""
+    function = stubs.named(name)
+    others = [one for one in inspect.signature(function).parameters.values() if one.default is one.empty]
+    words = {one.name: "x" for one in others if one.name not in ("scene", "metric")}
+    return function(**words | needed(function.request) | given)
+
+
+@pytest.mark.parametrize("name", ANALYSES)
+def test_wrong_values(name: str, scene: Any) -> None:
+    function = stubs.named(name)
+    subject, first = next(iter(inspect.signature(function).parameters.items()))
+    known = {subject: scene if first.annotation == "mi.Scene" else "plate" if subject == "scene" else None}
+    bad, tried = [], 0
+    for field, _ in flat_fields(function.request):
+        for value in wrong(demand_of(field)):
+            tried += 1
+            try:
+                call(name, **known, **{field.name: value})
+            except MistrayError as error:
+                text = str(error)
+                if "\n" in text or field.name not in text or not REMEDY.search(text):
+                    bad.append(f"{field.name}={value!r}: {text}")
+            except Exception as error:
+                bad.append(f"{field.name}={value!r}: {type(error).__name__}: {error}")
+            else:
+                bad.append(f"{field.name}={value!r} is taken")
+    assert not bad, "\n".join(bad)
+    assert tried > 3 * len(inspect.signature(function).parameters) / 2
+
+
+@pytest.mark.parametrize("name", ANALYSES)
+def test_an_analysis_is_its_request(name: str) -> None:
+    """Its arguments are the fields and what its run takes; it and its request are pickled."""
+    function = stubs.named(name)
+    run = inspect.signature(function.run).parameters
+    fields = {field.name: field for field, _ in flat_fields(function.request)}
+    assert {*inspect.signature(function).parameters} == {*fields, *run} - {"request"}
+    for word, field in fields.items():
+        assert demand_of(field) is not None, word
+        assert doc_of(field), word
+        assert f"\n{word} : " in function.__doc__
+    assert pickle.loads(pickle.dumps(function)) is function
+    asked = function.request(**needed(function.request))
+    assert pickle.loads(pickle.dumps(asked)) == asked
+
+
+def test_odd_numbers() -> None:
+    """Numbers of other types are numbers of Python in a request, and None is what is not given."""
+    thermal, quick = stubs.named("mistray.analysis.thermal").request, stubs.named("mistray.analysis.study").request
+    for number in (Decimal(300), Fraction(300), np.float32(300), np.int16(300), np.array(300)):
+        found = thermal(temperature_K=number, rays=number, temperatures={"L1": number})
+        assert (found.temperature_K, found.rays, found.temperatures) == (300, 300, {"L1": 300})
+        assert {type(found.temperature_K), type(found.temperatures["L1"])} <= {int, float}
+        assert type(found.rays) is int
+    assert quick(quick=np.True_).quick is True
+    assert thermal(temperature_K=None, settings=None) == thermal()
+    assert thermal(band_um=np.array([3, 5])).band_um == (3.0, 5.0)
+    with pytest.raises(MistrayError, match="coating is missing; give it: preset"):
+        CoatingRequest(coating=None)
+
+
+@pytest.mark.parametrize(("name", "given", "told"), vectors.toml("refusals.toml")["arguments beside the fields"])
+def test_wrong_arguments_beside_the_fields(name: str, given: dict[str, Any], told: str, scene: Any) -> None:
+    subject = "metric" if "metric" in inspect.signature(stubs.named(name)).parameters else "scene"
+    known = {subject: scene} if "optimize." not in name else {"scene": "plate"} if subject == "scene" else {}
+    with pytest.raises(MistrayError, match=told):
+        call(name, **known | given)
+
+
+NOISE = {"pixel_um": 15, "bandwidth_hz": 1e4, "detectivity": 1e11}
+
+
+def takes(kind: type[Request], given: dict[str, Any]) -> bool:
+    """Whether the schema of a request takes an object."""
+    return bool(jsonschema.Draft202012Validator(kind.json_schema()).is_valid(given))
+
+
+@pytest.mark.parametrize("name", stubs.analyses())
+def test_every_request(name: str) -> None:
+    """The schema is one; what the request is by default fits it, and is the same request after JSON."""
+    kind = stubs.named(name).request
+    schema = kind.json_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    asked = kind(**needed(kind))
+    given = json.loads(json.dumps(asked.to_dict()))
+    assert kind.of(**given) == asked
+    assert takes(kind, given)
+    assert all(one["description"] for one in json.loads(json.dumps(schema, allow_nan=False))["properties"].values())
+    assert not takes(kind, {"no_such_keyword": 1})
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [
+        (ThermalRequest, {"noise": NOISE, "temperatures": {"L*": 77}, "cut_below": "R=1e-6", "band_um": [3, 5]}),
+        (ThermalRequest, {"wavelengths_um": 4, "rays": 1000, "seed": None, "splitting": "one"}),
+        (GhostTables, {"alias": [["L1_*", "L1"]], "maps": "ghost", "colour": True, "look": {"stops": 2}}),
+        (ViewRequest, {"path_ids": [0, "G"], "cut_deg": None, "selection": ""}),
+    ],
+)
+def test_round_trips(kind: type[Request], given: dict[str, Any]) -> None:
+    assert takes(kind, given)
+    asked = kind.of(**given)
+    plain = asked.to_dict()
+    assert kind.of(**json.loads(json.dumps(plain))) == asked
+    assert takes(kind, plain)
+
+
+def test_values() -> None:
+    assert ThermalRequest.of(noise=NOISE).noise == DetectorNoise(**NOISE)
+    assert ImageRequest.of(**ImageRequest(reference_radius_mm=math.inf).to_dict()).reference_radius_mm == math.inf
+    properties = ThermalRequest.json_schema()["properties"]
+    assert properties["temperature_K"] == {
+        "description": "temperature of everything without one of its own, K",
+        "type": "number", "minimum": 0.0, "maximum": 1e6, "unit": "K", "default": 293.0,
+    }  # fmt: skip
+    assert properties["band_um"]["minItems"] == properties["band_um"]["maxItems"] == 2
+    assert mistray.ghosts.request.json_schema()["properties"]["rank"]["enum"] == ["rms", "power", "peak"]
+
+
+@pytest.mark.parametrize(("given", "told"), vectors.toml("refusals.toml")["arguments of thermal"])
+def test_wrong_objects(given: dict[str, Any], told: str) -> None:
+    """Both the schema and the request refuse them, the latter in one line."""
+    assert not takes(ThermalRequest, given)
+    with refused(f"^{re.escape(told)}"):
+        ThermalRequest.of(**given)

@@ -4,6 +4,7 @@ import ast
 import contextlib
 import importlib
 import itertools
+import json
 import re
 import warnings
 from collections import defaultdict
@@ -16,6 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from analyses.fake_trace import SHARES, FakeTrace, ghosts_of, trace_at, trace_in_colours
+from command_line import Captured, succeeds
 from markupsafe import Markup
 
 import mistray
@@ -23,8 +25,9 @@ from mistray.analyses.ghosts.page import output
 from mistray.analyses.ghosts.page import report as html
 from mistray.analyses.ghosts.page.report import html_text, write_html
 from mistray.analyses.ghosts.result import GhostReport
+from mistray.analysis import ThermalReport
 from mistray.estimate import Estimate
-from mistray.report import Look, write_all
+from mistray.report import Look, remove_section, report_section, write_all, write_thermal
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import FIGURE, within
 from mistray.toolkit.figures.figure import Figure as Drawing
@@ -280,3 +283,29 @@ def test_no_table_repeats_a_heading_of_a_row() -> None:
     assert sum(map(len, declared.values())) > 20
     again = [f"{name}: '{text}'" for own, found in said.items() for name, text in found if text in declared[own]]
     assert not again, f"{again}: take the column of the row, with table(kind, rows, only=…)"
+
+
+def test_a_section_of_thermal_emission(capsys: Captured, tmp_path: Path) -> None:
+    """It stands on the page, among the tables, in the JSON of the folder, and in what is printed; not elsewhere."""
+
+    @report_section(of=ThermalReport)
+    def warmest(report: ThermalReport) -> Section:
+        most = max(emitter.temperature_K for emitter in report.emitters)
+        return Section("warmest", "Warmest", [Table(columns("warmest [K]"), [[f"{most:g}"]], "warmest")], "Warmest")
+
+    out = tmp_path / "out"
+    try:
+        words = ("thermal", "plate", "--wavelength-um", "9", "--rays", "500")
+        printed = succeeds(capsys, *words)
+        write_thermal(mistray.thermal(mistray.load("plate"), wavelengths_um=9, rays=500), out)
+        told = json.loads(succeeds(capsys, *words, "--json"))
+        other = json.loads(succeeds(capsys, "image", "cooke_triplet", "--grid", "16", "--json"))
+    finally:
+        remove_section(warmest)
+    assert "\nWarmest\n" in printed
+    assert told["sections"]["warmest"]["warmest"] == [{"warmest_K": 293}]
+    assert json.loads((out / "thermal.json").read_text(encoding="utf-8"))["sections"] == told["sections"]
+    assert pd.read_csv(out / "warmest.csv").warmest_K.tolist() == [293]
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.index('<h2 id="warmest">') < page.index('id="settings"')
+    assert "sections" not in other

@@ -1,4 +1,4 @@
-"""What a request alone gives, and rows of a result, of toys; `test_every_field` is about the analyses."""
+"""What a request alone gives, and rows of a result, of toys; `test_command_request` is about the analyses."""
 
 from __future__ import annotations
 
@@ -117,12 +117,9 @@ def test_wrong_values(scene: Any, given: dict[str, Any], named: tuple[str, ...])
         toy(scene, **given)
 
 
-def test_no_scene() -> None:
+def test_no_scene_and_options() -> None:
     with pytest.raises(MistrayError, match=r"toy\(\) got str"):
         toy("scene.xml")
-
-
-def test_options() -> None:
     assert parsed() == Toy()
     words = "--share 0.5 --waves 1 3 --in-band 3 5 --parts wall=0.1 floor=0.2 --how slow --loud --centre 0.1 --seed 7"
     more = "--no-careful --turns-deg 0:20:10 45 --names wall floor --kinds blue"
@@ -188,13 +185,10 @@ def test_errors_in_a_field_of_their_own_and_what_is_absent() -> None:
     assert "width_se" not in [head.head for head in table(Gap, rows).columns]
 
 
-def test_annotations_may_be_types() -> None:
+def test_annotations_may_be_types_and_table() -> None:
     plain = make_dataclass("Plain", [("power_W", Estimate, column("power, W")), ("name", str, column("name"))])
     assert list(frame(plain, []).columns) == ["power_W", "power_W_se", "name"]
     assert [head.style for head in table(plain, []).columns] == ["", "t"]
-
-
-def test_table() -> None:
     found = table(Wall, ROWS, "walls")
     assert [(head.head, head.unit, head.style) for head in found.columns] == [
         ("name", "", "t"), ("temperature", "K", ""), ("emitted", "W", ""), ("lost", "%", ""),

@@ -1,15 +1,19 @@
-"""What a Python session shows of every result: one line, a summary in notebooks, a figure."""
+"""What a Python session shows: of a result one line, a summary and a figure; progress bars, also where nobody looks."""
+
+from __future__ import annotations
 
 import importlib
 import inspect
 from collections.abc import Iterator
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from typing import Any
 
 import matplotlib
 import pytest
 import stubs
-from command_line import Patch
+from command_line import Captured, Patch, on_a_terminal
+from refusals import refused
 from result_calls import CALLS, LONG
 
 import mistray
@@ -149,3 +153,64 @@ def test_parts_of_a_trace() -> None:
         check(part)
     assert repr(t).startswith("Trace(coated, detected ")
     assert "paths: not kept" in repr(mistray.trace(mistray.load("coated.xml"), rays=64, ledger=False))
+
+
+@pytest.mark.parametrize(
+    ("states", "share"),
+    [
+        ([(1, 4), (2, 4)], 50),
+        ([(3, 4), (1, 4)], 75),  # a bar does not go back
+        ([(3, 4), (1, 10)], 10),  # unless the plan is another one
+        ([(SimpleNamespace(share_done=0.25),)], 25),
+        ([("scatter", SimpleNamespace(share_done=0.25))], 25),
+        ([(2, "objects", 0.3)], 30),
+        ([(object(), object())], 0),
+        ([()], 0),
+        ([(0, 0)], 0),
+    ],
+)
+def test_states_of_all_functions(monkeypatch: Patch, states: list[Any], share: int) -> None:
+    terminal = on_a_terminal(monkeypatch)
+    with mistray.ProgressBar("PST") as bar:
+        for state in states:
+            bar(*state)
+        assert terminal.getvalue().rpartition("\r")[2].startswith(f"PST: {share:3}%")
+    assert terminal.getvalue().endswith(" \r")  # the line is free again
+
+
+def test_a_trace(monkeypatch: Patch) -> None:
+    terminal = on_a_terminal(monkeypatch)
+    mistray.trace(mistray.load("plate"), rays=1000, progress=mistray.ProgressBar())
+    assert "tracing: 100%" in terminal.getvalue()
+    assert "\n" not in terminal.getvalue()
+
+
+def test_no_terminal(capsys: Captured) -> None:
+    bar = mistray.ProgressBar()
+    bar(1, 2)
+    bar.close()
+    assert capsys.readouterr() == ("", "")
+    with refused("what", "ProgressBar"):
+        mistray.ProgressBar(3)  # type: ignore[arg-type]
+
+
+@pytest.mark.long
+def test_a_notebook() -> None:
+    """One bar that ends, not a line for each step, with widgets or without."""
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    code = """
+import mistray
+with mistray.ProgressBar("PST") as bar:
+    for k in range(201):
+        bar(k, 200)
+"""
+    hidden = "import sys\nsys.modules['ipywidgets'] = None\n"
+    cells = [nbformat.v4.new_code_cell(text) for text in (hidden, code)]
+    book = nbformat.v4.new_notebook(cells=cells)
+    nbclient.NotebookClient(book, kernel_name="python3", timeout=60).execute()
+    outputs = book.cells[1].outputs
+    text = "".join(output["text"] for output in outputs)
+    assert {output["name"] for output in outputs} == {"stderr"}
+    assert text.rstrip("\n").count("\n") == 0
+    assert "PST: 100%" in text
+    assert "IProgress" not in text

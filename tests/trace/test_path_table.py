@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 import vectors
-from fake_ledger import (
-    EDGE,
-    GLASS,
-    REFLECTOR,
-    SENSOR,
-    STRUCTURE,
-    decoded,
-    design_of,
-    encode,
-    fake_run,
-    hit_sums,
-)
+from fake_ledger import EDGE, GLASS, REFLECTOR, SENSOR, STRUCTURE, decoded, design_of, encode, fake_run, hit_sums
 
 from mistray.errors import MistrayError
 from mistray.recorders.path_events import Events, describe_events
@@ -81,17 +70,8 @@ def table_of(lists: list[str], hits: Hits, unit: float = 2.0, rays: int = 32_000
     return path_table([run])
 
 
-WAYS = (
-    "T L1_rear:T",
-    "t L1_rear:T",
-    "i L1_rear:T",
-    "t barrel:r",
-    "i barrel:r",
-    "t barrel:j",
-    "i barrel:j",
-    "T barrel:j",
-)
-LISTS = [f"L1_front:{way} detector:A" for way in WAYS]
+WAYS = "T L1_rear:T, t L1_rear:T, i L1_rear:T, t barrel:r, i barrel:r, t barrel:j, i barrel:j, T barrel:j"
+LISTS = [f"L1_front:{way} detector:A" for way in WAYS.split(", ")]
 COUNTS, SCALES = [500, 200, 300, 10, 20, 30, 40, 100], [5.0, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1, 0.2]
 
 

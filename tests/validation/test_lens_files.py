@@ -231,7 +231,7 @@ def straight(name: str, x: float, y: float) -> np.ndarray:
     return trace(lens(name), [(x, y, -10)], [(0, 0, 1)])[0][-1, 0]
 
 
-def test_moves_by_hand():
+def test_moves_by_hand_and_folding_does_not_change_the_lens():
     """Plane dummies and plane mirrors, so that rays can be followed with a ruler. s = sin 45°."""
     s = math.sqrt(0.5)
     # 100 along an axis that ADE 45 turns to +y, and back parallel by REV: the image lies 100 s higher
@@ -246,10 +246,7 @@ def test_moves_by_hand():
     # Three mirrors that bend the axis: heights in the plane of the bends keep their size
     for name in ("dec_tilt_test.seq", "dar_test.seq"):
         assert np.abs(straight(name, 0.2, 0.3)) == pytest.approx([0.2, 0.3, 0], abs=1e-9)
-
-
-def test_folding_does_not_change_the_lens():
-    """folded_lenses.seq is unfolded_lenses_w_ape.seq with three plane mirrors."""
+    # folded_lenses.seq is unfolded_lenses_w_ape.seq with three plane mirrors
     folded, unfolded = first_order(lens("folded_lenses.seq")), first_order(lens("unfolded_lenses_w_ape.seq"))
     assert (folded.efl, folded.bfl) == pytest.approx((unfolded.efl, unfolded.bfl), rel=1e-12)
     for x, y in ((0.1, 0.3), (-0.2, 0.0), (0.3, -0.4)):
@@ -292,7 +289,7 @@ def test_without_rdm_the_lenses_are_in_focus_as_curvatures():
     assert (found.efl, found.bfl) == pytest.approx((efl, bfl), rel=1e-5)
 
 
-def test_two_glasses_of_test_seq_by_hand():
+def test_glasses_by_hand_and_those_that_rayoptics_does_not_have():
     """BK7 is taken for N-BK7, F2 is Schott's; ray-optics has CDGM's F2 of nd 1.613. There is no SI."""
     n_bk7, n_f2 = refractive_index("schott/N-BK7", 650.0), refractive_index("schott/F2", 650.0)
     f1, b1 = thick_lens(10, -20, 1, n_bk7)
@@ -304,9 +301,6 @@ def test_two_glasses_of_test_seq_by_hand():
     assert first_order(found, 650.0).efl == pytest.approx(combined, rel=1e-9)
     assert [row.thickness for row in found.rows] == [1, 2, 0.25, 10, 0.001, 0]
     assert any("no SI" in note for note in found.notes)
-
-
-def test_glasses_that_rayoptics_does_not_have():
     # Schott B270, n(587 nm) = 1.52303: a plano-convex lens
     found = first_order(lens("ACL3026U-Zemax(ZMX).zmx"))
     assert found.efl == pytest.approx(13.5511 / 0.52303, rel=1e-5)
@@ -326,17 +320,14 @@ def test_glasses_that_rayoptics_does_not_have():
     assert "hikari/E-LAFH3" in [row.material.removesuffix(" k=0") for row in lens("US05331467-1.zmx").rows]
 
 
-def test_bk7_of_an_achromat_pair_is_in_focus():
+def test_bk7_of_an_achromat_and_model_glasses():
     """zmax_55278: the file states its focal length, 52.24 mm, and the image stands at its focus."""
     text = path_of("zmax_55278.zmx").read_text(encoding="utf-16")
     assert "DBDT 0 55278 5.224E+01" in text
     found = lens("zmax_55278.zmx")
     assert first_order(found).efl == pytest.approx(52.24, abs=0.005)
     assert first_order(found).bfl == pytest.approx(found.rows[-2].thickness, rel=1e-8)
-
-
-def test_model_glasses_lie_between():
-    """HoO-V2C18Ex27 has glasses of nd and Vd alone: at 550 nm three formulas give three indices, 2e-4 apart at most."""
+    # HoO-V2C18Ex27 has glasses of nd and Vd alone: at 550 nm three formulas give three indices, 2e-4 apart at most
     file = "rayoptics/zemax/tests/HoO-V2C18Ex27.zmx"
     row, found = SUMMARY[file], lens("HoO-V2C18Ex27.zmx")
     efl = first_order(found).efl

@@ -52,7 +52,7 @@ def test_spots_chief_rays_and_illumination(image):
     assert round(image[-1]["illumination"], 3) == 0.523
 
 
-def test_relative_illumination_of_the_metric():
+def test_relative_illumination_of_the_metric_and_irradiance_on_axis():
     """Against an integral over the pupil; the slope of the centroid is 0.14 % off at 15°, the chief ray 1 %."""
     scene = phone_camera.wide_open(barrel=False).to_scene()
     on_axis = phone_camera.even_scene_irradiance(0.0)
@@ -64,10 +64,7 @@ def test_relative_illumination_of_the_metric():
         assert metric.value() == pytest.approx(exact, rel=2e-3)
         assert chief == pytest.approx(exact, rel=1.5e-2)
         assert chief > 1.007 * exact
-
-
-def test_irradiance_on_axis():
-    """The published figure lies between the light that passes the stop and the whole beam; no other reading has it."""
+    # The published figure lies between the light that passes the stop and the whole beam; no other reading has it
     rows = phone_camera.on_axis(400_000)
     for row in rows:
         assert_z(f"{row['limit']}, {row['wavelength_nm']} nm", row["traced"], row["quadrature"], row["traced_se"], k=4)
@@ -132,7 +129,7 @@ def test_the_study_turns_its_source_in_its_place_and_its_stop_is_the_rim_of_lens
             assert abs(row[name] - expected) < 5 * np.hypot(se, row[f"{name}_se"]) + 0.01 * expected, written
 
 
-def test_pairs_of_table_22(ghosts):
+def test_pairs_of_table_22_and_retro_ghosts_of_the_filter(ghosts):
     for row in phone_camera.ghost_pairs(ghosts[0]):
         assert_z(str(row["surfaces"]), row["traced"], row["quadrature"], row["traced_se"], k=4)
         if "filter" in row["surfaces"]:
@@ -143,10 +140,7 @@ def test_pairs_of_table_22(ghosts):
             # the outermost rays decide: they miss the stop on their way back and again; without it the study agrees
             assert row["unclipped"] == pytest.approx(row["study"], rel=0.005)
             assert row["quadrature"] / row["unclipped"] > 2.4
-
-
-def test_retro_ghosts_of_the_filter(ghosts):
-    """Closed form: a beam of slope u that returns through a gap of the air-equivalent length g has the radius 2 g u."""
+    # Closed form: a beam of slope u that returns through a gap of the air-equivalent length g has the radius 2 g u
     surfaces = {surface.name: surface for surface in phone_camera.shipped().surfaces}
     rear, front = surfaces["filter_rear"], surfaces["filter_front"]
     index = refractive_index(rear.front, 550.0)

@@ -27,14 +27,12 @@ def rows(out: str) -> dict[float, list[float]]:
 
 
 class TestTotals:
-    def test_abg_at_all_angles(self, capsys: Captured) -> None:
+    def test_abg_at_all_angles_and_beyond_the_critical_one(self, capsys: Captured) -> None:
         found = [row for row in vectors.rows("abg_tis.csv") if row["case"] == "TracePro plot"]
         out = succeeds(capsys, *ABG, "--angles-deg", *(f"{float(row['theta_i_deg']):g}" for row in found))
         for row in found:
             total = rows(out)[float(row["theta_i_deg"])][0]
             assert total == pytest.approx(100 * float(row["TIS_numeric"]), rel=5e-4)  # four digits are printed
-
-    def test_total_reflection_and_the_share_of_the_coating(self, capsys: Captured) -> None:
         command = (*ABG, "--angles-deg", 0, 60, "--from-back")
         assert re.search(r"^ +60 .* – +– +–$", succeeds(capsys, *command), re.MULTILINE)
         found = json_units.read(succeeds(capsys, *command, "--json"))["totals"]

@@ -10,6 +10,7 @@ import pytest
 import vectors
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import scene_text, shape_xml, write
+from refusals import each_refused
 
 import mistray
 from mistray.analyses.budget.allocation import (
@@ -145,18 +146,14 @@ def test_bad_files(change: dict[str, Any], words: str) -> None:
         read_budget(study(1.0) | change)
 
 
-@pytest.mark.parametrize(
-    ("limit", "choose", "words"),
-    [
+def test_surfaces_that_do_not_fit(source: Path) -> None:
+    each_refused(
         (1.0, [RMS | {"parameter": "level", "best": 100, "worst": 300}], "no surface 'front' has a level with"),
         (1.0, [RMS | {"surfaces": "side", "best": 1, "worst": 3}], "those that have one are front, rear"),
         (1.0, [RMS | {"surfaces": name, "best": 1, "worst": 3} for name in ("front", "*")], "another section"),
         (1e3, [RMS | {"best": 1.0, "worst": 500.0}], "^budget 'budget': .*rms roughness 500 nm is not smooth"),
-    ],
-)
-def test_surfaces_that_do_not_fit(source: Path, limit: float, choose: list[dict[str, Any]], words: str) -> None:
-    with pytest.raises(MistrayError, match=words):
-        budget(source, study(limit, choose=choose))
+        by=lambda limit, choose: budget(source, study(limit, choose=choose)),
+    )
 
 
 def test_files(tmp_path: Path) -> None:
@@ -195,7 +192,7 @@ class TestByHand:
         unscaled = (self.weights / factors) ** (1 / 3)
         return unscaled * np.sqrt((self.limit - self.fixed) / np.sum(factors * unscaled**2))
 
-    def test_numbers(self) -> None:
+    def test_numbers_and_the_model_from_derivatives(self) -> None:
         model = Model(np.array([self.fixed]), (self.factors * AS_GIVEN**2)[None, :])
         free = self.by_hand(self.factors)
         found = allocate([polish(w) for w in self.weights], model, np.array([self.limit]))
@@ -207,9 +204,7 @@ class TestByHand:
         found = allocate([polish(self.weights[0], low=low), polish(self.weights[1])], model, np.array([self.limit]))
         second = np.sqrt((self.limit - self.fixed - self.factors[0] * low**2) / self.factors[1])
         assert found == pytest.approx([low, second], rel=1e-5)
-
-    def test_the_model_from_derivatives(self) -> None:
-        """Of M = fixed + Σ a σ² the derivative is 2 a σ, the part is a σ²."""
+        # Of M = fixed + Σ a σ² the derivative is 2 a σ, the part is a σ²
         variables = [polish(), polish()]
         value = self.fixed + self.factors.sum() * AS_GIVEN**2
         model = Model.of(variables, np.array([value]), (2 * self.factors * AS_GIVEN)[None, :])

@@ -1,16 +1,26 @@
-"""The page is served to who knows the address, on this machine, and to nobody else."""
+"""The page is served to who knows the address, the widget answers as it does, and what Save writes loses no file."""
 
+import builtins
 import http.client
 import json
+import shutil
 import socket
 import threading
 import time
+from pathlib import Path
 
 import pytest
+import vectors
+from analyses.explorer.chromium import CHROMIUM, page
+from command_line import succeeds
 
+import mistray
 from mistray.analyses.explorer.assets import asset
+from mistray.analyses.explorer.explorer import Explorer
+from mistray.analyses.explorer.saving import SCENE_FILE, STUDY_FILE
 from mistray.analyses.explorer.server import LOOPBACK, MOST_BYTES, MOST_STRANGE, PageServer, serving
 from mistray.errors import MistrayError
+from mistray.metrics.parameters import parameters
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +99,7 @@ def test_calls_answer(server, explorer):
     assert "\n" not in found["error"]
 
 
-def test_bad_calls_are_one_line(server):
+def test_bad_calls_other_kinds_and_sizes_are_refused(server):
     for body in ("", "{", "[]", "3", '"move"', "NaN", "[" * 100_000, '{"call": 3}', '{"call": "eval"}',
                  '{"call": "__init__"}', '{"call": "move"}', '{"call": "move", "given": []}',
                  '{"call": "move", "given": {"values": []}}', '{"call": "move", "given": {"values": {"layers": NaN}}}',
@@ -97,10 +107,7 @@ def test_bad_calls_are_one_line(server):
         status, _, found = ask(server, "POST", f"/{server.token}/call", body, **{"Content-Type": "application/json"})
         assert status == 400, body
         assert "\n" not in json.loads(found)["error"]
-
-
-def test_other_kinds_and_sizes_are_refused(server):
-    """Of lengths that are none, and by a second host, nothing of the body is read."""
+    # Of lengths that are none, and by a second host, nothing of the body is read
     path = f"/{server.token}/call"
     for kind in ({"Content-Type": "text/plain"}, {}):
         assert ask(server, "POST", path, '{"call": "page"}', **kind)[0] == 415
@@ -139,3 +146,169 @@ def test_connections_that_say_nothing(server):
     assert threading.active_count() <= before + MOST_STRANGE + 2
     for one in (kept, *idle):
         one.close()
+
+
+pytest.importorskip("anywidget", reason="no anywidget; pip install 'mistray[widget]'")
+# A model as anywidget hands it over, whose messages go to the server of the page
+MODEL = vectors.text("widget_model.js")
+
+
+@pytest.fixture
+def widget(at_start):
+    from mistray.analyses.explorer.widget import ExplorerWidget
+
+    found = ExplorerWidget(at_start)
+    found.sent = []
+    found.send = found.sent.append
+    yield found
+    found.close()
+    for thread in found._threads:
+        thread.join(30)
+
+
+def answer_to(widget, call):
+    """The answer to a call; its threads may send views of their own meanwhile."""
+    return next(sent for sent in widget.sent if sent.get("id") == call)
+
+
+def until(test, seconds=60):
+    began = time.monotonic()
+    while not test():
+        assert time.monotonic() - began < seconds
+        time.sleep(0.02)
+
+
+def test_messages_are_answered_and_traces_follow(widget, at_start):
+    assert widget._threads == []  # nothing is traced before somebody looks
+    widget._handle_custom_msg([1], [])  # which is none, is passed over
+    assert widget.sent == []
+    for asked in ({"call": "eval"}, {}, {"call": "move", "given": {"values": {"layers": "x"}}}):
+        widget._handle_custom_msg({"id": "3", **asked}, [])
+        assert "\n" not in answer_to(widget, "3")["error"]
+        widget.sent.clear()
+    widget._handle_custom_msg({"id": "1", "call": "page"}, [])
+    page = answer_to(widget, "1")["found"]
+    assert {control["name"] for control in page["controls"]} == set(at_start.controls)
+    widget._handle_custom_msg({"id": "2", "call": "move", "given": {"values": {"layers": 90.0}}}, [])
+    moved = answer_to(widget, "2")["found"]
+    assert moved["label"] == "estimate"
+    until(lambda: any("view" in sent and sent["view"]["label"] == "traced"
+                      and sent["view"]["values"]["layers"] == 90.0 for sent in widget.sent))  # fmt: skip
+    json.dumps(widget.sent, allow_nan=False)
+
+
+def test_the_explorer_shows_itself(at_start, monkeypatch):
+    shown = at_start._repr_mimebundle_()
+    data = shown[0] if isinstance(shown, tuple) else shown
+    assert "application/vnd.jupyter.widget-view+json" in data
+    at_start._widget.close()
+    at_start._widget = None
+    real = builtins.__import__
+
+    def without(name, *others):
+        if name == "mistray.analyses.explorer.widget":
+            raise ImportError(name)
+        return real(name, *others)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    assert "mistray[widget]" in at_start._repr_mimebundle_()["text/plain"]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the widget; install chromium")
+def test_the_front_end_speaks_with_a_model(at_start, tmp_path):
+    with serving(at_start) as server, page(tmp_path / "profile") as shown:
+        shown.open(server.address)
+        shown.until("document.querySelector('table.paths tbody tr')")
+        shown.run(MODEL)
+        assert shown.run("shown.querySelectorAll('table.paths tbody tr').length") > 5
+        shown.run("""(() => { const input = shown.querySelector('[name="layers"]'); input.value = 300;
+                              input.dispatchEvent(new Event("input")); })()""")
+        shown.until("shown.dataset.answers === '1'")
+        assert at_start.state["layers"] == pytest.approx(95.0)
+        view = at_start.settle()
+        shown.run(f"tell({json.dumps(view)})")
+        assert shown.run("shown.dataset.label") == "traced"
+        shown.run("leave()")
+        assert shown.run("listeners.size") == 0
+        assert shown.errors == []
+
+
+@pytest.fixture
+def saving(at_start, tmp_path):
+    at_start.saving.folder, at_start.saving.force = tmp_path, False
+    at_start.saving._own.clear()
+    yield at_start
+    at_start.saving.folder = Path()
+
+
+def test_the_scene_has_the_coatings_and_numbers_that_were_turned(saving, tmp_path):
+    saving.move({"coating window": "bbar3", "layers": 110.0, "detector.bsdf.R": 0.1})
+    scene = mistray.load(saving.save_scene())
+    for shape in scene.shapes():
+        if shape.id() in saving.controls["coating window"].surfaces:
+            thickness = [layer.thickness_nm for layer in shape.bsdf().coating.layers]
+            assert thickness[0] == pytest.approx(1.1 * 550 / 4 / 1.38, rel=1e-5)
+    assert parameters(scene)["detector.bsdf.R"].value[0] == pytest.approx(0.1, rel=1e-6)
+    shown = saving.settle()
+    t = mistray.trace(scene, rays=2000, field_deg=0.0, max_reflections=2)
+    assert sum(row.power_W for row in t.paths if row.kind != "direct") == pytest.approx(shown["stray_W"][0], rel=1e-4)
+
+
+def test_nothing_is_replaced_but_its_own_files(saving, tmp_path):
+    (tmp_path / SCENE_FILE).write_text("mine")
+    with pytest.raises(mistray.MistrayError, match=SCENE_FILE):
+        saving.save_scene()
+    assert (tmp_path / SCENE_FILE).read_text() == "mine"
+    saving.saving.force = True
+    saving.save_scene()
+    saving.saving.force = False
+    saving.save_scene()  # that of before
+    assert not list(tmp_path.glob(".*"))
+    (tmp_path / STUDY_FILE).symlink_to(tmp_path / "nowhere")
+    saving.move({"detector.bsdf.R": 0.1})
+    with pytest.raises(mistray.MistrayError, match=STUDY_FILE):
+        saving.save_study()
+    saving.saving.folder = tmp_path / SCENE_FILE
+    with pytest.raises(mistray.MistrayError, match=SCENE_FILE):
+        saving.save_scene()
+    saving.saving.folder = tmp_path / "new" / "folder"
+    assert saving.save_scene().is_file()
+    scene = tmp_path / SCENE_FILE  # which is explored, is never replaced
+    shutil.copy(saving.path, scene)
+    other = Explorer(scene, field_deg=[0.0], rays=200)
+    other.saving.folder, other.saving.force = tmp_path, True
+    before = scene.read_bytes()
+    with pytest.raises(mistray.MistrayError, match="explored"):
+        other.save_scene()
+    assert scene.read_bytes() == before
+
+
+def test_names_of_any_kind(saving, tmp_path):
+    """Blanks, brackets, quotation marks and letters of other scripts in names of surfaces, parts and the file."""
+    text = saving.path.read_text(encoding="utf-8")
+    for old, new in (("window_front", "窓 [1] &quot;front&quot;"), ("window_rear", "a*b? c")):
+        text = text.replace(old, new)
+    text = text.replace('value="window"', "value=\"p [a] \\ 'b'\"")
+    odd = tmp_path / "odd [scene] ü.xml"
+    odd.write_text(text, encoding="utf-8")
+    other = Explorer(odd, field_deg=[0.0], rays=500)
+    other.saving.folder = tmp_path
+    other.settle()
+    (name,) = [name for name, one in other.controls.items() if "a*b? c" in one.surfaces and one.choices]
+    other.move({name: "bbar3"})
+    shown = other.settle()
+    scene = mistray.load(other.save_scene())
+    t = mistray.trace(scene, rays=500, field_deg=0.0)
+    assert sum(row.power_W for row in t.paths if row.kind != "direct") == pytest.approx(shown["stray_W"][0], rel=1e-4)
+    assert "窓 [1]" in other.save_study().read_text(encoding="utf-8")
+
+
+def test_the_study_runs_on_both_scenes(saving, capsys):
+    saving.move({"coating window": "bare"})
+    with pytest.raises(mistray.MistrayError, match="control"):
+        saving.save_study()  # there is nothing to vary
+    saving.move({"coating window": "bbar3", "layers": 105.0, "detector.bsdf.R": 0.15})
+    scene, study = saving.save_scene(), saving.save_study()
+    assert {"detector.bsdf.R", "window_front"} <= set(study.read_text().replace('"', " ").split())
+    for path in (scene, saving.path):
+        succeeds(capsys, "optimize", path, study, "--steps", 1, "--verification-seeds", 2, "--quiet")

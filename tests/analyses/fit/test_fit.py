@@ -6,6 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from example_scripts import script
+from refusals import each_refused
 
 import mistray
 from mistray.errors import MistrayError
@@ -87,14 +88,12 @@ class TestScales:
         assert held >= 51
         assert len(model.points) < 200, "most draws found a point of an earlier one"
 
-    def test_from_either_side_and_far_away_the_same(self):
+    def test_every_start_ends_at_the_same_and_the_interval_is_the_profile(self):
         value = weak(np.array([0.5, 1.0, -0.4])).value
         for start in (3.0, -2.0, 0.0):
             found = fit(weak, value, 0.01 * value, {"rough": 1.0, "grey": 2.0, "shift": start}, **SCALES)
             assert found.value == pytest.approx([0.5, 1.0, -0.4], rel=2e-3)
-
-    def test_interval_is_the_profile(self):
-        """Its ends: where the least χ² over the other two parameters is 3.841 above that of all."""
+        # Its ends: where the least χ² over the other two parameters is 3.841 above that of all
         value = weak(np.array(list(WEAK.values()))).value
         data = value * (1 + 0.05 * np.random.default_rng(7).standard_normal(20))
         found = fit(weak, data, 0.05 * value, dict(WEAK), **SCALES)
@@ -132,9 +131,8 @@ class TestScales:
 ONES, TWO, THREE = np.ones(12), {"height": 1.0, "decay": 1.0}, {"rough": 1.0, "grey": 2.0, "shift": 0.0}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "more", "words"),
-    [
+def test_refusals():
+    each_refused(
         ((exponential, ONES, np.zeros(12), TWO), {}, "standard error of 0"),
         ((exponential, ONES, ONES, TWO | {"height": -1.0}), {"power": 0}, "above 0"),
         ((exponential, ONES[:2], ONES[:2], TWO), {}, "2 observed numbers for 2 parameters"),
@@ -144,11 +142,8 @@ ONES, TWO, THREE = np.ones(12), {"height": 1.0, "decay": 1.0}, {"rough": 1.0, "g
         ((weak, np.ones(20), np.ones(20), THREE | {"rough": 0.0}), SCALES, "starts with 0; start between above 0"),
         ((weak, np.ones(20), np.ones(20), THREE), {"power": -1}, r"power is \[-1"),
         ((weak, np.ones(20), np.ones((20, 20)), THREE), {}, "positive definite"),
-    ],
-)
-def test_refusals(arguments: tuple[Any, ...], more: dict[str, Any], words: str):
-    with pytest.raises(MistrayError, match=words):
-        fit(*arguments, **more)
+        by=lambda arguments, more: fit(*arguments, **more),
+    )
 
 
 LINE = 3 * X + 1 + 0.1 * np.random.default_rng(0).standard_normal(12)

@@ -389,7 +389,7 @@ def label(scattering, events):
 
 
 @by_rank
-def test_text(rank):
+def test_text_layout_and_report(rank):
     scattering = ranked_report(rank)
     lines = main_table(scattering, 1).splitlines()
     start = next(k for k, line in enumerate(lines) if line.startswith("Worst 1 "))
@@ -407,10 +407,6 @@ def test_text(rank):
     assert [row["events"] for row in field["worst_paths"] if row["rank_power"] == 1] == [WIDE]
     table = path_table(ranked_report(rank))
     assert ("peak_W_mm2" in table) == ("rank_peak" in table) == (rank == "peak")
-
-
-@by_rank
-def test_layout_and_report(rank):
     scattering = ranked_report(rank)
     assert label(scattering, WIDE) in [text.partition(" (")[0] for _, _, text in worst_paths(scattering, 0.0, 1)]
     assert [events for events in shown_paths(scattering, 0.0).events if events in ORDERS[rank]] == list(ORDERS[rank])

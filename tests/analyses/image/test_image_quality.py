@@ -6,10 +6,11 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracles import ideal_images
+from refusals import each_refused
 
 import mistray
 from mistray.analyses.transfer.surface import product, transfer_of_bsdf, transfer_of_spectrum
-from mistray.errors import MistrayError, MistrayWarning
+from mistray.errors import MistrayWarning
 from mistray.physics.imaging import surface_transfer as formulas
 from mistray.scatter.abg import ABg
 from mistray.scatter.gaussian import Gaussian
@@ -121,7 +122,7 @@ def test_wavelengths_count_by_the_light_that_arrives():
     assert found.shares == pytest.approx(light / light.sum(), rel=2e-3)
 
 
-def test_light_that_is_not_resolved_has_no_psf():
+def test_what_has_no_psf_and_what_is_refused():
     """A point at 300 mm before a lens that is focused at infinity: the spot is there, a note says why MTF is not."""
     found = mistray.image_quality(mistray.load("cooke_triplet", "point:0,0,-300"), field_mm=5.0)
     (image,) = found
@@ -129,19 +130,15 @@ def test_light_that_is_not_resolved_has_no_psf():
     assert np.isnan(image.strehl)
     assert np.isfinite(image.rms_spot_mm())
     assert "field 5 mm" in found.notes[0]
-
-
-def test_refused():
     scene, blind = mistray.load(paraboloid()), paraboloid()
     del blind["mirror"]
-    for given, arguments, words in (
+    each_refused(
         (mistray.load("cooke_triplet"), {"field_deg": 60.0}, r"field 60°.*no light"),
         (scene, {"stop": "nobody"}, "'nobody'"),
         (mistray.load(blind), {}, "no image"),
         (mistray.load("cooke_triplet", "laser:0,0,-50,waist_x=1,waist_y=1"), {}, "neither far away nor a point"),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            mistray.image_quality(given, **arguments)
+        by=lambda given, arguments: mistray.image_quality(given, **arguments),
+    )
 
 
 def test_near_object_and_azimuth():
@@ -299,13 +296,11 @@ def test_a_smooth_surface_changes_nothing_and_a_rough_one_is_told():
         found = transfer_of_spectrum(mirror(120.0), LINE)
     assert found.plateau == pytest.approx(math.exp(-((4 * math.pi * 120 / LINE) ** 2)), rel=0.02)
     assert transfer_of_spectrum(mirror(120.0), 10600.0).tis == pytest.approx((4 * math.pi * 120 / 10600) ** 2, rel=0.05)
-    for named, call in (
-        ("event", lambda: transfer_of_bsdf(mirror(1.0), LINE, "both")),
-        ("wavelength_nm", lambda: transfer_of_spectrum(mirror(1.0), 0.5)),
-        ("totally reflected", lambda: transfer_of_bsdf(mirror(1.0), LINE, "transmission", 1.5, 1.0, cos_i=0.2)),
-        ("nothing goes on", lambda: transfer_of_bsdf(mirror(1.0), LINE, share=0.0)),
-        ("f_number", lambda: transfer_of_spectrum(mirror(1.0), LINE).at([1.0], 0.0, 1.0)),
-        ("frequencies_per_mm", lambda: transfer_of_spectrum(mirror(1.0), LINE).at([-1.0], 1.0, 1.0)),
-    ):
-        with pytest.raises(MistrayError, match=named):
-            call()
+    each_refused(
+        (lambda: transfer_of_bsdf(mirror(1.0), LINE, "both"), "event"),
+        (lambda: transfer_of_spectrum(mirror(1.0), 0.5), "wavelength_nm"),
+        (lambda: transfer_of_bsdf(mirror(1.0), LINE, "transmission", 1.5, 1.0, cos_i=0.2), "totally reflected"),
+        (lambda: transfer_of_bsdf(mirror(1.0), LINE, share=0.0), "nothing goes on"),
+        (lambda: transfer_of_spectrum(mirror(1.0), LINE).at([1.0], 0.0, 1.0), "f_number"),
+        (lambda: transfer_of_spectrum(mirror(1.0), LINE).at([-1.0], 1.0, 1.0), "frequencies_per_mm"),
+    )

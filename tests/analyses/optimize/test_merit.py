@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import vectors
 from oracles.derivatives import central_differences
 from oracles.small_scenes import plates_text, write
 from refusals import refused
@@ -74,7 +75,7 @@ class TestContribution:
         assert dr.grad(v)[0] == pytest.approx(expected, rel=1e-6, abs=1e-6)
         assert by_value(term, value, 4.5) == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
-    def test_a_floor(self) -> None:
+    def test_a_floor_and_pieces(self) -> None:
         """With one a term may vanish: darker than so far below the start is dark enough."""
         term = Term("t", "path_power", floor_of_start=0.01)
         assert float(contribution(term, mi.Float64(0.0), 4.0)[0]) == pytest.approx(math.log(0.01 / 1.01))
@@ -87,9 +88,7 @@ class TestContribution:
         least = 2 * math.log(1e-15) + math.log(0.01 / 1.01)
         assert least_merit([Term("a", "path_power", weight=2.0), term]) == pytest.approx(least, rel=1e-14)
         assert least_merit([Term("c", "path_power", "at_most", limit=1.0)]) == 0
-
-    def test_pieces(self) -> None:
-        """Taken apart and put together again: value and slope are those of the sum."""
+        # Taken apart and put together again: value and slope are those of the sum
         rng = np.random.default_rng(1)
         slopes = {goal: rng.standard_normal(3) for goal in self.TERMS}
         terms = [replace(term, name=goal) for goal, (term, _) in self.TERMS.items()]
@@ -359,21 +358,7 @@ class TestWorse:
         assert [(row.field_deg, row.wavelength_nm) for row in found] == [(None, 450.0), (12.0, None)]
         assert found[0].ratio == pytest.approx(1 / 1.7)
 
-    @pytest.mark.parametrize(
-        ("goal", "more", "factor", "told"),
-        [
-            ("at_least", {"limit_of_start": 0.9}, 0.8, True),
-            ("at_least", {"limit_of_start": 0.9}, 0.95, False),
-            ("at_most", {"limit_of_start": 1.1}, 1.2, True),
-            ("at_most", {"limit_of_start": 1.1}, 0.2, False),
-            ("at_least", {"limit": 0.5}, 0.4, True),
-            ("at_least", {"limit": 3.0}, 0.4, False),  # it did not hold before
-            ("keep", {"tolerance": 0.1}, 1.2, True),
-            ("keep", {"tolerance": 0.1}, 0.8, True),
-            ("keep", {"tolerance": 0.1}, 1.05, False),
-            ("minimise", {}, 1.005, False),  # not worth telling
-        ],
-    )
+    @pytest.mark.parametrize(("goal", "more", "factor", "told"), vectors.toml("tables.toml")["what got worse"])
     def test_goals(self, goal: str, more: dict[str, float], factor: float, told: bool) -> None:
         before = {cell: np.random.default_rng(2).normal(1, 0.01, 8) for cell in self.cells}
         after = before | {ComparisonCell("ghosts", 12.0): factor * before[ComparisonCell("ghosts", 12.0)]}
@@ -391,16 +376,7 @@ class TestWorse:
 
 
 @pytest.mark.quick
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"worst": "angle"}, "worst is 'angle'; choose from none, field, wavelength, both"),
-        ({"worst": "field", "field_deg": [3]}, "needs two field_deg or more"),
-        ({"worst": "both", "wavelength_nm": [500]}, "needs two wavelength_nm or more"),
-        ({"worst": "field", "goal": "keep"}, 'has no meaning with goal = "keep"'),
-        ({"worst": "field", "kind": "layer_minimum", "goal": "at_least", "limit": 3}, "is for metrics of traces"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "words"), vectors.toml("refusals.toml")["worst of a term"])
 def test_what_makes_no_sense(changes: dict[str, Any], words: str) -> None:
     one = {"kind": "path_power", "goal": "minimise", "worst": "both"} | changes
     if one["kind"] == "path_power":

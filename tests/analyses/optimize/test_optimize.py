@@ -280,7 +280,7 @@ def out(result: Optimization, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_tables(result: Optimization, out: Path) -> None:
+def test_tables_and_the_scene(result: Optimization, out: Path) -> None:
     rows = pd.read_csv(out / "terms.csv")
     assert len(rows) == len(result.comparison.rows) == 1 + 2 + 2 + 4 + 1
     assert rows.iloc[0][["field_deg", "wavelength_nm"]].isna().all()
@@ -293,9 +293,6 @@ def test_tables(result: Optimization, out: Path) -> None:
     history = pd.read_csv(out / "history.csv")
     assert len(history) == len(result.steps)
     assert list(history.iloc[0][["rear.thickness_nm[0]", "price"]]) == pytest.approx([60, 150])
-
-
-def test_the_scene(result: Optimization, out: Path) -> None:
     scene = mistray.load(out / "scene.xml")
     params = mi.traverse(scene)
     for name in ("front", "rear"):

@@ -328,7 +328,7 @@ class TestStarts:
         radius = Variable("r", "mm", 1.0, 100.0, "log", (VariablePlace("vane.r0", 0, 1.0, 12.0),))
         return Variables(params, [*found, radius])
 
-    def test_latin_hypercube(self) -> None:
+    def test_latin_hypercube_and_minima_of_coatings(self) -> None:
         """One point in each of as many equal parts of the way from bound to bound, which is one of ratios here."""
         variables = self.variables()
         given, *others = starts(variables, (), (), (), 9, 3)
@@ -337,8 +337,6 @@ class TestStarts:
         assert [int(8 * share) for share in shares] == list(range(8))
         again = starts(variables, (), (), (), 9, 3)
         assert [start.x.tolist() for start in again[1:]] == [start.x.tolist() for start in others]
-
-    def test_minima_of_coatings_leave_other_variables(self) -> None:
         placed = placed_coating("1.38 90", ["L1_front"], [10.0, 400.0])
         given, *others = starts(self.variables(1), (placed,), (550.0,), (1.0,), 4, 0)
         assert given.x.tolist() == [90.0, 12.0]
@@ -351,17 +349,7 @@ class TestStarts:
         assert first.name == "minimum 1 of the mean square R"
 
 
-VALUES = {
-    "vane_1.r0": [11.0],
-    "vane_2.r0": [12.0],
-    "vane_3.r0": [14.0],
-    "lens_front.curvature": [0.02],
-    "lens_rear.curvature": [-0.02],
-    "window.z": [0.0],
-    "paint.A": [1e-3],
-    "polish.A": [4e-3],
-    "AR.thickness_nm": [90.0, 120.0, 60.0],
-}
+VALUES = vectors.toml("tables.toml")["parameters of a search"]
 UNITS = {"r0": "mm", "curvature": "1/mm", "z": "mm", "A": "1/sr", "thickness_nm": "nm"}
 LOWS = {"r0": 0.0, "curvature": -1.0, "z": -1e3, "A": 0.0, "thickness_nm": 0.0}
 

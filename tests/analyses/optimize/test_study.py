@@ -73,7 +73,7 @@ class TestReading:
         (term, *_) = read_study(changed("term.0.wavelength_nm", [450, 550, 650])).terms
         assert term.traced == {"field_deg": (0.0, 10.0), "wavelength_nm": (450.0, 550.0, 650.0), "rays": 100}
 
-    def test_starts_and_methods(self) -> None:
+    def test_starts_methods_short_forms_and_what_the_docs_show(self) -> None:
         """Several starts with coatings, a method for limits with limits, unless the study says."""
         assert read_study(changed("optimizer.starts", 7)).optimizer.starts == 7
         study = changed("term", GOOD["term"][:1])
@@ -82,9 +82,7 @@ class TestReading:
         assert read_study(study).optimizer.starts == 1
         adam = read_study(changed("optimizer.method", "adam")).optimizer
         assert (adam.method, adam.patience) == ("adam", 10)
-
-    def test_short_forms(self) -> None:
-        """An entry of a list, a range of wavelengths, a thickness in waves of design_nm."""
+        # An entry of a list, a range of wavelengths, a thickness in waves of design_nm
         (group, _) = read_study(changed("variable.0.parameters", ["AR.thickness_nm[2]", "vane_[12].r0"])).variables
         assert group.parameters == (Moved("AR.thickness_nm", 2), Moved("vane_[12].r0"))
         study = changed("trace.wavelength_nm", {"start": 450, "stop": 500, "step": 12.5})
@@ -92,8 +90,6 @@ class TestReading:
         assert read_study(study).terms[0].traced["wavelength_nm"] == (450.0, 462.5, 475.0, 487.5, 500.0)
         study["coating"][0] |= {"design_nm": 600.0, "layers": "1.5 0.25w"}
         assert read_study(study).coatings[0].start.layers[0].thickness_nm == pytest.approx(100.0)
-
-    def test_the_studies_of_the_docs(self) -> None:
         text = (ROOT / "docs" / "optimization.md").read_text(encoding="utf-8")
         blocks = re.findall(r"^```toml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
         assert len(blocks) >= 2
@@ -101,8 +97,6 @@ class TestReading:
             read_study(tomllib.loads(block))
         example = read_study(ROOT / "examples" / "triplet_ar.toml")
         assert [group.name for group in example.coatings] == ["crown", "flint"]
-
-    def test_every_kind_is_in_the_docs(self) -> None:
         text = (ROOT / "docs" / "optimization.md").read_text(encoding="utf-8")
         for kind in KINDS:
             assert f"| `{kind}` |" in text, kind
@@ -182,7 +176,7 @@ class TestSurfaces:
         assert not left_out & set(placed.surfaces)
         assert {"L1_front", "L1_rear", "L2_front"} <= set(placed.surfaces)
 
-    def test_refusals(self, scene: Any) -> None:
+    def test_refusals_and_band(self, scene: Any) -> None:
         for key, value, message in (
             ("1.surfaces", ["L2_front", "L9"], "coating 'b': the scene has no surface 'L9'; choose from L1_front"),
             ("1.surfaces", ["detector"], "coating 'b': surface 'detector' is opaque or a mirror"),
@@ -191,9 +185,7 @@ class TestSurfaces:
         ):
             with pytest.raises(MistrayError, match=message):
                 place(scene, read_study(changed(f"coating.{key}", value)))
-
-    def test_band(self, scene: Any) -> None:
-        """That of the first term which is to be minimised; the scene's own if it names no wavelengths."""
+        # That of the first term which is to be minimised; the scene's own if it names no wavelengths
         assert band(scene, read_study(GOOD)) == ((500.0, 600.0), (0.25, 0.75))
         assert band(scene, read_study({**LIGHT, "coating": GOOD["coating"]})) == ((587.5618,), (1.0,))
         study = changed("term.1.wavelength_nm", [450])

@@ -13,6 +13,7 @@ import pytest
 from oracles.derivatives import central_differences
 from oracles.ideal_lens import cell_nodes, over_cells
 from oracles.small_scenes import plates_text
+from refusals import each_refused
 from scipy.integrate import quad
 from vectors import analytic
 
@@ -318,7 +319,7 @@ def test_ghosts(load_scene: Callable[[str], object]) -> None:
 def test_bad_input() -> None:
     pst = pst_of([0, 2, 4], np.ones_like, np.ones_like)
     dark, bright = pst_of([10, 12], np.zeros_like), pst_of([0, 2], np.ones_like, maps=np.zeros((2, 2, 1, 4, 4)))
-    for call, words in (
+    each_refused(
         (lambda: source_irradiance(pst, Disc(1.0, 1.0, 60.0)), "between 59 and 61°"),
         (lambda: source_irradiance(pst, Disc(1.0, 0.0)), "dark"),
         (lambda: source_irradiance(pst, SkyRadiance(), interpolation="cubic"), "'cubic'"),
@@ -343,9 +344,7 @@ def test_bad_input() -> None:
         (lambda: veiling_glare_index(pst, 1, 3, place="point"), "azimuths_deg"),
         (lambda: veiling_glare_index(bright, 1, at_mm=(3.0, 0.0)), "-1 to 1"),
         (lambda: glare_spread(pst), "map_pixels"),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            call()
+    )
 
 
 BATCHES = 32
@@ -559,7 +558,7 @@ def test_closed_form_of_coatings(load_scene) -> None:
 
 
 def test_wrong_arguments(scene) -> None:
-    for call, message in (
+    each_refused(
         (lambda: pst_bin(scene, 20, "gost"), "light 'gost' does not exist; did you mean 'ghost'"),
         (lambda: pst_bin(scene, 20, ()), "no light is chosen; use total, stray"),
         (lambda: pst_bin(scene, 20, convention="both"), "convention is 'both'; choose from normal, projected"),
@@ -577,6 +576,4 @@ def test_wrong_arguments(scene) -> None:
         (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "limits is 0; it must lie between 1e-30"),
         (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; choose from mean"),
         (lambda: veiling_glare(scene, 95.0, **TRACED).value(), "patch of half-width 95°"),
-    ):
-        with pytest.raises(MistrayError, match=message):
-            call()
+    )

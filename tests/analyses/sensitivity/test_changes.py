@@ -25,7 +25,7 @@ def ranges(slope, value=None, low=None, high=None, tolerance=None, se=None) -> R
                   given(se, 0))  # fmt: skip
 
 
-def test_alone() -> None:
+def test_alone_and_least_effort() -> None:
     """ln M falls by ln 10 after Δ = -ln 10 / s, against s; less at a bound; noise proposes nothing."""
     up, down = single_changes(ranges([2.0, -0.5], value=[1.0, 3.0]), 10.0)
     assert (up.value, up.factor, up.reached) == (pytest.approx(1 - math.log(10) / 2), pytest.approx(10), True)
@@ -37,10 +37,7 @@ def test_alone() -> None:
     assert not any(c.reached for c in both)
     (change,) = single_changes(ranges([2.0], value=[1.0], se=[1.0]), 10.0)
     assert (change.value, change.factor, change.reached) == (1.0, 1.0, False)
-
-
-def test_least_effort() -> None:
-    """Without bounds x_i ~ w_i² (Lagrange); with bounds against a numerical minimum; and out of reach."""
+    # Without bounds x_i ~ w_i² (Lagrange); with bounds against a numerical minimum; and out of reach
     weight = np.array([1.0, 2.0, 3.0])
     assert least_effort(weight, np.full(3, np.inf), 7.0) == pytest.approx(7 * weight**2 / 14)
     weight, most, goal = np.array([1.0, 2.0, 3.0, 0.5]), np.array([9.0, 0.7, 1.1, 9.0]), 2.5

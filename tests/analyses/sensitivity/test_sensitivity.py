@@ -267,7 +267,7 @@ def batches(changes, noise=0.0, seed=0) -> np.ndarray:
     return changes / BATCHES + noise / np.sqrt(BATCHES) * generator.standard_normal((BATCHES, len(changes)))
 
 
-def test_closed_forms() -> None:
+def test_closed_forms_and_the_error_of_the_metric() -> None:
     """3² + 4² = 5²; what varies together adds with its signs, (3 - 4)² + 2²; and no change at all."""
     spread = propagate(["a", "b", "c"], batches([3.0, -4.0, 0.0]))
     assert spread.variance == pytest.approx((25.0, 0.0))
@@ -283,10 +283,7 @@ def test_closed_forms() -> None:
     spread = propagate(["a"], batches([0.0]))
     assert spread.variance.value == spread.deviation.value == 0
     assert np.isnan(spread.contributions[0].share.value)
-
-
-def test_the_error_of_the_metric() -> None:
-    """All s are divided by the metric: with 1 % in it the standard deviation has 1 %, too, and 1e-4 of V are noise."""
+    # All s are divided by the metric: with 1 % in it the standard deviation has 1 %, too, and 1e-4 of V are noise
     of_metric = np.tile([1.0, -1.0], BATCHES // 2) * 0.01 * np.sqrt((BATCHES - 1) / BATCHES) / np.sqrt(BATCHES)
     spread = propagate(["a", "b"], np.outer(1 / BATCHES - of_metric, [3.0, 4.0]))
     assert spread.variance.value == pytest.approx(25 * (1 - 1e-4))
@@ -294,7 +291,7 @@ def test_the_error_of_the_metric() -> None:
     assert spread.contributions[0].change == pytest.approx((4.0, 0.04))
 
 
-def test_noise_does_not_add_up() -> None:
+def test_noise_does_not_add_up_and_standard_errors() -> None:
     """200 parameters of which one counts: V = 1 within 4.5 of its errors, over 100 draws on average within 4.5 σ/10.
 
     False-alarm probability 1e-5 for both together. Uncorrected the noise would be 200 · 0.1² = 2.
@@ -306,10 +303,7 @@ def test_noise_does_not_add_up() -> None:
     assert abs(values[0, 0] - 1) < 4.5 * values[0, 1]
     assert abs(values[:, 0].mean() - 1) < 0.45 * values[:, 0].std()
     assert found[0].noise == pytest.approx(2.0, rel=0.2)
-
-
-def test_standard_errors() -> None:
-    """The spread over 300 draws is the error: χ² with 299 degrees of freedom, false-alarm probability 1e-6 a side."""
+    # The spread over 300 draws is the error: χ² with 299 degrees of freedom, false-alarm probability 1e-6 a side
     found = [propagate(["a", "b", "c"], batches([1.0, -4.0, 0.5], 0.2, seed), [("g", [1, 2])]) for seed in range(300)]
     values = np.array([[*spread.variance, *spread.contributions[0].change] for spread in found])
     for value, se in ((0, 1), (2, 3)):

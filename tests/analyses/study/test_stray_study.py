@@ -260,7 +260,7 @@ def marginal_sine(curvature, z, index, height) -> float:
     return abs(float(d[0]))
 
 
-def test_triplet_against_paraxial_rays():
+def test_triplet_and_thick_lens_against_paraxial_rays():
     found, table = measured("cooke_triplet")
     surfaces = triplet().surfaces
     n = table.optics.host_indices[[table.ids.index(s.name) for s in surfaces], :2]
@@ -274,10 +274,7 @@ def test_triplet_against_paraxial_rays():
     assert found.focal_length_mm / found.pupil_diameter_mm == pytest.approx(4.0, rel=1e-3)
     sine = marginal_sine([1 / s.radius for s in surfaces], [s.z for s in surfaces], index, found.pupil_diameter_mm / 2)
     assert found.f_number == pytest.approx(1 / (2 * sine), rel=1e-5)
-
-
-def test_thick_lens():
-    """R = ±100 mm, 5 mm of n = 1.5168: f = 97.58041 mm by the lensmaker's equation; then a window."""
+    # R = ±100 mm, 5 mm of n = 1.5168: f = 97.58041 mm by the lensmaker's equation; then a window
     found, table = measured("singlet_window_detector")
     n = float(table.optics.host_indices[table.ids.index("L1_front"), 1])
     focal = 1 / ((n - 1) * (2 / 100 - (n - 1) * 5 / (n * 100**2)))

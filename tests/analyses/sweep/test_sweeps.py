@@ -10,11 +10,12 @@ import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
+import vectors
 from command_line import fails, succeeds
 from oracles.object_scenes import common_area
 from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene, wall_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
-from refusals import refused
+from refusals import each_refused, refused
 
 import mistray
 from mistray.analyses.sweep.configurations import resolve
@@ -160,7 +161,7 @@ class TestKernels:
 
 
 def test_wrong_arguments(plate: Path) -> None:
-    for arguments, words in (
+    each_refused(
         (([0], [550, 550]), "give every wavelength once"),
         (([0], 550, {}), "configurations is empty"),
         (([0], 550, [Configuration("a", {})] * 2), "configuration 'a' is given twice"),
@@ -172,36 +173,20 @@ def test_wrong_arguments(plate: Path) -> None:
         (([0], 550, {"a": {"p0_front.z": "far"}}), "is 'far'; give a number"),
         (([0], 550, {"a": {"p0_front.faces": 1}}), "is no number but UInt"),
         (([0], 550, {"a": {"p0_rear.z": -5.0}}), "configuration 'a': surfaces 'p0_front' and 'p0_rear'"),
-    ):
-        with refused(words):
-            mistray.sweep(plate, *arguments, cache=False)
+        by=lambda arguments: mistray.sweep(plate, *arguments, cache=False),
+    )
     found = mistray.sweep(plate, [0, 1], 550, rays=64, cache=False)
-    for call, words in (
+    each_refused(
         (lambda: mistray.sweep(plate, ray=5), "sweep: there is no argument 'ray'"),
         (lambda: found.trace(), "field_deg is missing; choose from 0, 1"),
         (lambda: found.trace(field_deg=0, wavelength_nm=500), "wavelength_nm is 500; choose from 550"),
         (lambda: found.estimate("stray", field_deg=0), "no number 'stray' with an error; choose from detected_W"),
-    ):
-        with refused(words):
-            call()
+    )
 
 
 class TestToml:
-    def test_values(self, tmp_path: Path) -> None:
-        text = """
-        [[configuration]]
-        name = "as designed"
-        [[configuration]]
-        name = "tele"
-        values = { "G2.z" = 1.5, "AR.thickness_nm" = [90, 120.5] }
-        [[configuration]]
-        name = "warm"
-        [configuration.values]
-        "N-BK7.index" = 1e-4
-        """
-        path = tmp_path / "states.toml"
-        path.write_text(text, encoding="utf-8")
-        found = read_configurations(path)
+    def test_values(self) -> None:
+        found = read_configurations(vectors.DATA / "zoom_states.toml")
         assert [one.name for one in found] == ["as designed", "tele", "warm"]
         assert [dict(one.values) for one in found] == [
             {}, {"G2.z": (1.5,), "AR.thickness_nm": (90.0, 120.5)}, {"N-BK7.index": (1e-4,)},
@@ -221,13 +206,7 @@ class TestToml:
         path = tmp_path / "states.toml"
         with refused(r"configurations '.*states\.toml': No such file or directory"):
             read_configurations(path)
-        for text, words in (
-            ("", "configuration is missing; add at least one section"),
-            ("[[configuration]]\nname='a'\nvalue={}", "configuration\\[1\\].value is unknown; did you mean 'values'"),
-            ("[[configuration]]\nname='a'\nvalues={x='1'}", "configuration\\[1\\].values.x is '1'; give a number"),
-            ("[[configuration]]\nname='a'\nvalues={x=nan}", "the numbers must be finite"),
-            ("[[configuration]", "correct the TOML"),
-        ):
+        for text, words in vectors.toml("refusals.toml")["configurations"]:
             path.write_text(text, encoding="utf-8")
             with refused(words):
                 read_configurations(path)
@@ -417,15 +396,15 @@ def test_tables_and_command(ringed: Path, tmp_path: Path, capsys: pytest.Capture
 
 
 def test_wrong_edits_are_refused(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for change, words in (
+    each_refused(
         ({"paint": {"wal": 0.1}}, "paint 'wal=0.1' fits no surface and no part; the nearest names are wall"),
         ({"paint": {"wall": "flat_blak"}}, "did you mean flat_black"),
         ({"coat": {"plate": "bbr3"}}, "coating 'bbr3'.*did you mean 'bbar3'"),
         ({"coat": {"wall": "bbar3"}}, "'wall' is opaque; give an opaque coating"),
         ({"block": [Structure("wall", 1.0, 0.0, 2.0, 0.0)]}, "it has an object 'wall' already"),
-    ):
-        with refused(f"configuration 'x'.*{words}"):
-            swept(scene, Configuration("x", **change))
+        by=lambda change: swept(scene, Configuration("x", **change)),
+        pattern="configuration 'x'.*{}",
+    )
     with refused("relative_error would give the runs different rays"):
         swept(scene, Configuration("x"), relative_error=0.1)
     with refused("this name is that of the scene without changes"):
@@ -531,7 +510,7 @@ def test_parts_move_as_a_whole() -> None:
     assert not {*keys, "lens_front.tilt_x"} & labels
 
 
-def test_several_angles_share_one_pst(ringed: Path) -> None:
+def test_several_angles_ranking_and_steps(ringed: Path) -> None:
     both = rank_edits(ringed, [ANGLE, 25.0], "total", rays=20_000, max_scatters=1)
     metric = pst_bin(mistray.load(ringed), 25.0, "total", pst_field_deg=[ANGLE, 25.0], rays=20_000, max_scatters=1)
     # One width of the zones at rims for all edits, where a gradient by one of them may choose another
@@ -540,9 +519,6 @@ def test_several_angles_share_one_pst(ringed: Path) -> None:
     assert both.pst[1].value == pytest.approx(gradient.value, rel=1e-12)
     assert both["ring.r0"].derivative[1].value == pytest.approx(gradient.gradient["ring.r0"][0], rel=1e-12)
     assert list(both.to_pandas().angle_deg[:2]) == [ANGLE, 25.0]
-
-
-def test_ranking_and_steps(ringed: Path) -> None:
     found = ranked(ringed, steps={"rim": 0.2, "wall.bsdf.*": "5 %", "coating": 3.0, "ring.z": "1 %"} | {"ring.z": 0.3})
     assert found["ring.r0"].step == 0.2
     assert found["wall.bsdf.paint.reflectance"].step == pytest.approx(0.02)
@@ -558,7 +534,7 @@ def test_ranking_and_steps(ringed: Path) -> None:
 
 
 def test_wrong_steps_are_refused(ringed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for change, words in (
+    each_refused(
         ({"steps": {"rim": 0.0}}, "step of 'ring.*' is 0.0; give a number greater than 0 in mm"),
         ({"steps": {"rim": "nan"}}, "is nan"),
         ({"steps": {"ring.z": "1 %"}}, "'ring.z' is 1 % of 0; give it in mm"),
@@ -566,9 +542,8 @@ def test_wrong_steps_are_refused(ringed: Path, capsys: pytest.CaptureFixture[str
         ({"steps": {"plate.curvature": 1.0}}, "none of the edits is about it"),
         ({"light": "edge_diffraction"}, "the PST at 15° is 0"),
         ({"method": "forward"}, "method of a PST metric"),
-    ):
-        with refused(words):
-            ranked(ringed, **change)
+        by=lambda change: ranked(ringed, **change),
+    )
     with refused("field_deg is empty"):
         rank_edits(ringed, [])
     for more in ("--rank", "--pst-field-deg 10 --step rim=1", "--pst-field-deg 10 --rank --step rim"):

@@ -13,7 +13,7 @@ from analyses.fake_trace import SHARES, paths_at, scatter_trace_at, trace_in_col
 from analyses.view.view_scene import A4, CONIC, EXACT, FORMULAS, RADIUS, SCENE, RayTrace, glass, mm, tilted
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
-from refusals import refused
+from refusals import each_refused, refused
 
 import mistray
 from mistray.analyses.view.controls import NO_LIGHT, FluxScale
@@ -145,7 +145,7 @@ def test_without_a_trace(scene, trace, tmp_path, monkeypatch):
     other = mistray.load(tmp_path / "other.xml")
     with refused("surface 'stop_wall' is not both in scene and trace"):
         view(other, trace)
-    for arguments, message in (
+    each_refused(
         ({"paths": -1}, "paths is -1; it must be a whole number between 0 and"),
         ({"rays": 0}, "rays is 0; it must be a whole number between 1 and"),
         ({"colour": "red"}, "colour is 'red'; choose from flux, absorbed, irradiance, role"),
@@ -153,9 +153,8 @@ def test_without_a_trace(scene, trace, tmp_path, monkeypatch):
         ({"cut_mm": -100.0}, "leaves no surface; move the cut"),
         ({"path_ids": [99]}, "path_id 99 does not exist"),
         ({"trace": None, "path_ids": [1]}, "path_ids without a trace"),
-    ):
-        with refused(message):
-            view(scene, **({"trace": trace} | arguments))
+        by=lambda arguments: view(scene, **({"trace": trace} | arguments)),
+    )
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
     with refused(r"needs plotly, which is not installed; run: pip install 'mistray\[view\]'"):
         view(scene)
@@ -325,14 +324,13 @@ def test_a_layout_has_the_rays_of_the_history_and_the_rows_asked_for(figure, tra
     assert looks[8] == (looks[0][0], "--")
     axes = layout_figure(scene).axes[0]
     assert (axes.get_legend_handles_labels(), axes.get_title()) == (([], []), "")
-    for given, options, words in (
+    each_refused(
         (trace, {"path_ids": [99]}, "path_id 99 does not exist"),
         (None, {"path_ids": [1]}, "path_ids without a trace"),
         (trace, {"rays": 0}, "rays is 0"),
         (trace, {"paths": -2}, "paths is -2"),
-    ):
-        with refused(words):
-            layout_figure(scene, given, **options)
+        by=lambda given, options: layout_figure(scene, given, **options),
+    )
     # Text as text, so that a paper's own font and a search find it; the same file every time
     path = write_layout(figure, tmp_path / "layout.svg")
     text = path.read_text(encoding="utf-8")
