@@ -6,6 +6,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from mistray.replace_file import replace_file
 from mistray.toolkit.drawings.cut_open import OpenSurface
 from mistray.toolkit.drawings.path_rays import RayLine
@@ -41,7 +43,8 @@ class View:
 
     def html(self, command: str = "") -> str:
         """Return a self-contained HTML page with plotly.js; `command` is quoted at its foot."""
-        from mistray.toolkit.pages.render import template
+        from mistray.analyses.view.drawing import LINES_OF_PAGE
+        from mistray.toolkit.pages.render import stylesheet, template
 
         body = self.figure.to_html(
             full_html=False,
@@ -50,7 +53,8 @@ class View:
             default_height="100%",
             config={"displaylogo": False, "scrollZoom": True, "responsive": True},
         )
-        return template("view.html", title=self.title, note=self.note, body=body, command=command) + "\n"
+        said = {"title": self.title, "note": self.note, "command": command}
+        return template("view.html", **said, body=body, css=Markup(stylesheet("colours")), follows=LINES_OF_PAGE) + "\n"
 
     def write(self, path: str | Path, command: str = "") -> Path:
         """Write the page of `html` to a file, complete or not at all; raise `MistrayError` if that fails."""
