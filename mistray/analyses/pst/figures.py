@@ -142,7 +142,7 @@ def pst_causes(pst: Pst, title: str = "") -> Figure:
         handles, labels = axes.get_legend_handles_labels()  # lines first, then bars from the bottom up
         figure.legend(handles[::-1], labels[::-1], loc="outside right upper", fontsize=8, frameon=False)
     return figure.small_print(
-        "stray light: all but the direct image; white: paths that the table of paths does not hold", right=True
+        "stray light: all but the direct image; left blank: paths that the table of paths does not hold", right=True
     )
 
 
