@@ -15,6 +15,7 @@ LOOKS = ("mistray/toolkit/pages/assets", "mistray/toolkit/pages/templates")  # o
 ON_PAGES = ("page*.py", "page/*.py", "drawing.py", "controls.py", "front_end/*")  # of an analysis
 
 
+@functools.cache
 def scenes() -> list[str]:
     """The shipped scenes."""
     return sorted(file.parent.name for file in (ROOT / "scenes").glob("*/scene.xml"))
@@ -37,6 +38,7 @@ def drawing(analysis: str) -> tuple[str, ...]:
     )
 
 
+@functools.cache
 def code(file: Path) -> str:
     """Text of a file; of Python without comments and docstrings."""
     text = file.read_text(encoding="utf-8")

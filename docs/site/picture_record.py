@@ -7,6 +7,7 @@ the code that draws. A test compares, and finds pictures without one; `make docs
 from __future__ import annotations
 
 import ast
+import functools
 import hashlib
 import json
 from pathlib import Path
@@ -44,6 +45,7 @@ COMMANDS = {
 }
 
 
+@functools.cache
 def inputs() -> dict[str, str]:
     """Checksum of what each picture is made of, by its file below docs/images."""
     found = {name: _checksum(command, *_of_command(command)) for name, (command, _) in COMMANDS.items()}
