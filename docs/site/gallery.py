@@ -9,7 +9,7 @@ from pathlib import Path
 from notebook_results import TOKEN, results
 from notebook_results import names as notebooks
 from notebook_results import shown as output_html
-from picture_record import scenes
+from page_code import scenes
 from repository import MadePage
 
 ROOT = Path(__file__).parents[2]

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import base64
+import functools
 import io
 import subprocess
 import sys
@@ -16,10 +17,11 @@ import tempfile
 from pathlib import Path
 
 from notebook_results import last_picture, names, results, run
-from picture_record import COMMANDS, inputs, keep, page_functions, picture, scenes, stale
+from page_code import ROOT, page_functions, scenes
+from picture_record import COMMANDS, inputs, keep, picture, stale
 from PIL import Image
 
-GALLERY_WIDTH, PAGE_WIDTH, COLOURS = 760, 1100, 96
+GALLERY_WIDTH, PAGE_WIDTH, COLOURS = 760, 1100, 256
 RAYS = 4000
 
 
@@ -37,14 +39,22 @@ def draw(name: str) -> bytes | None:
 
 
 def draw_command(name: str) -> bytes:
-    """What a command draws."""
+    """What a command or an example draws."""
     command, written = COMMANDS[name]
+    return written_by(command)[written]
+
+
+@functools.cache
+def written_by(command: str) -> dict[str, bytes]:
+    """The pictures that a command or an example writes, by the names of their files."""
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / (written or name)
-        words = [word.format(file=file, folder=folder) for word in command.split()]
-        force = ["--force", "--quiet"] if written else []
-        subprocess.run([sys.executable, "-m", "mistray", *words, *force], check=True, stdout=subprocess.DEVNULL)
-        return file.read_bytes()
+        words = [word.format(folder=folder) for word in command.split()]
+        if words[0].endswith(".py"):
+            words[0] = str(ROOT / words[0])
+        else:
+            words = ["-m", "mistray", *words]
+        subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL)
+        return {file.name: file.read_bytes() for file in Path(folder).iterdir() if file.suffix in (".png", ".svg")}
 
 
 def draw_scene(name: str) -> bytes:
@@ -77,7 +87,8 @@ def small(png: bytes, width: int) -> bytes:
     if shown.width > width:
         shown = shown.resize((width, round(shown.height * width / shown.width)), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
-    shown.quantize(COLOURS, method=Image.Quantize.MEDIANCUT).save(buffer, "PNG", optimize=True)
+    # The other methods split what there is much of, such as white paper, and join the blue and the green of thin curves
+    shown.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE, kmeans=3).save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
 

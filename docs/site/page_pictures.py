@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import io
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -16,14 +16,14 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 from matplotlib.figure import Figure
+from page_code import BLOCK, ROOT
 
 import mistray
 from mistray.prescription import Prescription
 from mistray.report import layout_figure
 from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILION
 
-ROOT = Path(__file__).parents[2]
-BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+DRAWN_MS = 4000  # a scene in three dimensions is drawn meanwhile, also without a graphics card
 sys.path.insert(0, str(ROOT / "tests"))
 
 
@@ -77,6 +77,7 @@ def probes() -> Figure:
     made = shown("detectors", 2)
     stop, sky = made["stop"], made["sky"]
     figure = Figure(figsize=(10, 3.9), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.12)  # inches: the label of the bar is no part of the right panel
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.3))
     irradiance = stop.irradiance[0]
     picture = left.imshow(irradiance, origin="lower", extent=(-20, 20, -20, 20), cmap="inferno")
@@ -287,27 +288,69 @@ def phone_camera_pst() -> Figure:
     return figure
 
 
+def baffle_tube() -> Figure:
+    """Section of the tube with vanes."""
+    from mistray.report import baffle_figure
+
+    return baffle_figure(shown("baffles")["tube"])
+
+
+def two_stage_baffle() -> Figure:
+    """Section of the baffle of two stages."""
+    from mistray.report import baffle_figure
+
+    return baffle_figure(shown("baffles", 4)["star_tracker"], exclusion_deg=40)
+
+
+def cassegrain() -> Figure:
+    """Section of a Cassegrain telescope with its baffles."""
+    from mistray.report import cassegrain_figure
+
+    made = shown("baffles", 5)
+    return cassegrain_figure(made["telescope"], made["baffles"])
+
+
+def transfer() -> Any:
+    """The image of the phone camera at 10°, with its scatter and ghosts."""
+    lens = mistray.load("phone_camera_scatter")
+    return mistray.transfer(lens, 10.0, rays=30_000, max_reflections=2, pixel_mm=0.0014)[0]
+
+
+def transfer_mtf() -> Figure:
+    """MTF with and without stray light."""
+    from mistray.analyses.transfer.figures import mtf_figure
+
+    return mtf_figure(transfer(), "phone camera")
+
+
+def transfer_spread() -> Figure:
+    """Irradiance about the image, and encircled energy."""
+    from mistray.analyses.transfer.figures import spread_figure
+
+    return spread_figure(transfer(), "phone camera")
+
+
+def ghosts_in_colour() -> Figure:
+    """Ghosts of the Cooke triplet with a quarter wave of MgF2 on every surface."""
+    from mistray.analyses.ghosts.colour import ColourPictures
+
+    lens = mistray.coat("cooke_triplet", {"L?_*": "mgf2_quarter_wave"})
+    lines = (430, 460, 490, 520, 550, 580, 610, 640, 670)
+    return ColourPictures(mistray.ghosts(lens, 10, lines, rays=1_000_000)).figure(10.0)
+
+
 def screenshot(command: str, page: str, height: int) -> bytes:
     """PNG of the top of a page that a command of mistray writes, 1280 pixels wide, by Chromium."""
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if browser is None:
-        raise SystemExit("this picture is a screenshot; install chromium")
-    flags = [
-        "--headless",
-        "--no-sandbox",
-        "--hide-scrollbars",
-        "--enable-unsafe-swiftshader",
-        "--use-angle=swiftshader",
-    ]
-    with tempfile.TemporaryDirectory() as folder:
+    from analyses.explorer.chromium import SOFTWARE_WEBGL
+    from analyses.explorer.chromium import page as browser
+
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         subprocess.run([sys.executable, "-m", "mistray", *command.split()], cwd=folder, check=True, capture_output=True)
-        shot = Path(folder) / "shot.png"
-        subprocess.run(
-            [browser, *flags, f"--user-data-dir={folder}/profile", "--virtual-time-budget=8000", f"--screenshot={shot}",
-             f"--window-size=1280,{height}", (Path(folder) / page).as_uri()],
-            check=True, capture_output=True,
-        )  # fmt: skip
-        return shot.read_bytes()
+        with browser(Path(folder) / "profile", SOFTWARE_WEBGL) as shown:
+            shown.open((Path(folder) / page).as_uri(), 1280, height)
+            shown.until("document.readyState === 'complete'")
+            shown.run(f"new Promise((done) => setTimeout(done, {DRAWN_MS}))")
+            return base64.b64decode(shown.ask("Page.captureScreenshot")["data"])
 
 
 def report_page() -> bytes:
@@ -320,19 +363,44 @@ def view_page() -> bytes:
     return screenshot("view cooke_triplet --field-deg 10 --rays 4000 --out view.html", "view.html", 690)
 
 
+def explorer_page() -> bytes:
+    """The explorer of the phone camera, traced after its fourth lens has got a coating."""
+    from analyses.explorer.test_browser import click, served, turn, until_traced
+
+    from mistray.analyses.explorer.explorer import Explorer
+
+    explorer = Explorer("phone_camera", field_deg=[10.0, 0.0, 20.0])
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, served(explorer, Path(folder)) as page:
+        page.ask("Emulation.setScrollbarsHidden", hidden=True)
+        turn(page, "coating L4", "bbar4")
+        until_traced(page)
+        click(page, "table.paths td button")
+        page.until("document.querySelector('svg.rays .ray')")
+        page.until("!document.querySelector('.mistray-explorer').dataset.busy")
+        clip = {"x": 0, "y": 0, "width": page.run("innerWidth"), "height": 1120, "scale": 1}
+        return base64.b64decode(page.ask("Page.captureScreenshot", clip=clip)["data"])
+
+
 PICTURES: dict[str, Callable[[], Figure | bytes]] = {
     "report_top": report_page,
     "view_triplet": view_page,
+    "explorer": explorer_page,
     "detectors_beam_splitter": beam_splitter,
     "detectors_probes": probes,
     "bodies_cube": cube,
     "design_path_fold": fold,
     "mechanics_tube": tube,
+    "baffle_tube": baffle_tube,
+    "two_stage_baffle": two_stage_baffle,
+    "cassegrain": cassegrain,
     "diffraction_ring": diffraction,
     "freeform_terms": freeform_terms,
     "sources_kinds": sources,
     "pst_phone_camera": pst_of_the_camera,
     "image_quality_mtf": image_quality,
+    "phone_camera_transfer": transfer_mtf,
+    "phone_camera_spread": transfer_spread,
+    "triplet_mgf2_colour": ghosts_in_colour,
     "sensitivity_ranking": sensitivity,
     "baffle_vanes_sections": vanes_by_gradients,
     "phone_camera_pst": phone_camera_pst,

@@ -60,5 +60,5 @@ def build() -> Prescription:
         stop=Stop(STOP_RADIUS, STOP_Z, STOP_Z, TUBE_RADIUS, TUBE_RADIUS, **black),
         detector=Detector(z=DETECTOR_Z, semi_diameter=DETECTOR_RADIUS, pixels=(120, 120)),
         source=Source(radius=tube.vanes[0].radius, wavelength_nm=(550.0,)),
-        provenance="Vanes by mistray.prescription.baffles.tube.vane_tube; see SOURCE.md.",
+        provenance="Vanes by mistray.prescription.vane_tube; see SOURCE.md.",
     )

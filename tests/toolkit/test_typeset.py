@@ -58,6 +58,24 @@ def test_digits_follow_the_error(most):
     assert {with_error(Estimate(value, 1.0)) for value in (math.nan, math.inf, -math.inf)} == {"–"}
 
 
+def test_a_value_whose_error_is_too_small_to_show_has_all_its_digits():
+    """An exact one ends with its last digit; a power of ten never stands without one."""
+    for value, se, shown in (
+        (1e-4, 1e-12, "1.0000·10⁻⁴"),
+        (2.5e-4, 1e-12, "2.5000·10⁻⁴"),
+        (1.0, 1e-7, "1.0000"),
+        (12.5, 1e-5, "12.500"),
+        (12345.0, 0.1, "12345"),
+        (1e-4, 0.0, "1.0·10⁻⁴"),
+        (-1e6, 0.0, "−1.0·10⁶"),
+        (2.5e-4, 0.0, "2.5·10⁻⁴"),
+        (0.5, 0.0, "0.5"),
+        (0.0, 0.0, "0"),
+        (1e-5, math.nan, "1.0·10⁻⁵"),
+    ):
+        assert value_and_error(with_error(Estimate(value, se)))[0] == shown
+
+
 def test_numbers_in_print_have_the_same_value_and_sentences():
     for value, se in pairs():
         text = with_error(Estimate(value, se))

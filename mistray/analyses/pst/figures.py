@@ -83,8 +83,8 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
             axes.axvline(edge, color=BLUE, lw=0.8, ls=(0, (5, 3)), zorder=1)
     if edge is not None:
         above.annotate(
-            f"edge of the field, {edge:.1f}°", (edge, 0.02), xycoords=("data", "axes fraction"), xytext=(3, 0),
-            textcoords="offset points", rotation=90, fontsize=7.5, color=BLUE, va="bottom",
+            f"edge of the field, {edge:.1f}°", (edge, 0), xycoords=("data", "axes fraction"), xytext=(0, -5),
+            textcoords="offset points", fontsize=7.5, color=BLUE, ha="center", va="top",
         )  # fmt: skip
     below.set_xlim(_ends(pst))
     below.xaxis.set_major_locator(MaxNLocator(nbins=MOST_TICKS, steps=[1, 2, 5, 10]))
@@ -142,7 +142,7 @@ def pst_causes(pst: Pst, title: str = "") -> Figure:
         handles, labels = axes.get_legend_handles_labels()  # lines first, then bars from the bottom up
         figure.legend(handles[::-1], labels[::-1], loc="outside right upper", fontsize=8, frameon=False)
     return figure.small_print(
-        "stray light: all but the direct image; white: paths that the table of paths does not hold", right=True
+        "stray light: all but the direct image; left blank: paths that the table of paths does not hold", right=True
     )
 
 

@@ -29,6 +29,7 @@ COLOUR_AXES = ("coloraxis", "coloraxis2", "coloraxis3")
 NO_LIGHT = "#d3d3d3"
 DECADES, WALL_DECADES = 8.0, 5.0  # of the scales of flux and of irradiance, at most
 LONGEST, WIDEST = 1.3, 0.95  # sides of the box along z and across, in units of plotly's camera
+BELOW = 0.12  # of these units, from the middle of the box to where the first camera looks: its near edge takes room
 NEAR = 1.45  # as much larger without perspective
 BEAM_SHOWN = 0.15  # of the size of the scene, before the first surface
 
@@ -149,16 +150,15 @@ def cameras(cut: CutPlane | None) -> dict[str, dict[str, Any]]:
     up = np.array([-towards[1], towards[0], 0.0]) * -1.0  # z × towards the viewer, turned so that z points right
     z = np.array([0.0, 0.0, 1.0])
 
-    def camera(eye: npt.NDArray[np.float64], upwards: npt.NDArray[np.float64], kind: str) -> dict[str, Any]:
-        return {
-            "eye": dict(zip("xyz", eye.tolist(), strict=True)),
-            "up": dict(zip("xyz", upwards.tolist(), strict=True)),
-            "center": {"x": 0.0, "y": 0.0, "z": 0.0},
-            "projection": {"type": kind},
-        }
+    def camera(
+        eye: npt.NDArray[np.float64], upwards: npt.NDArray[np.float64], kind: str, below: float = 0.0
+    ) -> dict[str, Any]:
+        named = {"eye": eye, "up": upwards, "center": -below * up}
+        found = {name: dict(zip("xyz", vector.tolist(), strict=True)) for name, vector in named.items()}
+        return {**found, "projection": {"type": kind}}
 
     return {
-        "3-D": camera(1.35 * towards + 0.5 * up - 0.75 * z, up, "perspective"),
+        "3-D": camera(1.5 * towards + 0.55 * up - 0.85 * z, up, "perspective", BELOW),
         "side": camera(1.1 * towards, up, "orthographic"),
         "from the light": camera(-1.1 * z, up, "orthographic"),
     }

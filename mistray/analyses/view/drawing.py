@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ from mistray.ids import event_words
 from mistray.toolkit.drawings.cut_open import CutPlane, OpenSurface, triangulate
 from mistray.toolkit.drawings.layout import GLASS, PATH_COLOURS, glass_bodies
 from mistray.toolkit.drawings.path_rays import RayGroup
-from mistray.toolkit.figures.palette import BLACK
+from mistray.toolkit.figures.palette import BLACK, INDIGO
 from mistray.toolkit.pages.parts import thousands
 from mistray.toolkit.tables.text import with_error
 
@@ -26,10 +27,12 @@ ROLES = {"glass": "glass", "mirror": "mirrors", "structure": "mechanics", "detec
 ROLE_COLOURS = {"glass": "#8fbbe0", "mirror": "#d9b44a", "structure": "#8d8f92", "detector": "#2b2b2b"}
 ROLE_OPACITY = {"glass": 0.32, "mirror": 1.0, "structure": 1.0, "detector": 1.0}
 EDGE = "#44546a"
+LINES_OF_PAGE = {BLACK: "--ink", INDIGO: "--indigo", EDGE: "--rule"}  # what a dark page draws in colours of its own
 DASHES = ("solid", "dash", "dot")
 LIGHT = {"ambient": 0.72, "diffuse": 0.5, "specular": 0.08, "roughness": 0.7, "fresnel": 0.05}
 FLAT_LIGHT = {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0}
 FACE_OPACITY = 0.5
+LEGEND_LETTERS = 38  # of a line; plotly makes the picture as much smaller as its legend is wide
 SILENT = {"legend": "legend2", "showlegend": False, "hoverinfo": "skip"}  # what goes with a surface
 
 
@@ -166,15 +169,27 @@ def path_lines(go: Any, groups: Sequence[RayGroup]) -> list[Any]:
                     "width": 2,
                     "dash": DASHES[number // len(PATH_COLOURS) % len(DASHES)],
                 },
-                name=name.replace(", scatter at", ",<br>scatter at") if own else f"{name}, {rare}",
+                name=legend_text(name if own else f"{name}, {rare}"),
                 text=texts,
                 hovertemplate=f"<b>{escape(name)}</b><br>%{{text}}<br>x %{{x:.5g}}, y %{{y:.5g}}, z %{{z:.5g}} mm"
                 "<extra></extra>",
-                meta={"class": name} if path_id is None else {"path_id": path_id},
+                meta={"name": name} | ({"class": name} if path_id is None else {"path_id": path_id}),
                 showlegend=True,
             )
         )
     return traces
+
+
+def legend_text(name: str) -> str:
+    """
+    Return the name of a path as the text that plotly shows in a legend: three lines, with "…" for what is between.
+
+    A line has at most `LEGEND_LETTERS`.
+    """
+    lines = textwrap.wrap(name, LEGEND_LETTERS, break_on_hyphens=False)
+    if len(lines) > 3:
+        lines = [*lines[:2], f"…{name[-(LEGEND_LETTERS - 1) :]}"]
+    return "<br>".join(escape(line, quote=False) for line in lines)
 
 
 def joined(lines: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.float64]:

@@ -6,6 +6,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from mistray.replace_file import replace_file
 from mistray.toolkit.drawings.cut_open import OpenSurface
 from mistray.toolkit.drawings.path_rays import RayLine
@@ -40,7 +42,14 @@ class View:
         self.title, self.note = title, note
 
     def html(self, command: str = "") -> str:
-        """Return a self-contained HTML page with plotly.js; `command` is quoted at its foot."""
+        """Return a self-contained HTML page with plotly.js, dark or light; `command` is quoted at its foot."""
+        from mistray.toolkit.pages.render import stylesheet
+
+        return self._page(stylesheet("colours"), command)
+
+    def _page(self, colours: str, command: str = "") -> str:
+        """Return the page with the style sheet of its colours."""
+        from mistray.analyses.view.drawing import LINES_OF_PAGE
         from mistray.toolkit.pages.render import template
 
         body = self.figure.to_html(
@@ -50,16 +59,24 @@ class View:
             default_height="100%",
             config={"displaylogo": False, "scrollZoom": True, "responsive": True},
         )
-        return template("view.html", title=self.title, note=self.note, body=body, command=command) + "\n"
+        said = {"title": self.title, "note": self.note, "command": command}
+        return template("view.html", **said, body=body, css=Markup(colours), follows=LINES_OF_PAGE) + "\n"
 
     def write(self, path: str | Path, command: str = "") -> Path:
         """Write the page of `html` to a file, complete or not at all; raise `MistrayError` if that fails."""
         return replace_file(path, self.html(command), "view")
 
     def _repr_html_(self) -> str:
-        """Return the page as HTML in a frame of its own, isolated from other scripts of the notebook."""
+        """
+        Return the page as HTML in a frame of its own, isolated from other scripts of the notebook.
+
+        It is light, since a notebook has a theme of its own.
+        """
+        from mistray.toolkit.pages.render import stylesheet
+
+        light = stylesheet("colours").partition("@media")[0]
         return (
-            f'<iframe srcdoc="{escape(self.html())}" title="{escape(self.title)}" '
+            f'<iframe srcdoc="{escape(self._page(light))}" title="{escape(self.title)}" '
             'style="width: 100%; height: 640px; border: 0"></iframe>'
         )
 

@@ -28,7 +28,7 @@ from mistray.toolkit.typeset import typeset_html
 def html_page(report: model.Report) -> str:
     """Return a report as a complete HTML document."""
     code = Markup("\n".join(_resource("assets", f"{name}.js") for name in report.scripts))
-    css = Markup(stylesheet("report"))
+    css = Markup(stylesheet("colours") + stylesheet("report"))
     return _environment().get_template("page.html").render(report=report, code=code, css=css) + "\n"
 
 

@@ -34,7 +34,8 @@ def with_error(number: Estimate, digits: int = 2) -> str:
     Return a number and its standard error as printed, such as "9.3548e-05 ± 1.2e-08".
 
     The error has ``digits`` digits and the value ends at the same place, but has `SIGNIFICANT` digits at most. An error
-    that is 0 there is left out. A number that is not finite is "–"; an unknown error is "± ?".
+    that is 0 there is left out, and the value has all these digits, "1.0000e-04". So has an exact one, but without the
+    zeros at its end, "1.0e-04" or "0.5". A number that is not finite is "–"; an unknown error is "± ?".
 
     Examples
     --------
@@ -45,16 +46,13 @@ def with_error(number: Estimate, digits: int = 2) -> str:
     if not math.isfinite(value):
         return ABSENT
     if not math.isfinite(se):
-        return f"{value:.4g} ± ?"
+        return f"{_exact(value, SIGNIFICANT - 1)} ± ?"
     size = _exponent(value, SIGNIFICANT) if value else _exponent(se, digits)
     last = max(_exponent(se, digits) - digits, size - SIGNIFICANT) + 1 if se else size - SIGNIFICANT + 1
-    if not se or se <= 0.5 * 10.0**last:
-        text = f"{value:.{SIGNIFICANT}g}"
-        return (
-            text
-            if size in FIXED or "e" in text or not value
-            else re.sub(r"\.?0+e", "e", f"{value:.{SIGNIFICANT - 1}e}")
-        )
+    if not se:
+        return _exact(value, SIGNIFICANT)
+    if se <= 0.5 * 10.0**last:
+        return f"{value:.{SIGNIFICANT - 1 - size}f}" if size in FIXED else f"{value:.{SIGNIFICANT - 1}e}"
     largest = max(size, _exponent(se, digits))
     if largest in FIXED:
         decimals = max(-last, 0)
@@ -140,6 +138,13 @@ def first_of(texts: Sequence[str], most: int, between: str = ", ") -> str:
 def plain_sentences(texts: Sequence[str]) -> list[str]:
     """Return the sentences of a verdict without markup; plain strings stay as they are."""
     return [text.striptags() if isinstance(text, Markup) else text for text in texts]
+
+
+def _exact(value: float, digits: int) -> str:
+    """Return a number of so many digits without zeros at its end: "0.5", and with an exponent at least "1.0e-04"."""
+    if not value or _exponent(value, digits) in FIXED:
+        return f"{value:.{digits}g}"
+    return re.sub(r"(\.\d+?)0+e", r"\1e", f"{value:.{digits - 1}e}")
 
 
 def _exponent(value: float, digits: int) -> int:

@@ -14,8 +14,14 @@ from typing import Any
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update",
-    "--disable-background-networking", "--disable-sync", "--remote-debugging-pipe", "about:blank",
+    "--disable-background-networking", "--disable-sync", "--remote-debugging-pipe",
 )  # fmt: skip
+SOFTWARE_WEBGL = (
+    *(flag for flag in FLAGS if flag != "--disable-gpu"),
+    "--enable-unsafe-swiftshader",
+    "--use-angle=swiftshader",
+    "--hide-scrollbars",
+)
 SECONDS = 60  # for an answer
 
 
@@ -86,7 +92,7 @@ class Page:
 
 
 @contextmanager
-def page(profile: Path) -> Iterator[Page]:
+def page(profile: Path, flags: tuple[str, ...] = FLAGS) -> Iterator[Page]:
     """A page of a browser that ends with the block."""
     to_read, send = os.pipe()
     receive, to_write = os.pipe()
@@ -97,7 +103,7 @@ def page(profile: Path) -> Iterator[Page]:
         os.dup2(write, 4)
 
     browser = subprocess.Popen(
-        [str(CHROMIUM), *FLAGS[:-1], f"--user-data-dir={profile}", FLAGS[-1]],
+        [str(CHROMIUM), *flags, f"--user-data-dir={profile}", "about:blank"],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, preexec_fn=pipes, close_fds=False,
     )  # fmt: skip
     os.close(to_read)

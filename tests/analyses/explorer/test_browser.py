@@ -86,7 +86,9 @@ def test_ten_steps(tmp_path):
         estimate = numbers(shown)
         assert estimate[0] != bare[0]
         until_traced(shown)  # 3: the trace comes by itself, and says how far the estimate was off
-        assert "% from the trace" in shown.run("document.querySelector('.difference').textContent")
+        told = shown.run("document.querySelector('.difference').textContent")
+        assert "% from the trace, " in told
+        assert numbers(shown)[0].partition(" W")[0] in told  # the same number with the same digits
         assert float(numbers(shown)[0].split()[0]) == pytest.approx(float(estimate[0].split()[0]), rel=0.01)
         click(shown, "table.paths td button", "detector → window_rear")  # 4: a path
         shown.until("document.querySelector('svg.rays .ray')")
@@ -121,7 +123,11 @@ def test_ten_steps(tmp_path):
         shown.until(f"document.querySelector('.numbers dd').textContent !== {json.dumps(numbers(shown)[0])}")
         until_traced(shown)
         assert numbers(shown) == bare
-        assert violations(shown) == []
+        for scheme in ("light", "dark"):
+            shown.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+            assert violations(shown) == []
+            white = shown.run("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+            assert white == (scheme == "light")
         shown.open(shown.run("location.href"), 390, 844)  # and on a telephone
         shown.until("document.querySelector('table.paths tbody tr')")
         assert shown.run("document.documentElement.scrollWidth") <= 390

@@ -185,6 +185,8 @@ def test_the_buttons_recolour_and_the_page_needs_no_network(shown, tmp_path):
     assert "<title>&lt;plate&gt; &amp; lens</title>" in text
     assert "mistray view &lt;scene&gt;" in text
     assert shown._repr_html_().startswith("<iframe srcdoc=")
+    assert "--paper: #15191e" in text
+    assert "--paper: #15191e" not in shown._repr_html_()  # a notebook has a theme of its own
     library = importlib.import_module("plotly.offline").get_plotlyjs()
     assert not re.findall(r"<(?:script|link|img|iframe)[^>]+(?:src|href)\s*=", text.replace(library, ""))
     assert text.count(library[:2000]) == 1

@@ -159,7 +159,7 @@ class LiveExplorer {
     this.leftOut.replaceChildren(...(view.left_out || []).map((text) => make("li", { textContent: text })));
     if (view.message) this.say(view.message);
     const d = view.difference;
-    this.difference.textContent = d ? `The estimate was ${printed(d.estimate_W)} W, ${d.percent >= 0 ? "+" : "−"}${printed(Math.abs(d.percent), 2)} % from the trace, ${printed(d.traced_W)} ± ${printed(d.traced_se_W, 2)} W.` : "";
+    this.difference.textContent = d ? `The estimate was ${printed(d.estimate_W)} W, ${d.percent >= 0 ? "+" : "−"}${printed(Math.abs(d.percent), 2)} % from the trace, ${view.shown.stray_W} W.` : "";
     if (!view.stray_W) return;
     this.showNumbers(view);
     this.showPaths(view);
