@@ -91,7 +91,7 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
         Width of the zones at rims over their radii, for the gradient of "merit", or of each term if the method needs
         them one by one. Gradients that meet no rims are missing.
     search_seconds, traced_seconds, verification_seconds : float
-        Time of the searches, of the traces and derivatives in them, and of the comparison.
+        Time of the searches, of the traces and derivatives in them, and of the comparison, s.
 
     Examples
     --------
