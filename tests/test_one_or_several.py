@@ -1,28 +1,52 @@
-"""Arguments that take several ids, names or numbers take one, too."""
+"""Arguments that take several ids, names or numbers take one, too; vectors and mappings say what they need."""
 
-from pathlib import Path
+import contextlib
+import types
+from collections.abc import Iterator
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
+import pandas as pd
 import pytest
+from argument_calls import FIXED, NAMED, ONE, Call
+from public_arguments import ARRAY, BY_NAME, SEVERAL, SINGLE, VECTOR, arguments
+from refusals import refused
+from result_calls import data
 
 import mistray
-from mistray import optimize, report
-from mistray.analysis import path_analysis
-from mistray.coatings import preset, write_table
-from mistray.prescription import prism
 from mistray.ranges import several
 
+# Classes that the program makes
+MADE = {
+    *("BaffleTube", "Body", "Built", "CassegrainBaffles", "Coated", "CoatingFile", "CoatingSpectrum", "CoatingTable"),
+    *("Departure", "DirectImage", "FieldSummary", "Grid", "MapStatistics", "MaterialSource", "Mechanics", "Parameter"),
+    *("Response", "SortedPath", "SplitRow", "Start", "Step", "View", "Visit"),
+}
+# Arguments that are no matter of one or several, and why
+LEFT_OUT = {
+    **dict.fromkeys(("Evaluations.at(but)", "PathTable.chosen(by_ray)"), "internal"),
+    **dict.fromkeys(("GhostReport.of(traces)", "GhostReport.of(not_traced)"), "given by the analysis"),
+    **dict.fromkeys(("Metric.evaluate(observations)", "Metric.differentiate(observations)"), "from `observe`"),
+    **dict.fromkeys(("Outline.with_numbers(numbers)", "Outline.contains(numbers)"), "from `Outline.numbers`"),
+    **dict.fromkeys(("OutlineFigure.contains(n)",), "from `Outline.numbers`"),
+    **dict.fromkeys(("Grid.of_values(step)", "Grid.of_values(middle)"), "given by a reader of files"),
+    **dict.fromkeys(("Lobe(shares)",), "of authors of models"),
+}
+VALUE = "3|int|1 numbers"  # the value that is refused, or what it is
+ODD: dict[str, Any] = {
+    "None": lambda: None, "empty text": lambda: "", "0": lambda: 0, "-1": lambda: -1, "1e308": lambda: 1e308,
+    "nan": lambda: float("nan"), "float32": lambda: np.float32(3), "0-d": lambda: np.array(3),
+    "generator": lambda: (k for k in (1, 2)), "series": lambda: pd.Series([1, 2]), "set": lambda: {1},
+    "object": object, "nested": lambda: [[1, 2], [3]], "bytes": lambda: b"ab", "empty": lambda: [],
+    "words": lambda: ["a", 1], "mapping": lambda: {1: 2}, "true": lambda: True,
+}  # fmt: skip
 
-@pytest.fixture(scope="module")
-def t() -> Any:
-    return mistray.trace(mistray.load("plate"), rays=256)
 
-
-@pytest.fixture(scope="module")
-def ghosts() -> Any:
-    return mistray.ghosts(mistray.load("plate"), 0, rays=256)
+@pytest.fixture(scope="module", autouse=True)
+def folder(tmp_path_factory: Any) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("one_or_several"))
+        yield
 
 
 @pytest.mark.quick
@@ -44,51 +68,72 @@ def test_several(given: Any, expected: list[Any]) -> None:
     assert several(iter(expected)) == expected
 
 
-def test_paths_of_a_trace(t: Any) -> None:
-    for one in (1, np.int64(1)):
-        for found, same in zip(t.irradiance_of(one), t.irradiance_of([1]), strict=True):
-            np.testing.assert_array_equal(found, same)
-    (first, _), (second, _) = t.maps([0, [1]])
-    np.testing.assert_array_equal(first, t.irradiance_of(0)[0])
-    np.testing.assert_array_equal(second, t.irradiance_of(1)[0])
-    assert t.paths.power(1) == t.paths.power([1])
-    assert t.paths.light(1).whole == t.paths.light([1]).whole
-    assert t.sampled_rays(0).keys() == t.sampled_rays([0]).keys() == {0}
-    assert t.light_cones(0).keys() == t.light_cones([0]).keys()
-    assert len(report.rays_of_paths(t, 0)) == len(report.rays_of_paths(t, [0])) > 0
-    assert len(path_analysis(t, path_ids=0)) == len(path_analysis(t, path_ids=[0]))
-    for wrong in (99, -1):
-        with pytest.raises(
-            mistray.MistrayError, match=f"^path_id {wrong} does not exist; this trace has the paths 0 … "
-        ):
-            t.irradiance_of(wrong)
+def is_formula(name: str) -> bool:
+    """True for an argument in `mistray.physics`, whose names begin with that of their module."""
+    return "." in name and name[0].islower()
 
 
-def test_paths_of_a_report(ghosts: Any) -> None:
-    stray = int(ghosts.top(0.0, 1).path_id.iloc[0])
-    assert [*ghosts.rays_of_paths(0.0, stray)] == [stray]
-    assert ghosts.path_maps(0.0, stray) is ghosts.path_maps(0.0, [stray])
-    ghosts.map_light("ghost")
-    assert len(ghosts.light_maps[0.0]) == 1
-    assert report.layout(ghosts, 0.0, path_ids=stray).axes
-
-
-def test_keys_of_parameters() -> None:
-    scene = mistray.load("plate")
-    known = optimize.parameters(scene)
-    key = next(iter(known))
-    assert optimize.match(known, key) == [key]
-    found = optimize.gradient(optimize.transmission(scene, rays=256), mi.traverse(scene), keys=key)
-    assert [*found.gradient] == [key]
-    assert found.covariance(key).shape == found.covariance([key]).shape
-    found.require(key)
+def matters(name: str, kinds: set[str]) -> bool:
+    """False for an array, whose shape the docstring says, and for a formula that takes no single value."""
+    return kinds != {ARRAY} and (not is_formula(name) or {SEVERAL, SINGLE} <= kinds)
 
 
 @pytest.mark.quick
-def test_wavelengths_angles_and_faces(tmp_path: Path) -> None:
-    for name, numbers in (("one", (550.0, 0.0)), ("several", ([550.0], [0.0]))):
-        write_table(preset("mgf2_quarter_wave"), tmp_path / name, *numbers)
-    assert (tmp_path / "one").read_bytes() == (tmp_path / "several").read_bytes()
-    corners = [(0, 0), (10, 0), (0, 10)]
-    faces = [prism("p", corners, 10, material="N-BK7", mirrors=mirrors) for mirrors in ("1", ["1"])]
-    assert faces[0] == faces[1]
+def test_each_argument_is_called() -> None:
+    """Each public argument for several values is in one of the tables; those of `ONE` say that they take one."""
+    known = {**ONE, **dict.fromkeys(FIXED), **dict.fromkeys(NAMED), **LEFT_OUT}
+    hints = dict(arguments(MADE))
+    assert sorted({name for name, kinds in hints.items() if matters(name, kinds)} - known.keys()) == []
+    assert sorted(known.keys() - hints.keys()) == []
+    single = {name for name, kinds in hints.items() if SINGLE in kinds or kinds == {ARRAY}}
+    fields = {name for name in ONE if name[0].isupper() and "." not in name}  # a dataclass keeps what its type says
+    assert sorted(ONE.keys() - single - fields) == []
+    assert sorted(name for name in FIXED if not {SEVERAL, VECTOR} & hints[name]) == []
+    assert sorted(name for name in NAMED if BY_NAME not in hints[name]) == []
+
+
+def made(value: Any) -> Any:
+    return value() if isinstance(value, types.FunctionType) else value
+
+
+@pytest.mark.parametrize("name", ONE)
+def test_one_is_a_list_of_one(name: str) -> None:
+    if "oslo" in name or "optiland" in name:
+        pytest.importorskip("optiland.optic", exc_type=ImportError)
+    call, value = ONE[name]
+    one = made(value)
+    same = list(data(call([one])))
+    assert list(data(call(one))) == same
+    if isinstance(one, int | float | np.number) and not isinstance(one, bool):
+        assert list(data(call(np.array(one)))) == same
+    with contextlib.suppress(mistray.MistrayError):  # some go through their values twice
+        assert list(data(call(iter([one])))) == same
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_what_cannot_be_single(name: str) -> None:
+    with refused(VALUE, name.partition("(")[2][:-1].removesuffix("_deg").removesuffix("s")):
+        FIXED[name](3)
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_what_must_be_a_mapping(name: str) -> None:
+    with refused(VALUE):
+        NAMED[name](3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name in (*ONE, *FIXED, *NAMED) if not is_formula(name)])
+def test_odd_values(name: str) -> None:
+    """Each works, or is refused in one line; formulas take whatever has arithmetic, and check nothing."""
+    call: Call = ONE[name][0] if name in ONE else {**FIXED, **NAMED}[name]
+    wrong = []
+    for what, value in ODD.items():
+        try:
+            call(value())
+        except (mistray.MistrayError, IndexError) as error:  # an index ends the loop over a sequence
+            if "\n" in str(error) or len(str(error)) > 600:
+                wrong.append(f"{what}: {error}")
+        except Exception as error:
+            wrong.append(f"{what}: {type(error).__name__}: {error}")
+    assert not wrong, "\n".join(line[:300] for line in wrong)

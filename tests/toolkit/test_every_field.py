@@ -17,8 +17,8 @@ from toolkit.right_values import needed, right
 
 from mistray.analyses.coating.request import CoatingRequest
 from mistray.errors import MistrayError
-from mistray.ranges import ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of
-from mistray.toolkit.fields import Nested, Several, flat_fields
+from mistray.ranges import ByName, Each, Interval, OfType, Range, Several, Words, demand_of, doc_of
+from mistray.toolkit.fields import Nested, flat_fields
 
 ANALYSES = stubs.analyses()
 REMEDY = re.compile(r"must|give|did you mean|use |write |choose from|as in")

@@ -22,11 +22,11 @@ from mistray.ranges import (
     WAVELENGTH_NM,
     ByName,
     OfType,
+    Several,
     Words,
     check_fields,
     demand_of,
 )
-from mistray.toolkit.fields import Several
 from mistray.toolkit.toml_section import TomlSection, keys_of
 
 UNITS = {
