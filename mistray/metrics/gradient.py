@@ -30,7 +30,7 @@ from mistray.surfaces.optics import OPAQUE, TABLED
 
 COATING_KINDS = ("coating", "share")
 OTHER_KINDS = ("scatter", "index", "source")
-KEYS = Several(TEXT)
+KEYS = Several(TEXT, least=0)
 SLOPES = ByName(FINITE, "{'window_front.z': 1.0}")
 
 
@@ -159,10 +159,10 @@ class Gradient(
         missing = [key for key in chosen if key not in self.batches]
         if missing:
             raise MistrayError(f"the gradient has no '{missing[0]}'; {nearest(missing[0], self.batches)}")
-        parts = np.concatenate([self.batches[key] for key in chosen], axis=1)
+        parts = np.concatenate([np.zeros((BATCHES, 0)), *(self.batches[key] for key in chosen)], axis=1)
         apart = parts - parts.mean(axis=0)
         none = {key: np.zeros(parts.shape[1]) for key, parts in self.batches.items()}
-        bias = np.concatenate([{**none, **self.edge_bias}[key] for key in chosen])
+        bias = np.concatenate([np.zeros(0), *({**none, **self.edge_bias}[key] for key in chosen)])
         return np.asarray(BATCHES / (BATCHES - 1) * apart.T @ apart + np.outer(bias, bias))
 
     def along(self, slopes: Mapping[str, float]) -> Estimate:
