@@ -350,7 +350,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         list of dict
             Maps by the ids of their surfaces, for each selection.
         """
-        filters = [PathFilter(text) for text in Several(TEXT).check("selections", selections)]
+        filters = [PathFilter(text) for text in Several(TEXT, least=0).check("selections", selections)]
         return light_maps(self.runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
 
     def maps(self, groups: PathGroups) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -331,7 +331,7 @@ class GhostReport(
 
     def map_light(self, selections: str | Sequence[str]) -> None:
         """Fill `light_maps` with maps of selected parts of the light at each field, by tracing the rays again."""
-        chosen = Several(TEXT).check("selections", selections)
+        chosen = Several(TEXT, least=0).check("selections", selections)
         self.light_maps = {field: light_maps(t, chosen) for field, t in self.items()}
 
     def check_ids(self, field_deg: float, path_ids: int | Sequence[int]) -> list[int]:

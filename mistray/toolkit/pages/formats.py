@@ -86,7 +86,7 @@ def write_formats(
     written = []
     ByName(ANYTHING, "{'paths.csv': trace.paths.to_pandas()}").check_all("", tables=tables, facts=facts)
     ByName(OfType(IrradianceMap, "must be an IrradianceMap"), "{'image': IrradianceMap.of(trace)}").check("maps", maps)
-    for name in dict.fromkeys(Several(TEXT).check("formats", formats)):
+    for name in dict.fromkeys(Several(TEXT, least=0).check("formats", formats)):
         if name in FORMATS:
             written += [write_irradiance(one, folder / f"{stem}.{name}") for stem, one in maps.items()]
         elif name == RAYS:
