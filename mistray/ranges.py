@@ -277,12 +277,11 @@ class Each(OfRange):
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
         """Return the values as a tuple; raise `MistrayError` if there are too few or many, or one is out of range."""
-        none = not self.least and not _single(value) and not (value := several(value))
-        values = () if none else tuple(self.of.check_each(name, value, owner))
-        if self.count and len(values) != self.count:
-            has = f"is {shown(value)}" if _single(value) else f"has {len(values)} numbers"
+        numbers = [value] if _single(value) or isinstance(value, Mapping) else several(value)
+        if self.count and len(numbers) != self.count:
+            has = f"is {shown(value)}" if _single(value) else f"has {len(numbers)} numbers"
             raise MistrayError(f"{_titled(name, owner)} {has}; give {self.count} numbers")
-        return values
+        return tuple(self.of.check_each(name, numbers, owner)) if numbers or self.least else ()
 
 
 @dataclass(frozen=True)

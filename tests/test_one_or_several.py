@@ -2,7 +2,7 @@
 
 import contextlib
 import types
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -73,11 +73,22 @@ def is_formula(name: str) -> bool:
     return "." in name and name[0].islower()
 
 
+def is_quick(name: str) -> bool:
+    """True for what traces nothing: most constructors, and formulas."""
+    return is_formula(name) or ("." not in name and name[0].isupper() and not name.startswith(("Explorer", "PstBands")))
+
+
+def tiers_of(names: Iterable[str]) -> list[Any]:
+    """Parameters of a test, those that trace in the long tier."""
+    return [pytest.param(name, marks=() if is_quick(name) else pytest.mark.long) for name in names]
+
+
 def matters(name: str, kinds: set[str]) -> bool:
     """False for an array, whose shape the docstring says, and for a formula that takes no single value."""
     return kinds != {ARRAY} and (not is_formula(name) or {SEVERAL, SINGLE} <= kinds)
 
 
+@pytest.mark.core
 @pytest.mark.quick
 def test_each_argument_is_called() -> None:
     """Each public argument for several values is in one of the tables; those of `ONE` say that they take one."""
@@ -96,7 +107,7 @@ def made(value: Any) -> Any:
     return value() if isinstance(value, types.FunctionType) else value
 
 
-@pytest.mark.parametrize("name", ONE)
+@pytest.mark.parametrize("name", tiers_of(ONE))
 def test_one_is_a_list_of_one(name: str) -> None:
     if "oslo" in name or "optiland" in name:
         pytest.importorskip("optiland.optic", exc_type=ImportError)
@@ -110,13 +121,13 @@ def test_one_is_a_list_of_one(name: str) -> None:
         assert list(data(call(iter([one])))) == same
 
 
-@pytest.mark.parametrize("name", FIXED)
+@pytest.mark.parametrize("name", tiers_of(FIXED))
 def test_what_cannot_be_single(name: str) -> None:
     with refused(VALUE, name.partition("(")[2][:-1].removesuffix("_deg").removesuffix("s")):
         FIXED[name](3)
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", tiers_of(NAMED))
 def test_what_must_be_a_mapping(name: str) -> None:
     with refused(VALUE):
         NAMED[name](3)
