@@ -18,7 +18,7 @@ class Light:
     )
     azimuth_deg: float | None = AZIMUTH_DEG.field(None, "azimuth of the field about z, degrees")
     wavelength_nm: Any = WAVELENGTHS_NM.field(None, "wavelengths, nm")  # noqa: RUF009  of what cannot change
-    weights: Sequence[float] | None = WEIGHTS.field(
+    weights: float | Sequence[float] | None = WEIGHTS.field(
         None, "shares of the flux, one for each of the wavelengths; without them equal"
     )
     detector: str | Sequence[str] | None = TEXT.field(None, "shape with the sensor, where the scene has several")

@@ -20,12 +20,23 @@ from typing import Any, ClassVar
 from mistray.errors import MistrayError, nearest
 
 _KEY, _DOC = "range", "doc"
+LONGEST_VALUE = 300  # letters in a message
 
 
 def several(given: Any) -> list[Any]:
     """Return an argument as a list: the items of a sequence, or the single value (text included) alone."""
-    one = isinstance(given, str) or not isinstance(given, Iterable) or getattr(given, "ndim", 1) == 0
-    return [given] if one else list(given)
+    return [_of_python(given)] if _single(given) else list(given)
+
+
+def _single(given: Any) -> bool:
+    """True for an argument that is one value, such as a number or a text, and no sequence of values."""
+    return isinstance(given, str | bytes) or not isinstance(given, Iterable) or getattr(given, "ndim", 1) == 0
+
+
+def shown(value: Any) -> str:
+    """Return a value as text in one line for a message; a long one is cut."""
+    text = f"{value:g}" if isinstance(value, float) else " ".join(repr(value).split())
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 1]}…"
 
 
 class Demand:
@@ -132,10 +143,8 @@ class Range(Demand):
             with contextlib.suppress(TypeError, ValueError, OverflowError):
                 number = float(value)
         if number not in self or (self.whole and number != math.floor(number)):
-            shown = f"{value:g}" if isinstance(value, float) else " ".join(repr(value).split())
-            several = hasattr(value, "__len__") and not isinstance(value, str | bytes)
-            remedy = "; give a single number" if several else ""
-            raise MistrayError(f"{_titled(name, owner)} is {shown}; it {self.demand}{remedy}")
+            remedy = "" if _single(value) else "; give a single number"
+            raise MistrayError(f"{_titled(name, owner)} is {shown(value)}; it {self.demand}{remedy}")
         if self.whole:
             return int(value)
         return number if isinstance(value, Number) and not isinstance(value, int | float) else value
@@ -156,14 +165,12 @@ class Range(Demand):
         MistrayError
             If the list is empty, or an entry is not a number or lies outside the range.
         """
-        numbers = [values]
-        if not isinstance(values, str | bytes):
-            with contextlib.suppress(TypeError):
-                numbers = list(values)
+        numbers = [values] if isinstance(values, Mapping) else several(values)
         if not numbers:
             unit = f" in {self.unit}" if self.unit else ""
             raise MistrayError(f"{_titled(name, owner)} is empty; give at least one number{unit}")
-        return [float(self.check(name, number, owner)) for number in numbers]
+        found = [self.check(name, number, owner) for number in numbers]
+        return found if self.whole else [float(number) for number in found]
 
     def __call__(self, text: str) -> Any:
         """Parse a word of the command line as a number in the range; raise an `argparse` error if it is not one."""
@@ -199,7 +206,7 @@ class Words(Demand):
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """Return the string if it is one of the choices; otherwise raise `MistrayError`, see `Range.check`."""
         if not isinstance(value, str) or value not in self.choices:
-            raise MistrayError(f"{_titled(name, owner)} is {value!r}; {nearest(str(value), self.choices)}")
+            raise MistrayError(f"{_titled(name, owner)} is {shown(value)}; {nearest(str(value), self.choices)}")
         return value
 
 
@@ -211,19 +218,29 @@ class OfType(Demand):
     Attributes
     ----------
     kind : type
-        Type of allowed values.
+        Type of allowed values, or a union of types.
     demand : str
         Condition in words, for messages.
     """
 
-    kind: type
+    kind: Any
     demand: str
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """Return the value; raise `MistrayError` if it is of another type or an empty string, see `Range.check`."""
         value = _of_python(value) if self.kind is bool else value
-        if not isinstance(value, self.kind) or value == "":
-            raise MistrayError(f"{_titled(name, owner)} is {value!r}; it {self.demand}")
+        if not isinstance(value, self.kind) or (isinstance(value, str) and not value):
+            raise MistrayError(f"{_titled(name, owner)} is {shown(value)}; it {self.demand}")
+        return value
+
+
+class Anything(Demand):
+    """Condition that every value meets, for what is checked where it is used."""
+
+    demand = "may be anything"
+
+    def check(self, name: str, value: Any, owner: str = "") -> Any:
+        """Return the value."""
         return value
 
 
@@ -255,16 +272,20 @@ class Each(OfRange):
     ----------
     count : int
         Required number of values; 0 allows any number.
+    least : int
+        Smallest number of values, 1 or 0.
     """
 
     count: int = 0
+    least: int = 1
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the values as a tuple; raise `MistrayError` if their number is wrong or 0, or one is out of range."""
-        values = tuple(self.of.check_each(name, value, owner))
-        if self.count and len(values) != self.count:
-            raise MistrayError(f"{_titled(name, owner)} has {len(values)} numbers; give {self.count}")
-        return values
+        """Return the values as a tuple; raise `MistrayError` if there are too few or many, or one is out of range."""
+        numbers = [value] if _single(value) or isinstance(value, Mapping) else several(value)
+        if self.count and len(numbers) != self.count:
+            has = f"is {shown(value)}" if _single(value) else f"has {len(numbers)} numbers"
+            raise MistrayError(f"{_titled(name, owner)} {has}; give {self.count} numbers")
+        return tuple(self.of.check_each(name, numbers, owner)) if numbers or self.least else ()
 
 
 @dataclass(frozen=True)
@@ -296,6 +317,35 @@ class Interval(OfRange):
 
 
 @dataclass(frozen=True)
+class Several(Demand):
+    """
+    Condition on one or several values that are not numbers; `Each` is for numbers.
+
+    Attributes
+    ----------
+    of : Demand
+        Condition on each value; if it is callable, it converts a text of the command line to a value.
+    least : int
+        Smallest number of values.
+    """
+
+    of: Demand
+    least: int = 1
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that each value must meet, as words for messages."""
+        return self.of.demand
+
+    def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
+        """Return the values as a tuple; raise `MistrayError` if there are too few, or one fails its condition."""
+        values = [value] if isinstance(value, Mapping) else several(value)
+        if len(values) < self.least:
+            raise MistrayError(f"{_titled(name, owner)} is empty; give at least one")
+        return tuple(self.of.check(name, one, owner) for one in values)
+
+
+@dataclass(frozen=True)
 class ByName(Demand):
     """
     Condition on a mapping from names, or patterns of names, to numbers or strings.
@@ -320,7 +370,7 @@ class ByName(Demand):
         """Return the mapping as a dict; raise `MistrayError` if a key is not a string, or a value is not allowed."""
         before = _titled(name, owner)
         if not isinstance(value, Mapping) or not all(isinstance(key, str) and key.strip() for key in value):
-            raise MistrayError(f"{before} is {value!r}; give a mapping from names to values, as of {self.example}")
+            raise MistrayError(f"{before} is {shown(value)}; give a mapping from names to values, as of {self.example}")
         return {key: self.of.check(f"{name} of '{key}'", number, owner) for key, number in value.items()}
 
 
@@ -351,9 +401,10 @@ def doc_of(field: dataclasses.Field[Any]) -> str:
 
 def check_fields(settings: Any, owner: str = "") -> None:
     """
-    Check the values of a dataclass by the conditions on its fields; None is always allowed, and "" where it is default.
+    Check the values of a dataclass by the conditions on its fields.
 
-    Numbers that must be whole become int.
+    None is allowed where the type or the default says so, and "" where it is the default.
+    Numbers that must be whole become int, and a single value becomes a tuple where a field has several.
 
     Parameters
     ----------
@@ -371,10 +422,15 @@ def check_fields(settings: Any, owner: str = "") -> None:
         value = getattr(settings, field.name)
         if (
             _KEY in field.metadata
-            and value is not None
+            and not (value is None and _optional(field))
             and not (field.default == "" and isinstance(value, str) and not value)
         ):
             object.__setattr__(settings, field.name, field.metadata[_KEY].check(field.name, value, owner))
+
+
+def _optional(field: dataclasses.Field[Any]) -> bool:
+    """True if a field of a dataclass may be None, by its default or its type."""
+    return field.default is None or not {"None", "Any"}.isdisjoint(re.findall(r"\w+", type_of(field.type)))
 
 
 def number_text(value: float) -> str:
@@ -385,6 +441,7 @@ def number_text(value: float) -> str:
 
 TEXT = OfType(str, "must be text")
 FLAG = OfType(bool, "must be true or false")
+ANYTHING = Anything()
 
 # Numbers of which nothing more is known: the kernel has float32, whose products need room
 FINITE = Range()
@@ -423,6 +480,7 @@ HALF_FIELD_DEG = Range(0.0, 90.0, below=True, unit="degrees")
 PST_FIELD_DEG = Range(-90.0, 90.0, unit="degrees")
 POLAR_DEG = Range(0.0, 90.0, unit="degrees")
 AZIMUTH_DEG = Range(-360.0, 360.0, unit="degrees")
+TILT_DEG = Each(FINITE, 3)  # about x, y and z
 CONE_DEG = Range(1e-6, 90.0, unit="degrees")  # half angle
 CELL_WIDTH_DEG = Range(1e-6, 90.0, unit="degrees")
 AZIMUTH_WIDTH_DEG = Range(1e-6, 360.0, unit="degrees")
@@ -430,10 +488,13 @@ SOLID_ANGLE_SR = Range(1e-30, 2 * math.pi, unit="sr")
 
 # Of places and sizes
 PLACE_MM = Range(-1e12, 1e12, unit="mm")
+POINT_MM = Each(PLACE_MM, 3)
 SIZE_MM = Range(1e-15, 1e12, unit="mm")
 RADIUS_MM = Range(0.0, 1e12, unit="mm")  # or another length that may be 0
 TOLERANCE_MM = Range(1e-6, 1e3, unit="mm")  # of facets
 MARGIN = Range(0.0, 10.0)  # of clear radii
+COEFFICIENT = Range(-1e300, 1e300)  # of aspheres, mm to the power of 1 less its order
+COEFFICIENTS = Each(COEFFICIENT, least=0)
 
 SPACE = Range(-1, 10**6, whole=True)  # optical space; -1: of none
 TARGET_SCALE = Range(1e-6, 1e6)
@@ -450,6 +511,7 @@ RAYS_DRAWN = Range(1, 10**5, whole=True)
 
 FILM_SIDE = Range(1, 2**16, whole=True)
 FILM_PIXELS = Range(1, 2**26, whole=True)  # 0.5 GB an image
+FILM_SIDES = Each(FILM_SIDE, 2)  # columns and rows
 
 # Of searches and comparisons
 CHANCE = Range(1e-30, 1.0)

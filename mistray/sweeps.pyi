@@ -191,7 +191,7 @@ def sweep(
     scene: str | Path | dict[str, Any] | mi.Scene,
     field_deg: float | Iterable[float] | None = None,
     wavelength_nm: float | Iterable[float] | None = None,
-    configurations: Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None = None,
+    configurations: Mapping[str, Mapping[str, Any]] | Configuration | Sequence[Configuration] | None = None,
     *,
     cache: bool | str | Path | None = None,
     progress: Callable[[float, float], None] | None = None,
@@ -236,7 +236,7 @@ def sweep(
         Field angles, degrees; without them that of the scene's source. > -90 … < 90 degrees.
     wavelength_nm : float | Iterable[float], optional
         Wavelengths, nm. 10 … 1e7 nm.
-    configurations : mapping of str to mapping, or sequence of Configuration, optional
+    configurations : mapping of str to mapping, Configuration or sequence of Configuration, optional
         Name → values of parameters, see `mistray.sweeps.Configuration`; `mistray.sweeps.read_configurations` reads
         them from TOML. Default: the scene as it is.
     cache : bool, str or Path, optional
@@ -319,7 +319,7 @@ def sweep(
 
 def sweep_pst(
     scene: str | Path | mi.Scene,
-    configurations: Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None,
+    configurations: Mapping[str, Mapping[str, Any]] | Configuration | Sequence[Configuration] | None,
     field_deg: float | Iterable[float] = range(0, 81, 10),
     *,
     method: str = "joined",
@@ -369,7 +369,7 @@ def sweep_pst(
     scene : str, Path or mi.Scene
         Scene XML file, the name of a shipped scene, or a scene from `mistray.load` with its values as they are now,
         which stays as it is.
-    configurations : mapping of str to mapping, or sequence of Configuration
+    configurations : mapping of str to mapping, Configuration or sequence of Configuration
         Changes of the scene; a mapping gives values of parameters only.
     field_deg : float | Iterable[float], optional
         Field angles of the PSTs, degrees. -90 … 90 degrees.

@@ -19,7 +19,7 @@ from mistray.coatings.table import CoatingTable
 from mistray.coatings.zemax_coating_dat import read_coating_file
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
-from mistray.ranges import several
+from mistray.ranges import WAVELENGTH_NM, several
 from mistray.replace_file import replace_file
 
 _ZEMAX = re.compile(r"(.*\.dat):(.+)", re.IGNORECASE)
@@ -144,7 +144,8 @@ def write_table(
     >>> print(Path("mgf2.csv").read_text().splitlines()[0])
     # MgF2 0.25w between air (front) and N-BK7 (back)
     """
-    wavelengths_nm, angles_deg = several(wavelengths_nm), several(angles_deg)
+    wavelengths_nm = WAVELENGTH_NM.check_each("wavelengths_nm", wavelengths_nm, f"coating '{coating.name}'")
+    angles_deg = several(angles_deg)
     seen = {
         side: spectrum(coating, wavelengths_nm, angles_deg, front, back, side == "front", rarer=True)
         for side, material in (("front", front), ("back", back))

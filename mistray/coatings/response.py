@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
+from mistray.errors import MistrayError
 from mistray.physics.thinfilm import amplitudes_and_shares
+from mistray.ranges import shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +75,12 @@ class CoatingModel(Protocol):
         ...
 
     def response(
-        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
+        self,
+        wavelength_nm: float,
+        n_front: complex,
+        n_back: complex,
+        cos_incident: npt.ArrayLike,
+        from_front: bool,
     ) -> Response:
         """
         Return R, T and phases of the coating for light from one side.
@@ -82,7 +91,7 @@ class CoatingModel(Protocol):
             Vacuum wavelength, nm.
         n_front, n_back : complex
             Complex indices n + ik of the media in front and behind.
-        cos_incident : (m,) float64
+        cos_incident : float or (m,) float64
             Cosine of the angle of incidence in the medium that the light comes from, 0 … 1. Beyond the critical angle
             nothing is transmitted, and R is that of total reflection.
         from_front : bool
@@ -102,7 +111,7 @@ def layered_response(
     wavelength_nm: float,
     n_front: complex,
     n_back: complex,
-    cos_incident: np.ndarray,
+    cos_incident: npt.ArrayLike,
     from_front: bool,
 ) -> Response:
     """
@@ -121,7 +130,7 @@ def layered_response(
     """
     if not from_front:
         n_layers, d_nm, n_front, n_back = n_layers[::-1], d_nm[::-1], n_back, n_front
-    setting = (complex(n_front.real), list(n_layers), list(d_nm), n_back, wavelength_nm, np.asarray(cos_incident))
+    setting = (complex(n_front.real), list(n_layers), list(d_nm), n_back, wavelength_nm, cosines(cos_incident))
     (r_s, r_p), (t_s, t_p), reflected, transmitted = amplitudes_and_shares(*setting)
     return Response(
         np.stack(reflected, axis=1),
@@ -129,6 +138,16 @@ def layered_response(
         np.angle(r_s * np.conj(r_p)),
         np.angle(t_s * np.conj(t_p)),
     )
+
+
+def cosines(given: npt.ArrayLike) -> np.ndarray:
+    """Return one or several cosines of incidence as an array, (m,); raise `MistrayError` for others."""
+    found = np.zeros((0, 0))
+    with contextlib.suppress(TypeError, ValueError):
+        found = np.atleast_1d(np.asarray(given, dtype=np.float64))
+    if found.ndim != 1 or not np.all((found >= 0) & (found <= 1)):
+        raise MistrayError(f"cos_incident is {shown(given)}; give cosines of angles of incidence, 0 … 1")
+    return found
 
 
 def total_reflection(n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool) -> np.ndarray:

@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from mistray.coatings.response import Response, layered_response, total_reflection
+from mistray.coatings.response import Response, cosines, layered_response, total_reflection
 from mistray.errors import MistrayError
 
 # R + T of a lossless coating, written with six digits
@@ -50,7 +51,12 @@ class Bare:
     opaque: bool = False
 
     def response(
-        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
+        self,
+        wavelength_nm: float,
+        n_front: complex,
+        n_back: complex,
+        cos_incident: npt.ArrayLike,
+        from_front: bool,
     ) -> Response:
         """Return R, T and phases for light from one side, see `CoatingModel.response`."""
         return layered_response((), (), wavelength_nm, n_front, n_back, cos_incident, from_front)
@@ -94,10 +100,16 @@ class Ideal:
         return self.T == 0
 
     def response(
-        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
+        self,
+        wavelength_nm: float,
+        n_front: complex,
+        n_back: complex,
+        cos_incident: npt.ArrayLike,
+        from_front: bool,
     ) -> Response:
         """Return R, T and phases for light from one side, see `CoatingModel.response`; phase_r is π, phase_t 0."""
-        count = len(cos_incident)
-        beyond = total_reflection(n_front, n_back, cos_incident, from_front) & (not self.opaque)
+        cosine = cosines(cos_incident)
+        count = len(cosine)
+        beyond = total_reflection(n_front, n_back, cosine, from_front) & (not self.opaque)
         r, t = np.where(beyond, self.R + self.T, self.R), np.where(beyond, 0.0, self.T)
         return Response(np.stack([r, r], 1), np.stack([t, t], 1), np.full(count, math.pi), np.zeros(count))

@@ -11,6 +11,7 @@ from mistray.coatings.response import CoatingModel
 from mistray.coatings.stack import METAL_K
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
+from mistray.ranges import POLAR_DEG, WAVELENGTH_NM
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +61,8 @@ class CoatingSpectrum:
 
 def spectrum(
     coating: CoatingModel,
-    wavelengths_nm: Sequence[float] | np.ndarray,
-    angles_deg: Sequence[float] | np.ndarray,
+    wavelengths_nm: float | Sequence[float] | np.ndarray,
+    angles_deg: float | Sequence[float] | np.ndarray,
     front: str = "air",
     back: str = "N-BK7",
     from_front: bool = True,
@@ -74,7 +75,7 @@ def spectrum(
     ----------
     coating : CoatingModel
         Coating to evaluate.
-    wavelengths_nm, angles_deg : sequence of float
+    wavelengths_nm, angles_deg : float or sequence of float
         Vacuum wavelengths, nm, and angles of incidence, degrees.
     front, back : str
         Materials in front and behind, see `mistray.materials`; their k must be known.
@@ -97,9 +98,9 @@ def spectrum(
     >>> found.R[:, 0, 0].round(4)
     array([0.0171, 0.0133, 0.015 ])
     """
-    lam, angle = (np.asarray(values, dtype=np.float64) for values in (wavelengths_nm, angles_deg))
-    if not len(lam) or not len(angle) or angle.min() < 0 or angle.max() > 90:
-        raise MistrayError(f"coating '{coating.name}': {len(lam)} wavelengths, angles {angle}; angles lie in 0 … 90°")
+    owner = f"coating '{coating.name}'"
+    lam = np.array(WAVELENGTH_NM.check_each("wavelengths_nm", wavelengths_nm, owner))
+    angle = np.array(POLAR_DEG.check_each("angles_deg", angles_deg, owner))
     cosine = np.cos(np.radians(angle))
     answers = []
     for wavelength in lam.tolist():
@@ -107,7 +108,7 @@ def spectrum(
         n_1, n_2 = sides if from_front else sides[::-1]
         if n_1.imag > METAL_K:
             raise MistrayError(
-                f"coating '{coating.name}': light from '{front if from_front else back}' (k = {n_1.imag:g} at "
+                f"{owner}: light from '{front if from_front else back}' (k = {n_1.imag:g} at "
                 f"{wavelength:g} nm), in which nothing travels; take the other side"
             )
         metal = n_2.imag > METAL_K

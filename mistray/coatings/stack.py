@@ -8,12 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from mistray.coatings.response import Response, layered_response
 from mistray.errors import MistrayError, errors_of
 from mistray.materials import complex_index, nearest_known_nm, resolved
 from mistray.named_values import finite_of
-from mistray.ranges import INDEX_SHIFT, LAYER_NM, check_fields
+from mistray.ranges import INDEX_SHIFT, LAYER_NM, OfType, Several, check_fields, several
 
 SIDES = ("outside", "front", "back")
 # Differentiable parameters of a layer, named as in `thinfilm`; n_shift and k_shift are `Layer` attributes as well
@@ -87,12 +88,13 @@ class Stack:
     R = 1.33%
     """
 
-    layers: tuple[Layer, ...]
+    layers: tuple[Layer, ...] = Several(OfType(Layer, "must be a mistray.coatings.Layer, or several"), least=0).field()
     first: str = "outside"
     name: str = ""
     opaque: bool = False
 
     def __post_init__(self) -> None:
+        check_fields(self, str(self))
         if self.first not in SIDES:
             raise MistrayError(f"{self}: first = '{self.first}'; it is {', '.join(SIDES[:-1])} or {SIDES[-1]}")
         for number, layer in enumerate(self.layers, start=1):
@@ -160,7 +162,12 @@ class Stack:
         return indices[order], thickness[order], order
 
     def response(
-        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
+        self,
+        wavelength_nm: float,
+        n_front: complex,
+        n_back: complex,
+        cos_incident: npt.ArrayLike,
+        from_front: bool,
     ) -> Response:
         """Return R, T and phases for light from one side, see `CoatingModel.response`; T = 0 if `opaque`."""
         indices, thickness, _ = self.front_to_back(wavelength_nm, n_front, n_back)
@@ -252,7 +259,7 @@ def waves(material: str, optical_thickness: float, design_nm: float, where: str 
     return Layer(material, optical_thickness * design_nm / n)
 
 
-def layer_text(layers: Sequence[Layer]) -> str:
+def layer_text(layers: Layer | Sequence[Layer]) -> str:
     """
     Return the string of layers, from which `parse_layers` reads the same thicknesses back.
 
@@ -267,7 +274,9 @@ def layer_text(layers: Sequence[Layer]) -> str:
     >>> mistray.coatings.layer_text(layers)
     'MgF2 99.4, 2.1 131'
     """
+    layers = several(layers)
     for number, layer in enumerate(layers, start=1):
+        OfType(Layer, "must be a mistray.coatings.Layer").check(f"layer {number}", layer)
         if "," in layer.material:
             raise MistrayError(f"layer {number} ({layer.material}): the material has a comma; rename its file")
         if layer.n_shift or layer.k_shift:

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from mistray.coatings.response import Response, total_reflection
+from mistray.coatings.response import Response, cosines, total_reflection
 from mistray.coatings.simple import SUM_TOLERANCE
 from mistray.errors import MistrayError
 from mistray.files.number_rows import numbers, read_cells
+from mistray.ranges import ANYTHING, ByName
 
 REQUIRED = ("wavelength_nm", "angle_deg")
 SHARES = ("R", "T", "R_back")
@@ -22,6 +24,7 @@ PHASES = ("phase_r_deg", "phase_t_deg", "phase_r_back_deg")
 COLUMNS = (*REQUIRED, *(f"{share}{pol}" for share in SHARES for pol in ("", "_s", "_p")), *PHASES)
 DEFAULT_PHASES = {"phase_r_deg": 180.0, "phase_t_deg": 0.0, "phase_r_back_deg": 180.0}
 FRONT, BACK, THROUGH = range(3)
+TABLE = ByName(ANYTHING, "{'wavelength_nm': …, 'angle_deg': …, 'R': …, 'T': …}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +107,7 @@ class CoatingTable:
             exceeds 1.
         """
         what = f"coating table '{name}'"
+        TABLE.check("columns", columns, what)
         lam, angle = (np.asarray(columns[key], dtype=np.float64) for key in REQUIRED)
         wavelengths, angles = np.unique(lam), np.unique(angle)
         grid = set(zip(lam, angle, strict=True))
@@ -148,7 +152,12 @@ class CoatingTable:
         return not np.any(self.shares[:, :, THROUGH])
 
     def response(
-        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
+        self,
+        wavelength_nm: float,
+        n_front: complex,
+        n_back: complex,
+        cos_incident: npt.ArrayLike,
+        from_front: bool,
     ) -> Response:
         """
         Return R, T and phases for light from one side, see `CoatingModel.response`.
@@ -160,7 +169,7 @@ class CoatingTable:
         MistrayError
             If the wavelength is outside the table.
         """
-        cosine = np.asarray(cos_incident, dtype=np.float64)
+        cosine = cosines(cos_incident)
         n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
         beyond = np.zeros(len(cosine), dtype=bool)
         if n_1 > n_2 and not self.opaque:

@@ -36,7 +36,7 @@ from mistray.errors import MistrayError, errors_of, foreign_errors
 from mistray.files.arrays import check_arrays
 from mistray.files.json_values import plain
 from mistray.files.packages import format_package
-from mistray.ranges import FILM_PIXELS
+from mistray.ranges import ANYTHING, FILM_PIXELS, ByName
 from mistray.read_file import read_file, require_file
 from mistray.replace_file import replace_file
 
@@ -63,6 +63,7 @@ UNITS = {
     WATTS: _Words("irradiance", "W mm-2", "W/mm^2", ("irradiance_W_mm2", "irradiance_se_W_mm2")),
     LUX: _Words("illuminance", "lx", "lx", ("illuminance_lx", "illuminance_se_lx")),
 }
+FACTS = ByName(ANYTHING, "{'scene': 'plate'}")
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,7 @@ class IrradianceMap:
         shapes = np.shape(self.irradiance), np.shape(self.irradiance_se)
         if len(shapes[0]) != 2 or shapes[0] != shapes[1] or 0 in shapes[0]:
             raise MistrayError(f"irradiance map: shapes {shapes[0]} and {shapes[1]}; give two arrays (height, width)")
+        FACTS.check("facts", self.facts, "irradiance map")
         if self.unit not in UNITS:
             raise MistrayError(f"irradiance map: unit is '{self.unit}'; use {' or '.join(UNITS)}")
 

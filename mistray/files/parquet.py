@@ -16,6 +16,7 @@ from mistray.errors import foreign_errors
 from mistray.files.json_values import plain
 from mistray.files.packages import format_package
 from mistray.files.units import unit_of
+from mistray.ranges import ANYTHING, ByName
 from mistray.read_file import read_file
 from mistray.replace_file import replace_file
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FACTS = b"mistray"
+FACTS_OF_TABLE = ByName(ANYTHING, "{'command': 'mistray ghosts plate'}")
 
 
 def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any] | None = None) -> Path:
@@ -56,6 +58,7 @@ def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any
     >>> len(pd.read_parquet(file))
     16
     """
+    FACTS_OF_TABLE.check_all("table", facts=facts)
     arrow = format_package("parquet")
     import pandas as pd
     import pyarrow.parquet

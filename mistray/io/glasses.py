@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from os import PathLike
 
 from mistray.errors import errors_of
 from mistray.materials.mate import shown
 from mistray.prescription.sequential.materials import usable
+from mistray.ranges import TEXT, ByName, OfType, Several
+
+FILE = OfType(str | PathLike, "must be the path of a file")
+CATALOGUES = Several(FILE, least=0)
+GLASSES = ByName(TEXT, "{'ODD-GLASS': 'N-BK7'}")
 
 
 class FileGlasses:

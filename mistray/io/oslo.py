@@ -14,6 +14,7 @@ from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.io.codev.glasses import CodevGlasses
+from mistray.io.glasses import CATALOGUES, GLASSES
 from mistray.io.optiland import from_optiland
 from mistray.materials import refractive_index
 from mistray.named_values import number_of
@@ -25,7 +26,7 @@ def read_oslo(
     path: str | Path,
     *,
     configuration: int = 1,
-    glass_catalogues: Sequence[str | Path] = (),
+    glass_catalogues: str | Path | Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
 ) -> Sequential:
     r"""
@@ -64,6 +65,8 @@ def read_oslo(
     [50.0, -50.0, inf]
     """
     path = Path(path)
+    catalogues = CATALOGUES.check("glass_catalogues", glass_catalogues)
+    replaced = GLASSES.check("glasses", {} if glasses is None else glasses)
     require_file(path, "lens")
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -78,7 +81,7 @@ def read_oslo(
             ) from None
         try:
             data = OsloDataParser(str(path), strict=True).parse()
-            found = _Glasses(data, glass_catalogues, glasses or {})
+            found = _Glasses(data, catalogues, replaced)
             reader = OsloToOpticConverter(
                 data, strict=True, configuration=configuration, material_overrides=found.for_optiland()
             )

@@ -17,7 +17,7 @@ from mistray.io.rayoptics import from_rayoptics as rayoptics_table
 from mistray.io.rayoptics import read_rayoptics
 from mistray.io.zemax.read import read_zemax
 from mistray.prescription.closing.system import to_prescription
-from mistray.prescription.coating import Coating
+from mistray.prescription.coating import COATINGS, Coating
 from mistray.prescription.model import Prescription
 
 
@@ -26,7 +26,7 @@ def from_zemax(
     *,
     coatings: str | Path | Mapping[str, Coating] | None = None,
     configuration: int | str | None = None,
-    glass_catalogues: Sequence[str | Path] = (),
+    glass_catalogues: str | Path | Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
     **options: Any,
 ) -> Prescription:
@@ -74,7 +74,7 @@ def from_codev(
     *,
     radius_mode: bool | None = None,
     configuration: int | str | None = None,
-    glass_catalogues: Sequence[str | Path] = (),
+    glass_catalogues: str | Path | Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
     **options: Any,
 ) -> Prescription:
@@ -146,7 +146,8 @@ def from_optiland(optic: Any, **options: Any) -> Prescription:
     >>> [surface.name for surface in triplet.surfaces[:3]]
     ['S1', 'S2', 'S3']
     """
-    coatings = coatings_of(optic) | dict(options.pop("coatings", None) or {})
+    given = options.pop("coatings", None)
+    coatings = coatings_of(optic) | ({} if given is None else COATINGS.check("coatings", given))
     return to_prescription(optiland_table(optic), coatings=coatings, **options)
 
 
@@ -154,7 +155,7 @@ def from_oslo(
     path: str | Path,
     *,
     configuration: int = 1,
-    glass_catalogues: Sequence[str | Path] = (),
+    glass_catalogues: str | Path | Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
     **options: Any,
 ) -> Prescription:

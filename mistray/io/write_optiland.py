@@ -17,7 +17,7 @@ from mistray.materials import complex_index, refractive_index
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Prescription
 from mistray.prescription.sequential.table import Row, Sequential
-from mistray.ranges import several
+from mistray.ranges import FIELD_DEG
 
 _SAME_INDEX = 2e-6
 _EXPECTED = ("coatings without a name", "structure", "the stop is")  # notes about files, and about no loss
@@ -86,7 +86,8 @@ def to_optiland(prescription: Prescription, field_deg: float | Sequence[float] |
     optic.fields.set_type("angle" if lens.field_kind == "angle_deg" else "object_height")
     if field_deg is not None and lens.field_kind != "angle_deg":
         raise MistrayError(f"prescription '{lens.name}': field_deg is for distant objects; leave it out")
-    for x, y in lens.fields if field_deg is None else [(0.0, float(angle)) for angle in several(field_deg)]:
+    angles = [] if field_deg is None else FIELD_DEG.check_each("field_deg", field_deg)
+    for x, y in [(0.0, angle) for angle in angles] or lens.fields:
         optic.fields.add(x=x, y=y)
     for place, (nm, weight) in enumerate(zip(lens.wavelengths_nm, lens.weights, strict=True)):
         optic.wavelengths.add(value=nm / 1e3, is_primary=place == lens.primary, weight=weight)

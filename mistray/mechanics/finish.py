@@ -11,7 +11,8 @@ from mistray.errors import MistrayError
 from mistray.named_values import number_of
 from mistray.prescription.by_text import scatter_of
 from mistray.prescription.coating import BLACK, Coating
-from mistray.prescription.scatter import Scatter
+from mistray.prescription.scatter import SCATTER, Scatter
+from mistray.ranges import TEXT, ByName, OfType, check_fields
 from mistray.scatter.paint import PRESETS
 
 OTHER_SIDE = {"front": "back", "back": "front"}
@@ -41,7 +42,10 @@ class Finish:
     """
 
     coating: Coating | None = BLACK
-    scatter: tuple[Scatter, ...] = ()
+    scatter: tuple[Scatter, ...] = SCATTER.field(())
+
+    def __post_init__(self) -> None:
+        check_fields(self, "finish")
 
     def turned(self) -> Finish:
         """Return the finish for a surface whose front is the outside of the body."""
@@ -52,6 +56,7 @@ class Finish:
 
 
 ABSORBER = Finish()
+FINISHES = ByName(OfType(Finish, "must be a mistray.mechanics.Finish"), "{'paint': mistray.mechanics.Finish(…)}")
 
 
 def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Finish:
@@ -80,7 +85,8 @@ def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Fin
     >>> mistray.mechanics.finish("R=0.05").coating.R
     0.05
     """
-    if text in known:
+    TEXT.check("finish", text)
+    if text in FINISHES.check("known", known):
         return known[text]
     if text == "black":
         return ABSORBER

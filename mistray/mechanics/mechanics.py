@@ -16,13 +16,14 @@ from mistray.ids import fits
 from mistray.io.cad.mesh import GLTF_SUFFIXES, read_mesh
 from mistray.io.cad.part import UNITS_MM, CadPart, unique_names
 from mistray.io.cad.step import read_step
-from mistray.mechanics.finish import ABSORBER, Finish, finish
+from mistray.mechanics.finish import ABSORBER, FINISHES, Finish, finish
 from mistray.mechanics.ply import ply_bytes
 from mistray.mechanics.recognise import RevolvedBand, bands
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Placed, Structure
 from mistray.prescription.scene_file import comment_text, structure_text
 from mistray.prescription.sequential.table import Unread
+from mistray.ranges import SPACE, ByName, OfType
 from mistray.read_file import require_file
 from mistray.replace_file import replace_files
 
@@ -30,6 +31,8 @@ STEP_SUFFIXES, MESH_SUFFIXES = (".step", ".stp"), (".stl", ".obj", ".ply", *GLTF
 MOST_ANALYTIC = 64
 TOLERANCE_MM = 0.01
 TILT_DIGITS = 5  # degrees: the single precision of a rotation
+PAINTS = ByName(OfType(Finish | str, "must be a mistray.mechanics.Finish or its text"), "{'vane*': 'flat_black'}")
+SPACES = ByName(SPACE, "{'vane*': 1}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +97,10 @@ class Mechanics:
         MistrayError
             If a pattern matches nothing, or a paint is unknown.
         """
-        rules = [(p, finish(f, known or {}) if isinstance(f, str) else f) for p, f in (paint or {}).items()]
-        spaces = list((space or {}).items())
+        names = {} if known is None else FINISHES.check("known", known)
+        paints = {} if paint is None else PAINTS.check("paint", paint)
+        rules = [(p, finish(f, names) if isinstance(f, str) else f) for p, f in paints.items()]
+        spaces = [] if space is None else list(SPACES.check("space", space).items())
         for pattern, _ in (*rules, *spaces):
             self._check_pattern(pattern)
         return replace(self, paint=(*self.paint, *rules), space=(*self.space, *spaces))

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mistray.errors import MistrayError
-from mistray.metrics.parameters import PARALLEL, Parameter
+from mistray.errors import refuse_unknown
+from mistray.metrics.parameters import KNOWN, PARALLEL, Parameter
 from mistray.physics.geometry.pose import fixed_angles_deg, moved
+from mistray.ranges import FINITE, POINT_MM, TILT_DEG, ByName
 from mistray.surfaces.gradient_columns import DISPLACEMENT, POSE, ROTATION
 
 ROUND_OFF = 1e-10  # slope of a number below which it counts as 0
 STEP_DEG = 1e-3  # step of the central differences of positions, which are smooth and have errors of 1e-15
+AMOUNTS = ByName(FINITE, "{'z': 0.1, 'tilt_x': 0.02}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +69,8 @@ class Body:
         MistrayError
             If the pivot is not three finite numbers.
         """
-        point = np.array(pivot, dtype=np.float64)
-        if point.shape != (3,) or not np.all(np.isfinite(point)):
-            raise MistrayError(f"pivot of '{self.part}' is {list(pivot)}; give x, y and z of a point, mm")
-        return Body(self.part, self.frames, self.start, self.axes, point)
+        point = POINT_MM.check("pivot", pivot, f"body '{self.part}'")
+        return Body(self.part, self.frames, self.start, self.axes, np.array(point))
 
     def tilted(self, tilt_deg: Sequence[float] | np.ndarray) -> dict[str, float]:
         """
@@ -87,7 +87,8 @@ class Body:
             Change, mm or degrees, by the key of a parameter, such as "L1_front.tilt_x". A displacement of the body adds
             to these changes, because a surface is displaced along its axes before its own tilts.
         """
-        own, turn = np.eye(4), moved(np.eye(4), 0.0, 0.0, 0.0, *tilt_deg)
+        angles = TILT_DEG.check("tilt_deg", tilt_deg, f"body '{self.part}'")
+        own, turn = np.eye(4), moved(np.eye(4), 0.0, 0.0, 0.0, *angles)
         own[:3, :3], own[:3, 3] = self.axes, self.pivot
         motion = own @ turn @ np.linalg.inv(own)
         found: dict[str, float] = {}
@@ -95,8 +96,8 @@ class Body:
             start = self.start[surface]
             there = np.linalg.inv(frame) @ motion @ moved(frame, *start)
             # Rx Ry Rz is the inverse of Rz(-c) Ry(-b) Rx(-a)
-            angles = -np.array(fixed_angles_deg(there[:3, :3].T))
-            turned = start[3:] + (angles - start[3:] + 180) % 360 - 180
+            there_deg = -np.array(fixed_angles_deg(there[:3, :3].T))
+            turned = start[3:] + (there_deg - start[3:] + 180) % 360 - 180
             change = np.array([*there[:3, 3], *turned]) - start
             found |= {f"{surface}.{name}": float(value) for name, value in zip(POSE, change, strict=True)}
         return found
@@ -111,6 +112,7 @@ class Body:
             Displacements "x", "y", "z" along its axes, mm, and tilts "tilt_x", "tilt_y", "tilt_z", degrees; missing
             ones are 0.
         """
+        refuse_unknown(AMOUNTS.check("amounts", amounts, f"body '{self.part}'"), POSE, f"body '{self.part}': ")
         found = self.tilted([amounts.get(name, 0.0) for name in ROTATION])
         for name in DISPLACEMENT:
             for key, slope in self.slopes(name).items():
@@ -174,7 +176,7 @@ def bodies(known: Mapping[str, Parameter]) -> dict[str, Body]:
     ['L1', 'window', 'barrel', 'board']
     """
     owners: dict[str, dict[str, Parameter]] = {}
-    for key, p in known.items():
+    for key, p in KNOWN.check("known", known).items():
         if p.kind in ("position", "tilt") and key.endswith(f".{POSE[0]}"):
             surface = key.removesuffix(f".{POSE[0]}")
             if all(f"{surface}.{name}" in known for name in POSE):

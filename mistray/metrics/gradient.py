@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
 from mistray.estimate import Estimate
 from mistray.gradients.edge_widths import EQUAL, WidthErrors, further_samples, least_error, widths_of
 from mistray.gradients.geometry_gradient import geometry_columns
@@ -21,7 +21,7 @@ from mistray.metrics.parameters import Parameter, chosen_keys, parameters
 from mistray.metrics.views import seen_unpolarized
 from mistray.notes import warns
 from mistray.ranges import EDGE_WIDTH as ZONE
-from mistray.ranges import several
+from mistray.ranges import FINITE, TEXT, ByName, Several, several
 from mistray.recorders.sampled import batch_error
 from mistray.result import KeyNumber, Result
 from mistray.scene.titles import scene_name
@@ -30,6 +30,8 @@ from mistray.surfaces.optics import OPAQUE, TABLED
 
 COATING_KINDS = ("coating", "share")
 OTHER_KINDS = ("scatter", "index", "source")
+KEYS = Several(TEXT, least=0)
+SLOPES = ByName(FINITE, "{'window_front.z': 1.0}")
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,28 +44,29 @@ class Gradient(
     Attributes
     ----------
     value, value_se : float
-        Value of the metric and its standard error.
+        Value of the metric and its standard error, in its unit.
     value_noise : (b,) float64
-        Noise of the metric by batch, or by group of batches, see `mistray.recorders.sampled.Sampled.apart`.
-    batches : dict
-        Contributions of single batches of start rays, (BATCHES, entries), by the key of the parameter. Their sum is the
-        gradient.
+        Noise of the metric, in its unit, by batch, or by group of batches, see
+        `mistray.recorders.sampled.Sampled.apart`.
+    batches : dict of str to (BATCHES, entries) float64
+        Contributions of single batches of start rays by the key of the parameter, in the unit of the metric over that
+        of the parameter. Their sum is the gradient.
     edge_width : float or None
         Width of the zones at rims, in units of the rims' radii; None if no rays near rims contribute.
     edge_number : int
         Position of this width among the widths of `edge_batches`.
-    edge_batches : dict
-        Values of `batches` for all compared widths, (widths, BATCHES, entries), by key; each width is half of the one
+    edge_batches : dict of str to (widths, BATCHES, entries) float64
+        Values of `batches` for all compared widths, by key; each width is half of the one
         before. Only parameters on which rays near rims depend are included.
-    full : dict
+    full : dict of str to FullKey
         Rims that a beam just fills and that a parameter moves relative to the beam, by key. Such a parameter has no
         derivative: it is NaN.
-    one_sided : dict
+    one_sided : dict of str to OneSided
         Derivatives below and above the value of a parameter without derivative, by key. They are not linear: those of
         parameters that move together do not add up.
     left_out : list of str
         Effects that the derivatives do not include.
-    seconds : tuple of float
+    seconds : (float, float)
         Times of the primal traces and of those for the derivatives, s.
 
     Examples
@@ -134,7 +137,7 @@ class Gradient(
 
     def require(self, keys: str | Iterable[str]) -> None:
         """Raise `MistrayError` if a parameter has no derivative, because a beam just fills a rim that it moves."""
-        for key in several(keys):
+        for key in KEYS.check("keys", several(keys)):
             if key in self.full:
                 raise MistrayError(
                     f"parameter '{key}' has no derivative, because a beam just fills {self.full[key].rim}; widen the "
@@ -152,11 +155,14 @@ class Gradient(
 
         It is that of the noise, with the biases of the edge width taken as fully correlated.
         """
-        chosen = list(self.gradient if keys is None else several(keys))
-        parts = np.concatenate([self.batches[key] for key in chosen], axis=1)
+        chosen = KEYS.check("keys", several(self.gradient if keys is None else keys))
+        missing = [key for key in chosen if key not in self.batches]
+        if missing:
+            raise MistrayError(f"the gradient has no '{missing[0]}'; {nearest(missing[0], self.batches)}")
+        parts = np.concatenate([np.zeros((BATCHES, 0)), *(self.batches[key] for key in chosen)], axis=1)
         apart = parts - parts.mean(axis=0)
         none = {key: np.zeros(parts.shape[1]) for key, parts in self.batches.items()}
-        bias = np.concatenate([{**none, **self.edge_bias}[key] for key in chosen])
+        bias = np.concatenate([np.zeros(0), *({**none, **self.edge_bias}[key] for key in chosen)])
         return np.asarray(BATCHES / (BATCHES - 1) * apart.T @ apart + np.outer(bias, bias))
 
     def along(self, slopes: Mapping[str, float]) -> Estimate:
@@ -174,7 +180,7 @@ class Gradient(
             If a key is not among those of the gradient, or has no derivative because a beam just fills a rim that it
             moves.
         """
-        used = {key: slope for key, slope in slopes.items() if slope}
+        used = {key: slope for key, slope in SLOPES.check("slopes", slopes).items() if slope}
         missing = [key for key in used if key not in self.batches]
         if missing:
             raise MistrayError(f"the gradient has no '{missing[0]}'; give it keys={sorted(slopes)}")

@@ -22,7 +22,7 @@ from mistray.known_arguments import known_arguments
 from mistray.metrics.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum, texts_of
 from mistray.metrics.views import TraceView
 from mistray.notes import quiet
-from mistray.ranges import FIELD_DEG, POSITIVE, Range
+from mistray.ranges import FIELD_DEG, POSITIVE, WAVELENGTHS_NM, WEIGHTS, ByName, OfType, Range, check_fields
 from mistray.recorders.path_events import DIRECT
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
@@ -73,8 +73,8 @@ class Metric:
     scene: Any
     function: Callable[[list[Any]], Any]
     field_deg: tuple[float, ...] | None = None
-    wavelength_nm: float | Sequence[float] | None = None
-    weights: Sequence[float] | None = None
+    wavelength_nm: float | Sequence[float] | None = WAVELENGTHS_NM.field(None)
+    weights: float | Sequence[float] | None = WEIGHTS.field(None)
     settings: Any = None
     unit: str = ""
     name: str = "metric"
@@ -82,6 +82,7 @@ class Metric:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "field_deg", _angles(self.field_deg))
+        check_fields(self, "metric")
 
     @property
     def views(self) -> list[TraceView]:
@@ -207,6 +208,9 @@ class CombinedMetric(Metric):
         return Metric(self.scene, lambda observations: self.values(observations)[name], name=name)
 
 
+METRICS = ByName(OfType(Metric, "must be a mistray.Metric"), "{'ghosts': mistray.optimize.path_power(scene)}")
+
+
 def combine(
     metrics: Mapping[str, Metric], function: Callable[[dict[str, Any]], Any], unit: str = "", name: str = "merit"
 ) -> CombinedMetric:
@@ -240,12 +244,12 @@ def combine(
     >>> print(f"{merit.value():.4f}")
     0.0192
     """
-    if not metrics:
+    parts = METRICS.check("metrics", metrics)
+    if not parts:
         raise MistrayError("combine() got no metric; give at least one")
-    scenes = {id(metric.scene) for metric in metrics.values()}
+    scenes = {id(metric.scene) for metric in parts.values()}
     if len(scenes) > 1:
         raise MistrayError(f"the metrics {', '.join(metrics)} are of {len(scenes)} scenes; make all from one scene")
-    parts = dict(metrics)
 
     def of_parts(observations: list[Any]) -> Any:
         return function(combined.values(observations))

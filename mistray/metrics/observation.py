@@ -15,6 +15,7 @@ from mistray.errors import MistrayError
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.metrics.changes.first_surfaces import FirstLight
 from mistray.ranges import NORM as NORMS
+from mistray.ranges import several, shown
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative
 from mistray.recorders.path_events import way_text
 from mistray.recorders.sampled import Sampled
@@ -349,9 +350,9 @@ def texts_of(selection: Selection) -> list[str]:
     """
     if callable(selection):
         return []
-    texts: list[Any] = [selection] if isinstance(selection, str) else list(selection)
+    texts = several(selection)
     if not texts or not all(isinstance(text, str) and text.strip() for text in texts):
-        raise MistrayError(f"the selection of paths is {selection!r}; give one or more of {', '.join(KINDS)}")
+        raise MistrayError(f"the selection of paths is {shown(selection)}; give one or more of {', '.join(KINDS)}")
     return texts
 
 

@@ -25,7 +25,7 @@ from mistray.gradients.geometry_gradient import shape_parameters
 from mistray.gradients.parameter_gradient import NO_PARAMETERS, without_derivative
 from mistray.ids import fits
 from mistray.metrics.default_tolerances import About, about_bsdf, about_scatter, about_shape, about_source
-from mistray.ranges import several
+from mistray.ranges import TEXT, ByName, OfType, Several, several, shown
 from mistray.surfaces.surfaces import solid_shapes
 
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index", "source")
@@ -83,6 +83,9 @@ class Parameter:
         return vars(self) | {"owner": Missing(reason)}
 
 
+KNOWN = ByName(OfType(Parameter, "must be a Parameter"), "mistray.optimize.parameters(scene)")
+
+
 def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict[str, Parameter]:
     """
     Return all parameters of a scene with respect to which a trace has derivatives, with their present values.
@@ -111,9 +114,11 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
     ['L1_front.bsdf.n_front_shift', 'L1_front.bsdf.n_back_shift', 'L1_front.curvature']
     """
     params = mi.traverse(scene) if params is None else params
+    if not isinstance(params, mi.SceneParameters):
+        raise MistrayError(f"params is {shown(params)}; give mi.traverse(scene)")
     surfaces = solid_shapes(scene)
     found = {}
-    properties: Any = params.properties  # type: ignore[union-attr]
+    properties: Any = params.properties
     near: dict[int, list[Any]] = {}  # shapes by the plugins that are part of them
     for shape in surfaces:
         bsdf = shape.bsdf()
@@ -159,7 +164,8 @@ def match(known: Mapping[str, Parameter], patterns: str | Iterable[str]) -> list
     ['window_front.z', 'window_rear.z', 'window_edge.z']
     """
     found: dict[str, None] = {}
-    for pattern in several(patterns):
+    KNOWN.check("known", known)
+    for pattern in Several(TEXT, least=0).check("keys", several(patterns)):
         keys = [pattern] if pattern in known else [key for key in known if fits(key, pattern)]
         if not keys:
             advice = without_derivative(pattern) or _nearest(known, pattern)
@@ -211,7 +217,7 @@ def groups(known: Mapping[str, Parameter]) -> dict[str, list[str]]:
     """
     found: dict[str, list[str]] = {}
     frames: dict[str, list[np.ndarray]] = {}
-    for key, p in known.items():
+    for key, p in KNOWN.check("known", known).items():
         if p.kind == "index":
             found.setdefault(f"{p.owner.materials[SHIFTS.index(p.name)].strip()}.index", []).append(key)
         elif p.kind == "position":

@@ -25,8 +25,8 @@ class DirectImage:
     Attributes
     ----------
     power_W, rms_radius_mm, rms_irradiance_W_mm2 : Estimate
-        Absorbed power, RMS radius about the centroid and ``P / (π r_rms²)``. The last two are NaN, and the power is 0,
-        where no direct light reaches the detector.
+        Absorbed power, W, RMS radius about the centroid, mm, and ``P / (π r_rms²)``, W/mm². The last two are NaN, and
+        the power is 0, where no direct light reaches the detector.
     paths : PathTable
         Paths of the trace that the image belongs to.
     path_ids : tuple of int

@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 
 from mistray.errors import MistrayError
 from mistray.physics._arrays import Arithmetic, arithmetic
+from mistray.ranges import several
 
 Pair = tuple[Any, Any]
 
@@ -68,8 +69,8 @@ class _Layer(NamedTuple):
 
 def amplitudes(
     n_incident: Any,
-    n_layers: Sequence[Any],
-    d_nm: Sequence[Any],
+    n_layers: complex | Sequence[Any],
+    d_nm: float | Sequence[Any],
     n_substrate: Any,
     wavelength_nm: Any,
     cos_incident: Any,
@@ -81,11 +82,11 @@ def amplitudes(
     ----------
     n_incident, n_substrate : real or complex number or array
         Index n + ik of the medium of the incident light and of the medium beyond the stack; n > 0, k ≥ 0.
-    n_layers : sequence of real or complex numbers or arrays
-        Index of each layer, the first one on the incident side; k ≥ 0, not 0. May be empty. Real indices halve the
-        cost.
-    d_nm : sequence of real numbers or arrays
-        Thickness of each layer, nm, ≥ 0.
+    n_layers : number, or sequence of real or complex numbers or arrays
+        Index of the layer, or of each layer, the first one on the incident side; k ≥ 0, not 0. May be empty. Real
+        indices halve the cost.
+    d_nm : number, or sequence of real numbers or arrays
+        Thickness of the layer, or of each, nm, ≥ 0.
     wavelength_nm : real number or array
         Vacuum wavelength, nm, > 0.
     cos_incident : real number or array
@@ -110,8 +111,8 @@ def amplitudes(
 
 def reflectance_transmittance(
     n_incident: Any,
-    n_layers: Sequence[Any],
-    d_nm: Sequence[Any],
+    n_layers: complex | Sequence[Any],
+    d_nm: float | Sequence[Any],
     n_substrate: Any,
     wavelength_nm: Any,
     cos_incident: Any,
@@ -136,8 +137,8 @@ def reflectance_transmittance(
 
 def amplitudes_and_shares(
     n_incident: Any,
-    n_layers: Sequence[Any],
-    d_nm: Sequence[Any],
+    n_layers: complex | Sequence[Any],
+    d_nm: float | Sequence[Any],
     n_substrate: Any,
     wavelength_nm: Any,
     cos_incident: Any,
@@ -176,8 +177,8 @@ def _shares(ops: Arithmetic, polarisations: tuple[_Fields, _Fields]) -> tuple[Pa
 
 def _solve(
     n_incident: Any,
-    n_layers: Sequence[Any],
-    d_nm: Sequence[Any],
+    n_layers: complex | Sequence[Any],
+    d_nm: float | Sequence[Any],
     n_substrate: Any,
     wavelength_nm: Any,
     cos_incident: Any,
@@ -187,6 +188,7 @@ def _solve(
 
     Raise `MistrayError` if the numbers of indices and thicknesses differ.
     """
+    n_layers, d_nm = several(n_layers), several(d_nm)
     if len(n_layers) != len(d_nm):
         raise MistrayError(f"stack: {len(n_layers)} indices and {len(d_nm)} thicknesses; give one of each per layer")
     ops = arithmetic(n_incident, *n_layers, *d_nm, n_substrate, wavelength_nm, cos_incident)

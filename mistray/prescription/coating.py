@@ -10,7 +10,9 @@ from mistray.coatings.simple import check_shares
 from mistray.coatings.stack import SIDES, moved_layers
 from mistray.errors import MistrayError
 from mistray.ids import check_written_id
-from mistray.ranges import WAVELENGTH_NM, Words, check_fields
+from mistray.ranges import INDEX_SHIFT, WAVELENGTH_NM, ByName, Each, OfType, Words, check_fields
+
+INDEX_SHIFTS = Each(INDEX_SHIFT, least=0)  # of the layers
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,8 @@ class Coating:
     _: KW_ONLY
     first: str = Words(SIDES).field("outside")
     design_nm: float = WAVELENGTH_NM.field(550.0)
-    n_shift: tuple[float, ...] = ()
-    k_shift: tuple[float, ...] = ()
+    n_shift: tuple[float, ...] = INDEX_SHIFTS.field(())
+    k_shift: tuple[float, ...] = INDEX_SHIFTS.field(())
     name: str | None = None
 
     def __post_init__(self) -> None:
@@ -121,3 +123,7 @@ def check_name(name: str) -> None:
     if not name or "." in name:
         raise MistrayError(f"shape '{name}': a name must not be empty or hold a dot")
     check_written_id(name, "shape")
+
+
+COATINGS = ByName(OfType(Coating | None, "must be a mistray.Coating or None"), "{'AR': mistray.Coating(R=0.01)}")
+"""Condition on coatings by the names of faces or of the coatings in a file."""

@@ -16,9 +16,12 @@ from mistray.errors import MistrayError
 from mistray.named_values import number_of
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Detector, Stop, Structure, Surface
+from mistray.ranges import PLACE_MM, RADIUS_MM, Each, OfType, Several, several, shown
 
 Point = tuple[float, float]
 """(r, z) of a profile, mm."""
+POINT = Each(PLACE_MM, 2)
+ITEMS = Several(OfType(Surface | Stop, "must be a Surface or a Stop, or several"), least=0)
 
 ABSORBER = Coating(R=0.0)
 
@@ -61,7 +64,11 @@ def wall(
     >>> [(face.name, face.r1) for face in wall]
     [('tube_1', 30), ('tube_2', 25)]
     """
-    pieces = [(a, b) for a, b in pairwise(points) if a != b]
+    profile = several(points)
+    Several(POINT).check("points", profile, f"wall '{name}'")
+    if len(profile) < 2:
+        raise MistrayError(f"wall '{name}': points are {shown(profile)}; give two at least, (r, z) each, mm")
+    pieces = [(a, b) for a, b in pairwise(map(tuple, profile)) if a != b]
     return tuple(
         Structure(
             name if len(pieces) == 1 else f"{name}_{k}",
@@ -132,7 +139,12 @@ def lens_edge(
     glass = _shared_material(first, second)
     rim = max(first.outer_radius, second.outer_radius) if rim_radius is None else rim_radius
     ends = []
-    for surface, contact in zip((first, second), contact_radii, strict=True):
+    contacts = several(contact_radii)
+    if len(contacts) != 2:
+        raise MistrayError(f"part '{part}': contact_radii is {shown(contact_radii)}; give two, each a number or None")
+    for contact in contacts:
+        RADIUS_MM.check_all(f"part '{part}'", contact_radii=contact)
+    for surface, contact in zip((first, second), contacts, strict=True):
         clear, z = surface.rim
         touch = clear if contact is None else contact
         if not clear <= touch <= rim:
@@ -166,7 +178,7 @@ def lens_edge(
 
 
 def barrel(
-    items: Iterable[Surface | Stop],
+    items: Surface | Stop | Iterable[Surface | Stop],
     *,
     coating: Coating = ABSORBER,
     edge_coating: Coating = ABSORBER,
@@ -178,7 +190,7 @@ def barrel(
 
     Parameters
     ----------
-    items : iterable of Surface or Stop
+    items : Surface, Stop or iterable of them
         Surfaces and stops in the order of light; surfaces of a body follow each other. A `Detector` may end it; fill
         its frame with `detector_frame`.
     coating : Coating
@@ -212,7 +224,7 @@ def barrel(
     """
     result: list[Structure] = []
     space = first_space
-    for a, b in pairwise(items):
+    for a, b in pairwise(ITEMS.check("items", items, f"barrel '{name}'")):
         material = _shared_material(a, b)
         if isinstance(a, Surface) and isinstance(b, Surface) and not is_gas(material):
             result += lens_edge(a, b, coating=edge_coating)

@@ -7,7 +7,8 @@ from pathlib import PurePath
 
 from mistray.errors import MistrayError
 from mistray.prescription.coating import BLACK, Coating, check_name
-from mistray.prescription.scatter import Scatter
+from mistray.prescription.scatter import SCATTER, Scatter
+from mistray.ranges import check_fields
 
 
 @dataclass(frozen=True)
@@ -39,11 +40,12 @@ class MeshStructure:
     front: str = "air"
     back: str = "air"
     coating: Coating | None = BLACK
-    scatter: tuple[Scatter, ...] = ()
+    scatter: tuple[Scatter, ...] = SCATTER.field(())
     part: str | None = None
     space: int = -1
 
     def __post_init__(self) -> None:
         check_name(self.name)
+        check_fields(self, f"structure '{self.name}'")
         if PurePath(self.file).suffix.lower() != ".ply":
             raise MistrayError(f"structure '{self.name}': file '{self.file}'; give a .ply file")

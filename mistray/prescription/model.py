@@ -21,13 +21,24 @@ from mistray.physics.geometry.outline import Outline
 from mistray.physics.geometry.pose import fixed_turn
 from mistray.physics.geometry.sag import conic_end, sag
 from mistray.physics.imaging.paraxial import ParaxialSystem
-from mistray.physics.sags.terms import check_names, with_even
+from mistray.physics.sags.terms import SAG, check_names, with_even
 from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating, check_name
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.naming import scattering, shared_coatings, shared_scatter
-from mistray.prescription.scatter import Scatter
-from mistray.ranges import FILM_SIDE, PLACE_MM, RADIUS_MM, SIZE_MM, Range, check_fields
+from mistray.prescription.scatter import SCATTER, Scatter
+from mistray.ranges import (
+    COEFFICIENTS,
+    FILM_SIDES,
+    PLACE_MM,
+    RADIUS_MM,
+    SIZE_MM,
+    TILT_DEG,
+    OfType,
+    Range,
+    Several,
+    check_fields,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -51,10 +62,13 @@ class Placed:
         Rotations about the world's x, y, z axes, degrees.
     """
 
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    x: float = PLACE_MM.field(0.0)
+    y: float = PLACE_MM.field(0.0)
+    z: float = PLACE_MM.field(0.0)
+    tilt_deg: tuple[float, float, float] = TILT_DEG.field((0.0, 0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        check_fields(self, "frame")
 
     @property
     def coaxial(self) -> bool:
@@ -119,7 +133,7 @@ class Surface(Placed):
     _: KW_ONLY
     radius: float = math.inf
     conic: float = 0.0
-    coefficients: tuple[float, ...] = ()
+    coefficients: tuple[float, ...] = COEFFICIENTS.field(())
     semi_diameter: float | None = SIZE_MM.field(None)
     inner_semi_diameter: float = 0.0
     half_width: float | None = SIZE_MM.field(None)
@@ -129,7 +143,7 @@ class Surface(Placed):
     front: str = "air"
     back: str = "air"
     coating: Coating | None = None
-    scatter: tuple[Scatter, ...] = ()
+    scatter: tuple[Scatter, ...] = SCATTER.field(())
     mirror: bool = False
     meets: str = "both"
     part: str | None = None
@@ -146,6 +160,7 @@ class Surface(Placed):
                 "an outline"
             )
         owner = f"surface '{self.name}'"
+        SAG.check("sag", self.sag, owner)
         check_names({"curvature", "conic", *self.sag}, owner)
         if self.outline is not None:
             self.outline.check(owner)
@@ -240,7 +255,7 @@ class Structure(Placed):
     front: str = "air"
     back: str = "air"
     coating: Coating | None = BLACK
-    scatter: tuple[Scatter, ...] = ()
+    scatter: tuple[Scatter, ...] = SCATTER.field(())
     part: str | None = None
     space: int = -1
 
@@ -278,13 +293,12 @@ class Detector(Surface):
     name: str = "detector"
     _: KW_ONLY
     coating: Coating | None = BLACK
-    pixels: tuple[int, int] = (256, 256)
+    pixels: tuple[int, int] = FILM_SIDES.field((256, 256))
     design_path: str = ""
 
     def __post_init__(self) -> None:
+        FILM_SIDES.check("pixels", self.pixels, f"detector '{self.name}'")
         super().__post_init__()
-        for count in self.pixels:
-            FILM_SIDE.check("pixels", count, f"detector '{self.name}'")
 
     def notes(self) -> list[str]:
         """Return notes on a detector from a lens file: one line if it absorbs all light; otherwise none."""
@@ -327,11 +341,12 @@ class Stop:
     outer_rear: float
     _: KW_ONLY
     coating: Coating | None = BLACK
-    scatter: tuple[Scatter, ...] = ()
+    scatter: tuple[Scatter, ...] = SCATTER.field(())
     part: str = "stop"
     space: int = -1
 
     def __post_init__(self) -> None:
+        check_fields(self, f"stop '{self.part}'")
         opening = replace(within(min(self.outer_front, self.outer_rear)), above=True)
         opening.check("radius", self.radius, f"stop '{self.part}'")
         if self.z_rear < self.z_front:
@@ -360,6 +375,14 @@ class Stop:
             )
             for face, *profile in profiles
         )
+
+
+STRUCTURES = Several(
+    OfType(
+        Structure | Surface | MeshStructure, "must be a mistray.Structure, a Surface or a MeshStructure, or several"
+    ),
+    least=0,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -409,20 +432,21 @@ class Prescription:
     """
 
     name: str
-    surfaces: tuple[Surface, ...]
-    structures: tuple[Structure | Surface | MeshStructure, ...] = ()
+    surfaces: tuple[Surface, ...] = Several(OfType(Surface, "must be a mistray.Surface, or several"), least=0).field()
+    structures: tuple[Structure | Surface | MeshStructure, ...] = STRUCTURES.field(())
     stop: Stop | None = None
     detector: Detector | None = None
     source: Source | ObjectPoint | None = None
     provenance: str = ""
-    more_detectors: tuple[Detector, ...] = ()
+    more_detectors: tuple[Detector, ...] = Several(
+        OfType(Detector, "must be a mistray.Detector, or several"), least=0
+    ).field(())
 
     def __post_init__(self) -> None:
-        given: tuple[object, ...] = (self.detector, *self.more_detectors)
-        wrong = [one for one in given if not isinstance(one, Detector | None)]
-        if wrong:
+        check_fields(self, f"prescription '{self.name}'")
+        if not isinstance(self.detector, Detector | None):
             raise MistrayError(
-                f"prescription '{self.name}': detector is a {type(wrong[0]).__name__}; give a "
+                f"prescription '{self.name}': detector is a {type(self.detector).__name__}; give a "
                 "mistray.prescription.Detector, such as Detector(name='detector', z=50, half_width=5, half_height=5)"
             )
         for name, count in Counter(shape.name for shape in self.shapes()).items():
@@ -470,13 +494,13 @@ class Prescription:
         """
         return shared_scatter(f"prescription '{self.name}'", self.shapes())
 
-    def with_scatter(self, rules: Mapping[str, Sequence[Scatter]]) -> Prescription:
+    def with_scatter(self, rules: Mapping[str, Scatter | Sequence[Scatter]]) -> Prescription:
         """
         Return a copy with scatter models added to shapes.
 
         Parameters
         ----------
-        rules : mapping of str to sequence of Scatter
+        rules : mapping of str to Scatter or sequence of Scatter
             Name of a shape, or a pattern such as ``"barrel_*"`` → models. The models of all matching patterns are added
             to those that a shape has.
 

@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 from mistray.errors import MistrayError
 from mistray.ids import fits
 from mistray.prescription.coating import Coating
-from mistray.prescription.scatter import Scatter
+from mistray.prescription.scatter import SCATTER, Scatter
+from mistray.ranges import ByName
 
 if TYPE_CHECKING:
     from mistray.prescription.model import Prescription
+
+RULES = ByName(SCATTER, "{'barrel_*': mistray.Scatter(…)}")
 
 
 def shared_coatings(where: str, shapes: Iterable[Any]) -> dict[str, Coating]:
@@ -73,17 +76,18 @@ def _shared(where: str, what: str, shapes: Iterable[Any], items: Callable[[Any],
     return shared
 
 
-def scattering(prescription: Prescription, rules: Mapping[str, Sequence[Scatter]]) -> Prescription:
+def scattering(prescription: Prescription, rules: Mapping[str, Scatter | Sequence[Scatter]]) -> Prescription:
     """Return a copy with scatter models added to shapes by name; see `Prescription.with_scatter`."""
     names = [shape.name for shape in prescription.shapes()]
-    for pattern in rules:
+    models_of = RULES.check("rules", rules, f"prescription '{prescription.name}'")
+    for pattern in models_of:
         if not any(fits(name, pattern) for name in names):
             raise MistrayError(
                 f"prescription '{prescription.name}': no shape is called '{pattern}'; correct the pattern"
             )
 
     def added(shape: Any) -> Any:
-        more = tuple(model for pattern, models in rules.items() if fits(shape.name, pattern) for model in models)
+        more = tuple(model for pattern, models in models_of.items() if fits(shape.name, pattern) for model in models)
         return replace(shape, scatter=shape.scatter + more)
 
     return each_shape(prescription, added)

@@ -8,12 +8,14 @@ from typing import Any
 
 from mistray.errors import MistrayError, nearest
 from mistray.prescription.coating import check_name
+from mistray.ranges import ANYTHING, ByName, OfType, Several
 from mistray.scatter.kinds import KINDS
 from mistray.scatter.lobe import Placement
 
 Value = bool | int | float | str
 
 
+PROPERTIES = ByName(ANYTHING, "{'rms_nm': 4.0}")
 LAID = ("sample_axis", "rotation_deg")  # how a sample lies on its surface, of `tabulated`
 
 
@@ -55,7 +57,7 @@ class Scatter:
             raise MistrayError(f"scatter '{self.kind}': there is no such model; use {', '.join(KINDS)}")
         if self.name is not None:
             check_name(self.name)
-        for key, value in self.properties.items():
+        for key, value in PROPERTIES.check("properties", self.properties, f"scatter '{self.kind}'").items():
             if not isinstance(value, Value):
                 raise MistrayError(f"scatter '{self.kind}': {key} = {value!r}; give a number, a text or a boolean")
         self.model()
@@ -84,3 +86,7 @@ class Scatter:
         """Return the model with the path of its file, if any, changed by the function `seen`."""
         file = self.properties.get("file")
         return self if file is None else replace(self, properties={**self.properties, "file": seen(str(file))})
+
+
+SCATTER = Several(OfType(Scatter, "must be a mistray.Scatter, or several"), least=0)
+"""Condition on the scatter models of a surface."""

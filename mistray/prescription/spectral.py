@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mistray.errors import MistrayError, errors_of
+from mistray.ranges import WAVELENGTH_NM, WAVELENGTHS_NM, WEIGHTS, Each
 from mistray.spectra.spectrum import SpectrumSamples, light_of, of_lines
 
 DEFAULT_NM = (550.0,)
@@ -30,10 +31,10 @@ class Spectral:
         Number of parts that the band is divided into; ``None``: 6.
     """
 
-    wavelength_nm: tuple[float, ...] = DEFAULT_NM
-    weights: tuple[float, ...] | None = None
+    wavelength_nm: tuple[float, ...] = WAVELENGTHS_NM.field(DEFAULT_NM)
+    weights: tuple[float, ...] | None = WEIGHTS.field(None)
     spectrum: str | None = None
-    band_nm: tuple[float, float] | None = None
+    band_nm: tuple[float, float] | None = Each(WAVELENGTH_NM, 2).field(None)
     bands: int | None = None
 
     @property

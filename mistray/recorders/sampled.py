@@ -29,7 +29,7 @@ class Sampled:
     Attributes
     ----------
     value : (…) float64
-        Estimates.
+        Estimates, in the unit that the owner states.
     apart : (…, b) float64
         Deviation of each batch, or each group of consecutive batches, from the mean: independent numbers of mean 0,
         the sum of whose squares is the square of the standard error. Batches of independent runs may share an index.

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM, WAVELENGTHS_NM, WEIGHTS, shown
 from mistray.sampling.mitsuba_sources import mitsuba_source
 from mistray.sampling.source import SceneSource, SourceRequest
 from mistray.spectra.spectrum import DEFAULT_NM, of_lines
@@ -114,7 +114,7 @@ def field_axes(scene: mi.Scene) -> np.ndarray:
 
 
 def spectrum_of(
-    scene: mi.Scene, wavelength_nm: float | Sequence[float] | None, weights: Sequence[float] | None
+    scene: mi.Scene, wavelength_nm: float | Sequence[float] | None, weights: float | Sequence[float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return wavelengths, nm, and fractions of the flux, (n,) each: as given, else of the first source, else 550 nm."""
     if wavelength_nm is None and weights is None:
@@ -137,9 +137,8 @@ def spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:
     """
     if wavelength_nm is None:
         raise MistrayError("weights are given without wavelength_nm; give one wavelength for each weight")
-    # A single number is a sequence of one
-    wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
-    if len(np.unique(wavelengths)) < len(wavelengths):
-        raise MistrayError(f"wavelength_nm is {wavelength_nm}; give every wavelength once")
-    light = of_lines(wavelengths.tolist(), None if weights is None else np.atleast_1d(weights).tolist())
+    wavelengths = WAVELENGTHS_NM.check("wavelength_nm", wavelength_nm)
+    if len(set(wavelengths)) < len(wavelengths):
+        raise MistrayError(f"wavelength_nm is {shown(wavelength_nm)}; give every wavelength once")
+    light = of_lines(wavelengths, None if weights is None else WEIGHTS.check("weights", weights))
     return light.wavelengths_nm, light.weights

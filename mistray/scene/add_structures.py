@@ -9,21 +9,23 @@ from types import MappingProxyType
 from mistray.errors import MistrayError
 from mistray.prescription.coating import Coating
 from mistray.prescription.mesh_structure import MeshStructure
-from mistray.prescription.model import Structure, Surface
+from mistray.prescription.model import STRUCTURES, Structure, Surface
 from mistray.prescription.scatter import Scatter, Value
 from mistray.prescription.scene_file import comment_text, structure_text
+from mistray.ranges import OfType, shown
 from mistray.replace_file import replace_files
 from mistray.scatter.kinds import KINDS
 from mistray.scene.load import find
 from mistray.scene.xml_file import Element, SceneFile
 
 Shared = Coating | Scatter
+AnyStructure = Structure | Surface | MeshStructure
 COATING_KEYS = {"R", "T", "table", "layers", "preset", "first", "design_nm"}
 
 
 def add_structures(
     source: str | Path,
-    structures: Iterable[Structure | Surface | MeshStructure],
+    structures: AnyStructure | Iterable[AnyStructure],
     target: str | Path,
     note: str = "",
     files: Mapping[Path, bytes] = MappingProxyType({}),
@@ -35,7 +37,7 @@ def add_structures(
     ----------
     source : str or Path
         Scene XML file, or the name of a shipped scene.
-    structures : iterable of Structure, Surface or MeshStructure
+    structures : Structure, Surface, MeshStructure or iterable of them
         Structures to add. A coating or scatter model named like one in the scene refers to that one.
     target : str or Path
         File to write; may be `source` itself.
@@ -63,7 +65,11 @@ def add_structures(
     >>> "shade" in [shape.id() for shape in mistray.load(file).shapes()]
     True
     """
-    file, target, structures = SceneFile(find(source)), Path(target), list(structures)
+    file, target = SceneFile(find(source)), Path(target)
+    structures = STRUCTURES.check("structures", structures, f"scene '{file.path}'")
+    OfType(Mapping, "must be a mapping of paths to bytes").check("files", files)
+    if not all(isinstance(path, str | Path) for path in files):
+        raise MistrayError(f"files is {shown(files)}; give a mapping of paths to bytes, as of Mechanics.beside")
     known = shared_objects(file)
     taken = set(file.ids)
     for shape in structures:

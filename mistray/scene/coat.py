@@ -144,7 +144,8 @@ def coat(
     0.0042 of the light comes as ghosts
     0.0017 of the light comes as ghosts
     """
-    rules = Rules(coatings or {}, paint or {}, scatter or {})
+    given = {"coatings": coatings, "paint": paint, "scatter": scatter}
+    rules = Rules(**{name: rule for name, rule in given.items() if rule is not None})  # type: ignore[arg-type]
     if isinstance(system, Prescription):
         if sources is not None or sensors is not None:
             raise MistrayError("coat: sources and sensors are for scenes; a prescription has its own, see with_source")

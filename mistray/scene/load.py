@@ -18,6 +18,7 @@ from mistray._mitsuba_compat import own_folder_first
 from mistray._variant import ensure_variant, reading_threads
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.materials.mate import shown
+from mistray.ranges import OfType, Several
 from mistray.replace_file import refuse_read
 from mistray.scene.allowed_plugins import RESOURCES, check_dict, check_file
 from mistray.scene.check import check_overlaps, check_values
@@ -33,6 +34,7 @@ from mistray.spectra.spectrum import DEFAULT_NM
 LONGEST_NAME = 400  # characters of a path that a message repeats
 Part = str | Mapping[str, Any]
 Parts = Part | Sequence[Part] | None
+PARTS = Several(OfType(str | Mapping, "must be text as 'point:0,0,-500', a dict of Mitsuba, or several"), least=0)
 NAMES_OFFERED = 5  # shipped scenes that are nearest to one that does not exist
 
 
@@ -110,10 +112,8 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
 
     Raise as `load` does.
     """
-    others, more = (
-        [given_parts] if isinstance(given_parts, (str, Mapping)) else list(given_parts or ())
-        for given_parts in (sources, sensors)
-    )
+    others = [] if sources is None else list(PARTS.check("sources", sources))
+    more = [] if sensors is None else list(PARTS.check("sensors", sensors))
     with reading_threads():
         scene = _read(given, text, others, more)
     for line in improbable(scene):

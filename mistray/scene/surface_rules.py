@@ -19,6 +19,7 @@ from mistray.prescription.closing.names import renamed_in
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.scatter import Scatter
+from mistray.ranges import ANYTHING, ByName
 from mistray.scatter.kinds import KINDS
 
 OFFERED = 5  # names in a message about a pattern that fits none
@@ -28,6 +29,11 @@ OPAQUE, CEMENTED = "is opaque", "lies in cement"
 CoatingRules = Mapping[str, str | Coating | None]
 PaintRules = Mapping[str, str | float | Finish]
 ScatterRules = Mapping[str, str | Scatter | Sequence[str | Scatter]]
+EXAMPLES = {
+    "coatings": "{'L1': 'bbar3'}",
+    "paint": "{'barrel': 'flat_black'}",
+    "scatter": "{'L1': 'harvey_shack rms_nm=4'}",
+}
 _NONE: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -52,6 +58,10 @@ class Rules:
     coatings: CoatingRules = field(default_factory=dict)
     paint: PaintRules = field(default_factory=dict)
     scatter: ScatterRules = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, example in EXAMPLES.items():
+            ByName(ANYTHING, example).check(name, getattr(self, name))
 
     def __bool__(self) -> bool:
         return bool(self.coatings or self.paint or self.scatter)

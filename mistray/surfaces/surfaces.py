@@ -25,7 +25,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import in_proportion
-from mistray.ranges import FILM_PIXELS, FILM_SIDE
+from mistray.ranges import FILM_PIXELS, FILM_SIDE, several
 from mistray.scene.mitsuba_bsdfs import remedy
 from mistray.surfaces.bodies import Bodies
 from mistray.surfaces.families.sag_surface import SagSurface
@@ -271,7 +271,7 @@ class SurfaceTable:
             raise MistrayError("the scene has no detector; nest an 'irradiancemeter' sensor in the shape that detects")
         if wanted is None:
             return sensors
-        names = [wanted] if isinstance(wanted, str) else list(wanted)
+        names = several(wanted)
         known = [self.ids[i] for i in sensors]
         if not names:
             raise MistrayError(f"detector is an empty list; choose from {', '.join(known)}")

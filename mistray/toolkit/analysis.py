@@ -17,11 +17,11 @@ from typing import Any, TypeVar, get_args
 from mistray.errors import MistrayError
 from mistray.known_arguments import known_arguments
 from mistray.notes import warns
-from mistray.ranges import FINITE, POSITIVE, Demand, Each, OfType, Range, Words, demand_of, doc_of, type_of
+from mistray.ranges import FINITE, POSITIVE, Demand, Each, OfType, Range, Several, Words, demand_of, doc_of, type_of
 from mistray.result import Result
 from mistray.scene.check import require_scene
 from mistray.scene.titles import scene_name
-from mistray.toolkit.fields import FieldSubset, Several, flat_fields, from_flat
+from mistray.toolkit.fields import FieldSubset, flat_fields, from_flat
 
 Found = TypeVar("Found")
 # Of arguments that are no fields: type, and what it is called in messages

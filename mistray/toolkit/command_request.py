@@ -17,12 +17,11 @@ from typing import Any, NoReturn
 from mistray.errors import MistrayError, errors_of, nearest
 from mistray.files.json_values import plain
 from mistray.light import Light
-from mistray.ranges import FLAG, TEXT, ByName, Demand, Each, Range, Words, demand_of
+from mistray.ranges import FLAG, TEXT, ByName, Demand, Each, Range, Several, Words, demand_of
 from mistray.read_file import read_file, read_text
 from mistray.settings import Settings
 from mistray.toolkit.arguments import Angles, Pairs, as_text
 from mistray.toolkit.command import RECORDED, REQUEST, Command, Option
-from mistray.toolkit.fields import Several
 from mistray.toolkit.json_schema import DRAFT, property_of
 
 RESULTS = Path(__file__).parent / "result_schemas"  # written by tests/result_schemas.py

@@ -8,10 +8,23 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from mistray.errors import MistrayError
-from mistray.ranges import FLAG, Ascending, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
+from mistray.ranges import (
+    FLAG,
+    Ascending,
+    ByName,
+    Each,
+    Interval,
+    OfType,
+    Range,
+    Several,
+    Words,
+    demand_of,
+    doc_of,
+    number_text,
+)
 from mistray.toolkit.arguments import Angles, Pairs
 from mistray.toolkit.command import Group, Option
-from mistray.toolkit.fields import METAVAR, NEEDS, OPTION, FieldSubset, Nested, Several, flat_fields, from_flat
+from mistray.toolkit.fields import METAVAR, NEEDS, OPTION, FieldSubset, Nested, flat_fields, from_flat
 
 R = TypeVar("R")
 MARKS = {"µm": "UM", "degrees": "DEG", "1/mm": "F", "cm √Hz/W": "D"}  # placeholders of values by their unit

@@ -6,7 +6,6 @@ check and describe them from these declarations.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -48,38 +47,6 @@ class Nested(OfType):
         allowed.
         """
         return super().check(name, object_of(self.kind, value, f"{name}: ") if isinstance(value, Mapping) else value)
-
-
-@dataclass(frozen=True)
-class Several(Demand):
-    """
-    Condition on one or several request values that are not numbers; `mistray.ranges.Each` is for numbers.
-
-    Attributes
-    ----------
-    of : Demand
-        Condition on each value; if it is callable, it converts a word of the command line to a value.
-    least : int
-        Smallest number of values.
-    """
-
-    of: Demand
-    least: int = 1
-
-    @property
-    def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each value must meet, in words for messages."""
-        return self.of.demand
-
-    def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
-        """Return the values as a tuple; raise `MistrayError` if there are too few, or one fails its condition."""
-        values: tuple[Any, ...] = (value,)
-        if not isinstance(value, str | dict):
-            with contextlib.suppress(TypeError):  # it is one
-                values = tuple(value)
-        if len(values) < self.least:
-            raise MistrayError(f"{name} is empty; give at least one")
-        return tuple(self.of.check(name, one, owner) for one in values)
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from mistray.files.json_values import plain
-from mistray.ranges import ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, type_of
-from mistray.toolkit.fields import Nested, Several, flat_fields
+from mistray.ranges import ByName, Each, Interval, OfType, Range, Several, Words, demand_of, doc_of, type_of
+from mistray.toolkit.fields import Nested, flat_fields
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _TYPES: Mapping[type, Mapping[str, Any]] = {bool: {"type": "boolean"}, str: {"type": "string", "minLength": 1}}
@@ -64,7 +64,7 @@ def _kinds(demand: Any) -> list[dict[str, Any]]:
         case Interval():
             return [_list(demand.of, 2, 2)]
         case Each(count=0):
-            return [*_kinds(demand.of), _list(demand.of, 1)]
+            return [*_kinds(demand.of), _list(demand.of, demand.least)]
         case Each():
             return [_list(demand.of, demand.count, demand.count)]
         case Several():

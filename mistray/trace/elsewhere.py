@@ -11,6 +11,7 @@ import numpy as np
 
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.execute.tracer import Run
+from mistray.ranges import TEXT, Several
 from mistray.recorders.branch_recorder import BranchRecorder, CellRecorder, ElsewhereRecorder
 from mistray.recorders.flux_maps.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.path_events import Events, describe_events
@@ -50,7 +51,7 @@ def rays_elsewhere(
     """
     if n is not None and n < 1:
         raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
-    words = [where] if isinstance(where, str) else list(where)
+    words = list(Several(TEXT).check("where", where))
     # Rays of each run
     tables = []
     for run in runs:

@@ -26,17 +26,17 @@ class Energy(Result, table="..toolkit.tables.traces:energy_table", figure="..too
     Attributes
     ----------
     launched_W, detected_W, escaped_W : float
-        Flux of the sources, flux that the detectors absorb, and flux that leaves the scene.
+        Flux of the sources, flux that the detectors absorb, and flux that leaves the scene, W.
     detected_se_W, escaped_se_W : float
-        Standard errors of these.
-    detected : dict
-        Detector id → (absorbed flux, its standard error).
-    absorbed : dict
-        Surface id → (absorbed flux, its standard error), the detectors left out.
-    absorbed_in : dict
-        Material → (flux absorbed along the way through it, its standard error); absorbing materials only.
-    cut : dict
-        Reason → flux of the branches that were not followed:
+        Standard errors of the two latter, W.
+    detected : dict of str to (float, float)
+        Detector id → absorbed flux and its standard error, W.
+    absorbed : dict of str to (float, float)
+        Surface id → absorbed flux and its standard error, W, the detectors left out.
+    absorbed_in : dict of str to (float, float)
+        Material → flux absorbed along the way through it and its standard error, W; absorbing materials only.
+    cut : dict of str to float
+        Reason → flux of the branches that were not followed, W:
 
         - "flux_threshold", "max_reflections", "max_generations", "max_events", "max_consecutive", "max_segments",
           "ray_control";

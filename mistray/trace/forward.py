@@ -24,6 +24,7 @@ from mistray.known_arguments import known_arguments
 from mistray.light import Light
 from mistray.messages import Message
 from mistray.notes import warns
+from mistray.ranges import WAVELENGTHS_NM, WEIGHTS, OfType, Several, several
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import FIRST_MISS, Tallies
 from mistray.sampling.sources import field_of, source_emitters
@@ -41,6 +42,9 @@ def versions() -> dict[str, str]:
     return {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")}
 
 
+RECORDERS = Several(OfType(Recorder, "must be a recorder, such as mistray.recorders.Probe, or several"), least=0)
+
+
 # More than 8 parameters: the keywords of a call, each with a default and used one by one
 @known_arguments
 @warns
@@ -50,7 +54,7 @@ def trace(
     field_deg: float | None = None,
     azimuth_deg: float | None = None,
     wavelength_nm: float | Sequence[float] | WavelengthChoice | None = None,
-    weights: Sequence[float] | None = None,
+    weights: float | Sequence[float] | None = None,
     max_reflections: int | None = None,
     max_scatters: int | None = None,
     max_optical_scatters: int | None = None,
@@ -75,7 +79,7 @@ def trace(
     ledger: bool = True,
     progress: Callable[[int, int], None] | None = None,
     seconds: float | None = None,
-    recorders: Sequence[Recorder] = (),
+    recorders: Recorder | Sequence[Recorder] = (),
     field_mm: float | None = None,
 ) -> Trace:
     """
@@ -97,7 +101,7 @@ def trace(
         Place of a near source along y in its object plane, mm, instead of `field_deg`.
     wavelength_nm : float or sequence of float
         Vacuum wavelengths, nm; or a `mistray.execute.wavelength_choice.WavelengthChoice` that was made before.
-    weights : sequence of float
+    weights : float or sequence of float
         Shares of the flux, one for each wavelength; normalised, equal by default.
     max_reflections, max_scatters, max_optical_scatters, max_random_scatters
         Limits of reflections and scatter events along a path, see `mistray.trace.Settings`.
@@ -122,7 +126,7 @@ def trace(
         number. The kernel's compilation is included, and the last launch may take a second longer. Where there is
         not time for all wavelengths some are traced, spread over all, and stand for their neighbours; a note names the
         rest.
-    recorders : sequence of Recorder
+    recorders : Recorder or sequence of Recorder
         Recorders of all events of the rays: probes and far fields, see docs/detectors.md, or your own, see
         docs/extending.md; not where workers trace. The probes and far fields of the scene come before these.
 
@@ -180,8 +184,12 @@ def trace(
     )
     field_deg = _field(scene, field_deg, field_mm)
     field = {"field_deg": field_deg, "azimuth_deg": azimuth_deg}
+    if not isinstance(wavelength_nm, WavelengthChoice | None):
+        wavelength_nm = WAVELENGTHS_NM.check("wavelength_nm", wavelength_nm)
+    weights = None if weights is None else WEIGHTS.check("weights", weights)
+    detector = detector if isinstance(detector, str | None) else several(detector)
     light = Light(field_deg, azimuth_deg, wavelength_nm, weights, detector)
-    recorders = _with_own(scene, recorders)
+    all_recorders = _with_own(scene, RECORDERS.check("recorders", recorders))
     with within(seconds):  # pilots of few rays choose wavelengths and polarisation, within the budget as well
         if is_limited():
             refuse_workers_in_time()
@@ -192,8 +200,8 @@ def trace(
         facts = asdict(settings) | choice.facts | (lines.facts if lines else {})
         result = partial(_result, scene, settings=facts, field=field, ledger=ledger)
         _check_budget(planned.runs)
-        found = _traced(planned, ledger, progress, recorders, result)
-    found.recorders = {recorder.name: recorder for recorder in recorders if recorder.name}
+        found = _traced(planned, ledger, progress, all_recorders, result)
+    found.recorders = {recorder.name: recorder for recorder in all_recorders if recorder.name}
     found.own_notes += lines.notes() if lines else []
     return found
 

@@ -12,6 +12,7 @@ from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
 from mistray.kernel.launches import GOLDEN
+from mistray.ranges import ANYTHING, ByName, several, shown
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.result import KeyNumber, Result
 from mistray.surfaces.upload import upload
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+FACTS = ByName(ANYTHING, "{'kind': one text for each ray}")
 SAMPLE_RAYS = 640  # number of start rays of the sample of `sample_rays`
 FIRST_RAYS = 32  # number of the first of them; it doubles until all paths have enough
 SAMPLE_CAPACITY = 1 << 17  # branches that are recorded at a time; others are not in the sample
@@ -79,9 +81,18 @@ class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..t
     def __len__(self) -> int:
         return len(self._rays)
 
-    def __getitem__(self, numbers: Sequence[int]) -> RayHistory:
-        """Return a ray history of only those rays that the indices `numbers` select."""
-        return RayHistory(self._run, [self._rays[number] for number in numbers])
+    def __getitem__(self, numbers: int | slice | Sequence[int]) -> RayHistory:
+        """Return a ray history of only those rays that an index, a slice or several indices select."""
+        if isinstance(numbers, slice):
+            return RayHistory(self._run, self._rays[numbers])
+        found = []
+        for number in several(numbers):
+            if not isinstance(number, int | np.integer):
+                raise MistrayError(f"ray {shown(number)} of a history; give its number, a slice, or several numbers")
+            if not -len(self) <= number < len(self):
+                raise IndexError(f"ray {number} of a history of {len(self)} rays")
+            found.append(self._rays[number])
+        return RayHistory(self._run, found)
 
     def key_numbers(self) -> dict[str, KeyNumber]:
         """Return the number of rays, the number of their nodes, and their wavelength (nm), by label."""
@@ -96,8 +107,8 @@ class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..t
     def with_facts(self, facts: Mapping[str, np.ndarray]) -> pd.DataFrame:
         """Return the ray history table with further columns after ``node``; `facts` has one value per ray."""
         table = self.to_pandas()
-        for place, (name, values) in enumerate(facts.items(), start=2):
-            table.insert(place, name, values[table.ray.to_numpy(np.int64)].tolist())
+        for place, (name, values) in enumerate(FACTS.check("facts", facts).items(), start=2):
+            table.insert(place, name, np.asarray(values)[table.ray.to_numpy(np.int64)].tolist())
         return table
 
     def to_pandas(self) -> pd.DataFrame:
@@ -227,14 +238,14 @@ def bundles(
         yield Bundle(numbers, codes[same[0], :length].copy(), *own)
 
 
-def sample_rays(table: PathTable, path_ids: Sequence[int], most: int) -> dict[int, list[Ray]]:
+def sample_rays(table: PathTable, path_ids: int | Sequence[int], most: int) -> dict[int, list[Ray]]:
     """
     Return at most `most` rays of each path by its id, from a sample of the start rays spread over the beam.
 
     A path has fewer, or none, if the sample or the time ends before. Raise `MistrayError` for an unknown id.
     """
     found: dict[int, list[Ray]] = {}
-    for own in table.located(dict.fromkeys(path_ids)):
+    for own in table.located(dict.fromkeys(table.check_ids(path_ids).tolist())):
         found |= _sample_of_run(own, most) if len(own.ids) else {}
     return found
 

@@ -12,6 +12,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.events import TRANSMITTED, event_of, kind_of, place_of
 from mistray.ids import check_id
+from mistray.ranges import TEXT, ByName
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import Events, way
 from mistray.recorders.path_key import padded
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 PART, SPACE = "part", "space"
+ALIASES = ByName(TEXT, "{'L1_*': 'lens 1'}")
 NAMES = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")  # columns that name a surface
 KEPT_APART = ("kind", "order", "scatters", "diffractions", "structure_bounces", "tir")
 
@@ -44,9 +46,9 @@ def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[s
         For a pattern that fits nothing, a name that cannot be an id, or another word.
     """
     ids, parts = table.event_ids, table.event_parts
-    if aliases == PART:
+    if isinstance(aliases, str) and aliases == PART:
         return [part if k < table.count else ids[k] for k, part in enumerate(parts)]
-    if aliases == SPACE:
+    if isinstance(aliases, str) and aliases == SPACE:
         spaces = [*table.spaces, *(-1 for _ in ids[table.count :])]
         return [f"space_{n}" if n >= 0 else name for n, name in zip(spaces, ids, strict=True)]
     if isinstance(aliases, str):
@@ -54,9 +56,7 @@ def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[s
     names = list(ids)
     # Of several patterns that fit a place the first is used
     free = np.full(len(ids), True)
-    for pattern, name in aliases.items():
-        if not name:
-            raise MistrayError(f"alias of '{pattern}' is empty; give a name")
+    for pattern, name in ALIASES.check("aliases", aliases).items():
         check_id(name, "alias")
         found = named_like(pattern, ids, parts)
         if not found.any():

@@ -12,13 +12,18 @@ from mistray.execute.by_parts import images_by_parts
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.tracer import irradiance_of_runs
 from mistray.execute.workers import current_workers
-from mistray.ranges import several
+from mistray.ranges import FLAG, Several, several
 from mistray.recorders.film import Pixels, image_word
 from mistray.trace.paths import PathTable
 
+PathGroups = int | Sequence[int | Sequence[int]]
+
 
 def path_images(
-    table: PathTable, task: SceneTask | None, groups: Sequence[int | Sequence[int]], with_noise: Sequence[bool]
+    table: PathTable,
+    task: SceneTask | None,
+    groups: PathGroups,
+    with_noise: bool | Sequence[bool],
 ) -> Iterator[Pixels]:
     """
     Yield the irradiance map of each group of paths, (height, width), W/mm².
@@ -26,13 +31,19 @@ def path_images(
     `with_noise` says for each group whether its noise is computed, else it is NaN. Workers trace if there are any and
     `task` is given. An unknown path, or one in two groups, raises `MistrayError`; see `mistray.trace.Trace.each_map`.
     """
-    counts = [len(table.runs[0].film) if noise else 1 for noise in with_noise]  # images of each map
+    chosen, noisy = several(groups), list(Several(FLAG).check("with_noise", with_noise))
+    if not chosen:
+        return
+    if len(noisy) not in (1, len(chosen)):
+        raise MistrayError(f"with_noise has {len(noisy)} values for {len(chosen)} groups; give one, or one for each")
+    noisy *= len(chosen) if len(noisy) == 1 else 1
+    counts = [len(table.runs[0].film) if noise else 1 for noise in noisy]  # images of each map
     first = np.concatenate([[0], np.cumsum(counts)]).tolist()
     images: dict[int, int] = {}  # path → images of its map
-    for number, group in enumerate(groups):
-        word = image_word(first[number], with_noise[number])
-        for path_id in several(group):
-            if images.setdefault(int(path_id), word) != word:
+    for number, group in enumerate(chosen):
+        word = image_word(first[number], noisy[number])
+        for path_id in table.check_ids(group).tolist():
+            if images.setdefault(path_id, word) != word:
                 raise MistrayError(f"path_id {path_id} is in two groups; a path belongs to one map")
     of_runs = table.located(images)
     words = [np.array([images[path_id] for path_id in own.ids.tolist()], dtype=np.uint32) for own in of_runs]

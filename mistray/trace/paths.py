@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -16,7 +17,7 @@ from mistray.estimate import Estimate
 from mistray.events import INTERCEPTS, LETTERS
 from mistray.execute.tracer import Run
 from mistray.ids import event_words
-from mistray.ranges import several
+from mistray.ranges import several, shown
 from mistray.recorders.path_events import DIRECT, describe_events, event_keys, way, way_letters, way_text
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, sum_of_runs
@@ -268,11 +269,21 @@ class PathTable(
 
     def located(self, path_ids: int | Iterable[int] | None = None) -> list[LocatedPaths]:
         """Return, for each run, its paths among the given ids (None: all); raise `MistrayError` for an unknown id."""
-        ids = np.arange(len(self)) if path_ids is None else np.array(several(path_ids), dtype=np.int64)
-        for path_id in ids[(ids < 0) | (ids >= len(self))]:
-            raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
+        ids = np.arange(len(self)) if path_ids is None else self.check_ids(path_ids)
         owns = (ids[self._run[ids] == number] for number in range(len(self.runs)))
         return [LocatedPaths(run, own, self._place[own]) for run, own in zip(self.runs, owns, strict=True)]
+
+    def check_ids(self, path_ids: int | Iterable[int]) -> np.ndarray:
+        """Return one or several path ids as an array, (n,) int64; raise `MistrayError` for an unknown one."""
+        ids = np.zeros((1, 1))
+        with contextlib.suppress(ValueError):  # lists of several lengths
+            ids = np.atleast_1d(path_ids if isinstance(path_ids, np.ndarray) else several(path_ids))
+        plain = ids.ndim == 1 and (ids.dtype.kind in "iuf" or not ids.size)
+        wrong = ids[~((ids >= 0) & (ids < len(self)) & (ids == np.floor(ids)))].tolist() if plain else [path_ids]
+        if wrong:
+            known = f"the paths 0 … {len(self) - 1}" if len(self) else "no paths"
+            raise MistrayError(f"path_id {shown(wrong[0])} does not exist; this trace has {known}")
+        return ids.astype(np.int64)
 
     def find(self, *surfaces: str) -> list[PathRow]:
         """
@@ -356,8 +367,9 @@ class PathTable(
         The error of the sum over the paths of a run comes from the spread of its batches of start rays, and so it
         includes the correlation of paths. An unknown id raises `MistrayError`.
         """
-        _, se = sum_of_runs([own.sums[:, :, ABSORBED].sum(axis=0) for own in self.located(path_ids)], self.runs)
-        return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
+        ids = self.check_ids(path_ids)
+        _, se = sum_of_runs([own.sums[:, :, ABSORBED].sum(axis=0) for own in self.located(ids)], self.runs)
+        return float(self._columns["power_W"][ids].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
         """
@@ -372,38 +384,44 @@ class PathTable(
 
     def light(self, path_ids: int | Sequence[int] | np.ndarray) -> Sampled:
         """Return the total power of some paths, W, with its noise by batch, which keeps correlations of errors."""
-        return self._numbers.light[np.atleast_1d(np.asarray(path_ids, dtype=np.int64))].total()
+        return self._numbers.light[self.check_ids(path_ids)].total()
 
     @property
     def stray_W(self) -> Estimate:
         """Total power of all stray paths on the detectors, W, with its standard error."""
         return Estimate(*self.light(self.ids(direct=False)).whole)
 
-    def numbers(self, groups: Sequence[Sequence[int]]) -> PathNumbers:
+    def numbers(self, groups: int | Sequence[int | Sequence[int]]) -> PathNumbers:
         """
         Return power, centroid, radius and polarisation, with each group of paths treated as one path.
 
-        Parameters
-        ----------
-        groups : sequence of sequences of int
-            Path ids, at least one in each.
+        `groups` has path ids, or lists of them with one at least.
         """
+        groups = self._groups(groups)
         counts = np.array([len(group) for group in groups], dtype=np.int64)
         heads = np.array([group[0] for group in groups], dtype=np.int64)
         # Groups of one path have the numbers of that path; the others are summed in chunks, which bounds the memory
         alone = self._numbers[heads]
         if not len(groups) or counts.max() == 1:
             return alone
-        several = np.flatnonzero(counts > 1)
+        many = np.flatnonzero(counts > 1)
         parts = []
-        for chosen in np.array_split(several, -(-len(several) // CHUNK)):
+        for chosen in np.array_split(many, -(-len(many) // CHUNK)):
             group = np.repeat(np.arange(len(chosen)), counts[chosen])
             ids = np.concatenate([np.asarray(groups[k], dtype=np.int64) for k in chosen])
             parts.append(path_numbers([self._sums(k, ids, group) for k in np.unique(self._run[ids])]))
         order = np.empty(len(groups), dtype=np.int64)
-        order[counts == 1] = np.arange(len(groups) - len(several))
-        order[several] = np.arange(len(groups) - len(several), len(groups))
+        order[counts == 1] = np.arange(len(groups) - len(many))
+        order[many] = np.arange(len(groups) - len(many), len(groups))
         return PathNumbers.joined([alone[counts == 1], *parts])[order]
+
+    def _groups(self, groups: int | Sequence[int | Sequence[int]]) -> list[list[int]]:
+        """Return groups of path ids as lists; raise `MistrayError` for an empty group or an unknown id."""
+        found = [several(group) for group in several(groups)]
+        if not all(found):
+            raise MistrayError("a group of paths is empty; give each at least one path_id")
+        self.check_ids([path_id for group in found for path_id in group])
+        return found
 
     def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> HitSums:
         """
@@ -416,12 +434,13 @@ class PathTable(
         np.add.at(sums, group[here], one.paths.sums[self._place[ids[here]]])
         return HitSums(sums, one.started, one.unit)
 
-    def columns_of(self, groups: Sequence[Sequence[int]]) -> dict[str, np.ndarray]:
+    def columns_of(self, groups: int | Sequence[int | Sequence[int]]) -> dict[str, np.ndarray]:
         """
         Return the columns of `PathRow` from ``rays`` on, with each group of paths treated as one path.
 
         Together the groups must be all paths of some sources and kinds.
         """
+        groups = self._groups(groups)
         numbers = self.numbers(groups)
         heads = np.array([group[0] for group in groups], dtype=np.int64)
         found = numbers.judged(alike([self._columns[name][heads] for name in SAME_KIND]))

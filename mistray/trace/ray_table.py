@@ -14,6 +14,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.kernel.launches import GOLDEN
+from mistray.ranges import PLACE_MM, Each, Range
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.film import Box
 from mistray.recorders.path_events import Events
@@ -44,8 +45,8 @@ Columns = dict[str, np.ndarray]
 
 
 def check_box(box: Sequence[float]) -> Sequence[float]:
-    """Return a rectangle (x0, x1, y0, y1, mm) unchanged; raise `MistrayError` if it is empty."""
-    x0, x1, y0, y1 = box
+    """Return a rectangle, (x0, x1, y0, y1), mm; raise `MistrayError` if it is empty."""
+    x0, x1, y0, y1 = box = Each(PLACE_MM, 4).check("box", box)
     if not (x0 < x1 and y0 < y1):
         raise MistrayError(f"box is x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm; it needs x0 < x1 and y0 < y1")
     return box
@@ -71,10 +72,8 @@ def ray_table(
 
     if n is not None and n < 1:
         raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
-    if box is not None:
-        check_box(box)
-    if pixels is not None:
-        _check_pixels(pixels, table.runs[0])
+    box = None if box is None else check_box(box)
+    pixels = None if pixels is None else _check_pixels(pixels, table.runs[0])
     # Only a filter that needs the strongest ray pays for the run that finds it
     peak = max(run.peak_W() for run in table.runs) if PEAK in requested.columns else math.nan
 
@@ -105,14 +104,15 @@ def ray_table(
     return joined_histories(histories)
 
 
-def _check_pixels(pixels: Sequence[int], run: Run) -> None:
-    c0, c1, r0, r1 = pixels
+def _check_pixels(pixels: Sequence[int], run: Run) -> Sequence[int]:
+    c0, c1, r0, r1 = found = [int(number) for number in Each(Range(whole=True), 4).check("pixels", pixels)]
     width, height, _ = run.table.film()
     if not (0 <= c0 < c1 <= width and 0 <= r0 < r1 <= height):
         raise MistrayError(
             f"pixels is columns {c0}:{c1}, rows {r0}:{r1}; the detector has {width} columns and {height} rows, and "
             "each range needs a pixel"
         )
+    return found
 
 
 class _Search:

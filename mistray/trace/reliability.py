@@ -119,7 +119,7 @@ class AimedRow:
     aimed : int
         Number of rays sent to targets.
     share_landed : float
-        Share of them that reached the detector without a further reflection.
+        Share of them that reached the detector without a further reflection, 0 … 1.
     low : bool
         Whether the share is below `LEAST_LANDED`, and enough rays were aimed to say so.
     tight : bool
@@ -146,7 +146,7 @@ class SamplingCheck:
     hits_per_start : float
         Number of hits of the detector by scattered rays, per start ray.
     largest_share : float
-        Largest share of the scattered light that one ray carried; NaN without such light.
+        Largest share of the scattered light that one ray carried, 0 … 1; NaN without such light.
     effective_hits : float
         Number of hits of equal flux that would have the same relative error as the actual ones.
     notes : tuple of Note
@@ -339,7 +339,7 @@ class SilentPlace:
     id : str
         Name of a surface, or of a medium in brackets.
     share : float
-        Flux of all visits over the launched flux; for a medium that of its surface with most flux.
+        Flux of all visits over the launched flux, dimensionless; for a medium that of its surface with most flux.
     """
 
     id: str

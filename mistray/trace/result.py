@@ -18,7 +18,7 @@ from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.messages import fewer_rays
 from mistray.notes import Note
-from mistray.ranges import several
+from mistray.ranges import TEXT, Several
 from mistray.recorders.film import Pixels
 from mistray.recorders.flux_maps.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
@@ -31,7 +31,7 @@ from mistray.trace.elsewhere import light_maps, rays_elsewhere
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import Ray, RayHistory, path_history, sample_rays
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.path_images import path_images
+from mistray.trace.path_images import PathGroups, path_images
 from mistray.trace.paths import PathTable, path_table
 from mistray.trace.photometry import illuminance, luminous_flux
 from mistray.trace.ray_table import check_box, ray_table
@@ -69,11 +69,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         an error is known to 13 %, from 8 to 27 %. It is NaN where too few rays meet a pixel, see
         `mistray.recorders.film.Pixels.few_rays`.
     coating_error : float
-        Bound of the error of R and T by interpolation over the angle of incidence, for the worst coating.
+        Bound of the error of R and T, 0 … 1, by interpolation over the angle of incidence, for the worst coating.
     scattered_rays_per_start : float
         Number of hits of the detector by scattered rays, per start ray.
     largest_ray_share : float
-        Largest share that one of those hits has of their flux; NaN if there are none.
+        Largest share that one of those hits has of their flux, 0 … 1; NaN if there are none.
     effective_scattered_rays : float
         (Σ flux)²/Σ flux² of those hits: so many hits of equal flux have the same relative error.
     own_notes : list of Note
@@ -85,7 +85,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
     silent : list of SilentPlace
         Surfaces and media that scatter and got light, but sent nothing to the detector in this trace, each with its
         share of the launched flux; the one with most light first. Empty if traced with ``ledger=False``.
-    recorders : dict
+    recorders : dict of str to Recorder
         Named recorders of the trace, such as probes, by name.
     runs : list of Run
         Sums of the trace by source and wavelength, and all that it takes to trace their rays again.
@@ -383,16 +383,16 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
             If a number is out of range, a name does not exist, no surface can be unrolled, or a filter is not valid or
             compares another column.
         """
-        filters = [PathFilter(text) for text in ([selections] if isinstance(selections, str) else selections)]
+        filters = [PathFilter(text) for text in Several(TEXT, least=0).check("selections", selections)]
         return light_maps(self.runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
 
-    def maps(self, groups: Sequence[int | Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
+    def maps(self, groups: PathGroups) -> list[tuple[np.ndarray, np.ndarray]]:
         """
         Return an irradiance map for each of several disjoint groups of paths, by tracing the same rays once more.
 
         Parameters
         ----------
-        groups : sequence of int or of sequences of int
+        groups : int or sequence of int or of sequences of int
             Path ids; a path may be in one group only.
 
         Returns
@@ -405,18 +405,18 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         MistrayError
             If there is no such path, a path is in two groups, or the trace has no path table.
         """
-        return [found.with_se for found in self.each_map(groups, [True] * len(groups))]
+        return [found.with_se for found in self.each_map(groups, True)]
 
-    def each_map(self, groups: Sequence[int | Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Pixels]:
+    def each_map(self, groups: PathGroups, with_noise: bool | Sequence[bool]) -> Iterator[Pixels]:
         """
         Yield the irradiance maps of disjoint groups of paths one by one, by tracing the same rays once more.
 
         Parameters
         ----------
-        groups : sequence of int or of sequences of int
+        groups : int or sequence of int or of sequences of int
             Path ids; a path may be in one group only.
-        with_noise : sequence of bool
-            Which maps have their noise computed; that of the others is NaN. During the sum a pixel of a map takes
+        with_noise : bool or sequence of bool
+            Whether all maps, or each, get their noise; without it is NaN. During the sum a pixel of a map takes
             8 bytes, with noise 8 bytes for each group of batches (`mistray.recorders.film.groups_of`).
 
         Yields
@@ -494,7 +494,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         MistrayError
             If there is no such path, or the trace has no path table.
         """
-        return sample_rays(self.paths, several(path_ids), n)
+        return sample_rays(self.paths, path_ids, n)
 
     def light_cones(self, path_ids: int | Sequence[int]) -> dict[int, LightCone]:
         """
@@ -515,7 +515,7 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         MistrayError
             If there is no such path, or the trace has no path table.
         """
-        return light_cones(self.paths, several(path_ids))
+        return light_cones(self.paths, path_ids)
 
     def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[SampledHits]:
         """

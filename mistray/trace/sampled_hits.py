@@ -165,8 +165,8 @@ class LightCone(NamedTuple):
     ----------
     aperture, aperture_se : float
         Numerical aperture n sin u of a round, evenly filled cone with the same RMS spread of directions, and its
-        standard error. For a round pupil that is NA; a central obstruction of the relative radius ε makes it √(1 + ε²)
-        times as large.
+        standard error, dimensionless. For a round pupil that is NA; a central obstruction of the relative radius ε
+        makes it √(1 + ε²) times as large.
     rays : int
         Number of rays that were found.
     """
@@ -181,7 +181,7 @@ class LightCone(NamedTuple):
         return self.rays >= ERROR_RAYS and self.aperture > 0
 
 
-def light_cones(paths: PathTable, path_ids: Sequence[int]) -> dict[int, LightCone]:
+def light_cones(paths: PathTable, path_ids: int | Sequence[int]) -> dict[int, LightCone]:
     """
     Return the cone in which each path's light arrives at the detector, by path id.
 

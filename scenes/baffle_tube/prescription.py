@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
-from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Structure, Surface, lens_edge
-from mistray.prescription import vane_tube
+from mistray.prescription import (
+    Coating,
+    Detector,
+    Prescription,
+    Scatter,
+    Source,
+    Stop,
+    Structure,
+    Surface,
+    lens_edge,
+    vane_tube,
+)
 
 TUBE_RADIUS = 30.0
 LENS_Z, LENS_RADIUS, LENS_THICKNESS, CURVATURE_RADIUS = 100.0, 18.0, 6.0, 80.0

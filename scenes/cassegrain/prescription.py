@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Structure, Surface
+from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Structure, Surface, vane_tube
 from mistray.prescription.baffles.cassegrain import cassegrain_baffles
-from mistray.prescription import vane_tube
 
 PRIMARY_FOCAL_LENGTH, PRIMARY_RADIUS, HOLE_RADIUS = 500.0, 100.0, 26.0
 SECONDARY_DISTANCE, SECONDARY_RADIUS, SECONDARY_THICKNESS = 370.0, 24.0, 5.0

@@ -154,7 +154,7 @@ class TestStudy:
         for sections, message in (
             ([one], "L.tilt_x starts with 0"),
             ([one | {"scale": "log"}], "L.tilt_x starts with 0"),
-            ([{"parameters": [{"key": "L.tilt_x", "pivot": [1, 2]}]}], r"'L' is \[1.0, 2.0\]; give x, y and z"),
+            ([{"parameters": [{"key": "L.tilt_x", "pivot": [1, 2]}]}], r"pivot has 2 numbers; give 3"),
             ([{"parameters": [{"key": "front.radius", "pivot": [1, 2, 3]}]}], "it has no pivot"),
             ([{"parameters": ["L.tilt_x", "L.z"]}], "units deg, mm"),
             ([two | {"name": name} for name in "ab"], r"'a' and 'b' both move L\.tilt_x"),

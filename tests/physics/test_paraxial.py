@@ -25,7 +25,7 @@ def test_focal_lengths_and_bad_input():
     for quantity, found in (("EFL", SINGLET.efl), ("BFL", SINGLET.bfl), ("ghost BFL", ghost.focus_mm)):
         assert found == pytest.approx(analytic("singlet R", quantity), rel=1e-13)
     assert PLATE.efl == PLATE.bfl == math.inf
-    with pytest.raises(MistrayError, match="one more than surfaces"):
+    with pytest.raises(MistrayError, match="one more index"):
         ParaxialSystem([0.0], [0.0], [1.0])
     with pytest.raises(MistrayError, match="1 reflectances for 2 surfaces"):
         SINGLET.ghosts(10.0, 1.0, [0.04])

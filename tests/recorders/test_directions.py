@@ -283,7 +283,7 @@ class TestProbe:
             ({"normal": (0, 1)}, "normal has 2 numbers"),
             ({"up": (0, 0, 2)}, "up is along"),
             ({"centre": (0, math.inf, 0)}, "centre"),
-            ({"pixels": (0, 4)}, "width in pixels"),
+            ({"pixels": (0, 4)}, "pixels is 0"),
             ({"pixels": (65536, 65536)}, "number of its cells"),
             ({"directions": 0}, "number of directions"),
             by=lambda change: Probe(**{"name": "p", "centre": (0, 0, 0)} | change),

@@ -35,7 +35,7 @@ from mistray.analyses.view.request import ViewRequest
 from mistray.cli.options import Options
 from mistray.cli.program import COMMANDS, main
 from mistray.errors import MistrayError
-from mistray.ranges import ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of
+from mistray.ranges import ByName, Each, Interval, OfType, Range, Several, Words, demand_of, doc_of
 from mistray.toolkit.arguments import Parser
 from mistray.toolkit.command import REQUEST, Command
 from mistray.toolkit.command_request import Keyword, asked, keywords, schema_of_request, schema_of_result, take_request

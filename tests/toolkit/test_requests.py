@@ -16,10 +16,11 @@ from refusals import refused
 from mistray import ranges
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
+from mistray.ranges import Several
 from mistray.settings import Settings
 from mistray.toolkit.analysis import analysis
 from mistray.toolkit.field_options import options_of, request_of
-from mistray.toolkit.fields import FieldSubset, Nested, Request, Several, field
+from mistray.toolkit.fields import FieldSubset, Nested, Request, field
 from mistray.toolkit.rows import column, derived, frame, records, table
 
 pytestmark = pytest.mark.quick

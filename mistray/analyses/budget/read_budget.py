@@ -12,8 +12,8 @@ from mistray.analyses.budget.allocation import SCATTER, PowerCost, StepCost
 from mistray.analyses.pst.metrics.by_name import FACTORIES, SETTINGS, own_arguments
 from mistray.errors import MistrayError
 from mistray.metrics.metric import Metric
-from mistray.ranges import FLAG, LEVEL, POSITIVE, TEXT, OfType, Range, Words
-from mistray.toolkit.fields import Request, Several, field
+from mistray.ranges import FLAG, LEVEL, POSITIVE, TEXT, OfType, Range, Several, Words
+from mistray.toolkit.fields import Request, field
 from mistray.toolkit.toml_section import TomlSection, keys_of
 
 FORM = 'ids of shapes or patterns, such as ["L*_front"]'

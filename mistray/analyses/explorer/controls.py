@@ -15,7 +15,7 @@ from mistray.errors import MistrayError, nearest
 from mistray.metrics.parameters import Parameter, match, parameters
 from mistray.prescription.by_text import BARE
 from mistray.prescription.geometry import is_gas
-from mistray.ranges import Range
+from mistray.ranges import ANYTHING, ByName, Range
 from mistray.scene.coat import faces_of, light_nm
 from mistray.scene.xml_file import SceneFile
 from mistray.surfaces.surfaces import solid_shapes
@@ -33,6 +33,7 @@ MOST = 40  # controls of numbers that are there without being requested
 AMOUNTS = ("A", "b0", "coverage_percent", "level", "reflectance", "rms_nm", "scale", "total")
 RIMS = re.compile(r"vane|baffle|stop|hood|shade|iris|aperture", re.IGNORECASE)
 VALUES = str | float
+NEW = ByName(ANYTHING, "{'L1.z': 0.1}")
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,7 @@ def controls_of(
 def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[str, VALUES]:
     """Return the values of some controls after checks; raise `MistrayError` for an unknown control or invalid value."""
     found = {}
-    for name, value in values.items():
+    for name, value in NEW.check("values", values).items():
         if name not in controls:
             raise MistrayError(f"there is no control '{str(name)[:80]}'; {nearest(str(name), controls)}")
         found[name] = controls[name].check(value)

@@ -106,9 +106,9 @@ class Explorer:
     def __init__(
         self,
         scene: str | Path | ModuleType,
-        field_deg: Sequence[float] | None = None,
+        field_deg: float | Sequence[float] | None = None,
         wavelength_nm: float | None = None,
-        control: Iterable[str] | None = None,
+        control: str | Iterable[str] | None = None,
         rays: float | None = None,
         **settings: Any,
     ) -> None:

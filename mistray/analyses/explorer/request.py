@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
-from mistray.ranges import FIELD_DEG, LIVE_RAYS, TEXT, WAVELENGTH_NM, Each
+from mistray.ranges import FIELD_DEG, LIVE_RAYS, TEXT, WAVELENGTH_NM, Each, Several
 from mistray.settings import Settings
-from mistray.toolkit.fields import FieldSubset, Request, Several, field
+from mistray.toolkit.fields import FieldSubset, Request, field
 
 SCENE_FILE, STUDY_FILE = "explored_scene.xml", "explored_study.toml"  # that it saves
 

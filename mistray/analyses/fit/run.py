@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -14,10 +15,12 @@ from scipy.stats import chi2
 from mistray.analyses.pst.metrics.pst_bands import Modelled
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
-from mistray.ranges import POSITIVE
+from mistray.ranges import FINITE, POSITIVE, ByName, shown
 from mistray.result import KeyNumber, Result
 
 Model = Callable[[np.ndarray], Modelled]
+VALUES = ByName(FINITE, "{'slope': 1.0}")
+HIGHEST_POWER = 100
 STEPS = 30
 SETTLED = 1.0
 LONGEST = 9.0  # change of a parameter in its scale in one step, over its distance from its lower bound
@@ -52,7 +55,7 @@ class Evaluations:
     Attributes
     ----------
     points : list of (k,) float64
-        Values of the parameters at which the model was evaluated.
+        Values of the parameters at which the model was evaluated, in their units.
     found : list of Modelled
         Result of the model at each point.
 
@@ -113,19 +116,19 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
     names : tuple of str
         Names of the parameters, (k,).
     power : (k,) float64
-        Powers that define the scales of the parameters, see `fit`.
+        Powers that define the scales of the parameters, dimensionless, see `fit`.
     low, high : (k,) float64
         Bounds of the parameters, in their units.
     value : (k,) float64
         Estimate, in the units of the parameters: the values of least χ² within the bounds.
     slope : (n, k) float64
-        Derivatives of the model with respect to the parameters in their scales.
+        Derivatives of the model with respect to the parameters in their scales, in the unit of the data over these.
     residual : (n,) float64
-        Observed minus modelled data.
+        Observed minus modelled data, in the unit of the data.
     noise : (n, n) float64
-        Covariance of the residual: noise of the data and of the model.
+        Covariance of the residual, in the square of that unit: noise of the data and of the model.
     history : tuple of (k,) float64
-        The values that were accepted, the start first, the estimate last.
+        The values that were accepted, in the units of the parameters, the start first, the estimate last.
     evaluations : int
         Number of evaluations of the model, without those that `Evaluations` had stored.
 
@@ -166,7 +169,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of the scaled parameters, (k, k), without regard to bounds; ∞ or NaN if undetermined."""
+        """Covariance of the parameters in their scales, (k, k), without regard to bounds; ∞ or NaN if undetermined."""
         size, weights, directions = self._directions()
         told = weights > ALIKE
         scaled = directions[:, told] / size[:, None]
@@ -188,7 +191,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlation of the parameters, (k, k); NaN for those that the data do not determine."""
+        """Correlation of the parameters, (k, k), -1 … 1; NaN for those that the data do not determine."""
         spread = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore"):
             return np.asarray(self.covariance / np.outer(spread, spread))
@@ -220,7 +223,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def probability(self) -> float:
-        """Probability that noise alone makes `chi_square` this large; if tiny, the model does not fit the data."""
+        """Probability, 0 … 1, of a `chi_square` this large by noise alone; if tiny, the model does not fit the data."""
         return float(chi2.sf(self.chi_square, self.degrees))
 
     def distance(self, values: Mapping[str, float]) -> float:
@@ -235,6 +238,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
         MistrayError
             If a value is missing or out of its bounds.
         """
+        VALUES.check("values", values)
         missing = [name for name in self.names if name not in values]
         if missing:
             raise MistrayError(f"values lack {', '.join(missing)}; give one for each of {', '.join(self.names)}")
@@ -352,7 +356,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 def fit(
     model: Model | Evaluations,
     observed: Sequence[float] | np.ndarray,
-    noise: Sequence[float] | np.ndarray,
+    noise: float | Sequence[float] | np.ndarray,
     start: Mapping[str, float],
     *,
     low: Sequence[float] | np.ndarray | float = -np.inf,
@@ -379,8 +383,8 @@ def fit(
         serve many fits.
     observed : (n,) float
         Data, in the units of the model.
-    noise : (n,) or (n, n) float
-        Standard errors of the data, or their covariance.
+    noise : float, (n,) or (n, n) float
+        Standard errors of the data, one for all or one for each, or their covariance.
     start : mapping of str to float
         Name → first guess, in the order in which the model takes them.
     low, high : float or (k,) float
@@ -412,11 +416,14 @@ def fit(
     >>> print(f"{found.value[0]:.2f} ± {found.standard_error[0]:.2f}, χ² = {found.chi_square:.1f}")
     1.99 ± 0.02, χ² = 3.9
     """
-    names, guess = tuple(start), np.array(list(start.values()), dtype=np.float64)
+    first_guess = VALUES.check("start", start)
+    names, guess = tuple(first_guess), np.array(list(first_guess.values()), dtype=np.float64)
     data, spread = _checked_data(names, observed, noise)
-    powers, floor, ceiling = (np.broadcast_to(given, guess.shape).astype(np.float64) for given in (power, low, high))
-    if not np.all((powers >= 0) & np.isfinite(powers)):
-        raise MistrayError(f"power is {powers.tolist()}; give 0 for a logarithm, or powers greater than 0")
+    powers, floor, ceiling = (
+        _of_each(name, given, len(names)) for name, given in (("power", power), ("low", low), ("high", high))
+    )
+    if not np.all((powers >= 0) & (powers <= HIGHEST_POWER)):
+        raise MistrayError(f"power is {powers.tolist()}; give 0 for a logarithm, or powers up to {HIGHEST_POWER}")
     floor = np.where(powers == 1, floor, np.maximum(floor, 0.0))
     for name, value, first, last, power_of in zip(names, guess, floor, ceiling, powers, strict=True):
         if not first < last:
@@ -477,23 +484,43 @@ def fit(
 
 
 def _checked_data(
-    names: Sequence[str], observed: Sequence[float] | np.ndarray, noise: Sequence[float] | np.ndarray
+    names: Sequence[str], observed: Sequence[float] | np.ndarray, noise: float | Sequence[float] | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the data, (n,), and the covariance of their noise, (n, n), after checks of shape and value."""
-    data, spread = np.asarray(observed, dtype=np.float64), np.asarray(noise, dtype=np.float64)
-    if data.ndim != 1 or len(data) <= len(names) or not np.all(np.isfinite(data)):
+    data = np.array(FINITE.check_each("observed", observed))
+    if len(data) <= len(names):
         raise MistrayError(
-            f"{data.size} observed numbers for {len(names)} parameters; give more finite numbers than parameters"
+            f"observed has {data.size} numbers for {len(names)} parameters; give more numbers than parameters"
         )
+    spread = _numbers("noise", noise)
+    spread = np.full(data.shape, spread) if spread.size == 1 else spread
     if spread.shape not in (data.shape, 2 * data.shape):
         raise MistrayError(f"noise has the shape {spread.shape}; give {len(data)} standard errors or their covariance")
     if spread.ndim == 1:
         spread = np.diag(np.square(spread))
+    if not np.all(np.isfinite(spread)):
+        raise MistrayError(f"noise is {shown(noise)}; give finite numbers, whose squares are finite, too")
     if not np.all(np.diag(spread) > 0):
         raise MistrayError("noise has a standard error of 0; every number needs one greater than 0")
     if not np.allclose(spread, spread.T) or not np.linalg.eigvalsh(spread)[0] > 0:
         raise MistrayError("noise is no covariance; give a symmetric matrix that is positive definite")
     return data, spread
+
+
+def _of_each(name: str, given: Any, count: int) -> np.ndarray:
+    """Return a number for each of `count` parameters, (k,), given for all or for each."""
+    numbers = _numbers(name, given)
+    if numbers.shape not in ((), (1,), (count,)) or np.any(np.isnan(numbers)):
+        raise MistrayError(f"{name} is {shown(given)}; give one number for all parameters, or {count}")
+    return np.broadcast_to(numbers, (count,)).astype(np.float64)
+
+
+def _numbers(name: str, given: Any) -> np.ndarray:
+    """Return an argument as an array of float64; raise `MistrayError` if it is none."""
+    try:
+        return np.asarray(list(given) if isinstance(given, Iterator | Set) else given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MistrayError(f"{name} is {shown(given)}; give numbers") from None
 
 
 def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ class FieldSummary:
         Start rays of the field.
     paths : int
         Paths that reach the detector, the direct ones included.
-    paths_of_kind : dict
+    paths_of_kind : dict of str to int
         Number of paths by kind.
     direct : DirectImage
         Direct image at this field.
@@ -38,20 +38,20 @@ class FieldSummary:
         Power of all light except the direct image that the detector absorbs, W.
     direct_incident_W, stray_incident_W : Estimate
         Power of the direct image and of all other light incident on the detector, W.
-    stray_of_kind_W : dict
+    stray_of_kind_W : dict of str to Estimate
         Power as in `stray_W`, W, by kind of path.
     ghost_to_signal : Estimate
-        ``stray_W`` over the direct power at this field; NaN out of field.
+        ``stray_W`` over the direct power at this field, dimensionless; NaN out of field.
     stray_to_nominal : Estimate
-        ``stray_W`` over the direct power on axis.
+        ``stray_W`` over the direct power on axis, dimensionless.
     brightest : int or None
         ``path_id`` of the stray path of the highest RMS irradiance; None without stray paths.
     brightest_normalised : Estimate
-        Normalised RMS irradiance of that path; NaN without one.
+        RMS irradiance of that path over that of the direct image on axis, dimensionless; NaN without one.
     map : MapStatistics
-        Statistics block of the whole irradiance map.
+        Statistics block of the whole irradiance map, W/mm² and W.
     asymmetry, asymmetry_expected : float
-        See `mistray.toolkit.irradiance.mirror_asymmetry`.
+        See `mistray.toolkit.irradiance.mirror_asymmetry`; dimensionless.
 
     Examples
     --------

@@ -11,7 +11,6 @@ import pandas as pd
 
 from mistray.analyses.ghosts.request import SORT_KEYS
 from mistray.errors import MistrayError
-from mistray.ranges import several
 from mistray.toolkit.rows import column, frame
 from mistray.trace import Trace
 
@@ -91,8 +90,7 @@ def path_analysis(
     table = trace.paths.to_pandas()
     total = float(table.power_W.sum())
     if path_ids is not None:
-        trace.paths.located(path_ids)  # raises if there is no such path
-        table = table[table.path_id.isin(several(path_ids))]
+        table = table[table.path_id.isin(trace.paths.check_ids(path_ids))]
     strong = table.power_W >= least_share * total
     weak, table = table[~strong], table[strong].rename(columns={"rays": "branches"})
     lengths = mean_lengths(trace, table.path_id.tolist())

@@ -20,12 +20,13 @@ from mistray.ranges import (
     TEXT,
     Demand,
     Each,
+    Several,
     Words,
     check_fields,
 )
 from mistray.settings import Settings
 from mistray.toolkit.arguments import Pairs
-from mistray.toolkit.fields import FieldSubset, Nested, Request, Several, field
+from mistray.toolkit.fields import FieldSubset, Nested, Request, field
 
 # What paths are ranked by, and the column of a path table with that rank
 RANKS = {"rms": "rank_rms_irradiance", "power": "rank_power", "peak": "rank_peak"}

@@ -36,7 +36,7 @@ from mistray.estimate import Estimate
 from mistray.files.irradiance_files import Map
 from mistray.metrics.ranking import DirectImage, bounds, direct_image, ranked
 from mistray.notes import Note
-from mistray.ranges import several
+from mistray.ranges import TEXT, Several
 from mistray.recorders.film import Pixels
 from mistray.recorders.path_events import DIRECT
 from mistray.result import KeyNumber, Result
@@ -353,7 +353,16 @@ class GhostReport(
 
     def map_light(self, selections: str | Sequence[str]) -> None:
         """Fill `light_maps` with maps of selected parts of the light at each field, by tracing the rays again."""
-        self.light_maps = {field: light_maps(t, several(selections)) for field, t in self.items()}
+        chosen = Several(TEXT, least=0).check("selections", selections)
+        self.light_maps = {field: light_maps(t, chosen) for field, t in self.items()}
+
+    def check_ids(self, field_deg: float, path_ids: int | Sequence[int]) -> list[int]:
+        """Return one or several path ids of a field's table as a list; raise `MistrayError` for one not in it."""
+        found: list[int] = self[field_deg].paths.check_ids(path_ids).tolist()
+        absent = set(found).difference(self._rows(self[field_deg]).path_id)
+        if absent:
+            raise MistrayError(f"path {min(absent)} is not in the table of field {field_deg:g} deg; see report.table")
+        return found
 
     def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
         """
@@ -441,7 +450,7 @@ class GhostReport(
         FieldMaps
             Maps of the paths; the last ones made are kept for each field.
         """
-        path_ids = several(path_ids)
+        path_ids = self.check_ids(field_deg, path_ids)
         if field_deg not in self._path_maps or not set(path_ids) <= self._path_maps[field_deg][0]:
             worst = self.listed(field_deg, MAPPED_PATHS).path_id
             maps, images = field_maps(self[field_deg], self.table(field_deg), path_ids, set(worst))
@@ -460,7 +469,7 @@ class GhostReport(
             Polylines (k, 3) from the source to the detector, mm, by path id; a path that is too rare to occur in the
             sample has none.
         """
-        path_ids = several(path_ids)
+        path_ids = self.check_ids(field_deg, path_ids)
         missing = [path_id for path_id in path_ids if (field_deg, path_id) not in self._rays]
         if missing:
             rows = self._rows(self[field_deg]).set_index("path_id").path_ids

@@ -13,7 +13,7 @@ import pandas as pd
 from mistray.analyses.image.request import ImageTables
 from mistray.analyses.image.result import FieldImage, ImageQuality
 from mistray.files.json_values import plain
-from mistray.ranges import several
+from mistray.ranges import FREQUENCY_PER_MM
 from mistray.toolkit.pages.model import FigurePart, NotePart, Report, Section, Table, Value, columns
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms
@@ -200,7 +200,9 @@ def write_quality(
 
 
 def _tables(frequencies: float | Sequence[float] | None) -> ImageTables:
-    return ImageTables(None if frequencies is None else tuple(several(frequencies)))
+    return ImageTables(
+        frequencies if frequencies is None else tuple(FREQUENCY_PER_MM.check_each("frequencies", frequencies))
+    )
 
 
 def quality_text(found: ImageQuality, frequencies: float | Sequence[float]) -> str:

@@ -16,7 +16,7 @@ from mistray.errors import MistrayError
 from mistray.physics.imaging.ideal import airy_diameter
 from mistray.physics.imaging.pupil import PEAK_POINTS, PEAK_ZOOMS, Pupil
 from mistray.physics.imaging.zernike_fit import ZernikeFit, fit_zernikes
-from mistray.ranges import POSITIVE, SHARE, Range, several
+from mistray.ranges import FINITE, FREQUENCY_PER_MM, PLACE_MM, POSITIVE, SHARE, Each, Range
 from mistray.result import KeyNumber, Result
 from mistray.toolkit.tables.frames import row_of
 
@@ -80,6 +80,9 @@ def direction_of(azimuth: str | float) -> tuple[float, float]:
     return (0.0 if abs(x) < 1e-15 else x), (0.0 if abs(y) < 1e-15 else y)
 
 
+FREQUENCIES = Each(FREQUENCY_PER_MM, least=0)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class LineImage(Result):
     """
@@ -95,11 +98,12 @@ class LineImage(Result):
         Amplitude and OPD over direction cosines, see `mistray.physics.imaging.pupil.Pupil`; its x is sagittal, its y
         tangential.
     spot_mm : (n, n, 2) float64
-        Points on the detector, x and y relative to the image point, mm; NaN in dark cells.
+        Points on the detector of the n × n cells of the pupil, x and y relative to the image point, mm; NaN in dark
+        cells.
     stop_xy : (n, n, 2) float64
         Points where the rays cross the stop, in units of its radius; NaN in dark cells.
     stop_area : (n, n) float64
-        Area in the stop per area of direction cosines; NaN in dark cells.
+        Area in the stop, in squares of its radius, per area of direction cosines; NaN in dark cells.
 
     Examples
     --------
@@ -187,7 +191,7 @@ class LineImage(Result):
     @property
     def strehl(self) -> float:
         """
-        Strehl ratio: peak irradiance of the PSF over that of the same light without aberration.
+        Strehl ratio, 0 … 1: peak irradiance of the PSF over that of the same light without aberration.
 
         It is NaN if the grid does not resolve the wavefront.
         """
@@ -224,7 +228,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         Relative deviation of the image height from f tan θ, or from the magnification of a near object, percent. The
         scale is that on the axis, or the one that leaves the least distortion in all fields. NaN on the axis.
     relative_illumination : float
-        Irradiance of the image of an even scene over that on the axis.
+        Irradiance of the image of an even scene over that on the axis, dimensionless.
     tangential_focus_mm, sagittal_focus_mm : float
         Foci of rays close to the chief ray, mm from the detector along z.
 
@@ -324,16 +328,16 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
 
     @property
     def strehl(self) -> float:
-        """Mean of the Strehl ratios at the wavelengths, weighted by their shares; NaN if one is not resolved."""
+        """Mean of the Strehl ratios at the wavelengths, 0 … 1, weighted by their shares; NaN if one is not resolved."""
         return float(self.shares @ [line.strehl for line in self.lines])
 
     def otf(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> npt.NDArray[np.complex128]:
         """
-        Return the complex optical transfer function about the image point, (m,).
+        Return the complex optical transfer function about the image point, (m,), dimensionless, 1 at frequency 0.
 
         Parameters
         ----------
-        frequencies_per_mm : (m,) array_like
+        frequencies_per_mm : float or (m,) array_like
             Spatial frequencies on the detector, 1/mm.
         azimuth : {"tangential", "sagittal"} or float
             Direction in which the pattern varies; degrees count from sagittal (x) to tangential (y).
@@ -345,11 +349,11 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         )
 
     def mtf(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> Array:
-        """Return the modulation transfer function |OTF|, (m,); for the arguments see `otf`."""
+        """Return the modulation transfer function |OTF|, (m,), 0 … 1; for the arguments see `otf`."""
         return np.asarray(np.abs(self.otf(frequencies_per_mm, azimuth)))
 
     def diffraction_limit(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> Array:
-        """Return the MTF, (m,), of the same light without aberration, with its vignetting; arguments as for `otf`."""
+        """Return the MTF, (m,), 0 … 1, of the same light without aberration, with its vignetting; see `otf`."""
         x, y = direction_of(azimuth)
         f = _frequencies(frequencies_per_mm)
         parts = (s * line.pupil.ideal().otf(f * x, f * y) for s, line in zip(self.shares, self.lines, strict=True))
@@ -416,11 +420,11 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
 
     def encircled_energy(self, radii_mm: npt.ArrayLike, about: str = "centroid", square: bool = False) -> Array:
         """
-        Return the share of the flux within circles of given radii, or within squares of these half sides, (m,).
+        Return the share of the flux within circles of given radii, or within squares of these half sides, (m,), 0 … 1.
 
         Parameters
         ----------
-        radii_mm : (m,) array_like
+        radii_mm : float or (m,) array_like
             Radii, or half sides of squares, mm.
         about : {"centroid", "chief", "peak"}
             Centre of the circles or squares.
@@ -435,7 +439,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         if about not in MIDDLES:
             raise MistrayError(f"about is '{about}'; give 'centroid', 'chief' or 'peak'")
         x, y = MIDDLES[about](self)
-        radii = np.atleast_1d(np.asarray(radii_mm, dtype=np.float64))
+        radii = np.array(FINITE.check_each("radii_mm", radii_mm))
         if not np.all((radii >= 0) & (radii <= self.largest_radius_mm)):
             raise MistrayError(
                 f"radii_mm reach from {radii.min():g} to {radii.max():g}; they must lie between 0 and "
@@ -478,7 +482,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
 
         Parameters
         ----------
-        x_mm : (m,) array_like
+        x_mm : float or (m,) array_like
             Positions along the direction relative to the image point, mm.
         azimuth : {"tangential", "sagittal"} or float
             Direction across the line and the edge; degrees count from sagittal (x) to tangential (y).
@@ -488,7 +492,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         line, edge : (m,) float64
             Flux per mm at each position, 1/mm, and flux up to each position, for a total flux of 1.
         """
-        x = np.asarray(x_mm, dtype=np.float64)
+        x = np.array(PLACE_MM.check_each("x_mm", x_mm))
         df = min(line.pupil.frequency_step for line in self.lines) / 2
         f = np.arange(1, math.ceil(self.cut_off_per_mm(azimuth) / df) + 1) * df
         values = self.otf(f, azimuth)
@@ -506,10 +510,7 @@ MIDDLES: dict[str, Callable[[FieldImage], Array]] = {
 
 
 def _frequencies(values: npt.ArrayLike) -> Array:
-    f = np.asarray(values, dtype=np.float64)
-    if not np.all(np.isfinite(f)) or np.any(f < 0):
-        raise MistrayError(f"frequencies_per_mm are {np.asarray(values).tolist()}; give finite numbers from 0 on")
-    return f
+    return np.array(FREQUENCIES.check("frequencies_per_mm", values), dtype=np.float64)
 
 
 class OfFields(Sequence[OfField]):
@@ -534,14 +535,14 @@ class ImageQuality(OfFields[FieldImage], Result, table=".page:quality_table", fi
     fields : tuple of FieldImage
         Image of each field point.
     wavelengths_nm, weights : (n,) float64
-        Wavelengths, nm, and their shares of the flux.
+        Wavelengths, nm, and their shares of the flux, whose sum is 1.
     stop : str
         Id of the surface at the rim of the aperture stop.
     image_scale_mm : float
         Image height per unit of tan θ on the axis, mm: the focal length if the detector is in focus;
         ``nan`` for a near object.
     magnification : float
-        Image height per object height on the axis; ``nan`` for an object far away.
+        Image height per object height on the axis, dimensionless; ``nan`` for an object far away.
     facts : dict
         Settings and facts of the computation, as plain values.
     notes : tuple of str
@@ -598,7 +599,8 @@ class ImageQuality(OfFields[FieldImage], Result, table=".page:quality_table", fi
             Frequencies of the columns ``mtf_tangential_…_per_mm`` and ``mtf_sagittal_…_per_mm``, 1/mm; by default three
             below the cut-off.
         """
-        frequencies = self.default_frequencies() if frequencies_per_mm is None else several(frequencies_per_mm)
+        given = self.default_frequencies() if frequencies_per_mm is None else frequencies_per_mm
+        frequencies = FREQUENCIES.check("frequencies_per_mm", given)
         rows = []
         for image in self:
             row: dict[str, Any] = {

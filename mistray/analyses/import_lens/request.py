@@ -17,9 +17,10 @@ from mistray.ranges import (
     WAVELENGTH_NM,
     ByName,
     Each,
+    Several,
     Words,
 )
-from mistray.toolkit.fields import Request, Several, field
+from mistray.toolkit.fields import Request, field
 
 Triple = tuple[float, float, float]
 

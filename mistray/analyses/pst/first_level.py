@@ -39,10 +39,10 @@ class FirstLevel(Result, table=".tables:level_table", figure=".figures:level_cur
 
     Attributes
     ----------
-    curves : dict
-        Name of the set → Pst. Sets that result in the same limits share one.
-    limits : dict
-        Name of the set → limits that it changes.
+    curves : dict of str to Pst
+        Name of the set → its PST, dimensionless. Sets that result in the same limits share one.
+    limits : dict of str to dict of str to int
+        Name of the set → limits that it changes, numbers of events.
 
     Examples
     --------

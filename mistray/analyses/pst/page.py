@@ -37,6 +37,7 @@ from mistray.analyses.pst.tables import (
     shown_classes,
 )
 from mistray.files.irradiance_files import IrradianceMap
+from mistray.ranges import FINITE, Each, Several
 from mistray.time_budget import can_draw
 from mistray.toolkit.figures.figure import Figure as Drawing
 from mistray.toolkit.figures.plots import as_png
@@ -48,6 +49,7 @@ from mistray.toolkit.tables.text import ABSENT, number, plain_sentences, with_er
 
 CURVE = "PST of all light, of the stray light and of each class; below, relative standard errors."
 CAUSES = "Where the stray light comes from: first surface that scatters it; ghosts are light only reflected."
+PLACES = Several(Each(FINITE, 2), least=0)
 MAP = "PST over field angle and azimuth; the point of a map is the direction in which the light travels."
 DETECTOR = "Irradiance on the detector from a distant source of 1 W/mm² across its beam, each on its own scale."
 
@@ -76,7 +78,7 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
         drawn["pst_causes.png"] = lambda: pst_causes(pst, title)
     if pst.grid.shape[1] > 1:
         drawn["pst_map.png"] = lambda: pst_map(pst, title)
-    for place in maps_at:
+    for place in PLACES.check("maps_at", maps_at):
         drawn[f"{map_name(pst, *place)}.png"] = functools.partial(pst_irradiance, pst, *place)
     return {name: as_png(figure()) for name, figure in drawn.items() if can_draw()}
 
@@ -94,7 +96,7 @@ def irradiance_maps(pst: Pst, maps_at: Sequence[tuple[float, float]], command: s
             pst.extent_mm,
             {"command": command, "angle_deg": at[0], "azimuth_deg": at[1], "source_W_mm2": 1.0},
         )
-        for at in maps_at
+        for at in PLACES.check("maps_at", maps_at)
     }
 
 

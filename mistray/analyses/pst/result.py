@@ -20,6 +20,7 @@ from mistray.messages import Message
 from mistray.metrics.next_order import NextOrder
 from mistray.notes import Note
 from mistray.percent import percent_text
+from mistray.ranges import TEXT, Several
 from mistray.recorders.direction_recorder import CLASSES, SINGLE
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_events import DIRECT
@@ -59,12 +60,12 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
     Attributes
     ----------
     grid : DirectionGrid
-        Grid of (n, m) cells.
+        Grid of (n, m) cells: n field angles, m azimuths.
     by_batch : (c, n, m, b) float64
-        PST_normal of each class in `mistray.recorders.direction_recorder.CLASSES` from each batch of start rays
-        alone. Batches are independent of each other; the cells of one batch are not.
+        PST_normal, dimensionless, of each of the c classes in `mistray.recorders.direction_recorder.CLASSES` from each
+        batch of start rays alone. Batches are independent of each other; the cells of one batch are not.
     weight : (b,) or (n, m, b) float64
-        Fraction of the start rays in each batch, of each cell if cells have their own start rays.
+        Fraction of the start rays in each of the b batches, of each cell if cells have their own start rays.
     convention : {"normal", "projected"}
         Convention of `value` and all that is derived from it.
     method : {"joined", "adjoint", "forward"}
@@ -73,21 +74,21 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         Facts of the computation, plain values: scene, detector, detector_area_mm2, wavelength_nm, weights, rays, seed,
         seconds, segments, settings …
     largest_share : (n, m) float64
-        Fraction of the scattered light of a cell that its strongest single ray carries; if it is large, so are the
-        errors of the errors.
+        Fraction, 0 … 1, of the scattered light of a cell that its strongest single ray carries; if it is large, so are
+        the errors of the errors.
     path_rows : DataFrame, optional
         Paths by cell: columns cell (index of the field angle), azimuth_cell, events, path, order, kind, ghost_1,
         ghost_2, scatter_1, scatters, structure_bounces, tir, rays, pst_normal, pst_normal_se.
     maps : (2, n, m, h, w) float64, optional
-        PST_normal of each pixel of the detector and its standard error.
-    extent_mm : tuple of float
-        Bounds x0, x1, y0, y1 of the detector, in its own frame.
+        PST_normal of each pixel of the detector, h rows by w columns, and its standard error, dimensionless.
+    extent_mm : tuple of four float
+        Bounds x0, x1, y0, y1 of the detector, in its own frame, mm.
     source : PstRays, optional
         Rays of the computation, for derivatives; a pickle has none.
     plan : Plan, optional
         Plan of its pilot, if forward and backward rays share the light (multiple importance sampling).
     techniques : dict of str to (c, n, m, b) float64
-        Part of `by_batch` that rays of each direction contribute, see `budget`.
+        Part of `by_batch` that rays of each direction contribute, dimensionless, see `budget`.
     next_orders : tuple of NextOrder
         Stray light by field angle compared with that of one more event on each path, if it was measured.
 
@@ -187,19 +188,19 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
     def samples(self, classes: str | Sequence[str] = "total") -> np.ndarray:
         """
-        Return the PST of each cell from each batch of start rays alone, (n, m, b).
+        Return the PST of each cell from each batch of start rays alone, (n, m, b), dimensionless.
 
         `classes` are "total", "stray" (all but "direct"), a class of light, or several.
         """
         return np.asarray(self.by_batch[_numbers(classes)].sum(axis=0) * self._factor[:, None, None])
 
     def map(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
-        """Return the PST of each cell and its standard error, (n, m) each; for `classes` see `samples`."""
+        """Return the PST of each cell and its standard error, (n, m) each, dimensionless; see `samples`."""
         return self.estimate(self.samples(classes), self.weight)
 
     def curve(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the PST over field angle, averaged over azimuths, and its standard error, (n,) each.
+        Return the PST over field angle, averaged over azimuths, and its standard error, (n,) each, dimensionless.
 
         For `classes` see `samples`.
         """
@@ -238,22 +239,22 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
     @property
     def value(self) -> np.ndarray:
-        """PST of all light over field angle, averaged over azimuths, (n,)."""
+        """PST of all light over field angle, averaged over azimuths, (n,), dimensionless."""
         return self.curve()[0]
 
     @property
     def standard_error(self) -> np.ndarray:
-        """Standard error of `value`, (n,)."""
+        """Standard error of `value`, (n,), dimensionless."""
         return self.curve()[1]
 
     @property
     def stray(self) -> np.ndarray:
-        """PST of all light but the direct image over field angle, averaged over azimuths, (n,)."""
+        """PST of all light but the direct image over field angle, averaged over azimuths, (n,), dimensionless."""
         return self.curve("stray")[0]
 
     @property
     def stray_se(self) -> np.ndarray:
-        """Standard error of `stray`, (n,)."""
+        """Standard error of `stray`, (n,), dimensionless."""
         return self.curve("stray")[1]
 
     def share_of_scattered(self, part: np.ndarray) -> np.ndarray:
@@ -458,7 +459,8 @@ def _numbers(classes: str | Sequence[str]) -> list[int]:
     MistrayError
         If a class does not exist.
     """
-    names = GROUPS.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
+    given = Several(TEXT).check("classes", classes)
+    names = dict.fromkeys(name for one in given for name in GROUPS.get(one, (one,)))
     unknown = [name for name in names if name not in CLASSES]
     if unknown:
         raise MistrayError(f"class '{unknown[0]}' of light does not exist; use {', '.join(CLASSES)}, stray or total")

@@ -22,11 +22,12 @@ from mistray.ranges import (
     ByName,
     Each,
     Interval,
+    Several,
     Words,
 )
 from mistray.settings import Settings
 from mistray.toolkit.field_options import flag
-from mistray.toolkit.fields import FieldSubset, Request, Several, field
+from mistray.toolkit.fields import FieldSubset, Request, field
 
 PATHS = ("path_power", "ghost_to_signal", "peak_irradiance", "ghost_rms_irradiance", "ghost_focus")
 METRICS: dict[str, tuple[str, ...]] = {

@@ -31,15 +31,15 @@ class Together:
     changes : tuple of (SensitivityRow, ParameterChange)
         Changes, the largest effect first; empty if no derivative is known well enough.
     factor : float
-        Factor by which the metric is smaller, by the model.
+        Factor by which the metric is smaller, by the model, dimensionless.
     reached : bool
         Whether that is the factor requested.
     traced : Estimate or None
         The factor from traces of the changed scene with other seeds; None if they were not requested, or there was no
         time for them.
     image : Estimate or None
-        Power of the direct image over that before, at the sources' own field, from traces as well; None without a
-        direct image or without traces.
+        Power of the direct image over that before, dimensionless, at the sources' own field, from traces as well; None
+        without a direct image or without traces.
     gaps : tuple of Gap
         Surfaces that meet before and are apart after, see `mistray.metrics.changes.gaps`.
     entering : mapping of str to tuple of Entering
@@ -76,7 +76,7 @@ class Sensitivity(Result, table=".page:ranking_table", figure=".figures:ranking_
     spread : MetricSpread
         Linear propagation of all tolerances.
     factor : float
-        Requested factor by which the changes shall lower the metric.
+        Requested factor by which the changes shall lower the metric, dimensionless.
     together : Together
         The best three changes.
     draws : Draws or None
@@ -89,7 +89,7 @@ class Sensitivity(Result, table=".page:ranking_table", figure=".figures:ranking_
         Width of the smoothing zones at rims, over their radii; None if no ray near a rim counts.
     without_derivative : tuple of str
         Keys of scene parameters that have no derivative.
-    seconds : tuple of float
+    seconds : (float, float)
         Times of the primal and of the reverse run of the gradient, s.
     facts : dict
         Settings and facts of the computation, as plain values.

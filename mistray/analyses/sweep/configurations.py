@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,8 +15,10 @@ from mistray.ids import check_id, fits
 from mistray.metrics.bodies import Body, bodies
 from mistray.metrics.parameters import Parameter, groups, parameters
 from mistray.prescription import Structure
+from mistray.ranges import ANYTHING, ByName, OfType, Several, several, shown
 from mistray.surfaces.gradient_columns import POSE
 
+BLOCK = Several(OfType(Structure, "must be a mistray.Structure, or several"), least=0)
 AS_IT_IS = "as it is"
 """Name of the configuration in which nothing is changed."""
 
@@ -52,6 +54,16 @@ class Configuration:
     coat: Mapping[str, str] = field(default_factory=dict)
     block: Sequence[Structure] = ()
 
+    def __post_init__(self) -> None:
+        owner = f"configuration '{self.name}'"
+        for name, example in (
+            ("values", "{'L1.z': 0.1}"),
+            ("paint", "{'barrel': 'flat_black'}"),
+            ("coat", "{'L1': 'bbar3'}"),
+        ):
+            ByName(ANYTHING, example).check(name, getattr(self, name), owner)
+        object.__setattr__(self, "block", BLOCK.check("block", self.block, owner))
+
     @property
     def rebuilds(self) -> bool:
         """True if the configuration changes paint, coatings or structures, so that the scene must be rebuilt."""
@@ -78,7 +90,7 @@ class Resolved:
     units: dict[str, str]
 
 
-Given = Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None
+Given = Mapping[str, Mapping[str, Any]] | Configuration | Sequence[Configuration] | None
 
 
 def as_configurations(given: Given) -> list[Configuration]:
@@ -87,7 +99,7 @@ def as_configurations(given: Given) -> list[Configuration]:
 
     Parameters
     ----------
-    given : mapping of str to mapping, sequence of Configuration, or None
+    given : mapping of str to mapping, Configuration, sequence of Configuration, or None
         Name → values; None stands for one configuration without changes.
 
     Raises
@@ -100,13 +112,12 @@ def as_configurations(given: Given) -> list[Configuration]:
     if isinstance(given, Mapping):
         found: list[Any] = [Configuration(str(name), values) for name, values in given.items()]
     else:
-        one_or_more: Any = given
-        found = list(one_or_more) if isinstance(one_or_more, Iterable) else [one_or_more]
+        found = several(given)
     if not found:
         raise MistrayError("configurations is empty; give at least one, or leave it out")
     for one in found:
-        if not isinstance(one, Configuration) or not isinstance(one.values, Mapping):
-            raise MistrayError(f"configurations: {one!r} is none; give a mapping from names to {{key: value}}")
+        if not isinstance(one, Configuration):
+            raise MistrayError(f"configurations: {shown(one)} is none; give a mapping from names to {{key: value}}")
     names = [one.name for one in found]
     for name in names:
         check_id(name, "configuration")

@@ -75,9 +75,9 @@ class Edit:
     step : float
         Step, in `unit`, greater than 0.
     derivative : tuple of Estimate
-        d PST / d value at each field angle, per `unit`.
+        d PST / d value at each of the n field angles, per `unit`; the PST is dimensionless.
     change : tuple of Estimate
-        First-order change of ln(PST) by one step, at each field angle.
+        First-order change of ln(PST) by one step, dimensionless, at each field angle.
     gaps : tuple of Gap
         Gaps that one step opens, in the direction that lowers the PST at the angle of the largest change; see
         `mistray.metrics.changes.gaps`. The derivatives do not include the light that enters there.
@@ -107,7 +107,7 @@ class EditRanking(Result, table=".edit_tables:edit_ranking_table", figure=".edit
     light : str
         Classes of light that are counted.
     pst : tuple of Estimate
-        PST of the original scene at each field angle.
+        PST of the original scene, dimensionless, at each field angle.
     edits : tuple of Edit
         Edits, the largest change at any field angle first, less two standard errors; edits that open a gap come
         after the others.

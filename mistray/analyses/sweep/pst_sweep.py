@@ -24,6 +24,7 @@ from mistray.known_arguments import known_arguments
 from mistray.metrics.changes.first_surfaces import Entering, entering_text, spoils
 from mistray.metrics.changes.gaps import Contacts, Gap, gaps_text
 from mistray.metrics.views import TraceView, seen_unpolarized
+from mistray.ranges import several
 from mistray.result import KeyNumber, Result
 from mistray.toolkit.analysis import analysis
 
@@ -41,10 +42,10 @@ class Changed:
     Attributes
     ----------
     before, before_se, after, after_se : float
-        PST before and after, and their standard errors.
+        PST before and after, and their standard errors, dimensionless.
     ratio, ratio_se : float
-        After over before; the error allows for the common random numbers of both runs, from the batches of start rays,
-        and is smaller than that of independent runs. NaN if there was no light before.
+        After over before, dimensionless; the error allows for the common random numbers of both runs, from the batches
+        of start rays, and is smaller than that of independent runs. NaN if there was no light before.
     entering : tuple of Entering
         Surfaces that light newly meets first on its way to the detector after the edit, with their shares of it,
         the strongest first. Empty for PSTs that were computed without paths.
@@ -75,7 +76,7 @@ class PstSweep(Result, table=".edit_tables:pst_sweep_table", figure=".edit_figur
     field_deg : (n,) float64
         Field angles, degrees.
     pst : dict of str to Pst
-        PST by configuration.
+        PST by configuration, dimensionless, at the n field angles.
     gaps : dict of str to tuple of Gap
         Surfaces that meet in the original scene and are apart in a configuration, by configuration, see
         `mistray.metrics.changes.gaps`.
@@ -138,7 +139,7 @@ class PstSweep(Result, table=".edit_tables:pst_sweep_table", figure=".edit_figur
         if len(places) != 1:
             listed = ", ".join(f"{angle:g}" for angle in self.field_deg)
             raise MistrayError(f"PST sweep: no field angle {field_deg:g}°; choose from {listed}")
-        at = int(places[0])
+        at, classes = int(places[0]), several(classes)
         first, other = self.pst[self.configurations[0]], self.pst[configuration]
         (b, b_se), (a, a_se) = ((float(x[at]) for x in one.curve(classes)) for one in (first, other))
         entering = first_light(other, at).since(first_light(first, at))
@@ -194,7 +195,7 @@ class PstSweep(Result, table=".edit_tables:pst_sweep_table", figure=".edit_figur
         """
         import pandas as pd
 
-        rows = []
+        rows, classes = [], several(classes)
         for name in self.configurations[1:]:
             for angle in self.field_deg:
                 change = self.changed(name, float(angle), classes)
@@ -219,7 +220,7 @@ def run(
         Scene XML file, the name of a shipped scene, or a scene from `mistray.load` with its values as they are now,
         which stays as it is.
     request : EditsRequest
-    configurations : mapping of str to mapping, or sequence of Configuration
+    configurations : mapping of str to mapping, Configuration or sequence of Configuration
         Changes of the scene; a mapping gives values of parameters only.
     progress : callable, optional
         Called after every PST with (PSTs done, PSTs to do).

@@ -21,9 +21,10 @@ from mistray.ranges import (
     ByName,
     Demand,
     Each,
+    Several,
 )
 from mistray.settings import Settings
-from mistray.toolkit.fields import FieldSubset, Request, Several, field
+from mistray.toolkit.fields import FieldSubset, Request, field
 
 
 class Step(Demand):

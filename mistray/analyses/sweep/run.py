@@ -34,7 +34,7 @@ def run(
     scene: str | Path | dict[str, Any] | mi.Scene,
     request: SweepRequest,
     *,
-    configurations: Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None = None,
+    configurations: Mapping[str, Mapping[str, Any]] | Configuration | Sequence[Configuration] | None = None,
     cache: bool | str | Path | None = None,
     progress: Progress | None = None,
     seconds: float | None = None,
@@ -53,7 +53,7 @@ def run(
         A scene XML file, the name of a shipped scene, a Mitsuba dict, or a loaded scene. Only results of files are
         cached.
     request : SweepRequest
-    configurations : mapping of str to mapping, or sequence of Configuration, optional
+    configurations : mapping of str to mapping, Configuration or sequence of Configuration, optional
         Name → values of parameters, see `mistray.sweeps.Configuration`; `mistray.sweeps.read_configurations` reads
         them from TOML. Default: the scene as it is.
     cache : bool, str or Path, optional

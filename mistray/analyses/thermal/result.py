@@ -57,7 +57,7 @@ class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_f
         Part of it that forms the image, W/mm²: by the sequences of the design, or, without them, all light that is
         neither scattered nor reflected except at mirrors.
     to_image : Estimate
-        Self-emission over the irradiance of the imaged scene; NaN if no scene is seen.
+        Self-emission over the irradiance of the imaged scene, dimensionless; NaN if no scene is seen.
     lost_W_mm2 : float
         Irradiance that a blackbody at `temperature_K` would add by the paths that were not followed, W/mm².
     self_view : Estimate
@@ -73,8 +73,8 @@ class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_f
     wavelengths_um : tuple of float
         Wavelengths at which the optics were traced, µm.
     band_error : float
-        Bound of the relative error of band integrals by these wavelengths; divided by √3 it is part of the standard
-        errors of means and integrals over the band. NaN if the optics are not known over the whole band.
+        Bound of the relative error of band integrals by these wavelengths, dimensionless; divided by √3 it is part of
+        the standard errors of means and integrals over the band. NaN if the optics are not known over the whole band.
     detector : str
         Id of the detector's shape.
     returned : list of NarcissusReturn

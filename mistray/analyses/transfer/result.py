@@ -17,7 +17,7 @@ from mistray.analyses.transfer.pixels import PixelResponse
 from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.stray_metric import StrayMetric
-from mistray.ranges import SHARE
+from mistray.ranges import FINITE, SHARE
 from mistray.recorders.sampled import Sampled
 from mistray.result import KeyNumber, Result
 from mistray.toolkit.tables.frames import flat
@@ -34,7 +34,7 @@ it already."""
 
 
 class TransferCurve(NamedTuple):
-    """Values over frequency or radius with their standard errors, (m,) each."""
+    """Values over frequency or radius with their standard errors, dimensionless, (m,) float64 each."""
 
     value: Array
     se: Array
@@ -53,15 +53,15 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         Direct image.
     spread : ImageSpread
         All light on the detector about the origin.
-    books : dict
-        Balance of the launched light, as shares, `Estimate` each: the classes of `CLASSES` on the detector,
+    books : dict of str to Estimate
+        Balance of the launched light, as shares, 0 … 1: the classes of `CLASSES` on the detector,
         "absorbed_by_surfaces", "absorbed_in_media", "escaped" and "cut". The sum is 1.
     frequencies_per_mm : (m,) float64
         Spatial frequencies of all curves, 1/mm.
     pixels : PixelResponse or None
         Pixels of the detector; None: it resolves everything.
     glare : StrayMetric
-        Flux of all stray light over that of the direct image: "gsr" of `mistray.analyses.pst.glare`.
+        Flux of all stray light over that of the direct image, dimensionless: "gsr" of `mistray.analyses.pst.glare`.
     axes : (2, 2) float64
         Rows: directions of `AZIMUTHS` in the frame of the detector.
     origin_mm : (2,) float64
@@ -114,7 +114,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
 
     @cached_property
     def shares(self) -> dict[str, Estimate]:
-        """Share of the light on the detector, 0 … 1, by class."""
+        """Share of the light on the detector by class, 0 … 1 each."""
         return {name: _estimate(self._power(k).over(self._detected)) for k, name in enumerate(CLASSES)}
 
     @property
@@ -159,7 +159,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return [line.pupil.otf(f * x, f * y) * moved for line in self.image.lines]
 
     def lens(self, azimuth: str = "tangential") -> Array:
-        """Return the MTF of the direct image alone, (m,), along `azimuth`, computed without Monte Carlo noise."""
+        """Return the MTF of the direct image alone, (m,), 0 … 1, along `azimuth`, without Monte Carlo noise."""
         return self.image.mtf(self.frequencies_per_mm, azimuth)
 
     def detector(self, azimuth: str = "tangential") -> Array:
@@ -207,7 +207,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return TransferCurve(found.value * factor, found.se * factor)
 
     def without_stray(self, azimuth: str = "tangential") -> Array:
-        """Return the MTF of lens and detector along `azimuth`, (m,)."""
+        """Return the MTF of lens and detector along `azimuth`, (m,), 0 … 1."""
         return self.lens(azimuth) * np.abs(self.detector(azimuth))
 
     def in_doubt(self, azimuth: str = "tangential") -> float:
@@ -268,7 +268,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
 
     @property
     def outside(self) -> float:
-        """Fraction of the light on the detector that diffraction of the direct image spreads beyond the last ring."""
+        """Fraction, 0 … 1, of the light on the detector that diffraction of the image spreads beyond the last ring."""
         return self.veiling_floor.value * float(1 - self._direct_within[-1])
 
     def psf_rings(self) -> dict[str, TransferCurve]:
@@ -303,11 +303,11 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
 
     def encircled_energy(self, radii_mm: npt.ArrayLike, stray: bool = True) -> TransferCurve:
         """
-        Return the fraction of the light on the detector within circles about the origin.
+        Return the fraction, 0 … 1, of the light on the detector within circles about the origin, (m,) with its error.
 
         Parameters
         ----------
-        radii_mm : (m,) array_like
+        radii_mm : float or (m,) array_like
             Radii of the circles, mm, from 0 to the last of `edges_mm`. Between two edges the irradiance is constant.
         stray : bool
             Whether to include stray light; without it the fraction is one of the direct image.
@@ -317,7 +317,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         MistrayError
             If a radius is below 0 or beyond the last edge.
         """
-        radii = np.atleast_1d(np.asarray(radii_mm, dtype=np.float64))
+        radii = np.array(FINITE.check_each("radii_mm", radii_mm))
         if not np.all((radii >= 0) & (radii <= self.edges_mm[-1])):
             raise MistrayError(
                 f"radii_mm reach from {np.min(radii):g} to {np.max(radii):g}; they must lie between 0 and "

@@ -14,7 +14,7 @@ from mistray.errors import MistrayError, MistrayWarning
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import harvey_shack
 from mistray.physics.imaging import surface_transfer as formulas
-from mistray.ranges import NOT_NEGATIVE, POSITIVE
+from mistray.ranges import NOT_NEGATIVE, POSITIVE, several, shown
 from mistray.result import KeyNumber, Result
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.harvey_shack import index_step
@@ -40,7 +40,7 @@ class SurfaceTransfer(Result):
     wavelength_um : float
         Vacuum wavelength, µm.
     plateau : float
-        1 - TIS: value at lags beyond all correlation of the surface.
+        1 - TIS, dimensionless: value at lags beyond all correlation of the surface.
     at_lag : callable
         Function of lags on the surface, µm, (m,), that returns values, (m,), 1 at lag 0.
 
@@ -69,11 +69,11 @@ class SurfaceTransfer(Result):
 
     def at(self, frequencies_per_mm: npt.ArrayLike, f_number: float, footprint_mm: float) -> Array:
         """
-        Return the factor on the OTF at spatial frequencies of the image, (m,).
+        Return the factor on the OTF at spatial frequencies of the image, (m,), dimensionless.
 
         Parameters
         ----------
-        frequencies_per_mm : (m,) array_like
+        frequencies_per_mm : float or (m,) array_like
             Spatial frequencies, 1/mm, ≥ 0.
         f_number : float
             Working F-number at the image.
@@ -91,8 +91,7 @@ class SurfaceTransfer(Result):
         """
         POSITIVE.check("f_number", f_number)
         POSITIVE.check("footprint_mm", footprint_mm)
-        asked = np.atleast_1d(np.asarray(frequencies_per_mm, dtype=np.float64)).tolist()
-        found = np.array(NOT_NEGATIVE.check_each("frequencies_per_mm", asked))
+        found = np.array(NOT_NEGATIVE.check_each("frequencies_per_mm", frequencies_per_mm))
         return self.at_lag(formulas.lag_um(found, self.wavelength_um, f_number, footprint_mm))
 
 
@@ -125,8 +124,10 @@ def run_bsdf(models: LobeModel | Sequence[LobeModel], request: BsdfTransferReque
     """
     wavelength_um, share = request.wavelength_nm * 1e-3, request.share
     event, n_in, n_out, cos_i = request.event, request.n_in, request.n_out, request.cos_i
-    several = tuple(models) if isinstance(models, Sequence) else (models,)
-    lobes = model_lobes(several, request.wavelength_nm, n_in, n_out, request.from_front)
+    chosen = several(models)
+    if not all(hasattr(model, "lobes") for model in chosen):
+        raise MistrayError(f"models is {shown(models)}; give one of mistray.scatter.kinds.KINDS, or several")
+    lobes = model_lobes(chosen, request.wavelength_nm, n_in, n_out, request.from_front)
     cosines = np.array([cos_i])
     sums = totals(lobes, cosines, n_in, n_out)
     specular = share * (1 - float(sums.loss[event][0]))

@@ -25,11 +25,11 @@ from mistray.ranges import (
     ByName,
     Each,
     OfType,
+    Several,
     Words,
     check_fields,
     demand_of,
 )
-from mistray.toolkit.fields import Several
 from mistray.toolkit.toml_section import TomlSection, keys_of
 
 UNITS = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
 
-from mistray.ranges import RAYS, SEED, TEXT
-from mistray.toolkit.fields import Request, Several, field
+from mistray.ranges import RAYS, SEED, TEXT, Several
+from mistray.toolkit.fields import Request, field
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ranges import OfType, Several
 from mistray.read_file import read_file
 from mistray.replace_file import replace_file
 from mistray.toolkit.drawings.path_rays import RayLine
@@ -34,13 +35,13 @@ JSON_FORMAT = "mistray rays 1"
 OBJ_TITLE = "# mistray rays 1, mm"
 
 
-def write_rays(rays: Sequence[RayLine], path: str | Path) -> Path:
+def write_rays(rays: RayLine | Sequence[RayLine], path: str | Path) -> Path:
     """
     Write rays to a file, complete or not at all, and return its path.
 
     Parameters
     ----------
-    rays : sequence of RayLine
+    rays : RayLine or sequence of RayLine
         Rays to write.
     path : str or Path
         File, whose ending chooses the format: ``.ply``, ``.obj`` or ``.json``.
@@ -63,7 +64,8 @@ def write_rays(rays: Sequence[RayLine], path: str | Path) -> Path:
     'ghost.ply'
     """
     write, _ = format_of(path)
-    return replace_file(path, write(rays), "ray file")
+    lines = Several(OfType(RayLine, "must be a ray, as from mistray.report.rays_of_paths"), least=0).check("rays", rays)
+    return replace_file(path, write(lines), "ray file")
 
 
 def read_rays(path: str | Path) -> list[RayLine]:

@@ -26,7 +26,7 @@ from mistray.errors import MistrayError
 from mistray.files.packages import package
 from mistray.toolkit.analysis import analysis
 from mistray.toolkit.drawings.cut_open import CutPlane, OpenSurface, open_surfaces
-from mistray.toolkit.drawings.path_rays import ray_groups, rows_of
+from mistray.toolkit.drawings.path_rays import ray_groups, rows_of, traces_of
 from mistray.toolkit.pages.parts import thousands
 from mistray.trace import Trace
 
@@ -82,9 +82,7 @@ def run(
     'view.html'
     """
     go = graph_objects()
-    traces = [] if trace is None else [trace] if not isinstance(trace, Sequence) else list(trace)
-    if not all(hasattr(one, "history") for one in traces):
-        raise MistrayError(f"trace is of type {type(trace).__name__}; give what mistray.trace returned, one or several")
+    traces = traces_of(trace)
     if not traces:
         _check_untraced(request)
     rows = [rows_of(request, one) for one in traces]

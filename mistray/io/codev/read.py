@@ -32,6 +32,7 @@ from mistray.io.codev.rows import CodevSurface, rows_of
 from mistray.io.codev.sags import ANAMORPHIC, SPECIAL
 from mistray.io.codev.zoom import ZoomPosition
 from mistray.io.conventions import object_na, squeezed
+from mistray.io.glasses import CATALOGUES, GLASSES
 from mistray.materials import refractive_index
 from mistray.materials.agf import decode
 from mistray.prescription.sequential.table import ApertureKind, FieldKind, Row, Sequential, Unread
@@ -87,7 +88,7 @@ def read_codev(
     *,
     radius_mode: bool | None = None,
     configuration: int | str | None = None,
-    glass_catalogues: Sequence[str | Path] = (),
+    glass_catalogues: str | Path | Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
 ) -> Sequential:
     r"""
@@ -102,7 +103,7 @@ def read_codev(
         lens's `notes` then state both readings.
     configuration : int, str or None
         Number of the zoom position, from 1 on, or its name; ``None``: the first one.
-    glass_catalogues : sequence of str or Path
+    glass_catalogues : str, Path or sequence of them
         AGF files, which take precedence over the glasses of `mistray.materials`.
     glasses : mapping of str to str
         Glass as named in the file → material string; takes precedence over all catalogues.
@@ -129,7 +130,8 @@ def read_codev(
     """
     path = Path(path)
     data = read_file(path, "CODE V file")
-    reader = _Reader(path, radius_mode, glass_catalogues, glasses or {})
+    replaced = GLASSES.check("glasses", {} if glasses is None else glasses)
+    reader = _Reader(path, radius_mode, CATALOGUES.check("glass_catalogues", glass_catalogues), replaced)
     zoom = ZoomPosition(configuration)
     with errors_of(f"CODE V file '{path.name}'"):
         found = list(zoom.commands(commands(decode(data))))

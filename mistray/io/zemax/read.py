@@ -42,6 +42,7 @@ from mistray.coatings import read_coating_file
 from mistray.coatings.zemax_coating_dat import CoatingFile
 from mistray.errors import MistrayError, errors_of
 from mistray.io.conventions import object_na
+from mistray.io.glasses import CATALOGUES, FILE, GLASSES
 from mistray.io.zemax.configurations import at_configuration
 from mistray.io.zemax.glasses import ZemaxGlasses
 from mistray.io.zemax.lines import Sections, ZemaxLine, ZemaxSection, read_sections
@@ -70,7 +71,7 @@ def read_zemax(
     *,
     coatings: str | Path | None = None,
     configuration: int | str | None = None,
-    glass_catalogues: Sequence[str | Path] = (),
+    glass_catalogues: str | Path | Sequence[str | Path] = (),
     glasses: Mapping[str, str] | None = None,
 ) -> Sequential:
     """
@@ -86,7 +87,7 @@ def read_zemax(
     configuration : int, str or None
         Number of the configuration from 1 on, or its name; ``None``: the one that the file was saved in. See
         `configurations`.
-    glass_catalogues : sequence of str or Path
+    glass_catalogues : str, Path or sequence of them
         AGF files; they take precedence over all other catalogues.
     glasses : mapping of str to str or None
         Glass name → material string (see `mistray.materials`); takes precedence over all catalogues.
@@ -111,9 +112,12 @@ def read_zemax(
     [(23.713, 'schott/N-LAK9'), (7331.287999999999, 'air')]
     """
     path = Path(path)
+    FILE.check_all("", coatings=coatings)
+    agf = [Path(file) for file in CATALOGUES.check("glass_catalogues", glass_catalogues)]
+    replaced = GLASSES.check("glasses", {} if glasses is None else glasses)
     sections = read_sections(path)
     note = at_configuration(sections, configuration)
-    return _Reader(path, sections, coatings, [Path(f) for f in glass_catalogues], glasses or {}).sequential(note)
+    return _Reader(path, sections, coatings, agf, replaced).sequential(note)
 
 
 class _Reader:

@@ -18,12 +18,14 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ranges import PLACE_MM, Each, OfType, Several, several
 
 SIGNS = ("+", "-", "&")
 # Names of the sizes of figures beside x, y (mm) and angle_deg; a polygon has x1, y1, x2, y2, …
 SIZES = {"circle": ("radius",), "ellipse": ("half_width", "half_height"), "rectangle": ("half_width", "half_height")}
 KINDS = (*SIZES, "polygon")
 MOST_FIGURES, MOST_CORNERS = 64, 64
+CORNER = Each(PLACE_MM, 2)
 ALL = 1e30  # half size, mm, that stands for unbounded
 
 
@@ -59,6 +61,9 @@ class OutlineFigure:
     y: float = 0.0
     angle_deg: float = 0.0
     sizes: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sizes", tuple(several(self.sizes)))
 
     def check(self, owner: str) -> None:
         """
@@ -180,6 +185,10 @@ class Outline:
     """
 
     figures: tuple[OutlineFigure, ...]
+
+    def __post_init__(self) -> None:
+        check = OfType(OutlineFigure, "must be an OutlineFigure").check
+        object.__setattr__(self, "figures", tuple(check("figures", one, "outline") for one in several(self.figures)))
 
     def check(self, owner: str) -> None:
         """
@@ -409,7 +418,8 @@ def polygon(corners: Sequence[Sequence[float]]) -> Outline:
     >>> triangle.bounds()
     (0.0, 4.0, 0.0, 3.0)
     """
-    return Outline((OutlineFigure("polygon", sizes=tuple(float(v) for corner in corners for v in corner)),))
+    points = Several(CORNER).check("corners", corners, "polygon")
+    return Outline((OutlineFigure("polygon", sizes=tuple(v for point in points for v in point)),))
 
 
 def _around(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
+from mistray.ranges import TILT_DEG
 
 _ROUND_OFF = 1e-12
 MOST_STRAIN = 1e-5  # scale or shear of a matrix up to which it counts as a rounded rigid motion
@@ -108,7 +109,7 @@ def rotation(axis: int, degrees: float) -> np.ndarray:
 def fixed_turn(angles_deg: Iterable[float]) -> np.ndarray:
     """Return the rotation matrix, (3, 3), of angles, degrees, about the fixed axes x, then y, then z."""
     turn = np.eye(3)
-    for axis, angle in enumerate(angles_deg):
+    for axis, angle in enumerate(TILT_DEG.check("angles_deg", angles_deg)):
         turn = rotation(axis, angle) @ turn
     return turn
 

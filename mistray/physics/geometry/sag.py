@@ -19,15 +19,16 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from mistray.physics._arrays import sqrt
+from mistray.ranges import several
 
 
-def trimmed(terms: Iterable[float]) -> tuple[float, ...]:
+def trimmed(terms: float | Iterable[float]) -> tuple[float, ...]:
     """Return polynomial coefficients without the zeros at their end."""
-    found = tuple(terms)
+    found = tuple(several(terms))
     return found[: max((place for place, term in enumerate(found, start=1) if term), default=0)]
 
 
-def sag(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), per_area: Any = 1) -> Any:
+def sag(r2: Any, curvature: Any, conic: Any, coefficients: float | Sequence[Any] = (), per_area: Any = 1) -> Any:
     """
     Return the sag z(r) along +z, mm, zero at the vertex.
 
@@ -39,7 +40,7 @@ def sag(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), p
         Curvature 1/radius, 1/mm; 0 is a plane. It is positive if the centre of curvature is on the +z side.
     conic : float or array
         Conic constant k; 0 for a sphere, -1 for a paraboloid.
-    coefficients : sequence of float or array
+    coefficients : float, or sequence of float or array
         Coefficients ``(a4, a6, …)``: mm⁻³, mm⁻⁵, …; may be empty. With another ``per_area``, those of `in_proportion`,
         1/mm.
     per_area : float or array
@@ -54,7 +55,9 @@ def sag(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), p
     return conic_term + polynomial(r2, coefficients, per_area)
 
 
-def sag_derivative(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), per_area: Any = 1) -> Any:
+def sag_derivative(
+    r2: Any, curvature: Any, conic: Any, coefficients: float | Sequence[Any] = (), per_area: Any = 1
+) -> Any:
     """
     Return the derivative of the sag with respect to r², dz/d(r²), 1/mm.
 
@@ -65,44 +68,46 @@ def sag_derivative(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[A
     return conic_term + polynomial_derivative(r2, coefficients, per_area)
 
 
-def polynomial(r2: Any, coefficients: Sequence[Any], per_area: Any = 1) -> Any:
+def polynomial(r2: Any, coefficients: float | Sequence[Any], per_area: Any = 1) -> Any:
     """Return the sum of the polynomial terms of the sag, mm; parameters as in `sag`."""
     value: Any = 0
     u2 = r2 * per_area
-    for a in reversed(coefficients):
+    for a in reversed(several(coefficients)):
         value = (value + a) * u2
     return value * r2
 
 
-def polynomial_derivative(r2: Any, coefficients: Sequence[Any], per_area: Any = 1) -> Any:
+def polynomial_derivative(r2: Any, coefficients: float | Sequence[Any], per_area: Any = 1) -> Any:
     """Return the derivative of the polynomial terms with respect to r², 1/mm; parameters as in `sag`."""
     value: Any = 0
     u2 = r2 * per_area
-    power = len(coefficients) + 1
-    for a in reversed(coefficients):
+    terms = several(coefficients)
+    power = len(terms) + 1
+    for a in reversed(terms):
         value = (value + power * a) * u2
         power -= 1
     return value
 
 
-def polynomial_second_derivative(r2: Any, coefficients: Sequence[Any], per_area: Any = 1) -> Any:
+def polynomial_second_derivative(r2: Any, coefficients: float | Sequence[Any], per_area: Any = 1) -> Any:
     """Return the second derivative of the polynomial terms with respect to r², mm⁻³; parameters as in `sag`."""
     value: Any = 0
     u2 = r2 * per_area
-    power = len(coefficients) + 1
-    for a in reversed(coefficients):
+    terms = several(coefficients)
+    power = len(terms) + 1
+    for a in reversed(terms):
         value = value * u2 + power * (power - 1) * a
         power -= 1
     return value * per_area
 
 
-def in_proportion(coefficients: Sequence[float], radius: float) -> tuple[tuple[float, ...], float]:
+def in_proportion(coefficients: float | Sequence[float], radius: float) -> tuple[tuple[float, ...], float]:
     """
     Return aspheric coefficients scaled to a surface's own size, for single precision.
 
     Parameters
     ----------
-    coefficients : sequence of float
+    coefficients : float or sequence of float
         Coefficients ``(a4, a6, …)``, mm⁻³, mm⁻⁵, ….
     radius : float
         Size of the surface, 1e-15 … 1e15 mm.
@@ -115,7 +120,7 @@ def in_proportion(coefficients: Sequence[float], radius: float) -> tuple[tuple[f
         Scale 1/R², 1/mm². R is the power of two nearest to `radius`, so that nothing is rounded.
     """
     exponent = round(math.log2(radius))
-    scaled = tuple(a * 2.0 ** (2 * i * exponent) for i, a in enumerate(coefficients, start=1))
+    scaled = tuple(a * 2.0 ** (2 * i * exponent) for i, a in enumerate(several(coefficients), start=1))
     return scaled, math.ldexp(1.0, -2 * exponent)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
+from mistray.ranges import COEFFICIENTS, SHARE
 
 COLLIMATED = 1e-12  # slope per mm of height, 1/mm, below which a marginal ray is taken for parallel to the axis
 
@@ -52,9 +53,9 @@ class ParaxialSystem:
 
     Parameters
     ----------
-    curvature : sequence of float
+    curvature : float or sequence of float
         Curvature of each surface, 1/mm.
-    z : sequence of float
+    z : float or sequence of float
         Positions of the vertices along the axis, mm.
     index : sequence of float
         Refractive indices, one more than surfaces: before the first, between, after the last.
@@ -65,11 +66,20 @@ class ParaxialSystem:
         If the numbers of curvatures, positions and indices do not match.
     """
 
-    def __init__(self, curvature: Sequence[float], z: Sequence[float], index: Sequence[float]) -> None:
+    def __init__(
+        self,
+        curvature: float | Sequence[float],
+        z: float | Sequence[float],
+        index: Sequence[float],
+    ) -> None:
+        curvature, z, index = (
+            COEFFICIENTS.check(name, given, "paraxial system")
+            for name, given in (("curvature", curvature), ("z", z), ("index", index))
+        )
         if not len(curvature) == len(z) == len(index) - 1:
             raise MistrayError(
-                f"paraxial system: {len(curvature)} curvatures, {len(z)} positions, {len(index)} indices; "
-                "indices must be one more than surfaces"
+                f"paraxial system: curvature has {len(curvature)} numbers, z {len(z)}, index {len(index)}; "
+                "give one z for each curvature, and one more index"
             )
         self.curvature: npt.NDArray[np.float64] = np.asarray(curvature, dtype=np.float64)
         self.z: npt.NDArray[np.float64] = np.asarray(z, dtype=np.float64)
@@ -152,7 +162,7 @@ class ParaxialSystem:
         self,
         image_z: float,
         beam_radius_mm: float,
-        reflectance: Sequence[float],
+        reflectance: float | Sequence[float],
         image_reflectance: float | None = None,
     ) -> list[Ghost]:
         """
@@ -164,7 +174,7 @@ class ParaxialSystem:
             Position of the image plane, mm.
         beam_radius_mm : float
             Radius of the beam at the first surface, mm.
-        reflectance : sequence of float
+        reflectance : float or sequence of float
             Reflectance R of each surface; T = 1 - R.
         image_reflectance : float or None
             Reflectance of the detector, which then counts as one more surface, behind the others; None: it does not
@@ -180,7 +190,8 @@ class ParaxialSystem:
         MistrayError
             If the number of reflectances is not that of the surfaces.
         """
-        curvature, z, index, r = list(self.curvature), list(self.z), list(self.index), list(reflectance)
+        curvature, z, index = list(self.curvature), list(self.z), list(self.index)
+        r = SHARE.check_each("reflectance", reflectance, "paraxial ghosts")
         if len(r) != len(self):
             raise MistrayError(f"paraxial ghosts: {len(r)} reflectances for {len(self)} surfaces; give one each")
         if image_reflectance is not None:

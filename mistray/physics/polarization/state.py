@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG
+from mistray.ranges import AZIMUTH_DEG, shown
 
 State = tuple[float, float, float]
 WAYS = ("stokes", "jones", "polarization_deg")
@@ -105,7 +105,7 @@ def _numbers(owner: str, key: str, value: Any, kind: type[float] | type[complex]
     except (TypeError, ValueError):
         found = []
     if len(found) != len(names) or not np.all(np.isfinite(found)) or np.any(np.abs(found) > 1e30):
-        raise MistrayError(f"{owner}: {key} is '{value}'; give {len(names)} numbers, {', '.join(names)}")
+        raise MistrayError(f"{owner}: {key} is {shown(value)}; give {len(names)} numbers, {', '.join(names)}")
     return found
 
 

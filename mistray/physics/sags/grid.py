@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError, errors_of
+from mistray.ranges import PLACE_MM, SIZE_MM, Each
 
+STEP_MM, MIDDLE_MM = Each(SIZE_MM, 2), Each(PLACE_MM, 2)
 LEAST = 4  # points in each direction, for a cubic spline
 MOST = 4096
 BEYOND = 1.25  # factor by which slopes between the points may exceed those at the points
@@ -80,16 +82,18 @@ class Grid:
         """
         from scipy.interpolate import CubicSpline
 
+        dx, dy = STEP_MM.check("step", step)
+        mx, my = MIDDLE_MM.check("middle", middle)
         z = np.array(heights, dtype=np.float64)
         gone = np.zeros(z.shape, dtype=bool) if missing is None else np.array(missing, dtype=bool)
-        _check(z, step, gone)
+        _check(z, (dx, dy), gone)
         z = _filled(z, gone)
         ny, nx = z.shape
-        x, y = step[0] * np.arange(nx), step[1] * np.arange(ny)
+        x, y = dx * np.arange(nx), dy * np.arange(ny)
         by_x = CubicSpline(x, z, axis=1)(x, 1)
         by_y = CubicSpline(y, z, axis=0)(y, 1)
         twist = CubicSpline(y, by_x, axis=0)(y, 1)
-        return cls(np.stack([z, by_x, by_y, twist], axis=-1), (float(step[0]), float(step[1])), middle, gone)
+        return cls(np.stack([z, by_x, by_y, twist], axis=-1), (dx, dy), (mx, my), gone)
 
     @classmethod
     def of_values(

@@ -39,6 +39,7 @@ from mistray.errors import MistrayError
 from mistray.physics.sags.forbes import q2d, qbfs, qcon
 from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.zernike import LAST_FRINGE, LAST_STANDARD, fringe, standard
+from mistray.ranges import ANYTHING, ByName, several
 
 # Names, and the power of the length in their units
 FIXED = {
@@ -58,6 +59,7 @@ _NEEDS = {
 GRID = "grid"
 
 Numbers = Mapping[str, Any]  # a float, or a Grid for `GRID`
+SAG = ByName(ANYTHING, "{'conic_x': -1.0}")
 
 
 def length_power(name: str) -> int | None:
@@ -97,7 +99,7 @@ def _numbered(name: str) -> tuple[str, int, int | None] | None:
     return (kind, i, j) if known and written == name else None
 
 
-def check_names(names: Iterable[str], owner: str) -> None:
+def check_names(names: str | Iterable[str], owner: str) -> None:
     """
     Check that parameters with these names define a sag.
 
@@ -106,7 +108,7 @@ def check_names(names: Iterable[str], owner: str) -> None:
     MistrayError
         If a name is unknown, a parameter that another one needs is missing, or two exclude each other.
     """
-    names = set(names)
+    names = set(several(names))
     for name in sorted(names - {GRID}):
         if length_power(name) is None:
             raise MistrayError(f"{owner}: '{name}' is no number of a sag; see mistray.physics.sags.terms")
@@ -123,9 +125,9 @@ def check_names(names: Iterable[str], owner: str) -> None:
         raise MistrayError(f"{owner}: curvature_x with toroid_curvature; give one of them")
 
 
-def with_even(curvature: float, conic: float, coefficients: Sequence[float], more: Numbers) -> dict[str, Any]:
+def with_even(curvature: float, conic: float, coefficients: float | Sequence[float], more: Numbers) -> dict[str, Any]:
     """Return the parameters of a sag by name: those of an even asphere, (a4, a6, …), if not 0, and `more`."""
-    even = {f"a{2 * i}": a for i, a in enumerate(coefficients, start=2) if a}
+    even = {f"a{2 * i}": a for i, a in enumerate(several(coefficients), start=2) if a}
     return {"curvature": curvature, "conic": conic, **even, **more}
 
 

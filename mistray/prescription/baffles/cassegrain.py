@@ -28,8 +28,9 @@ obscuration. Inside, the tube has vanes that end on the line from B to the edge 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,7 @@ from mistray.prescription.baffles.vane_edges import VaneEdge
 from mistray.prescription.baffles.vane_tube import BaffleTube, vane_tube
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Detector, Structure, Surface
-from mistray.prescription.scatter import Scatter
+from mistray.prescription.scatter import SCATTER, Scatter
 from mistray.ranges import HALF_FIELD_DEG, SIZE_MM
 
 _SCANNED = 400
@@ -125,14 +126,13 @@ class CassegrainBaffles:
         self,
         *,
         coating: Coating | None = BLACK,
-        scatter: tuple[Scatter, ...] = (),
+        scatter: Scatter | Sequence[Scatter] = (),
         space: int = -1,
     ) -> tuple[Structure, ...]:
         """Return the cone ``secondary_baffle`` and the tube with its vanes; parameters as in `Structure`."""
-        cone = Structure(
-            "secondary_baffle", *self.secondary_rim, *self.outer_rim, coating=coating, scatter=scatter, space=space
-        )
-        return (cone, *self.tube.structures(coating=coating, scatter=scatter, space=space))
+        own: dict[str, Any] = {"coating": coating, "scatter": SCATTER.check("scatter", scatter), "space": space}
+        cone = Structure("secondary_baffle", *self.secondary_rim, *self.outer_rim, **own)
+        return (cone, *self.tube.structures(**own))
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one

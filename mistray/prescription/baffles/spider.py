@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import fixed_angles_deg
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Surface
-from mistray.prescription.scatter import Scatter
+from mistray.prescription.scatter import SCATTER, Scatter
 from mistray.ranges import SIZE_MM, Range
 
 DECIMALS = 9  # of places (mm) and angles (degrees)
@@ -30,7 +31,7 @@ def spider(
     offset: float = 0.0,
     start_deg: float = 90.0,
     coating: Coating | None = BLACK,
-    scatter: tuple[Scatter, ...] = (),
+    scatter: Scatter | Sequence[Scatter] = (),
 ) -> tuple[Surface, ...]:
     """
     Return the faces of all vanes of a spider: their two sides, and their front and rear edges.
@@ -83,7 +84,7 @@ def spider(
         )
     faces = []
     half, middle = 0.5 * (outer_radius - inner_radius), 0.5 * (outer_radius + inner_radius)
-    common: dict[str, Any] = {"coating": coating, "scatter": scatter, "part": name}
+    common: dict[str, Any] = {"coating": coating, "scatter": SCATTER.check("scatter", scatter, owner), "part": name}
     up = np.array([0.0, 0.0, 1.0])
     for k in range(vanes):
         angle = math.radians(start_deg + 360.0 * k / vanes)

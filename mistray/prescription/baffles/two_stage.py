@@ -25,6 +25,7 @@ L_2 = 4 r_o/k, twice the length of a simple hood, L_1 = L_2 b/r_o and a = b (2 +
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,7 +34,7 @@ from mistray.prescription.baffles.vane_edges import VaneEdge
 from mistray.prescription.baffles.vane_tube import BaffleTube, slope_margin, vane_tube
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure
-from mistray.prescription.scatter import Scatter
+from mistray.prescription.scatter import SCATTER, Scatter
 from mistray.ranges import RADIUS_MM, SIZE_MM
 
 
@@ -71,17 +72,19 @@ class TwoStageBaffle:
         self,
         *,
         coating: Coating | None = BLACK,
-        scatter: tuple[Scatter, ...] = (),
-        wall_scatter: tuple[Scatter, ...] | None = None,
+        scatter: Scatter | Sequence[Scatter] = (),
+        wall_scatter: Scatter | Sequence[Scatter] | None = None,
         space: int = -1,
     ) -> tuple[Structure, ...]:
         """Return both stages and the ring ``<name>_bulkhead`` between them; see `BaffleTube.structures`."""
-        kind: dict[str, Any] = {"coating": coating, "scatter": scatter, "space": space}
+        owner = f"baffle '{self.name}'"
+        kind: dict[str, Any] = {"coating": coating, "scatter": SCATTER.check("scatter", scatter, owner), "space": space}
+        on_walls = None if wall_scatter is None else SCATTER.check("wall_scatter", wall_scatter, owner)
         z = self.inner.z_front
         bulkhead = Structure(
             f"{self.name}_bulkhead", self.outer.wall_radius(z), z, self.inner.wall_radius(z), z, **kind
         )
-        stages = (stage.structures(wall_scatter=wall_scatter, **kind) for stage in (self.outer, self.inner))
+        stages = (stage.structures(wall_scatter=on_walls, **kind) for stage in (self.outer, self.inner))
         outer, inner = stages
         return (*outer, bulkhead, *inner)
 

@@ -35,6 +35,7 @@ Lengths in mm, angles in degrees in names that end in ``_deg``; light travels +z
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -43,7 +44,7 @@ from mistray.errors import MistrayError
 from mistray.prescription.baffles.vane_edges import Vane, VaneEdge, vane_faces
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure
-from mistray.prescription.scatter import Scatter
+from mistray.prescription.scatter import SCATTER, Scatter
 from mistray.ranges import HALF_FIELD_DEG, RADIUS_MM, SIZE_MM
 
 MOST_VANES = 200
@@ -102,8 +103,8 @@ class BaffleTube:
         self,
         *,
         coating: Coating | None = BLACK,
-        scatter: tuple[Scatter, ...] = (),
-        wall_scatter: tuple[Scatter, ...] | None = None,
+        scatter: Scatter | Sequence[Scatter] = (),
+        wall_scatter: Scatter | Sequence[Scatter] | None = None,
         space: int = -1,
     ) -> tuple[Structure, ...]:
         """
@@ -113,7 +114,7 @@ class BaffleTube:
         ----------
         coating, scatter, space
             Coating, scatter models and space of all faces, as in `Structure`.
-        wall_scatter : tuple of Scatter or None
+        wall_scatter : Scatter, sequence of Scatter or None
             Scatter models of the wall instead of `scatter`, for example with ``"side": "front"``, which is its inside.
 
         Returns
@@ -125,11 +126,12 @@ class BaffleTube:
         # A plate may stand out of the front
         z_front = min(self.z_front, *(z for profile in profiles for _, _, z, _, _ in profile))
         ends = (self.wall_radius(z_front), z_front, self.wall_rear, self.z_rear)
-        kind: dict[str, Any] = {"coating": coating, "space": space}
-        on_wall = scatter if wall_scatter is None else wall_scatter
-        wall = Structure(f"{self.name}_wall", *ends, scatter=on_wall, part=self.name, **kind)
+        models = SCATTER.check("scatter", scatter, f"baffle '{self.name}'")
+        kind: dict[str, Any] = {"coating": coating, "scatter": models, "space": space}
+        on_wall = kind if wall_scatter is None else {**kind, "scatter": wall_scatter}
+        wall = Structure(f"{self.name}_wall", *ends, part=self.name, **on_wall)
         faces = [
-            Structure(f"{(part := f'{self.name}_vane_{k}')}{face}", *profile, scatter=scatter, part=part, **kind)
+            Structure(f"{(part := f'{self.name}_vane_{k}')}{face}", *profile, part=part, **kind)
             for k, faces_of_one in enumerate(profiles, start=1)
             for face, *profile in faces_of_one
         ]
@@ -173,7 +175,7 @@ def vane_tube(
     optic_radius: float,
     z_rear: float,
     length: float,
-    wall_radius: float | tuple[float, float],
+    wall_radius: float | Sequence[float],
     field_deg: float,
     exclusion_deg: float = 0.0,
     clearance: float = 0.0,
@@ -232,7 +234,10 @@ def vane_tube(
     SIZE_MM.check_all(owner, optic_radius=optic_radius, length=length)
     HALF_FIELD_DEG.check_all(owner, field_deg=field_deg, exclusion_deg=exclusion_deg)
     RADIUS_MM.check_all(owner, clearance=clearance, overlap=overlap)
-    front, rear = wall_radius if isinstance(wall_radius, tuple) else (wall_radius, wall_radius)
+    walls = SIZE_MM.check_each("wall_radius", wall_radius, owner)
+    if len(walls) > 2:
+        raise MistrayError(f"{owner}: wall_radius has {len(walls)} numbers; give one, or those of front and rear")
+    front, rear = walls[0], walls[-1]
     slope = math.tan(math.radians(field_deg))
     opening = optic_radius + clearance + length * slope
     for end, wall, tip in (("front", front, opening), ("rear", rear, optic_radius + clearance)):

@@ -11,10 +11,10 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.geometry.outline import polygon, signed_area
 from mistray.prescription.bodies.placing import face_place, moved_as_one
-from mistray.prescription.coating import BLACK, Coating
+from mistray.prescription.coating import BLACK, COATINGS, Coating
 from mistray.prescription.model import Surface
-from mistray.prescription.scatter import Scatter
-from mistray.ranges import SIZE_MM, Each, several
+from mistray.prescription.scatter import SCATTER, Scatter
+from mistray.ranges import POINT_MM, SIZE_MM, Each, several, shown
 
 X = np.array([1.0, 0.0, 0.0])
 
@@ -27,11 +27,11 @@ def prism(
     *,
     material: str,
     outside: str = "air",
-    faces: Sequence[str] | None = None,
+    faces: str | Sequence[str] | None = None,
     coatings: Mapping[str, Coating | None] | None = None,
     mirrors: str | Sequence[str] = (),
     ends: Coating | None = BLACK,
-    scatter: tuple[Scatter, ...] = (),
+    scatter: Scatter | Sequence[Scatter] = (),
 ) -> tuple[Surface, ...]:
     """
     Return the faces of a glass body whose section is a polygon in the yz plane.
@@ -55,7 +55,7 @@ def prism(
         Faces at which the design path reflects, totally or by their coating.
     ends : Coating or None
         Coating of the two ends, ``<name>_left`` (-x) and ``<name>_right`` (+x); black by default.
-    scatter : tuple of Scatter
+    scatter : Scatter or sequence of Scatter
         Scatter models of all faces but the ends.
 
     Returns
@@ -81,11 +81,12 @@ def prism(
     owner = f"prism '{name}'"
     section = _section(corners, owner)
     count = len(section)
-    names = [str(k + 1) for k in range(count)] if faces is None else list(faces)
+    names = [str(k + 1) for k in range(count)] if faces is None else several(faces)
     if len(names) != count or len(set(names)) != count:
         raise MistrayError(f"{owner}: {names} are names of its {count} faces; give one to each")
     SIZE_MM.check("width", width, owner)
-    given = dict(coatings or {})
+    models = SCATTER.check("scatter", scatter, owner)
+    given = {} if coatings is None else COATINGS.check("coatings", coatings, owner)
     mirrors = several(mirrors)
     for face in (*given, *mirrors):
         if face not in names:
@@ -101,7 +102,7 @@ def prism(
         place = face_place(np.array([0.0, *(a + b) / 2]), (X, np.cross(normal, X), normal))
         size: dict[str, Any] = {"half_width": width / 2, "half_height": float(np.linalg.norm(b - a)) / 2}
         found.append(
-            Surface(f"{name}_{face}", **place, **size, coating=given.get(face), scatter=scatter, mirror=face in mirrors,
+            Surface(f"{name}_{face}", **place, **size, coating=given.get(face), scatter=models, mirror=face in mirrors,
                     **common)
         )  # fmt: skip
     middle = section.mean(axis=0)
@@ -120,7 +121,7 @@ def box(
     *,
     centre: Sequence[float] = (0.0, 0.0, 0.0),
     coating: Coating | None = BLACK,
-    scatter: tuple[Scatter, ...] = (),
+    scatter: Scatter | Sequence[Scatter] = (),
 ) -> tuple[Surface, ...]:
     """
     Return the faces of an opaque box, such as a housing, an electronics box or a bracket.
@@ -153,14 +154,15 @@ def box(
     >>> len(electronics), electronics[1].name
     (6, 'electronics_top')
     """
-    Each(SIZE_MM, 3).check("size", size, f"box '{name}'")
-    _, b, c = (side / 2 for side in size)
+    owner = f"box '{name}'"
+    width, *sides = Each(SIZE_MM, 3).check("size", size, owner)
+    x, y, z = POINT_MM.check("centre", centre, owner)
+    b, c = (side / 2 for side in sides)
     faces = ("front", "top", "rear", "bottom")
     found = prism(
-        name, [(-b, -c), (b, -c), (b, c), (-b, c)], size[0], material="air", faces=faces, ends=coating,
+        name, [(-b, -c), (b, -c), (b, c), (-b, c)], width, material="air", faces=faces, ends=coating,
         coatings=dict.fromkeys(faces, coating), scatter=scatter,
     )  # fmt: skip
-    x, y, z = map(float, centre)
     return moved_as_one(found, x=x, y=y, z=z)
 
 
@@ -228,8 +230,8 @@ def beam_splitter_cube(
 def _section(corners: Sequence[Sequence[float]], owner: str) -> np.ndarray:
     """Return the corners of a section as array, (n, 2), mm; raise `MistrayError` if they form no simple polygon."""
     try:
-        section = np.array(corners, dtype=np.float64).reshape(len(corners), 2)
+        section = np.array(several(corners), dtype=np.float64).reshape(len(corners), 2)
     except (TypeError, ValueError):
-        raise MistrayError(f"{owner}: corners are {corners}; give y and z of each, mm") from None
+        raise MistrayError(f"{owner}: corners are {shown(corners)}; give y and z of each, mm") from None
     polygon([tuple(corner) for corner in section.tolist()]).check(owner)
     return section

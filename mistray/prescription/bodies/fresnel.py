@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -12,8 +13,8 @@ from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import conic_end, sag
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Structure, Surface
-from mistray.prescription.scatter import Scatter
-from mistray.ranges import SIZE_MM
+from mistray.prescription.scatter import SCATTER, Scatter
+from mistray.ranges import COEFFICIENTS, SIZE_MM
 
 MOST_RINGS = 2000
 
@@ -25,7 +26,7 @@ def fresnel(
     radius: float,
     semi_diameter: float,
     conic: float = 0.0,
-    coefficients: tuple[float, ...] = (),
+    coefficients: float | Sequence[float] = (),
     groove_mm: float | None = None,
     depth_mm: float | None = None,
     z: float = 0.0,
@@ -33,7 +34,7 @@ def fresnel(
     back: str = "air",
     coating: Coating | None = None,
     riser: Coating | None = None,
-    scatter: tuple[Scatter, ...] = (),
+    scatter: Scatter | Sequence[Scatter] = (),
 ) -> tuple[Surface | Structure, ...]:
     """
     Return the rings and risers of the grooved face of a Fresnel lens.
@@ -54,7 +55,7 @@ def fresnel(
         Materials on the -z and the +z side.
     coating, riser : Coating or None
         Coatings of the rings and of the risers; ``None``: bare Fresnel interface.
-    scatter : tuple of Scatter
+    scatter : Scatter or sequence of Scatter
         Scatter models of the rings.
 
     Returns
@@ -80,15 +81,17 @@ def fresnel(
     if len(known) != 1:
         raise MistrayError(f"{owner}: {' and '.join(known) or 'no width of its rings'}; give groove_mm or depth_mm")
     SIZE_MM.check_all(owner, semi_diameter=semi_diameter, **known)
+    terms = COEFFICIENTS.check("coefficients", coefficients, owner)
     curvature = 0.0 if radius == 0 or math.isinf(radius) else 1 / radius
     if semi_diameter >= conic_end(curvature, conic):
         raise MistrayError(f"{owner}: its conic ends within {semi_diameter:g} mm; reduce the semi-diameter")
 
     def height(r: Any) -> Any:
-        return sag(np.square(r), curvature, conic, coefficients)
+        return sag(np.square(r), curvature, conic, terms)
 
     edges = _edges(owner, height, semi_diameter, groove_mm, depth_mm)
-    shape: dict[str, Any] = {"radius": radius, "conic": conic, "coefficients": coefficients}
+    models = SCATTER.check("scatter", scatter, owner)
+    shape: dict[str, Any] = {"radius": radius, "conic": conic, "coefficients": terms, "scatter": models}
     sides: dict[str, Any] = {"front": front, "back": back, "part": name}
     faces: list[Surface | Structure] = []
     for k, (inner, outer) in enumerate(pairwise(edges), start=1):
@@ -96,7 +99,7 @@ def fresnel(
         faces.append(
             Surface(
                 f"{name}_{k}", z=z - start, semi_diameter=outer, inner_semi_diameter=inner, coating=coating,
-                scatter=scatter, **shape, **sides,
+                **shape, **sides,
             )
         )  # fmt: skip
         deep = float(height(outer)) - start

@@ -11,9 +11,11 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import fixed_angles_deg
 from mistray.prescription.model import Placed
+from mistray.ranges import PLACE_MM, OfType, Several, several, shown
 
 DECIMALS = 10  # of places (mm) and angles (degrees)
 Part = TypeVar("Part", bound=Placed)
+FACES = Several(OfType(Placed, "must be a Surface or a Structure, or several"), least=0)
 
 
 def face_place(at: np.ndarray, axes: Sequence[np.ndarray]) -> dict[str, Any]:
@@ -33,7 +35,7 @@ def face_place(at: np.ndarray, axes: Sequence[np.ndarray]) -> dict[str, Any]:
 
 
 def moved_as_one(
-    faces: Iterable[Part],
+    faces: Part | Iterable[Part],
     *,
     x: float = 0.0,
     y: float = 0.0,
@@ -45,7 +47,7 @@ def moved_as_one(
 
     Parameters
     ----------
-    faces : iterable of Surface or Structure
+    faces : Surface, Structure or iterable of them
         Faces of the part.
     x, y, z : float
         Displacement, mm.
@@ -67,19 +69,19 @@ def moved_as_one(
     """
     motion = Placed(x=x, y=y, z=z, tilt_deg=tilt_deg).to_world()
     found = []
-    for face in faces:
+    for face in FACES.check("faces", faces, "moved_as_one"):
         frame = motion @ face.to_world()
         found.append(replace(face, **face_place(frame[:3, 3], frame[:3, :3].T)))
     return tuple(found)
 
 
-def array(faces: Sequence[Part], places: Sequence[Sequence[float]]) -> tuple[Part, ...]:
+def array(faces: Part | Sequence[Part], places: Sequence[Sequence[float]]) -> tuple[Part, ...]:
     """
     Return copies of a part at several places, for example lenslets, segments or rows of vanes.
 
     Parameters
     ----------
-    faces : sequence of Surface or Structure
+    faces : Surface, Structure or sequence of them
         Faces of one member, such as the two faces of a lenslet and its edge.
     places : sequence of (x, y) or (x, y, z)
         Displacement of each member, mm.
@@ -101,14 +103,16 @@ def array(faces: Sequence[Part], places: Sequence[Sequence[float]]) -> tuple[Par
     >>> [(face.name, face.x) for face in row]
     [('lenslet_1', -1.0), ('lenslet_2', 0.0), ('lenslet_3', 1.0)]
     """
-    if not len(places):
+    members, known = FACES.check("faces", faces, "array"), several(places)
+    if not known:
         raise MistrayError("array: there are no places; give x and y of each member, mm")
     found: list[Part] = []
-    for k, place in enumerate(places, start=1):
-        if len(place) not in (2, 3):
-            raise MistrayError(f"array: place {k} is {tuple(place)}; give x and y, or x, y and z, mm")
-        x, y, z = (*map(float, place), 0.0)[:3]
-        for face in moved_as_one(faces, x=x, y=y, z=z):
+    for k, place in enumerate(known, start=1):
+        numbers = PLACE_MM.check_each(f"place {k}", place, "array")
+        if len(numbers) not in (2, 3):
+            raise MistrayError(f"array: place {k} is {shown(place)}; give x and y, or x, y and z, mm")
+        x, y, z = (*numbers, 0.0)[:3]
+        for face in moved_as_one(members, x=x, y=y, z=z):
             named: Any = face
             part = f"{named.part}_{k}" if named.part else None
             found.append(replace(named, name=f"{named.name}_{k}", part=part))

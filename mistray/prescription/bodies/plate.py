@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from mistray.physics.geometry.outline import Outline, OutlineFigure, rectangle
 from mistray.prescription.bodies.placing import face_place
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure, Surface
-from mistray.prescription.scatter import Scatter
+from mistray.prescription.scatter import SCATTER, Scatter
 from mistray.ranges import SIZE_MM
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -27,7 +28,7 @@ def plate(
     *,
     z: float = 0.0,
     coating: Coating | None = BLACK,
-    scatter: tuple[Scatter, ...] = (),
+    scatter: Scatter | Sequence[Scatter] = (),
 ) -> tuple[Surface | Structure, ...]:
     """
     Return the faces of an opaque plate normal to z, with the walls of its rim and of its holes.
@@ -68,7 +69,7 @@ def plate(
     SIZE_MM.check("thickness", thickness, owner)
     outline.check(owner)
     _check_holes(outline, owner)
-    common: dict[str, Any] = {"coating": coating, "scatter": scatter, "part": name}
+    common: dict[str, Any] = {"coating": coating, "scatter": SCATTER.check("scatter", scatter, owner), "part": name}
     found: list[Surface | Structure] = [
         Surface(f"{name}_{face}", outline=outline, z=height, **common)
         for face, height in (("front", z), ("rear", z + thickness))

@@ -25,7 +25,7 @@ from mistray.prescription.closing.mirrors import cut_holes
 from mistray.prescription.closing.shadows import met_at, shadowing_spaces
 from mistray.prescription.closing.source import source_of
 from mistray.prescription.closing.surfaces import COVER_MM, OpticalSurfaces
-from mistray.prescription.coating import Coating
+from mistray.prescription.coating import COATINGS, Coating
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.imported_beam import Beam, check_beam
 from mistray.prescription.model import Detector, Prescription, Structure, Surface
@@ -33,12 +33,14 @@ from mistray.prescription.sequential.first_order import SequentialFirstOrder
 from mistray.prescription.sequential.rays import curvature
 from mistray.prescription.sequential.table import Sequential
 from mistray.ranges import MARGIN as MARGIN_RANGE
+from mistray.ranges import SIZE_MM, Each
 
 MARGIN = 0.02
 MOST_SURFACES = 500  # of a lens: with its edges and walls a trace has some three times as many shapes
 
 _PIXELS = (512, 512)
 _MIRROR_THICKNESS = 0.05  # of the clear radius
+HALVES = Each(SIZE_MM, 2)  # of a detector
 _SAMPLES = 61  # each way, of what two outlines share
 _POINT = 1e-3  # of the focal length: all fields fall on one point
 _SMALLEST_DETECTOR = 0.01  # of the focal length: half size of the detector then
@@ -163,6 +165,8 @@ def build(
         raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
     check_beam(beam, ("pupil", "front", "exact"))
     MARGIN_RANGE.check("margin", margin)
+    COATINGS.check_all("", coatings=coatings)
+    half = None if detector_half_mm is None else HALVES.check("detector_half_mm", detector_half_mm)
     if len(sequential.rows) > MOST_SURFACES:
         raise MistrayError(
             f"lens '{sequential.name}' has {len(sequential.rows)} surfaces, more than {MOST_SURFACES}; leave out those "
@@ -170,12 +174,10 @@ def build(
         )
     table = OpticalSurfaces(sequential, coatings, margin)
     cut_holes(table)
-    return _structured(table, Closing(edges, ground_reflectance), beam, detector_half_mm)
+    return _structured(table, Closing(edges, ground_reflectance), beam, half)
 
 
-def _structured(
-    table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, float] | None
-) -> Built:
+def _structured(table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, ...] | None) -> Built:
     """Return the closed system: the optical surfaces with mechanical parts, source and detector added."""
     lens, surfaces = table.lens, table.surfaces
     detector = _detector(table, detector_half)
@@ -350,7 +352,7 @@ def _cross(a: Surface | Structure, b: Surface | Structure) -> bool:
     return meeting(here.z_at, there.z_at, inner, min(a.outer_radius, b.outer_radius)) is not None
 
 
-def _detector(table: OpticalSurfaces, half: tuple[float, float] | None) -> Detector:
+def _detector(table: OpticalSurfaces, half: tuple[float, ...] | None) -> Detector:
     row, frame, data = table.lens.rows[-1], table.frames[-1], table.rays.data
     if half is None and row.aperture is not None:
         half = row.aperture.sides

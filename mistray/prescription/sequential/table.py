@@ -19,7 +19,20 @@ from typing import Any, Literal
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.outline import Outline
-from mistray.physics.sags.terms import with_even
+from mistray.physics.sags.terms import SAG, with_even
+from mistray.ranges import (
+    COEFFICIENTS,
+    FINITE,
+    TEXT,
+    TILT_DEG,
+    WAVELENGTHS_NM,
+    WEIGHTS,
+    Each,
+    OfType,
+    Several,
+    check_fields,
+    several,
+)
 
 Kind = Literal["surface", "coordinate_break", "image"]
 ApertureKind = Literal["entrance_pupil_diameter", "f_number", "object_na", "stop_diameter"]
@@ -74,15 +87,18 @@ class Decentre:
     >>> fold = mistray.prescription.Decentre(tilt_deg=(45, 0, 0), returns=True)
     >>> row = mistray.prescription.Row(2, mirror=True, thickness=-30, decentre=fold)
     >>> row.decentre.tilt_deg
-    (45, 0, 0)
+    (45.0, 0.0, 0.0)
     """
 
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
-    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tilt_deg: tuple[float, float, float] = TILT_DEG.field((0.0, 0.0, 0.0))
     tilt_first: bool = False
     returns: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self, "decentre")
 
 
 @dataclass(frozen=True)
@@ -136,7 +152,7 @@ class Row:
     label: str = ""
     radius: float = math.inf
     conic: float = 0.0
-    coefficients: tuple[float, ...] = ()
+    coefficients: tuple[float, ...] = COEFFICIENTS.field(())
     sag: Mapping[str, Any] = field(default_factory=dict, hash=False)
     thickness: float = 0.0
     material: str = "air"
@@ -150,10 +166,17 @@ class Row:
     decentre: Decentre | None = None
     line: int = 0
 
+    def __post_init__(self) -> None:
+        check_fields(self, f"surface {self.number}")
+        SAG.check("sag", self.sag, f"surface {self.number}")
+
     @property
     def sag_numbers(self) -> dict[str, Any]:
         """Parameters that define the sag, by their names and in their units in `mistray.physics.sags.terms`."""
         return with_even(1 / self.radius if self.radius else 0.0, self.conic, self.coefficients, self.sag)
+
+
+ROWS = Several(OfType(Row, "must be a Row, or several"), least=0)
 
 
 @dataclass(frozen=True)
@@ -204,7 +227,7 @@ class Sequential:
     """
 
     name: str
-    rows: tuple[Row, ...]
+    rows: tuple[Row, ...] = ROWS.field()
     _: KW_ONLY
     source: str = ""
     object_distance: float = math.inf
@@ -213,15 +236,16 @@ class Sequential:
     aperture: float = 0.0
     telecentric: bool = False
     field_kind: FieldKind = "angle_deg"
-    fields: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
-    vignetting: tuple[tuple[float, float, float, float], ...] = ()
-    wavelengths_nm: tuple[float, ...] = (587.56,)
-    weights: tuple[float, ...] = (1.0,)
+    fields: tuple[tuple[float, float], ...] = Several(Each(FINITE, 2)).field(((0.0, 0.0),))
+    vignetting: tuple[tuple[float, float, float, float], ...] = Several(Each(FINITE, 4), least=0).field(())
+    wavelengths_nm: tuple[float, ...] = WAVELENGTHS_NM.field((587.56,))
+    weights: tuple[float, ...] = WEIGHTS.field((1.0,))
     primary: int = 0
-    unread: tuple[Unread, ...] = field(default=())
-    notes: tuple[str, ...] = field(default=())
+    unread: tuple[Unread, ...] = Several(OfType(Unread, "must be an Unread"), least=0).field(())
+    notes: tuple[str, ...] = Several(TEXT, least=0).field(())
 
     def __post_init__(self) -> None:
+        check_fields(self, f"lens '{self.name}'")
         if len(self.rows) < 2 or self.rows[-1].kind != "image":
             raise MistrayError(f"lens '{self.name}': {len(self.rows)} surfaces; it needs one at least, and an image")
         if sum(row.stop for row in self.rows) > 1:
@@ -246,6 +270,6 @@ class Sequential:
         """Reference wavelength, nm."""
         return self.wavelengths_nm[self.primary]
 
-    def with_rows(self, rows: Sequence[Row]) -> Sequential:
+    def with_rows(self, rows: Row | Sequence[Row]) -> Sequential:
         """Return the lens with other rows in place of its own."""
-        return replace(self, rows=tuple(rows))
+        return replace(self, rows=tuple(several(rows)))

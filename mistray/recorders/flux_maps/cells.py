@@ -12,6 +12,7 @@ import numpy as np
 
 from mistray.errors import MistrayError, nearest
 from mistray.ids import fits
+from mistray.ranges import TEXT, Several
 from mistray.recorders.film import group_of, groups_of
 from mistray.recorders.recorder import Memory, Recorder
 from mistray.recorders.sampled import Sampled
@@ -164,8 +165,8 @@ class SurfaceLight(PassingLight):
 
     def __init__(self, name: str, surfaces: str | Sequence[str], cells: int) -> None:
         super().__init__(name, cells)
-        self.patterns = (surfaces,) if isinstance(surfaces, str) else tuple(surfaces)
         self._owner = f"{self.kind} '{name}'"
+        self.patterns = Several(TEXT, least=0).check("surfaces", surfaces, self._owner)
         self._names: list[tuple[str, str]] = []  # id and part of each
 
     def surfaces_by_default(self, table: SurfaceTable) -> list[int]:

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.ranges import FILM_PIXELS, FILM_SIDE, PLACE_MM, SIZE_MM
+from mistray.ranges import FILM_PIXELS, FILM_SIDE, FILM_SIDES, POINT_MM, SIZE_MM
 from mistray.recorders.flux_maps.cells import MM2_PER_M2, PassingLight, cell_of
 from mistray.recorders.recorder import Memory, Segment
 from mistray.recorders.sampled import Sampled
@@ -78,15 +78,14 @@ class Probe(PassingLight):
         owner = f"probe '{name}'"
         for what, side in (("half_width", half_width), ("half_height", half_height)):
             SIZE_MM.check(what, side, owner)
-        for what, count in (("width in pixels", pixels[0]), ("height in pixels", pixels[1])):
-            FILM_SIDE.check(what, count, owner)
+        columns, rows = FILM_SIDES.check("pixels", pixels, owner)
         FILM_SIDE.check("number of directions", directions, owner)
-        FILM_PIXELS.check("number of its cells", pixels[0] * pixels[1] * directions**2, owner)
+        FILM_PIXELS.check("number of its cells", columns * rows * directions**2, owner)
         self._centre = vector_of("centre", centre, owner)
         self._axes = frame_of(vector_of("normal", normal, owner), vector_of("up", up, owner), owner)
         self._half = float(half_width), float(half_height)
-        self._pixels, self.directions = (int(pixels[0]), int(pixels[1])), int(directions)
-        super().__init__(name, pixels[0] * pixels[1] * self.directions**2)
+        self._pixels, self.directions = (int(columns), int(rows)), int(directions)
+        super().__init__(name, self._pixels[0] * self._pixels[1] * self.directions**2)
 
     def lay_out(self, table: SurfaceTable) -> None:
         """Upload the centre (mm), axes and half sides (mm) of the rectangle to the device."""
@@ -176,10 +175,7 @@ class Probe(PassingLight):
 
 def vector_of(what: str, given: Sequence[float], owner: str) -> np.ndarray:
     """Return three numbers as a vector, (3,); raise `MistrayError` for another count or a number out of range."""
-    numbers = PLACE_MM.check_each(what, given, owner)
-    if len(numbers) != 3:
-        raise MistrayError(f"{owner}: {what} has {len(numbers)} numbers; give its x, y and z")
-    return np.array(numbers)
+    return np.array(POINT_MM.check(what, given, owner))
 
 
 def frame_of(normal: np.ndarray, up: np.ndarray, owner: str) -> np.ndarray:

@@ -22,7 +22,7 @@ from mistray.replace_file import replace_file
 from mistray.surfaces.surfaces import solid_shapes
 from mistray.toolkit.drawings.chains import chain
 from mistray.toolkit.drawings.cut_open import CutPlane, clip, role_of, surface_names, triangles
-from mistray.toolkit.drawings.path_rays import row_name, rows_of
+from mistray.toolkit.drawings.path_rays import row_name, rows_of, traces_of
 from mistray.toolkit.drawings.ray_choice import RayChoice
 from mistray.toolkit.figures.figure import Figure, legend_label
 from mistray.toolkit.figures.palette import BLACK, BLUE, BROWN, GREEN, INDIGO, PURPLE, SKY, VERMILION
@@ -145,9 +145,7 @@ def layout(
     >>> report = mistray.ghosts(mistray.load("cooke_triplet"), [0, 10], rays=10_000)
     >>> mistray.report.layout(report, 10, ghosts=2).savefig("ghosts.svg")
     """
-    chosen = (
-        worst_paths(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, several(path_ids))
-    )
+    chosen = worst_paths(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, path_ids)
     drawn = _drawn(report, [(field_deg, *one) for one in chosen])
     title = f"field {field_deg:g}°: section x = 0; rays projected onto it; dots: reflections and scatter"
     return _figure(report.scene, drawn, title, width=SCREEN_WIDTH, size=8.0)
@@ -235,7 +233,7 @@ def layout_figure(
         raise MistrayError("path_ids without a trace; give the trace that has these paths")
     drawn: list[Drawn] = []
     title = ""
-    traces = [] if trace is None else list(trace) if isinstance(trace, Sequence) else [trace]
+    traces = traces_of(trace)
     if traces:
         chosen = [(one, row) for one in traces for row in rows_of(choice, one)]
         fields = [f"{one.settings['field_deg']:g}°" for one in traces]
@@ -350,15 +348,12 @@ def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAW
     return chosen
 
 
-def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> list[tuple[int, str, str]]:
+def _asked(report: GhostReport, field_deg: float, path_ids: int | Sequence[int]) -> list[tuple[int, str, str]]:
     """Return path id, colour and label of paths with given ids. Raise `MistrayError` for an unknown id."""
-    rows = report.table(field_deg).set_index("path_id")
-    unknown = [path_id for path_id in path_ids if path_id not in rows.index]
-    if unknown:
-        raise MistrayError(f"path {unknown[0]} is not in the table of field {field_deg:g} deg; see report.table")
+    labels = report.table(field_deg).set_index("path_id").label
     return [
-        (int(path_id), colour, f"path {path_id}: {rows.label[path_id]}")
-        for path_id, colour in zip(path_ids, itertools.cycle(PATH_COLOURS), strict=False)
+        (path_id, colour, f"path {path_id}: {labels[path_id]}")
+        for path_id, colour in zip(report.check_ids(field_deg, path_ids), itertools.cycle(PATH_COLOURS), strict=False)
     ]
 
 

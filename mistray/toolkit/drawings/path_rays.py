@@ -79,6 +79,14 @@ class RayLine:
         return self.path_id, self.events, self.wavelength_nm, self.start_ray
 
 
+def traces_of(trace: Trace | Sequence[Trace] | None) -> list[Trace]:
+    """Return one trace, several or none as a list; raise `MistrayError` for anything else."""
+    found = [] if trace is None else several(trace)
+    if not all(hasattr(one, "history") for one in found):
+        raise MistrayError(f"trace is of type {type(trace).__name__}; give what mistray.trace returned, one or several")
+    return found
+
+
 def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None = None) -> list[PathRow]:
     """
     Return the `count` strongest rows of the path table, or all that `path_ids` requests by id, by name or by filter.
@@ -101,8 +109,7 @@ def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None =
                 raise MistrayError(f"no path of this trace is meant by '{path_id}'; see mistray ghosts --filter")
             rows += found
         else:
-            trace.paths.located([path_id])  # raises if there is no such path
-            rows.append(trace.paths[path_id])
+            rows += [trace.paths[number] for number in trace.paths.check_ids(path_id).tolist()]
     return list({row.path_id: row for row in rows}.values())
 
 
@@ -146,8 +153,8 @@ def rays_of_paths(trace: Trace, path_ids: int | Iterable[int] | None = None, n: 
     >>> [ray.path_id for ray in rays]
     [0, 0, 0, 1, 1, 1]
     """
-    ids = range(len(trace.paths)) if path_ids is None else several(path_ids)
-    return [line for i in ids for line in ray_lines(trace.history(int(i), n).to_pandas().assign(path_id=int(i)))]
+    ids = range(len(trace.paths)) if path_ids is None else trace.paths.check_ids(path_ids).tolist()
+    return [line for i in ids for line in ray_lines(trace.history(i, n).to_pandas().assign(path_id=i))]
 
 
 def ray_lines(nodes: pd.DataFrame, beyond_mm: float = 0.0) -> list[RayLine]:

@@ -7,8 +7,8 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.ranges import PLACE_MM, RAYS_DRAWN, ROWS, TEXT, Demand, Each
-from mistray.toolkit.fields import Request, Several, field
+from mistray.ranges import PLACE_MM, RAYS_DRAWN, ROWS, TEXT, Demand, Each, Several
+from mistray.toolkit.fields import Request, field
 
 ELSEWHERE = -1
 BACKWARD = "backward"  # rays from the detector

@@ -12,7 +12,7 @@ from mistray.files.irradiance_files import FORMATS, IrradianceMap, write_irradia
 from mistray.files.packages import format_package
 from mistray.files.parquet import write_parquet
 from mistray.files.ray_sets import save_ray_set
-from mistray.ranges import several
+from mistray.ranges import ANYTHING, TEXT, ByName, OfType, Several
 from mistray.replace_file import replace_file
 from mistray.toolkit.pages.model import Report
 
@@ -56,7 +56,7 @@ def write_formats(
 
     Parameters
     ----------
-    formats : sequence of str
+    formats : str or sequence of str
         "parquet" for the tables, "exr", "fits" and "npy" for the maps; "pdf" for the report, "dat" for its rays.
     directory : str or Path
         Existing folder.
@@ -89,7 +89,9 @@ def write_formats(
     """
     folder = Path(directory)
     written = []
-    for name in dict.fromkeys(several(formats)):
+    ByName(ANYTHING, "{'paths.csv': trace.paths.to_pandas()}").check_all("", tables=tables, facts=facts)
+    ByName(OfType(IrradianceMap, "must be an IrradianceMap"), "{'image': IrradianceMap.of(trace)}").check("maps", maps)
+    for name in dict.fromkeys(Several(TEXT, least=0).check("formats", formats)):
         if name in FORMATS:
             written += [write_irradiance(one, folder / f"{stem}.{name}") for stem, one in maps.items()]
         elif name == RAYS:

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG, CONE_DEG, FIELD_DEG, PLACE_MM, SIZE_MM, check_fields
+from mistray.ranges import AZIMUTH_DEG, CONE_DEG, FIELD_DEG, POINT_MM, SIZE_MM, check_fields
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.outlines import detector_area, outline
 from mistray.sampling.plane_wave import PlaneWave, PlaneWaves, hull_points
@@ -126,21 +126,16 @@ class DiskSource:
     ['barrel_face', 'barrel_1_wall']
     """
 
-    centre: tuple[float, float, float]
+    centre: tuple[float, float, float] = POINT_MM.field()
     radius: float = SIZE_MM.field()
     half_angle_deg: float = CONE_DEG.field()
     inner_radius: float = 0.0
     inner_half_angle_deg: float = 0.0
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    axis: tuple[float, float, float] = POINT_MM.field((0.0, 0.0, 1.0))
     name: str = "disc"
 
     def __post_init__(self) -> None:
-        for key in ("centre", "axis"):
-            value = np.asarray(getattr(self, key), dtype=np.float64)
-            if value.shape != (3,):
-                raise MistrayError(f"source: {key} is {getattr(self, key)}; give three numbers")
-            for number in value:
-                PLACE_MM.check(key, float(number), "source")
+        check_fields(self, "source")
         if not np.linalg.norm(self.axis) > 0:
             raise MistrayError("source: axis is 0, 0, 0; give the direction of the light")
         if not 0 <= self.inner_radius < self.radius:
@@ -148,7 +143,6 @@ class DiskSource:
                 f"source: inner_radius is {self.inner_radius:g} mm; it must lie between 0 and radius = "
                 f"{self.radius:g} mm"
             )
-        check_fields(self, "source")
         if not 0 <= self.inner_half_angle_deg < self.half_angle_deg:
             raise MistrayError(
                 f"source: inner_half_angle_deg is {self.inner_half_angle_deg:g}; it must lie between 0 and "

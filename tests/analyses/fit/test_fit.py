@@ -135,7 +135,7 @@ def test_refusals():
     each_refused(
         ((exponential, ONES, np.zeros(12), TWO), {}, "standard error of 0"),
         ((exponential, ONES, ONES, TWO | {"height": -1.0}), {"power": 0}, "above 0"),
-        ((exponential, ONES[:2], ONES[:2], TWO), {}, "2 observed numbers for 2 parameters"),
+        ((exponential, ONES[:2], ONES[:2], TWO), {}, "observed has 2 numbers for 2 parameters"),
         ((exponential, ONES, ONES[:3], TWO), {}, "shape"),
         ((exponential, ONES[:11], ONES[:11], TWO), {}, "12 numbers for 11"),
         ((weak, np.ones(20), np.ones(20), THREE | {"rough": -1.0}), SCALES, "rough starts with -1"),

@@ -18,6 +18,7 @@ from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.tables.ghosts import more_rays, summary_table
 from mistray.analyses.ghosts.tables.ghosts_csv import summary_rows
 from mistray.estimate import UNKNOWN, Estimate
+from mistray.ranges import ByName, OfType
 from mistray.recorders.path_events import STRAY_KINDS
 from mistray.replace_file import replace_file
 from mistray.toolkit.figures.plots import as_png
@@ -117,6 +118,7 @@ def html_text(
     >>> text[:15]
     '<!DOCTYPE html>'
     """
+    ByName(OfType(bytes, "must be the bytes of a PNG"), "{'layout.png': b'…'}").check_all("", pictures=pictures)
     return html_page(ghosts_report(report, title, command, pictures or {}, per_wavelength))
 
 

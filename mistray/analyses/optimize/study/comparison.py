@@ -23,6 +23,7 @@ from mistray.estimate import Estimate
 from mistray.metrics.changes.first_surfaces import Entering, FirstLight, spoils
 from mistray.metrics.metric import Metric
 from mistray.metrics.views import added_light, light_since
+from mistray.ranges import ANYTHING, ByName
 from mistray.ranges import SEEDS as SEED_COUNT
 from mistray.result import KeyNumber, Result
 from mistray.toolkit.rows import column
@@ -111,6 +112,8 @@ class Levels(Result, table="..tables:levels_table", figure="..figures:levels_fig
 
     def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
         """Return a copy with further terms whose exact values are given; they are equal for all seeds."""
+        for name, given in (("numbers", numbers), ("units", units)):
+            ByName(ANYTHING, "{'weight': 1.0}").check(name, given)
         exact = {ComparisonCell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
         return dataclasses.replace(self, values={**self.values, **exact}, units={**self.units, **units})
 

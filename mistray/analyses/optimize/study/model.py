@@ -13,8 +13,24 @@ from mistray.analyses.optimize.request import STEPS
 from mistray.analyses.optimize.search.nlopt import ALGORITHMS
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
-from mistray.ranges import EDGE_WIDTH, FINITE, FLAG, POSITIVE, TEXT, Each, OfType, Range, Words
-from mistray.toolkit.fields import Request, Several, field, field_of
+from mistray.ranges import (
+    ANYTHING,
+    EDGE_WIDTH,
+    FINITE,
+    FLAG,
+    LAYER_NM,
+    POINT_MM,
+    POSITIVE,
+    TEXT,
+    ByName,
+    Interval,
+    OfType,
+    Range,
+    Several,
+    Words,
+    check_fields,
+)
+from mistray.toolkit.fields import Request, field, field_of
 
 LIMITED = ("at_least", "at_most")  # goals
 DESIGN_NM = Range(1.0, 1e9, unit="nm")
@@ -75,6 +91,8 @@ class Term(Request):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for name, example in (("own", "{'selection': 'ghost'}"), ("traced", "{'rays': 10_000}")):
+            ByName(ANYTHING, example).check(name, getattr(self, name))
         given = [key for key in ("limit", "limit_of_start") if getattr(self, key) is not None]
         if self.goal in LIMITED and len(given) != 1:
             what = f"{given[1]} is one limit too many" if given else "limit is missing"
@@ -106,7 +124,7 @@ class Moved(Request):
     entry: int | None = None  # of a parameter that is a list, the first is 0; None: all entries
     factor: float = field(FINITE, 1.0, "how far it moves with the variable, not 0")
     pivot: tuple[float, ...] | None = field(
-        Each(FINITE), None, "point of the world about which a part is tilted, mm; without it the middle of its box"
+        POINT_MM, None, "point of the world about which a part is tilted, mm; without it the middle of its box"
     )
 
     def __post_init__(self) -> None:
@@ -130,7 +148,7 @@ class VariableGroup(Request):
 
     name: str | None = field(TEXT, MISSING, "name for tables and messages; without it the first key")
     parameters: tuple[Moved, ...] = field(
-        OfType(tuple, 'must be keys or patterns, ["vane_*.r0"] say'),
+        Several(OfType(Moved, 'must be keys or patterns, ["vane_*.r0"] say')),
         MISSING,
         "what it moves: texts, or tables with the keys of `parameters` below",
     )
@@ -181,6 +199,9 @@ class CoatingKeys(Request):
     )
 
 
+STACK = OfType(Stack, "must be a mistray.coatings.Stack")
+
+
 @dataclass(frozen=True)
 class CoatingGroup:
     """
@@ -208,10 +229,13 @@ class CoatingGroup:
     """
 
     name: str
-    surfaces: tuple[str, ...] | None
-    start: Stack
-    bounds_nm: tuple[tuple[float, float], ...]
+    surfaces: tuple[str, ...] | None = Several(TEXT).field()
+    start: Stack = STACK.field()  # noqa: RUF009  of what cannot change
+    bounds_nm: tuple[tuple[float, float], ...] = Several(Interval(LAYER_NM)).field()
     design_nm: float = field_of(CoatingKeys, "design_nm", CoatingKeys.design_nm)
+
+    def __post_init__(self) -> None:
+        check_fields(self, f"coating '{self.name}'")
 
 
 @dataclass(frozen=True)
@@ -302,10 +326,17 @@ class DesignStudy:
     """
 
     name: str
-    terms: tuple[Term, ...]
-    variables: tuple[VariableGroup, ...] = ()
-    coatings: tuple[CoatingGroup, ...] = ()
+    terms: tuple[Term, ...] = Several(OfType(Term, "must be a Term, or several")).field()
+    variables: tuple[VariableGroup, ...] = Several(
+        OfType(VariableGroup, "must be a VariableGroup, or several"), least=0
+    ).field(())
+    coatings: tuple[CoatingGroup, ...] = Several(
+        OfType(CoatingGroup, "must be a CoatingGroup, or several"), least=0
+    ).field(())
     optimizer: Optimizer = Optimizer()
+
+    def __post_init__(self) -> None:
+        check_fields(self, f"study '{self.name}'")
 
     @property
     def fingerprint(self) -> str:

@@ -42,7 +42,7 @@ class Evaluation:
     merit, merit_se : float
         The merit and its standard error, dimensionless.
     slope : (variables,) float64
-        d merit/d y.
+        d merit/d y, dimensionless.
     terms : dict
         Name of a term → its value, in its unit.
     slopes : dict
@@ -67,7 +67,7 @@ class Evaluation:
 
     @property
     def free_slope(self) -> np.ndarray:
-        """Return d merit/d y, (variables,), with 0 for the variables that are held by a bound."""
+        """Return d merit/d y, (variables,), dimensionless, with 0 for the variables that are held by a bound."""
         held = ((self.y <= 0) & (self.slope > 0)) | ((self.y >= 1) & (self.slope < 0))
         return np.where(held, 0.0, self.slope)
 

@@ -18,6 +18,7 @@ from mistray.analyses.pst.sums import Light, weighted_sum
 from mistray.errors import MistrayError
 from mistray.known_arguments import known_arguments
 from mistray.metrics.stray_metric import StrayMetric
+from mistray.ranges import several
 from mistray.recorders.directions import DirectionGrid
 
 SUN_DEG = 0.53
@@ -354,7 +355,7 @@ def source_irradiance(
     normal = pst.to("normal")
     curve = normal.map(classes)[0] if interpolation == "log" else None
     seen = cover(pst.grid, source, interpolation, curve)
-    light = classes if isinstance(classes, str) else "+".join(classes)
+    light = "+".join(several(classes))
     facts = {"light": light, "interpolation": interpolation, "source_W_mm2_sr": str(source)}
     return StrayMetric.of(
         "irradiance",

@@ -16,6 +16,7 @@ from mistray.analyses.pst.sums import Light, quotient, weighted_sum
 from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.stray_metric import DEFINITIONS, MetricCurve, StrayMetric
+from mistray.ranges import several
 
 PLANES = {"normal": "on a plane normal to the light", "projected": "on the plane of the aperture, E_⊥ cos θ"}
 ARCSEC2_SR = float(np.radians(1 / 3600) ** 2)
@@ -384,7 +385,7 @@ def _solid_angles(pst: Pst) -> np.ndarray:
 
 
 def _named(classes: Light) -> str:
-    return classes if isinstance(classes, str) else "+".join(classes)
+    return "+".join(several(classes))
 
 
 def _curve(

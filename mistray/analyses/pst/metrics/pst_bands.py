@@ -17,6 +17,7 @@ from mistray.gradients.parameter_gradient import parameter_gradient
 from mistray.metrics.gradient import chosen_parameters, gradient_request
 from mistray.metrics.parameters import Parameter
 from mistray.metrics.scene_values import assign
+from mistray.ranges import AZIMUTH_DEG, FINITE, PST_FIELD_DEG, Each
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
@@ -32,11 +33,11 @@ class Modelled:
     Attributes
     ----------
     value : (n,) float64
-        Values of the model.
+        Values of the model, in the unit of the data; of `PstBands` dimensionless.
     covariance : (n, n) float64
-        Covariance of the Monte Carlo noise of the values.
+        Covariance of the Monte Carlo noise of the values, in the square of their unit.
     jacobian : (n, k) float64
-        Derivatives of the values with respect to the parameters.
+        Derivatives of the values with respect to the k parameters, in the unit of the values over theirs.
 
     Examples
     --------
@@ -75,13 +76,13 @@ class PstBands:
     ----------
     scene : mi.Scene
         Loaded scene.
-    keys : sequence of str
+    keys : str or sequence of str
         Parameters of one entry, such as ``"polish.rms_nm"``; see `mistray.metrics.parameters`.
     edges_deg : sequence of float
         Ends of the bands, degrees, ascending, multiples of `cell_deg` apart.
     light : str or sequence of str
         Classes of light, see `PstObservation`.
-    azimuths_deg : sequence of float, optional
+    azimuths_deg : float or sequence of float, optional
         Azimuths, degrees, as for `mistray.pst`; by default one mean over all azimuths.
     cell_deg : float
         Width of the cells that a band consists of, degrees.
@@ -93,10 +94,10 @@ class PstBands:
     keys : tuple of str
         Keys of the parameters.
     start : (k,) float64
-        Values of the parameters in the scene.
+        Values of the parameters in the scene, in their units.
     low, high : (k,) float64
-        Bounds of the parameters. Those of either sign without a range are near their values in the scene: lengths
-        within the size of the scene, others within ten thousand times their tolerances.
+        Bounds of the parameters, in their units. Those of either sign without a range are near their values in the
+        scene: lengths within the size of the scene, others within ten thousand times their tolerances.
     power : (k,) float64
         Powers of the parameters in proportion to which the light grows; for `fit`.
     bands : list of tuple
@@ -120,20 +121,20 @@ class PstBands:
     def __init__(
         self,
         scene: Any,
-        keys: Sequence[str],
+        keys: str | Sequence[str],
         edges_deg: Sequence[float],
         light: Light = "stray",
         *,
-        azimuths_deg: Sequence[float] | None = None,
+        azimuths_deg: float | Sequence[float] | None = None,
         cell_deg: float = 1.0,
         **traced: Any,
     ) -> None:
-        edges = np.asarray(edges_deg, dtype=np.float64)
+        edges = np.array(PST_FIELD_DEG.check_each("edges_deg", edges_deg))
         counts = np.diff(edges) / cell_deg
         uneven = np.any(counts < 0.5) or np.any(np.abs(counts - np.round(counts)) > 1e-6)
-        if edges.ndim != 1 or edges.size < 2 or uneven:
+        if edges.size < 2 or uneven:
             raise MistrayError(
-                f"edges_deg is {list(edges_deg)}; give ascending field angles that are multiples of cell_deg = "
+                f"edges_deg is {edges.tolist()}; give ascending field angles that are multiples of cell_deg = "
                 f"{cell_deg:g} apart"
             )
         self._params = mi.traverse(scene)
@@ -151,33 +152,33 @@ class PstBands:
         self._light = named_classes(light)
         middles = edges[0] + cell_deg * (np.arange(round(float(counts.sum()))) + 0.5)
         self._band_of_cell = np.repeat(np.arange(len(counts)), np.round(counts).astype(int))
-        azimuths = {} if azimuths_deg is None else {"azimuths_deg": tuple(azimuths_deg)}
+        around = None if azimuths_deg is None else tuple(AZIMUTH_DEG.check_each("azimuths_deg", azimuths_deg))
+        azimuths = {} if around is None else {"azimuths_deg": around}
         self.bands = [
-            (azimuth, float(low), float(high))
-            for low, high in pairwise(edges)
-            for azimuth in (azimuths_deg if azimuths_deg is not None else [None])
+            (azimuth, float(low), float(high)) for low, high in pairwise(edges) for azimuth in around or [None]
         ]
         view = PstView({"field_deg": tuple(middles.tolist()), "cell_deg": float(cell_deg), **azimuths, **traced})
         self._view = view
 
-    def observe(self, values: Sequence[float] | np.ndarray, **changes: Any) -> PstObservation:
+    def observe(self, values: float | Sequence[float] | np.ndarray, **changes: Any) -> PstObservation:
         """
         Return the PST of the scene with its parameters set to `values`, (k,), which stay set.
 
         `changes` replace arguments of the PST.
         """
-        assign(self._params, {key: np.array([v]) for key, v in zip(self.keys, values, strict=True)})
+        numbers = Each(FINITE, len(self.keys)).check("values", values)
+        assign(self._params, {key: np.array([v]) for key, v in zip(self.keys, numbers, strict=True)})
         observation = self._view.observe(self.scene, 1.0, changes)
         assert isinstance(observation, PstObservation)
         return observation
 
-    def measure(self, values: Sequence[float] | np.ndarray, **changes: Any) -> tuple[np.ndarray, np.ndarray]:
+    def measure(self, values: float | Sequence[float] | np.ndarray, **changes: Any) -> tuple[np.ndarray, np.ndarray]:
         """
         Return PST_normal averaged over each band and the covariance of its noise, without derivatives.
 
         Parameters
         ----------
-        values : (k,) float
+        values : float or (k,) float
             Values of the parameters.
         **changes
             Replacements of arguments of the PST, for example ``seed=1``.
@@ -191,7 +192,7 @@ class PstBands:
         """
         return self._noise(self.observe(values, **changes))
 
-    def __call__(self, values: Sequence[float] | np.ndarray) -> Modelled:
+    def __call__(self, values: float | Sequence[float] | np.ndarray) -> Modelled:
         """Return the PST bands for values of the parameters, (k,), with Monte Carlo noise and derivatives."""
         observation = self.observe(values)
         value, covariance = self._noise(observation)

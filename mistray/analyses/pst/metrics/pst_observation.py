@@ -18,7 +18,7 @@ from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.known_arguments import known_arguments
 from mistray.metrics.changes.first_surfaces import FirstLight
 from mistray.metrics.observation import leaf
-from mistray.ranges import Words
+from mistray.ranges import Words, several
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.sampled import Sampled
 from mistray.surfaces.upload import upload
@@ -271,7 +271,7 @@ class PstObservation:
 
 def named_classes(light: Light) -> tuple[str, ...]:
     """Return the classes of light that one or several names stand for; raise `MistrayError` for an unknown name."""
-    names = (light,) if isinstance(light, str) else tuple(light)
+    names = several(light)
     if not names:
         raise MistrayError(f"no light is chosen; use {', '.join(LIGHT)}")
     for name in names:
