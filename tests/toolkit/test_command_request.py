@@ -39,7 +39,7 @@ from mistray.ranges import ByName, Each, Interval, OfType, Range, Several, Words
 from mistray.toolkit.arguments import Parser
 from mistray.toolkit.command import REQUEST, Command
 from mistray.toolkit.command_request import Keyword, asked, keywords, schema_of_request, schema_of_result, take_request
-from mistray.toolkit.fields import Nested, Request, Several, flat_fields
+from mistray.toolkit.fields import Nested, Request, flat_fields
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
 from command_calls import CALLS
