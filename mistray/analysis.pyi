@@ -12,10 +12,10 @@ import pandas as pd
 from mistray.analyses.ghosts.field_summary import FieldSummary as FieldSummary
 from mistray.analyses.ghosts.path_analysis import path_analysis as path_analysis
 from mistray.analyses.ghosts.result import GhostReport as GhostReport
+from mistray.analyses.image.line_image import LineImage as LineImage
+from mistray.analyses.image.line_image import PointSpread as PointSpread
 from mistray.analyses.image.result import FieldImage as FieldImage
 from mistray.analyses.image.result import ImageQuality as ImageQuality
-from mistray.analyses.image.result import LineImage as LineImage
-from mistray.analyses.image.result import PointSpread as PointSpread
 from mistray.analyses.objects.result import Objects as Objects
 from mistray.analyses.pst.first_level import FirstLevel as FirstLevel
 from mistray.analyses.pst.result import Pst as Pst

@@ -27,10 +27,10 @@ __all__ = lazy_package(
         "mistray.analyses.sensitivity.result": ("Sensitivity",),
         "mistray.analyses.sensitivity.run": ("sensitivity",),
         "mistray.metrics.bodies": ("Body", "bodies"),
+        "mistray.metrics.combined_metric": ("combine",),
         "mistray.metrics.gradient": ("Gradient", "gradient"),
         "mistray.metrics.metric": (
             "Metric",
-            "combine",
             "ghost_focus",
             "ghost_rms_irradiance",
             "ghost_to_signal",

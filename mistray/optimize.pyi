@@ -36,10 +36,10 @@ from mistray.analyses.pst.metrics.pst_observation import PstObservation as PstOb
 from mistray.analyses.sensitivity.result import Sensitivity as Sensitivity
 from mistray.metrics.bodies import Body as Body
 from mistray.metrics.bodies import bodies as bodies
+from mistray.metrics.combined_metric import combine as combine
 from mistray.metrics.gradient import Gradient as Gradient
 from mistray.metrics.gradient import gradient as gradient
 from mistray.metrics.metric import Metric as Metric
-from mistray.metrics.metric import combine as combine
 from mistray.metrics.metric import ghost_focus as ghost_focus
 from mistray.metrics.metric import ghost_rms_irradiance as ghost_rms_irradiance
 from mistray.metrics.metric import ghost_to_signal as ghost_to_signal

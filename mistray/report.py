@@ -10,7 +10,7 @@ __all__ = lazy_package(
         "mistray.analyses.ghosts.page.output": ("write_all", "write_png"),
         "mistray.analyses.ghosts.page.optional": ("report_section",),
         "mistray.analyses.ghosts.page.report": ("html_text", "write_html"),
-        "mistray.analyses.ghosts.path_sort": ("SortedPath", "parse_path_sort", "path_sort_text"),
+        "mistray.analyses.ghosts.path_sort_text": ("SortedPath", "parse_path_sort", "path_sort_text"),
         "mistray.analyses.ghosts.request": ("Look",),
         "mistray.analyses.ghosts.tables.ghosts": ("main_table",),
         "mistray.analyses.ghosts.tables.ghosts_csv": ("write_csv",),

@@ -17,9 +17,9 @@ from mistray.analyses.ghosts.page.output import write_all as write_all
 from mistray.analyses.ghosts.page.output import write_png as write_png
 from mistray.analyses.ghosts.page.report import html_text as html_text
 from mistray.analyses.ghosts.page.report import write_html as write_html
-from mistray.analyses.ghosts.path_sort import SortedPath as SortedPath
-from mistray.analyses.ghosts.path_sort import parse_path_sort as parse_path_sort
-from mistray.analyses.ghosts.path_sort import path_sort_text as path_sort_text
+from mistray.analyses.ghosts.path_sort_text import SortedPath as SortedPath
+from mistray.analyses.ghosts.path_sort_text import parse_path_sort as parse_path_sort
+from mistray.analyses.ghosts.path_sort_text import path_sort_text as path_sort_text
 from mistray.analyses.ghosts.request import Look as Look
 from mistray.analyses.ghosts.tables.ghosts import main_table as main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import write_csv as write_csv

@@ -99,10 +99,12 @@ def arguments(made: set[str]) -> Iterator[tuple[str, set[str]]]:
 
 
 def _methods(kind: type) -> Iterator[tuple[str, Callable[..., Any]]]:
-    for name, value in vars(kind).items():
-        function = getattr(value, "__func__", value)
-        if inspect.isfunction(function) and (not name.startswith("_") or name in ("__call__", "__getitem__")):
-            yield name, function
+    package = kind.__module__.rpartition(".")[0]
+    for base in kind.__mro__:
+        for name, value in vars(base).items() if base.__module__.startswith(package) else ():
+            function = getattr(value, "__func__", value)
+            if inspect.isfunction(function) and (not name.startswith("_") or name in ("__call__", "__getitem__")):
+                yield name, function
 
 
 def _of_call(name: str, function: Any) -> Iterator[tuple[str, set[str]]]:

@@ -1,11 +1,12 @@
 """
-Forward traces that illuminate a scene from all cells of a grid of directions in one launch of the kernel.
+Forward traces in which rays from all cells of a grid of directions share the launches of the kernel.
 
-A wave of 1 W/mm² from a cell, of cross-section A, brings the detector of area A_d the flux A · mean(w), so that
+A plane wave of 1 W/mm² and cross-section A, mm², brings the detector of area A_d, mm², the flux A · mean(w), W, so that
 
     PST_normal = A/A_d · mean(w)
 
-with w the weight of its rays that meet the detector. `AllCells.areas` are A, and `AllCells.unit` is A/A_d.
+with w the weight with which a start ray meets the detector, 0 if it misses. `AllCells.areas` are A, and `AllCells.unit`
+is A/A_d.
 """
 
 from __future__ import annotations

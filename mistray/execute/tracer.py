@@ -563,7 +563,6 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
     runs, prepared = [], Preparation(scene, settings, light)
     for number, source in enumerate(sources):
         count = source.count(max(1, round(settings.rays * shares[number])))
-        stream = (settings.seed + 0x9E3779B9 * number) % 2**32
         unit = source.power / count
         runs.append(
             Run(
@@ -573,7 +572,7 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
                 intersector=intersector,
                 settings=settings.with_unit(unit),
                 rays=count,
-                seed=stream,
+                seed=(settings.seed + 0x9E3779B9 * number) % 2**32,
                 unit=unit,
                 prepared=prepared,
                 number=number,

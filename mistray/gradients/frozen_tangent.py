@@ -21,7 +21,8 @@ from mistray.gradients.parameter_gradient import number_tangent
 from mistray.gradients.path_replay import PathReplay
 from mistray.gradients.recorded_rays import RecordedRays
 from mistray.gradients.replay import SegmentMedia
-from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces
+from mistray.gradients.replay_surfaces import ReplaySurfaces
+from mistray.gradients.replayed_event import ReplayedEvent
 from mistray.gradients.surface_numbers import SurfaceNumbers, numbers_of
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.recorders.film import Film

@@ -16,7 +16,8 @@ from mistray.gradients.grazing import SILHOUETTE, jump_distance
 from mistray.gradients.parameter_gradient import NO_STOKES
 from mistray.gradients.recorded_rays import Portions, RecordedRays, Trace
 from mistray.gradients.replay import End, Exit, replay_rays
-from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces
+from mistray.gradients.replay_surfaces import ReplaySurfaces
+from mistray.gradients.replayed_event import ReplayedEvent
 from mistray.gradients.scatter_replay import ScatterReplay
 from mistray.gradients.table_gradient import Derivatives, GradientRequest, TableGradient
 from mistray.kernel.kernel_scene import KernelScene

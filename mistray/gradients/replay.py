@@ -29,7 +29,8 @@ import mitsuba as mi
 
 from mistray.events import place_of, stays
 from mistray.gradients.recorded_rays import RecordedRays
-from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces
+from mistray.gradients.replay_surfaces import ReplaySurfaces
+from mistray.gradients.replayed_event import ReplayedEvent
 from mistray.gradients.scatter_replay import ScatterReplay
 from mistray.recorders.branch_recorder import Node
 

@@ -16,7 +16,8 @@ from mistray.execute.tracer import Run
 from mistray.gradients.path_replay import FIRST_RECORDS, Ends, PathReplay
 from mistray.gradients.recorded_rays import RecordedRays
 from mistray.gradients.replay import End
-from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces
+from mistray.gradients.replay_surfaces import ReplaySurfaces
+from mistray.gradients.replayed_event import ReplayedEvent
 from mistray.gradients.scatter_replay import ScatterReplay
 from mistray.gradients.table_gradient import Derivatives, GradientRequest, TableGradient
 from mistray.recorders.film import Film

@@ -206,7 +206,14 @@ class _Walk:
         self.frame = pose
 
     def _towards(self, step: Array) -> Array:
-        """Add a coordinate break so that the axis points at the next vertex; return the remaining transform."""
+        """
+        Add a coordinate break so that the z axis runs through the next vertex.
+
+        After an odd number of mirrors the axis points away from it.
+
+        `step`, (4, 4), mm, is the transform from the frame here to that of the next surface; return it from the turned
+        frame.
+        """
         way = step[:3, 3] * self.sense
         x, y, z = way / np.linalg.norm(way)
         about_x, about_y = math.atan2(-y, z), math.asin(min(max(float(x), -1.0), 1.0))

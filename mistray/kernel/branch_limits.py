@@ -1,4 +1,4 @@
-"""Optional limits on branches of the ray tree; limits that are not set add no code to the kernel."""
+"""Optional limits on branches of the ray tree, which add no code unless set; `branching` has Russian roulette."""
 
 from __future__ import annotations
 

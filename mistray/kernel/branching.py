@@ -213,12 +213,7 @@ class Branching:
     """
 
     def __init__(
-        self,
-        scene: KernelScene,
-        settings: Settings,
-        limits: BranchLimits,
-        lose: Loss,
-        batch: mi.UInt32,
+        self, scene: KernelScene, settings: Settings, limits: BranchLimits, lose: Loss, batch: mi.UInt32
     ) -> None:
         self._optics, self._scattering, self._probabilities = scene.table.optics, scene.scattering, scene.probabilities
         self._backward, self._vertices, self._windows = scene.backward, scene.vertices, scene.windows
@@ -549,11 +544,7 @@ class Branching:
     def _one(
         self, node: Node, children: Children, unscattered: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
     ) -> Choice:
-        """
-        Return the single child of ``splitting="one"``, drawn in proportion to flux.
-
-        It carries the flux of all children.
-        """
+        """Return the single child of ``splitting="one"``, drawn in proportion to flux; it carries the flux of all."""
         first, visit, budget, bulk_aim = node.first, node.visit, node.budget, children.bulk_aim
         w_t, w_r, w_s, w_m = children.transmitted, children.reflected, children.scattered, children.in_scattered
         random_rays, random_medium_rays = children.random_rays, children.random_medium_rays

@@ -4,8 +4,7 @@ The kernel: every lane walks the whole ray tree of its start ray, depth first, a
 A lane holds one node at a time: a point on a surface, reached along a direction with a throughput β, its flux in units
 of the start ray's. At each visit it sends one of the node's children on (see `mistray.kernel.branching`) and marks its
 depth as pending if others have flux. When a branch ends the lane returns to the deepest pending node and sends on the
-next child. The nodes of the current path lie in local memory, indexed by depth, so the path is always at hand and
-nothing can overflow below `max_events`.
+next child. The nodes of the path lie in local memory by depth, so that nothing can overflow below `max_events`.
 """
 
 from __future__ import annotations

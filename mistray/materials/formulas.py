@@ -1,9 +1,9 @@
 """Dispersion formulas n(λ): those of refractiveindex.info's pages, those of Zemax AGF files, and nd with Vd.
 
-Coefficients and wavelengths are in µm if a formula has a unit; `cauchy_index` takes nm. Formulas 1 to 9 of
-refractiveindex.info are those of its note "Dispersion formulas". Formulas 1 to 13 of AGF files are those of the
-OpticStudio manual, "The Glass Dispersion Formulas". A formula without a value at a wavelength raises ArithmeticError or
-ValueError.
+Wavelengths λ are in µm and coefficients in the powers of µm that match; `cauchy_index` takes λ in nm. Formulas 1 to 9
+of refractiveindex.info are those of its note "Dispersion formulas". Formulas 1 to 13 of AGF files are those of the
+OpticStudio manual, "The Glass Dispersion Formulas". Where a formula has no value (a pole, or n² < 0) it raises
+ArithmeticError or ValueError.
 """
 
 from __future__ import annotations

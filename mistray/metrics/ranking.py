@@ -1,4 +1,4 @@
-"""Ranking of the paths of a table by power and by RMS irradiance, relative to the direct image on axis."""
+"""Ranking of ghosts and other paths by power and by RMS irradiance, relative to the direct image on axis."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ class PathNames:
         codes : sequence of int
             Events of the path, the absorption in the detector at the end.
         kind : str
-            See `mistray.trace.paths.PathRow`.
+            See `mistray.trace.path_row.PathRow`.
         """
         *events, end = codes
         detector, designed = place_of(end), set(self._sequence(place_of(end)))

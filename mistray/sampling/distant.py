@@ -76,10 +76,11 @@ class DistantRays(PluginRays):
         self, sample: mi.Point2f, towards: mi.Point2f, rng: mi.PCG32, within: mi.Bool | None
     ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Float64]:
         """
-        Return ray origins, mm, and unit directions in the world, and each stratum's share of the light.
+        Return for each ray its origin, mm, unit direction, and the fraction of light for which its stratum stands.
 
-        Rays `within` pass through the aperture, the others miss it; None: there is one stratum. The share is the part
-        of the light of a ray's direction that its stratum has; it is 0 where a point lies outside the disc.
+        `sample` and `towards` are random points of the unit square, which choose the place on the disc and the
+        direction. Rays `within` are aimed at the aperture, the others miss it; None: there is one stratum, with the
+        fraction 1. It is 0 where an aimed ray starts outside the disc.
         """
         # Directions of the plugin
         local = self.emitter.directions(mi.Point2d(towards), self._numbers(mi.Float64))

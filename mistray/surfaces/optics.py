@@ -239,11 +239,7 @@ def refraction_rows(
 def total_rows(
     coating: Any, wavelength_nm: float, sides: tuple[complex, complex], stokes: bool, cosines: np.ndarray
 ) -> np.ndarray:
-    """
-    Return R of a coating in total reflection, with T = 0, (m, 3, c), as rows of a table.
-
-    `cosines` are the cosines of incidence in the denser material, (m,).
-    """
+    """Return table rows of R in total reflection, T = 0, (m, 3, c), at cosines in the denser material, (m,)."""
     row = _channels(coating.response(wavelength_nm, *sides, cosines, sides[0].real > sides[1].real), True, stokes)
     return np.stack([row, row, np.zeros_like(row)], axis=1)
 
@@ -268,11 +264,7 @@ def unpolarized_shares(
 
 
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """
-    Sample a function at uniform nodes of 0 … 1, enough for linear interpolation; return values and error.
-
-    A constant is sampled at both ends alone.
-    """
+    """Return values of a function at enough uniform nodes of 0 … 1, a constant at the ends alone, and the error."""
     intervals = FIRST_INTERVALS
     # All of the first levels in one call, which costs as much as a thousand values
     known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))
@@ -544,11 +536,7 @@ class Optics:
 
     @cached_property
     def mostly_reflects(self) -> np.ndarray:
-        """
-        Mask of opaque surfaces that reflect more than half the light at normal incidence, (s,) bool.
-
-        The better reflecting side counts.
-        """
+        """Mask of opaque surfaces, (s,), whose better side reflects more than half the light at normal incidence."""
         found = np.zeros(len(self.bsdfs), dtype=bool)
         for i in np.flatnonzero(self.host_words & OPAQUE).tolist():
             if self.bsdfs[i].ideal:

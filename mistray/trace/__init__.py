@@ -10,7 +10,8 @@ from mistray.settings import Settings
 from mistray.trace.energy import Energy, FluxReport, SurfaceFlux
 from mistray.trace.forward import trace
 from mistray.trace.history import RayHistory
-from mistray.trace.paths import PathRow, PathTable
+from mistray.trace.path_row import PathRow
+from mistray.trace.paths import PathTable
 from mistray.trace.polarization_choice import PolarizationChoice
 from mistray.trace.result import Trace
 

@@ -16,7 +16,7 @@ from mistray.sampling.sources import source_emitters
 from mistray.surfaces.surfaces import medium_id, named_shapes, part_of
 from mistray.trace.filter_rows import Rows
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.paths import PathRow
+from mistray.trace.path_row import PathRow
 from mistray.trace.ray_table import BY_RAY
 
 COLUMNS = {f.name: np.zeros(0, dtype=object if f.type == "str" else np.float64) for f in fields(PathRow)}

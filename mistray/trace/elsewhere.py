@@ -23,7 +23,7 @@ from mistray.time_budget import time_is_up
 from mistray.trace.filter_rows import Rows, named_like, unknown_name
 from mistray.trace.history import Ray, RayHistory, joined_histories, rays_in_slots, spread
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.paths import PathRow
+from mistray.trace.path_row import PathRow
 from mistray.trace.ray_table import portions, recorded
 
 if TYPE_CHECKING:

@@ -26,7 +26,8 @@ from mistray.trace.filter_rows import Rows
 from mistray.trace.history import Ray, RayHistory, bundles, joined_histories, spread
 from mistray.trace.located_paths import LocatedPaths
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.paths import PathRow, PathTable
+from mistray.trace.path_row import PathRow
+from mistray.trace.paths import PathTable
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,32 +18,26 @@ from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.messages import fewer_rays
 from mistray.notes import Note
-from mistray.ranges import TEXT, Several
 from mistray.recorders.film import Pixels
-from mistray.recorders.flux_maps.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.result import KeyNumber, Result
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
-from mistray.trace.elsewhere import light_maps, rays_elsewhere
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
-from mistray.trace.history import Ray, RayHistory, path_history, sample_rays
-from mistray.trace.path_filter import PathFilter
-from mistray.trace.path_images import PathGroups, path_images
 from mistray.trace.paths import PathTable, path_table
 from mistray.trace.photometry import illuminance, luminous_flux
-from mistray.trace.ray_table import check_box, ray_table
 from mistray.trace.reliability import aimed_surfaces, silent_places, trace_notes, undeclared_images
-from mistray.trace.sampled_hits import LightCone, SampledHits, light_cones, sampled_hits
+from mistray.trace.traced_again import TracedAgain
 
 if TYPE_CHECKING:
-    import pandas as pd
     import xarray
 
 
-class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolkit.figures.traces:trace_figure"):
+class Trace(
+    TracedAgain, Result, table="..toolkit.tables.traces:trace_table", figure="..toolkit.figures.traces:trace_figure"
+):
     """
     Result of `mistray.trace`: irradiance, paths, energy ledger and flux at surfaces, with standard errors.
 
@@ -332,292 +326,11 @@ class Trace(Result, table="..toolkit.tables.traces:trace_table", figure="..toolk
         """
         return flux_report(self._runs_at(wavelength_nm))
 
-    def irradiance_of(self, path_ids: int | Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return the irradiance (W/mm²) that some paths together cause, by tracing the same rays again.
-
-        Parameters
-        ----------
-        path_ids : int or sequence of int
-            Ids of paths in the path table.
-
-        Returns
-        -------
-        irradiance, standard_error : (height, width) float64
-            Irradiance of each pixel and its standard error, W/mm².
-
-        Raises
-        ------
-        MistrayError
-            If there is no such path, or the trace has no path table.
-        """
-        return self.maps([path_ids])[0]
-
-    def surface_maps(
-        self,
-        surfaces: str | Sequence[str] = (),
-        selections: str | Sequence[str] = "all",
-        *,
-        azimuths: int = AZIMUTHS,
-        lengths: int = LENGTHS,
-    ) -> list[dict[str, SurfaceMap]]:
-        """
-        Return maps of the incident and absorbed flux, W, of selected light on surfaces, by tracing the same rays again.
-
-        Parameters
-        ----------
-        surfaces, azimuths, lengths
-            See `mistray.recorders.SurfaceMaps`.
-        selections : str or sequence of str
-            Kinds, names or filters, see `mistray.trace.path_filter`; they may compare the columns of `rays_at`. Light
-            may be in several of them.
-
-        Returns
-        -------
-        list of dict
-            Maps by the ids of their surfaces, for each selection.
-
-        Raises
-        ------
-        MistrayError
-            If a number is out of range, a name does not exist, no surface can be unrolled, or a filter is not valid or
-            compares another column.
-        """
-        filters = [PathFilter(text) for text in Several(TEXT, least=0).check("selections", selections)]
-        return light_maps(self.runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
-
-    def maps(self, groups: PathGroups) -> list[tuple[np.ndarray, np.ndarray]]:
-        """
-        Return an irradiance map for each of several disjoint groups of paths, by tracing the same rays once more.
-
-        Parameters
-        ----------
-        groups : int or sequence of int or of sequences of int
-            Path ids; a path may be in one group only.
-
-        Returns
-        -------
-        list of (irradiance, standard_error)
-            One pair of (height, width) float64 for each group, W/mm².
-
-        Raises
-        ------
-        MistrayError
-            If there is no such path, a path is in two groups, or the trace has no path table.
-        """
-        return [found.with_se for found in self.each_map(groups, True)]
-
-    def each_map(self, groups: PathGroups, with_noise: bool | Sequence[bool]) -> Iterator[Pixels]:
-        """
-        Yield the irradiance maps of disjoint groups of paths one by one, by tracing the same rays once more.
-
-        Parameters
-        ----------
-        groups : int or sequence of int or of sequences of int
-            Path ids; a path may be in one group only.
-        with_noise : bool or sequence of bool
-            Whether all maps, or each, get their noise; without it is NaN. During the sum a pixel of a map takes
-            8 bytes, with noise 8 bytes for each group of batches (`mistray.recorders.film.groups_of`).
-
-        Yields
-        ------
-        Pixels
-            Irradiance map of a group, (height, width), W/mm².
-
-        Raises
-        ------
-        MistrayError
-            If there is no such path, a path is in two groups, or the trace has no path table.
-        """
-        return path_images(self.paths, self.task, groups, with_noise)
-
-    def box(self, x0: float, x1: float, y0: float, y1: float) -> PathTable:
-        """
-        Return the table of the paths that feed a rectangle of the detector, by tracing the same rays again.
-
-        Parameters
-        ----------
-        x0, x1, y0, y1 : float
-            Rectangle in the detector's frame, mm; x0 < x1 and y0 < y1.
-
-        Returns
-        -------
-        PathTable
-            Powers, centroids and radii within the rectangle. The `path_id` are ranks within it.
-
-        Raises
-        ------
-        MistrayError
-            If the rectangle is empty, or the trace has no path table.
-        """
-        box = check_box((x0, x1, y0, y1))
-        return path_table([run.within(box) for run in self.paths.runs])
-
-    def history(self, path_id: int, n: int = 8) -> RayHistory:
-        """
-        Return rays of a path with hit points (mm), flux (W) and optical path lengths (mm), by tracing them again.
-
-        Parameters
-        ----------
-        path_id : int
-            Id of the path in the path table.
-        n : int
-            Largest number of rays.
-
-        Raises
-        ------
-        MistrayError
-            If there is no such path, `n` is below 1, or the trace has no path table.
-        """
-        return path_history(self.paths, path_id, n)
-
-    def sampled_rays(self, path_ids: int | Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
-        """
-        Return rays of many paths, found by tracing a sample of the start rays again that is spread over the beam.
-
-        `history` looks for rays of one path until it has enough; here a path that is rare has few rays or none.
-
-        Parameters
-        ----------
-        path_ids : int or sequence of int
-            Ids of paths in the path table.
-        n : int
-            Largest number of rays of each path.
-
-        Returns
-        -------
-        dict
-            Rays by path; none of a path that no ray of the sample follows. When the time is up the sample is smaller.
-
-        Raises
-        ------
-        MistrayError
-            If there is no such path, or the trace has no path table.
-        """
-        return sample_rays(self.paths, path_ids, n)
-
-    def light_cones(self, path_ids: int | Sequence[int]) -> dict[int, LightCone]:
-        """
-        Return the cone of directions of each path's light at the detector, by tracing a sample of rays again.
-
-        Parameters
-        ----------
-        path_ids : int or sequence of int
-            Ids of paths in the path table.
-
-        Returns
-        -------
-        dict
-            Light cones by path; none of a path that is too rare to occur twice in the sample.
-
-        Raises
-        ------
-        MistrayError
-            If there is no such path, or the trace has no path table.
-        """
-        return light_cones(self.paths, path_ids)
-
-    def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[SampledHits]:
-        """
-        Return points and directions of sampled rays of all paths at their surfaces, by tracing again.
-
-        Parameters
-        ----------
-        start_rays : int
-            Largest number of start rays of each source and wavelength.
-        n : int
-            Largest number of rays of each path; a path that is rare has few or none.
-
-        Returns
-        -------
-        list of SampledHits
-            One for each source and wavelength.
-
-        Raises
-        ------
-        MistrayError
-            If the trace has no path table.
-        """
-        return [sampled_hits(own, start_rays, n) for own in self.paths.located()]
-
     @property
     def tables(self) -> list[SurfaceTable]:
         """Surface tables of the trace as the kernel reads them, one per wavelength, in ascending order."""
         tables = {run.source.wavelength_nm: run.table for run in self.runs}
         return [tables[wavelength] for wavelength in sorted(tables)]
-
-    def rays(
-        self,
-        selection: str = "",
-        *,
-        n: int | None = 1000,
-        box: Sequence[float] | None = None,
-        pixels: Sequence[int] | None = None,
-        events: bool = False,
-    ) -> pd.DataFrame:
-        """
-        Return a table of rays that reach the detector, selected by their events, flux and position.
-
-        The same rays are traced again until there are enough. They are spread over the beams of all sources and
-        wavelengths; positions are computed again in float64.
-
-        Parameters
-        ----------
-        selection : str
-            A filter as ``"S(barrel*) & relative_flux > 0.01"``, see `mistray.trace.path_filter`; empty: every ray. Its
-            columns are those of this table, ``relative_flux`` (`flux_W` over that of the strongest ray of the trace;
-            takes one more run) and the attributes of `PathRow` for the ray's path.
-        n : int or None
-            Largest number of rays; None: all of them.
-        box : x0, x1, y0, y1, optional
-            Only rays that hit this rectangle of the detector, mm in its own frame; as in `box`.
-        pixels : c0, c1, r0, r1, optional
-            Only rays that hit these pixels, ``irradiance[r0:r1, c0:c1]``.
-        events : bool
-            Whether there is one row for each node of each ray instead of one for each ray.
-
-        Returns
-        -------
-        DataFrame
-            ray (number in this table), path_id, kind, wavelength_nm, source, start_ray, node (events of the ray), type
-            (the last of them before the detector), history (all of them), flux_W (incident on the detector), x_mm,
-            y_mm, z_mm, dx, dy, dz (direction of arrival), opl_mm (from the start), detector_x_mm and detector_y_mm (in
-            the detector's frame), column, row (of the pixel). With `events` ray, node, path_id, kind, and columns of
-            `RayHistory.to_pandas`.
-
-        Raises
-        ------
-        MistrayError
-            For a filter that cannot be parsed or names something that does not exist, an empty box, pixels out of
-            range, n below 1, and a trace without a path table.
-        """
-        return ray_table(self.paths, PathFilter(selection), n, box, pixels, events)
-
-    def rays_at(
-        self, where: str | Sequence[str], selection: str = "", *, n: int | None = 1000, events: bool = False
-    ) -> pd.DataFrame:
-        """
-        Return a table of rays that arrive at any surface or leave the scene, by tracing them again.
-
-        A row has the last node of a ray, or with `events` one of its nodes, with the columns of `RayHistory.to_pandas`,
-        and source, kind, key and history.
-
-        Parameters
-        ----------
-        where : str or sequence of str
-            Surfaces or parts, with * for any letters and ? for one; or "blocked" (all opaque ones but detectors),
-            "escaped", or "returned" (escaped backwards). Light that misses all surfaces is left out.
-        selection, n, events
-            Filter, largest number of rays (None: all), and whether there is a row for each node, see `rays`. The filter
-            may compare kind, order and the like, wavelength_nm, source, surface.
-
-        Raises
-        ------
-        MistrayError
-            If a name does not exist, places do not go together, the filter is not valid or compares another column, or
-            `n` is below 1.
-        """
-        return rays_elsewhere(self.runs, where, PathFilter(selection), n, events)
 
     def table_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
         """

@@ -13,9 +13,9 @@ from refusals import each_refused
 import mistray
 from mistray.analyses.ghosts.combine import by_path
 from mistray.metrics import views
+from mistray.metrics.combined_metric import combine
 from mistray.metrics.metric import (
     Metric,
-    combine,
     ghost_focus,
     ghost_rms_irradiance,
     ghost_to_signal,

@@ -35,7 +35,7 @@ class Guess:
     Attributes
     ----------
     ways : DataFrame
-        `COLUMNS` of each path of the light, see `mistray.trace.paths.PathRow`.
+        `COLUMNS` of each path of the light, see `mistray.trace.path_row.PathRow`.
     stray_W, direct_W, ratio : Estimate
         Stray and direct power, W, and their ratio. The errors are those of the trace, in proportion, and of the sample
         of rays.

@@ -12,9 +12,10 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.image.field_geometry import ChiefRay, chief_ray, foci_beside, image_axes
+from mistray.analyses.image.line_image import LineImage
 from mistray.analyses.image.pupil_grid import ImageFrame, PupilSamples, sample_pupil
 from mistray.analyses.image.request import ImageRequest
-from mistray.analyses.image.result import FieldImage, ImageQuality, LineImage
+from mistray.analyses.image.result import FieldImage, ImageQuality
 from mistray.errors import MistrayError
 from mistray.interrupts import check
 from mistray.light import Light

@@ -106,7 +106,12 @@ class StraightShot:
 
 @dataclass(frozen=True, kw_only=True)
 class ScatterEstimate:
-    """Flux, W, that an object scatters to the detector: Φ · BSDF · π · GCF, the geometric configuration factor."""
+    """
+    Estimate of the flux that one side of an object scatters to the detector, W, for a beam of 1 W/mm².
+
+    It is Φ · BSDF · π · GCF, with the incident flux Φ, W, and the geometric configuration factor GCF: the projected
+    solid angle of the detector over π.
+    """
 
     angle_deg: float = column(
         "Angle of the source, degrees; NaN for the mean over a cone or a disc", head="angle [deg]", digits="g"

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from mistray.analyses.image.result import FieldImage, OfFields, PointSpread, direction_of
+from mistray.analyses.image.line_image import PointSpread, direction_of
+from mistray.analyses.image.result import FieldImage, OfFields
 from mistray.analyses.transfer.image_spread import CLASSES, DIFFRACTION, DIRECT, GHOSTS, SCATTER, ImageSpread
 from mistray.analyses.transfer.pixels import PixelResponse
 from mistray.errors import MistrayError

@@ -9,8 +9,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mistray.analyses.image.line_image import direction_of
 from mistray.analyses.image.request import ImageRequest
-from mistray.analyses.image.result import FieldImage, ImageQuality, direction_of
+from mistray.analyses.image.result import FieldImage, ImageQuality
 from mistray.analyses.image.run import run as image_quality
 from mistray.analyses.transfer.image_spread import CLASSES, DIRECT, ImageSpread
 from mistray.analyses.transfer.pixels import PixelResponse

@@ -21,7 +21,7 @@ from mistray.metrics.scene_values import assign
 from mistray.recorders.sampled import ERROR_RAYS
 from mistray.scene import load
 from mistray.trace import trace
-from mistray.trace.paths import PathRow
+from mistray.trace.path_row import PathRow
 from mistray.trace.result import Trace
 
 if TYPE_CHECKING:

@@ -35,7 +35,25 @@ BEAM_SHOWN = 0.15  # of the size of the scene, before the first surface
 
 
 class LogScale:
-    """Logarithmic colour scale of positive values, and its range."""
+    """
+    Colours of values on a log10 scale; values that are not positive are grey.
+
+    Parameters
+    ----------
+    values : (n,) float64
+        Values, in the unit that `title` names.
+    title : str
+        Label of the colour bar.
+    decades : float
+        Greatest length of the scale below the largest value, in powers of ten.
+
+    Attributes
+    ----------
+    floor, top : float
+        log10 of the ends of the scale.
+    colours : list of str
+        Hexadecimal colour of each value.
+    """
 
     def __init__(self, values: npt.NDArray[np.float64], title: str, decades: float = DECADES) -> None:
         self.title = title

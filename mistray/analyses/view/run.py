@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from mistray.recorders.flux_maps.surface_maps import SurfaceMap
     from mistray.trace.energy import SurfaceFlux
-    from mistray.trace.paths import PathRow
+    from mistray.trace.path_row import PathRow
 
 BEYOND = 0.25  # of the size of the scene: what is drawn of rays that leave it
 

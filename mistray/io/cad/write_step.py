@@ -1,4 +1,4 @@
-"""Writer of STEP files (ISO 10303-21, protocol AP214) with exact solids, sheets and polylines.
+"""Writer of STEP files (ISO 10303-21, protocol AP214): exact solids, sheets and polylines of `mistray.analyses.export`.
 
 It writes the part of ISO 10303-42 that CAD programs exchange most: planes, cylinders, cones, spheres and B-splines
 within edges, faces and shells, and an assembly of named products. Lengths are in mm, angles in radians.

@@ -39,7 +39,12 @@ class Gap:
 
 @dataclass(frozen=True)
 class _Contact:
-    """Rim of a surface that lies on another surface: indices of both and of the rim, and its place and size, mm."""
+    """
+    Rim of a surface that lies on another surface.
+
+    Rim number `rim` of surface `owner` lies on surface `other`; `place` holds x, y and z of its centre and its largest
+    radius, mm.
+    """
 
     owner: int
     rim: int

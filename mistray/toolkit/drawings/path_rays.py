@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.trace import Trace
-    from mistray.trace.paths import PathRow
+    from mistray.trace.path_row import PathRow
 
 Floats = npt.NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class RayLine:
     path_id : int
         Row of the path table; `ELSEWHERE` for a ray chosen by a surface or class.
     events : str
-        Surfaces and events in order, as in `mistray.trace.paths.PathRow`.
+        Surfaces and events in order, as in `mistray.trace.path_row.PathRow`.
     wavelength_nm : float
         Wavelength, nm.
     start_ray : int

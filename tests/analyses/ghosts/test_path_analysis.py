@@ -23,7 +23,7 @@ from mistray.analyses.ghosts.page.fields import shown_paths
 from mistray.analyses.ghosts.page.record import record
 from mistray.analyses.ghosts.page.report import html_text
 from mistray.analyses.ghosts.path_analysis import path_analysis
-from mistray.analyses.ghosts.path_sort import parse_path_sort, path_sort_text, sorted_paths
+from mistray.analyses.ghosts.path_sort_text import parse_path_sort, path_sort_text, sorted_paths
 from mistray.analyses.ghosts.request import SORT_KEYS, GhostTables
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.tables.ghosts import STRONGEST, beyond, main_table

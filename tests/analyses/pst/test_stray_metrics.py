@@ -30,7 +30,8 @@ from mistray.analyses.pst.run import pst_of_each
 from mistray.analyses.pst.sums import quotient, weighted_sum
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
-from mistray.metrics.metric import Metric, combine, log
+from mistray.metrics.combined_metric import combine
+from mistray.metrics.metric import Metric, log
 from mistray.metrics.observation import smooth_maximum
 from mistray.metrics.stray_metric import DEFINITIONS
 from mistray.recorders.directions import DirectionGrid

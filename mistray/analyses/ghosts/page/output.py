@@ -14,7 +14,7 @@ from mistray.analyses.ghosts.page.passing import passing_maps
 from mistray.analyses.ghosts.page.record import record
 from mistray.analyses.ghosts.page.report import ghosts_report
 from mistray.analyses.ghosts.page.surface_maps import surface_map_figures, surface_map_files
-from mistray.analyses.ghosts.path_sort import path_sort_text
+from mistray.analyses.ghosts.path_sort_text import path_sort_text
 from mistray.analyses.ghosts.request import MAIN_TABLES, GhostTables, Look
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables, further_tables

@@ -17,8 +17,9 @@ from mistray.analyses.optimize.study.state import Evaluation
 from mistray.analyses.optimize.study.terms import layer_value, of_layers, traced_metric
 from mistray.analyses.optimize.study.variables import Variables
 from mistray.errors import MistrayError
+from mistray.metrics.combined_metric import combine
 from mistray.metrics.gradient import Gradient, chosen_parameters, gradient_request, gradient_seen
-from mistray.metrics.metric import Metric, combine
+from mistray.metrics.metric import Metric
 
 WHOLE = "merit"  # the gradient of all terms at once
 

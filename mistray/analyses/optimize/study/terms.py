@@ -16,7 +16,8 @@ from mistray.analyses.pst.metrics.by_name import FACTORIES, OF_PST
 from mistray.analyses.pst.metrics.by_name import own_arguments as arguments_of_metric
 from mistray.analyses.pst.run import pst
 from mistray.errors import MistrayError
-from mistray.metrics.metric import Metric, combine
+from mistray.metrics.combined_metric import combine
+from mistray.metrics.metric import Metric
 from mistray.metrics.observation import smooth_maximum, smooth_minimum
 from mistray.trace import Settings, trace
 
