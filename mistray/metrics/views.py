@@ -13,7 +13,7 @@ from mistray.metrics.changes.first_surfaces import Entering, FirstLight
 from mistray.metrics.observation import Observation
 from mistray.notes import Note
 from mistray.trace import Settings, trace
-from mistray.trace.polarization_choice import unpolarized_notes
+from mistray.trace.host.polarization_choice import unpolarized_notes
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from mistray.settings import Settings
 from mistray.trace.energy import Energy, FluxReport, SurfaceFlux
 from mistray.trace.forward import trace
 from mistray.trace.history import RayHistory
+from mistray.trace.host.polarization_choice import PolarizationChoice
 from mistray.trace.path_row import PathRow
 from mistray.trace.paths import PathTable
-from mistray.trace.polarization_choice import PolarizationChoice
 from mistray.trace.result import Trace
 
 __all__ = [

@@ -32,7 +32,7 @@ from mistray.scene.check import require_scene
 from mistray.scene.titles import scene_name
 from mistray.settings import Settings
 from mistray.time_budget import is_limited, share, within
-from mistray.trace.polarization_choice import PolarizationChoice, chosen_polarization
+from mistray.trace.host.polarization_choice import PolarizationChoice, chosen_polarization
 from mistray.trace.result import Trace
 
 

@@ -20,8 +20,8 @@ from mistray.prescription import Coating
 from mistray.scenes.cooke_triplet.prescription import build
 from mistray.settings import Settings
 from mistray.trace import polarization_choice
-from mistray.trace.both_ways import Arrivals, follow
-from mistray.trace.polarization_choice import LEAST_CHANGE, PolarizationChoice, chosen_polarization
+from mistray.trace.host.both_ways import Arrivals, follow
+from mistray.trace.host.polarization_choice import LEAST_CHANGE, PolarizationChoice, chosen_polarization
 
 GLASS = 1.5
 ABG = '<bsdf type="abg"><float name="A" value="0.01"/><float name="B" value="0.1"/><float name="g" value="2"/></bsdf>'

@@ -13,7 +13,7 @@ from mistray.light import Light
 from mistray.surfaces.surfaces import require_one, solid_shapes
 from mistray.time_budget import TimeShares, coarse_first, is_limited
 from mistray.trace import PolarizationChoice, Settings, Trace, trace
-from mistray.trace.polarization_choice import chosen_polarization
+from mistray.trace.host.polarization_choice import chosen_polarization
 
 NOMINAL_FIELD_DEG = 0.0
 
@@ -136,7 +136,7 @@ class FieldTraces:
 
 
 def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> PolarizationChoice:
-    """Return one polarisation mode for the traces of several fields, see `mistray.trace.polarization_choice`."""
+    """Return one polarisation mode for the traces of several fields, see `mistray.trace.host.polarization_choice`."""
     given = arguments.get("polarization")
     if isinstance(given, PolarizationChoice):
         return given

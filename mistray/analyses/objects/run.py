@@ -27,9 +27,9 @@ from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
 from mistray.toolkit.analysis import analysis
+from mistray.trace.host.polarization_choice import unpolarized_notes
 from mistray.trace.host.ray_sources import DetectorView, DiskSource, RaySource, Surroundings
 from mistray.trace.host.single_rays import ChainTracer
-from mistray.trace.polarization_choice import unpolarized_notes
 
 HALF_ANGLE_DEG = 20.0
 ESTIMATED = 0.5  # of the time of a source: for the products of what it meets and what the detector sees

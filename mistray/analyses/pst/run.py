@@ -30,7 +30,7 @@ from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
 from mistray.toolkit.analysis import analysis
-from mistray.trace.polarization_choice import unpolarized_notes
+from mistray.trace.host.polarization_choice import unpolarized_notes
 
 FIRST_SHARE = 0.5  # fraction of the time for the first measurement, if further ones follow
 

@@ -16,7 +16,7 @@ from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms, version_settings
 from mistray.toolkit.tables.frames import chosen
 from mistray.toolkit.tables.text import ABSENT, number, table_text
-from mistray.trace.polarization_choice import words_of
+from mistray.trace.host.polarization_choice import words_of
 
 SHOWN = {
     "configuration": "<configuration",

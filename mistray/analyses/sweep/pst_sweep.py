@@ -82,7 +82,7 @@ class PstSweep(Result, table=".edit_tables:pst_sweep_table", figure=".edit_figur
         `mistray.metrics.changes.gaps`.
     unpolarized : dict of str to list of str
         Changes of more than 1 % that Stokes vectors would make, by configuration, see
-        `mistray.trace.polarization_choice.unpolarized_notes`.
+        `mistray.trace.host.polarization_choice.unpolarized_notes`.
 
     Examples
     --------

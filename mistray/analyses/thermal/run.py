@@ -44,7 +44,7 @@ from mistray.percent import percent_text
 from mistray.time_budget import share, within
 from mistray.toolkit.analysis import analysis
 from mistray.trace import Settings
-from mistray.trace.polarization_choice import unpolarized_notes
+from mistray.trace.host.polarization_choice import unpolarized_notes
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -29,7 +29,7 @@ from mistray.sampling.sources import field_of, scene_sources
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.toolkit.analysis import analysis
 from mistray.trace import PolarizationChoice, Settings, Trace, trace
-from mistray.trace.polarization_choice import chosen_polarization
+from mistray.trace.host.polarization_choice import chosen_polarization
 
 FINEST = 1e-3  # of the Airy diameter: radius of the innermost disc
 LOW, HIGH = 49, 40  # frequencies from the size of the detector on, evenly in their logarithm; and evenly to the cut-off
@@ -134,7 +134,7 @@ transfer = analysis("transfer", TransferRequest, run)
 
 
 def _one_mode(scene: mi.Scene, found: ImageQuality, detector: str, settings: Mapping[str, Any]) -> PolarizationChoice:
-    """Return one polarisation mode for the traces of all fields, see `mistray.trace.polarization_choice`."""
+    """Return one polarisation mode for the traces of all fields, see `mistray.trace.host.polarization_choice`."""
     nm, weights = found.wavelengths_nm.tolist(), found.weights.tolist()
     fields = [field_of(scene, image.field_mm) if found.near else image.field_deg for image in found]
     beams = [Light(field, image.azimuth_deg, nm, weights, detector) for field, image in zip(fields, found, strict=True)]

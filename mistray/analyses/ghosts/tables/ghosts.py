@@ -30,7 +30,7 @@ from mistray.toolkit.pages.parts import thousands
 from mistray.toolkit.rows import table
 from mistray.toolkit.tables.frames import chosen
 from mistray.toolkit.tables.text import number, table_text, with_error
-from mistray.trace.polarization_choice import words_of
+from mistray.trace.host.polarization_choice import words_of
 
 RANKED_BY = {
     "rms": f"RMS irradiance P/(π r_rms²) less {SURE:g} standard errors",

@@ -3,7 +3,7 @@ Choice of the polarisation mode of a trace with `polarization` "auto".
 
 The mean of s and p at every hit is wrong to second order in the diattenuation D = (Rs - Rp)/(Rs + Rp): after two
 reflections the flux of unpolarised light is 1 + D₁ D₂ cos 2φ times that of the means, with φ between the planes of
-incidence. A pilot of few rays on the host, see `mistray.trace.both_ways`, measures the change for the paths that a
+incidence. A pilot of few rays on the host, see `mistray.trace.host.both_ways`, measures the change for the paths that a
 table shows. Stokes vectors are used where it is more than `LEAST_CHANGE`.
 """
 
@@ -32,8 +32,8 @@ from mistray.sampling.sources import source_emitters, spectrum
 from mistray.settings import Settings, polarized_sources
 from mistray.surfaces.optics import MIRROR
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.trace.both_ways import Arrivals, follow, started
 from mistray.trace.history import spread
+from mistray.trace.host.both_ways import Arrivals, follow, started
 
 LEAST_CHANGE = 0.01  # relative change of a printed number from which on Stokes vectors are used
 SURE = 2.0  # standard errors by which a change must exceed that, for the pilot to end early
