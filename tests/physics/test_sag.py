@@ -7,6 +7,7 @@ import pytest
 import mistray  # noqa: F401  (settles libLLVM and the variant)
 from mistray.physics.geometry import sag as sags
 from mistray.physics.geometry.sag import conic_end, sag, sag_derivative
+from mistray.physics.sags.terms import vertex_curvatures
 
 # L2 rear of the phone camera: the steepest surface at hand, slope 2.07 at its rim
 STEEP = (1 / 3.482, 8.701, (0.00521579, 0.0715829, -0.0460926, 0.012431, 0.0332216))
@@ -52,3 +53,16 @@ def test_polynomial_derivatives_are_those_of_the_terms():
         assert np.all(np.asarray(function(r2, ())) == 0)
     np.testing.assert_allclose(sag(r2, 0.0, 0.0, coefficients), whole(r2), rtol=1e-13, atol=1e-15)
     np.testing.assert_allclose(sag_derivative(r2, 0.0, 0.0, coefficients), whole.deriv()(r2), rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("terms", "x", "y"),
+    [
+        ({"r2": 1e-3}, 2e-3, 2e-3),
+        ({"curvature": 0.01, "conic": -0.5, "r1": 2e-3, "r2": 1e-3, "r3": 1e-2, "r4": 1e-2}, 0.012, 0.012),
+        ({"curvature_x": 0.02, "curvature": 0.01, "a2": 1e-3, "r2": 2e-3, "xy_2_0": 3e-3, "slope_y": 0.1}, 0.032, 0.016),
+    ],
+)
+def test_vertex_curvatures_are_the_second_derivatives_at_the_vertex(terms, x, y):
+    """Of a r² they are 2 a; r1 has a kink there, and higher powers have none."""
+    np.testing.assert_allclose(vertex_curvatures(terms, 1e-3), (x, y), rtol=1e-6)
