@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,6 +45,15 @@ def test_the_ten_ghosts_of_lens_window_and_detector():
         n = int(row["n_surfaces"])
         system = ParaxialSystem([0.01] * n, list(range(n)), [1.0 + k % 2 / 2 for k in range(n + 1)])
         assert len(system.ghosts(n + 10.0, 1.0, [0.04] * n)) == int(row["2_bounce"])
+
+
+def test_a_ghost_in_focus_has_infinite_irradiance():
+    """A mirror of f = 50 mm sends light back to a plane one 25 mm before it; it meets in the vertex of the first."""
+    (ghost,) = ParaxialSystem([0.0, -1 / 100], [0.0, 25.0], [1.0, 1.0, 1.0]).ghosts(25.0, 8.0, [0.1, 0.2])
+    assert (ghost.spot_radius_mm, ghost.focus_mm) == (0.0, 0.0)
+    assert ghost.power == pytest.approx(0.9 * 0.2 * 0.1 * 0.8)
+    assert ghost.irradiance(8.0) == math.inf
+    assert replace(ghost, power=0.0).irradiance(8.0) == 0.0
 
 
 def test_chief_ray_crosses_the_axis_in_the_stop():
