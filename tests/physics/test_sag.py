@@ -60,7 +60,11 @@ def test_polynomial_derivatives_are_those_of_the_terms():
     [
         ({"r2": 1e-3}, 2e-3, 2e-3),
         ({"curvature": 0.01, "conic": -0.5, "r1": 2e-3, "r2": 1e-3, "r3": 1e-2, "r4": 1e-2}, 0.012, 0.012),
-        ({"curvature_x": 0.02, "curvature": 0.01, "a2": 1e-3, "r2": 2e-3, "xy_2_0": 3e-3, "slope_y": 0.1}, 0.032, 0.016),
+        (
+            {"curvature_x": 0.02, "curvature": 0.01, "a2": 1e-3, "r2": 2e-3, "xy_2_0": 3e-3, "slope_y": 0.1},
+            0.032,
+            0.016,
+        ),
     ],
 )
 def test_vertex_curvatures_are_the_second_derivatives_at_the_vertex(terms, x, y):
