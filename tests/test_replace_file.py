@@ -382,7 +382,7 @@ def test_a_file_of_others_with_the_name_of_the_mark(tmp_path: Path) -> None:
 def test_an_obsolete_file_that_cannot_be_removed(tmp_path: Path) -> None:
     """A folder has its name; the other files are new, and the mark remains."""
     (tmp_path / "b").mkdir()
-    with pytest.raises(MistrayError, match="file '.*b': .*; check the folder and its permissions"):
+    with pytest.raises(MistrayError, match=r"file '.*b': .*; check the folder and its permissions"):
         rename_drafts({tmp_path / "a": b"new"}, "file", [tmp_path / "b"])
     assert (tmp_path / "a").read_bytes() == b"new"
     assert incomplete_notes([tmp_path])
