@@ -39,12 +39,14 @@ from mistray.toolkit.pages.model import (
     Items,
     Map,
     NotePart,
+    PartGroup,
     Report,
     Section,
     Table,
     Terms,
     columns,
 )
+from mistray.toolkit.pages.own_sections import section_record, section_tables, section_texts
 from mistray.toolkit.pages.pdf import _cell, _Writer, pdf_bytes
 from mistray.toolkit.pages.render import html_page, html_parts, runs
 
@@ -280,3 +282,12 @@ def test_no_table_repeats_a_heading_of_a_row() -> None:
     assert sum(map(len, declared.values())) > 20
     again = [f"{name}: '{text}'" for own, found in said.items() for name, text in found if text in declared[own]]
     assert not again, f"{again}: take the column of the row, with table(kind, rows, only=…)"
+
+
+def test_parts_in_groups_and_folds_are_printed_and_exported() -> None:
+    found = Table(columns("a"), [["1"]], "mine")
+    parts = [PartGroup("box", [NotePart("first")]), Folded("more", [PartGroup("box", [found])])]
+    sections = [Section("own", "Own", parts)]
+    assert section_texts(sections) == ["Own\nfirst\nmore\na\n-\n1"]
+    assert list(section_tables(sections)) == ["mine.csv"]
+    assert section_record(sections)["sections"]["own"]["mine"] == [{"a": "1"}]
