@@ -470,7 +470,7 @@ def _mark(folder: Path, sets: Mapping[str, Collection[str]]) -> None:
     """
     path = folder / INCOMPLETE
     if path.exists() and not incomplete_sets(folder):
-        raise MistrayError(f"file '{path}' is none of mistray, which needs its name; rename it")
+        raise MistrayError(f"file '{path}' is not from mistray, which needs its name; rename it")
     with telling(path, "file"):
         if sets:
             draft = folder / draft_name()

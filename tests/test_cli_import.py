@@ -121,7 +121,7 @@ def test_options_reach_the_scene(capsys):
     [
         ("a.zmx", ("--variant", "b"), "--variant b: Zemax files hold no variants; leave it out"),
         ("a.json", ("--edges", "open"), "--edges open: JSON files hold no edges to choose; leave it out"),
-        ("a.zmx", ("--glass", "BK7"), "--glass: 'BK7' is no NAME=MATERIAL, such as 'MYGLASS=N-BK7'"),
+        ("a.zmx", ("--glass", "BK7"), "--glass: 'BK7' is not NAME=MATERIAL, such as 'MYGLASS=N-BK7'"),
         ("a.zmx", ("--margin", "-1"), "--margin: -1 must lie between 0 and 10"),
         ("a.osl", (), "files of type '.osl' cannot be read; give one of .json, .yaml, .yml, .zmx, .seq, .len, .lens,"),
         ("a.fbx", (), "files of type '.fbx' cannot be read; export it as STL, OBJ, PLY or GLB, one of "),

@@ -128,7 +128,7 @@ def test_points_without_a_height(tmp_path: Path) -> None:
 def test_no_code_of_a_file_is_run(tmp_path: Path) -> None:
     runs_code = tmp_path / "evil.npz"
     np.savez(runs_code, corners=np.array([print], dtype=object), step=[1, 1], middle=[0, 0], missing=[[False]])
-    with refused("no grid that mistray wrote"):
+    with refused("not a grid that mistray wrote"):
         read_grid(runs_code)
 
 

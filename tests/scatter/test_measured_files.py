@@ -116,7 +116,7 @@ def test_incidences_and_azimuths_of_speos(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("v8.0", "v5.0", "line 1: it is no 'OPTIS"),
+        ("v8.0", "v5.0", "line 1: not an 'OPTIS"),
         ("v8.0\n0\n", "v8.0\n1\n", "line 2: it is in binary mode; save it as text"),
         ("\n1\t0\n1\n", "\n1\t1\n1\n", "line 7: it holds transmission"),
         ("850\t30", "850\t31", "keep one of them"),

@@ -113,7 +113,7 @@ WRONG = {
     "[]": "it holds no object; write keys and values",
     "3": "it holds no object",
     "[" * 100_000: "it is nested too deeply",
-    '{"scene": "plate", "rays": NaN}': "NaN is no number of JSON",
+    '{"scene": "plate", "rays": NaN}': "NaN is not a number of JSON",
     "{}": "scene is missing; give it there, or on the command line",
     '{"scen": "plate"}': "there is no key 'scen'; did you mean 'scene'?",
     '{"--field-deg": 1}': "there is no key '--field-deg'; did you mean 'field_deg'?",

@@ -109,7 +109,7 @@ def check_names(names: Iterable[str], owner: str) -> None:
     names = set(names)
     for name in sorted(names - {GRID}):
         if length_power(name) is None:
-            raise MistrayError(f"{owner}: '{name}' is no number of a sag; see mistray.physics.sags.terms")
+            raise MistrayError(f"{owner}: '{name}' is not a parameter of a sag; see mistray.physics.sags.terms")
         kind = (_numbered(name) or ("",))[0]
         for needed in _NEEDS.get(kind, ()):
             if needed not in names:
