@@ -173,7 +173,7 @@ class Message(Enum):
     )
     BAND_OUTSIDE = (
         Code.BAND,
-        "the optics were traced at {wavelengths} µm, outside of the band: their emissivity there is taken for that in "
+        "the optics were traced at {wavelengths} µm, outside the band: their emissivity there is taken for that in "
         "the band",
     )
 

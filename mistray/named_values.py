@@ -43,7 +43,7 @@ def named_values(
             raise MistrayError(f"{owner}: '{part}' has no name; write {like}")
         name, value = pair
         if known and name not in known:
-            raise MistrayError(f"{owner}: '{name}' is none of its names; {nearest(name, known)}")
+            raise MistrayError(f"{owner}: '{name}' is not one of its names; {nearest(name, known)}")
         if name in found:
             raise MistrayError(f"{owner}: {name} is given twice; give it once")
         found[name] = value

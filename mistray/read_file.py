@@ -66,7 +66,7 @@ def open_input(path: str | Path, own: bool = False) -> BinaryIO:
         # Another file may have taken its place since: without O_NONBLOCK a pipe would be waited for
         file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb")
     except ValueError:  # a name with a null byte
-        raise OSError(errno.EINVAL, "it is no name of a file", str(path)) from None
+        raise OSError(errno.EINVAL, "it is not the name of a file", str(path)) from None
     try:
         _refuse(path, os.fstat(file.fileno()).st_mode)
     except OSError:
@@ -120,7 +120,7 @@ def read_text(path: str | Path, what: str = "file", remedy: str = REMEDY) -> str
     try:
         text = read_file(path, what, remedy).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise _error(path, what, "it is no text file in UTF-8", remedy) from None
+        raise _error(path, what, "it is not a text file in UTF-8", remedy) from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -134,7 +134,7 @@ def require_file(path: str | Path, what: str = "file", remedy: str = REMEDY) -> 
 
 def _refuse(path: str | Path, mode: int) -> None:
     if not stat.S_ISREG(mode):
-        reason = KINDS.get(stat.S_IFMT(mode), "it is no regular file")
+        reason = KINDS.get(stat.S_IFMT(mode), "it is not a regular file")
         raise OSError(errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL, reason, str(path))
 
 

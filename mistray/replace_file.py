@@ -322,9 +322,8 @@ def rename_drafts(files: Mapping[Path, bytes], what: str = "file", obsolete: Col
     ------
     MistrayError
         If a file cannot be written, or a file `incomplete` of another program is there; all old files then stay. If a
-        later rename fails, some files are new, and `incomplete` remains.
-    OSError
-        If an obsolete file cannot be removed; all files are new then, and `incomplete` remains.
+        later rename fails, some files are new, and `incomplete` remains. So it does if an obsolete file cannot be
+        removed; all files are new then.
     KeyboardInterrupt
         On Ctrl-C. While drafts are written, all old files stay. During the renames the first one is raised once all
         files are new; a second one is raised at once, and `incomplete` remains if some files are old.
@@ -345,7 +344,8 @@ def rename_drafts(files: Mapping[Path, bytes], what: str = "file", obsolete: Col
                     os.replace(draft, path)
                 moved.append(path)
             for path in obsolete:
-                path.unlink(missing_ok=True)
+                with telling(path, what):
+                    path.unlink(missing_ok=True)
     finally:
         for draft in drafts.values():
             with contextlib.suppress(OSError):
@@ -394,7 +394,8 @@ def _marked(files: Sequence[Path], obsolete: Collection[Path]) -> Iterator[list[
     finally:
         written.extend(moved)
     for folder in before:
-        sync(folder)
+        with telling(folder, "folder"):
+            sync(folder)
         sets = incomplete_sets(folder)
         if sets:
             done = {path.name for path in (*files, *obsolete) if path.parent == folder}
@@ -418,14 +419,15 @@ def incomplete_sets(folder: Path) -> dict[str, list[str]]:
     Returns
     -------
     dict
-        Name of the last file of a set → names of all its files. Empty if there is no file `incomplete` of mistray.
+        Name of the last file of a set → names of all its files in the folder. Empty if there is no file `incomplete` of
+        mistray.
     """
     import json
 
     try:
         with open_input(folder / INCOMPLETE, own=True) as file:
             found = json.loads(file.read())["sets"]
-        return {str(name): [str(one) for one in names] for name, names in found.items()}
+        return {str(name): [one for one in map(str, names) if Path(one).name == one] for name, names in found.items()}
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return {}
 
@@ -468,7 +470,7 @@ def _mark(folder: Path, sets: Mapping[str, Collection[str]]) -> None:
     """
     path = folder / INCOMPLETE
     if path.exists() and not incomplete_sets(folder):
-        raise MistrayError(f"file '{path}' is none of mistray, which needs its name; rename it")
+        raise MistrayError(f"file '{path}' is not from mistray, which needs its name; rename it")
     with telling(path, "file"):
         if sets:
             draft = folder / draft_name()

@@ -28,7 +28,7 @@ GLASS = ('value="1.5"', 'value="N-BK7"')
 OPTIONS = [
     (AWAY, ("--field-deg", "0", "45"),
      ("source 'source': no ray of its light along (0, 0.7071, 0.7071) hits", "check field_deg")),
-    (GLASS, ("--wavelength-nm", "100"), ("material 'N-BK7': 100 nm is outside of its 300 … 2500 nm",)),
+    (GLASS, ("--wavelength-nm", "100"), ("material 'N-BK7': 100 nm is outside its 300 … 2500 nm",)),
     (("", ""), ("--rays", "0"), ("--rays: 0 must", "between 1 and 4294967295")),
     *(((old, new), (), words) for old, new, words in CASES[:4]),
 ]  # fmt: skip

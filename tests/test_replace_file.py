@@ -21,7 +21,7 @@ from test_every_command import STUDY
 
 from mistray.cli.program import main
 from mistray.errors import MistrayError
-from mistray.replace_file import INCOMPLETE, incomplete_notes, replace_file, replace_files
+from mistray.replace_file import INCOMPLETE, incomplete_notes, rename_drafts, replace_file, replace_files
 from mistray.replace_folder import replacing_folder
 from mistray.toolkit.pages.output import writable_directory, write_files
 
@@ -377,3 +377,23 @@ def test_a_file_of_others_with_the_name_of_the_mark(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {INCOMPLETE}
     replace_file(tmp_path / "a", "1")  # one alone needs no mark
     assert (tmp_path / INCOMPLETE).read_text() == "my list"
+
+
+def test_an_obsolete_file_that_cannot_be_removed(tmp_path: Path) -> None:
+    """A folder has its name; the other files are new, and the mark remains."""
+    (tmp_path / "b").mkdir()
+    with pytest.raises(MistrayError, match=r"file '.*b': .*; check the folder and its permissions"):
+        rename_drafts({tmp_path / "a": b"new"}, "file", [tmp_path / "b"])
+    assert (tmp_path / "a").read_bytes() == b"new"
+    assert incomplete_notes([tmp_path])
+
+
+def test_a_mark_removes_only_files_of_its_folder(tmp_path: Path, monkeypatch: Patch) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    monkeypatch.chdir(out)  # so that the files are replaced one by one
+    (tmp_path / "mine").write_text("1")
+    (out / INCOMPLETE).write_text(json.dumps({"sets": {"report.html": ["../mine", "old.csv"]}}))
+    (out / "old.csv").write_text("1")
+    write_files(dict.fromkeys(("a.csv", "report.html"), "new"), out)
+    assert set(contents(tmp_path)) == {"mine", "out/a.csv", "out/report.html"}

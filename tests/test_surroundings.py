@@ -44,7 +44,7 @@ def test_arguments_that_are_none(capsys: Captured, tmp_path: Path, monkeypatch: 
     for command, option in KINDS.values():
         line = fails(capsys, command, f"{option}=--")
         assert option in line
-        assert "'--' is no value" in line or "expected" in line
+        assert "'--' is not a value" in line or "expected" in line
     for words in (("ghosts", "plate", "--out", ""), ("import", "a.zmx", "-o", " "), ("view", "plate", "--layout=")):
         assert "names nothing" in fails(capsys, *words)
     with pytest.raises(ValueError, match="no name"):

@@ -184,7 +184,7 @@ class Cache:
 
     def _path(self, key: str) -> Path:
         if not _KEY.fullmatch(key):
-            raise ValueError(f"'{key}' is no key of a cache; make it with key_of")
+            raise ValueError(f"'{key}' is not a key of a cache; make it with key_of")
         return self.folder / f"{key}{ENDING}"
 
     def _files(self) -> Iterator[_File]:

@@ -64,7 +64,7 @@ def read_coating(
         names = ", ".join(read_coating_file(resolve(spec), design_nm))
         raise MistrayError(f"coating file '{spec}': which coating? Write '{spec}:NAME' with one of {names or '(none)'}")
     if not spec.lower().endswith(".csv"):
-        raise MistrayError(f"coating '{spec}' is no file that mistray knows; give table.csv or COATING.DAT:NAME")
+        raise MistrayError(f"coating '{spec}' is not a file that mistray knows; give table.csv or COATING.DAT:NAME")
     return CoatingTable.read(resolve(spec))
 
 

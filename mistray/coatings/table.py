@@ -202,7 +202,7 @@ class CoatingTable:
             return self.shares[0], self.phasors[0]
         if not lam[0] <= wavelength_nm <= lam[-1]:
             raise MistrayError(
-                f"coating table '{self.name}': {wavelength_nm:g} nm is outside of its {lam[0]:g} … {lam[-1]:g} nm; "
+                f"coating table '{self.name}': {wavelength_nm:g} nm is outside its {lam[0]:g} … {lam[-1]:g} nm; "
                 "extend the table"
             )
         i = min(int(np.searchsorted(lam, wavelength_nm, side="right")) - 1, len(lam) - 2)

@@ -214,7 +214,7 @@ class CoatingFile(Mapping[str, CoatingModel]):
                 start, loop, opened = len(layers) - 1, index, line
             elif index and index != loop:
                 raise MistrayError(
-                    f"{where}: loop index {index} inside of the group of line {opened}, whose index is {loop}; close "
+                    f"{where}: loop index {index} inside the group of line {opened}, whose index is {loop}; close "
                     "that group first"
                 )
             elif index:

@@ -161,7 +161,7 @@ def _read_ies(path: Path) -> Intensities:
     try:
         numbers = np.array(" ".join(lines[tilts[0] + 1 :]).replace(",", " ").split(), dtype=np.float64)
     except ValueError:
-        raise MistrayError("a value after TILT=NONE is no number; give an IES LM-63 file") from None
+        raise MistrayError("a value after TILT=NONE is not a number; give an IES LM-63 file") from None
     if len(numbers) < NUMBERS or not np.all(np.isfinite(numbers)):
         raise MistrayError(f"it has {len(numbers)} numbers after TILT=NONE; {NUMBERS} and then the angles are needed")
     multiplier, thetas, phis, kind = numbers[2], numbers[3], numbers[4], numbers[5]
@@ -189,7 +189,7 @@ def _read_csv(path: Path) -> Intensities:
         if unit is None:
             if tuple(cells[:2]) != ANGLES or len(cells) != 3 or cells[2] not in COLUMNS:
                 raise MistrayError(
-                    f"line {number} is no line of names; give {', '.join(ANGLES)}, {' or '.join(COLUMNS)}"
+                    f"line {number} is not a line of names; give {', '.join(ANGLES)}, {' or '.join(COLUMNS)}"
                 )
             unit = COLUMNS[cells[2]]
             continue

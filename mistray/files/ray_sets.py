@@ -151,7 +151,7 @@ class RaySet:
                 table[WAVELENGTH].to_numpy().astype(np.float64) if WAVELENGTH in table else np.full(len(table), np.nan)
             )
         except (TypeError, ValueError):
-            raise MistrayError("rays: a value is no number; give numbers only") from None
+            raise MistrayError("rays: a value is not a number; give numbers only") from None
         return RaySet(places * UNITS_MM[unit] if unit != "mm" else places, directions, flux, given)
 
 
@@ -184,7 +184,7 @@ def read_ray_set(path: str | Path, unit: str | None = None, power_W: float | Non
             f"ray file '{path}': its name must end in {', '.join(READERS)}; write others as one of these"
         )
     if unit is not None and unit not in UNITS_MM:
-        raise MistrayError(f"ray file '{path}': the unit '{unit}' is none of {', '.join(UNITS)}")
+        raise MistrayError(f"ray file '{path}': the unit '{unit}' is not one of {', '.join(UNITS)}")
     try:
         rays, in_watts = reader(path, unit)
         if power_W is not None:
@@ -279,7 +279,7 @@ def _read_zemax_text(text: str, unit: str | None) -> RaySet:
     lines = text.split("\n", 1)
     words = lines[0].split()
     if not words or not all(word.lstrip("+-").isdigit() for word in words[:2]):
-        raise MistrayError("its first line is no number of rays; give a Zemax source file")
+        raise MistrayError("its first line is not a number of rays; give a Zemax source file")
     count = int(words[0])
     given = UNITS[int(words[1])] if len(words) > 1 and 0 <= int(words[1]) < 5 else unit
     if given is None:
@@ -287,7 +287,7 @@ def _read_zemax_text(text: str, unit: str | None) -> RaySet:
     try:
         numbers = np.array(lines[1].split() if len(lines) > 1 else [], dtype=np.float64)
     except ValueError:
-        raise MistrayError("a value of it is no number; give a Zemax source file") from None
+        raise MistrayError("a value of it is not a number; give a Zemax source file") from None
     width = len(numbers) // count if count else 0
     if width not in (7, 8) or len(numbers) != width * count:
         raise MistrayError(f"it has {len(numbers)} numbers for {count} rays; seven or eight for each are needed")

@@ -78,7 +78,7 @@ def _from_archive(content: bytes) -> Values:
     except MistrayError:
         raise
     except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError, BadZipFile, zlib.error) as error:
-        raise MistrayError(f"it is no grid that mistray wrote ({error}); make it again") from None
+        raise MistrayError(f"it is not a grid that mistray wrote ({error}); make it again") from None
 
 
 def _from_text(content: bytes) -> Values:
@@ -91,7 +91,7 @@ def _from_text(content: bytes) -> Values:
         raise MistrayError("it is empty; give a first line 'nx ny dx dy unit x y'")
     head = _numbers(*lines[0])
     if len(head) < 4 or not all(value.is_integer() for value in (*head[:2], *head[4:5])):
-        raise MistrayError(f"line {lines[0][0]} is no 'nx ny dx dy unit x y'")
+        raise MistrayError(f"line {lines[0][0]} is not 'nx ny dx dy unit x y'")
     nx, ny = int(head[0]), int(head[1])
     unit = int(head[4]) if len(head) > 4 else 0
     if not 0 <= unit < len(UNITS_MM):
@@ -116,4 +116,4 @@ def _numbers(line: int, words: list[str]) -> list[float]:
     try:
         return [float(word) for word in words]
     except ValueError:
-        raise MistrayError(f"line {line}: '{' '.join(words)[:60]}' are no numbers; correct it") from None
+        raise MistrayError(f"line {line}: '{' '.join(words)[:60]}' are not numbers; correct it") from None

@@ -68,5 +68,5 @@ def read_healpix(file: str, owner: str) -> tuple[np.ndarray, bool]:
     if ordering not in ("RING", "NESTED", "NEST"):
         raise MistrayError(f"{owner}: '{Path(file).name}': its ORDERING is '{ordering}'; it must be RING or NESTED")
     if not np.all(np.isfinite(values)) or np.any(values < 0) or np.any(values > 1e30):
-        raise MistrayError(f"{owner}: '{Path(file).name}' has pixels that are no radiance; give values from 0 to 1e30")
+        raise MistrayError(f"{owner}: '{Path(file).name}' has pixels without a radiance; give values from 0 to 1e30")
     return values, ordering != "RING"

@@ -31,7 +31,7 @@ def geometry_columns(names: Iterable[str]) -> frozenset[str]:
     for name in names:
         if name not in PARAMETER_COLUMNS:
             known = ", ".join(PARAMETER_COLUMNS)
-            raise MistrayError(f"'{name}' is no parameter of a shape with a derivative; use {known}")
+            raise MistrayError(f"'{name}' is not a parameter of a shape with a derivative; use {known}")
         found |= PARAMETER_COLUMNS[name]
     return frozenset(found)
 

@@ -57,7 +57,7 @@ def without_derivative(key: str) -> str:
     if name == "to_world" and not owner.endswith((".sensor", ".emitter")):
         return (
             "a shape of Mitsuba's own has no formula; draw it as an 'asphere', 'freeform' or 'frustum', which has "
-            "derivatives by x, y, z and tilts"
+            "derivatives with respect to x, y, z and tilts"
         )
     if name.startswith("vertex_"):
         return "vertices have none: they follow from a formula, and a mesh of Mitsuba's own has no formula"

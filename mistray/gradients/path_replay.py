@@ -249,8 +249,8 @@ def _check(table: SurfaceTable, settings: Settings) -> None:
         raise MistrayError(NO_STOKES)
     if table.mitsuba_scene is not None:
         raise MistrayError(
-            f"shape '{table.ids[len(table.pieces)]}' is none of mistray's own; gradients by anything but coatings need "
-            "'asphere' and 'frustum' shapes only"
+            f"shape '{table.ids[len(table.pieces)]}' is not one of mistray's own; gradients with respect to "
+            "anything but coatings need 'asphere' and 'frustum' shapes only"
         )
     if table.optics.scatters:
         raise MistrayError("a medium of the scene scatters; only gradients by coatings allow that")

@@ -26,8 +26,8 @@ from mistray.sampling.source import SceneSource
 from mistray.surfaces.upload import upload
 
 BOX_FILM = (
-    "light that moves from pixel to pixel counts as if the derivative by the image were linear between their centres; "
-    "a film with the reconstruction filter 'tent' has it exactly"
+    "light that moves between pixels counts as if derivatives with respect to the image were linear between their "
+    "centres; a film with the reconstruction filter 'tent' has it exactly"
 )
 UNKNOWN_SHARE = 1e-9  # detected light past rims that merits a note, as a fraction of all
 SAMPLE_STEP = 0x632BE5AB  # between seeds of samples; seeds of runs differ by 0x9E3779B9, so none coincide

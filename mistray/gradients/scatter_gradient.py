@@ -147,7 +147,9 @@ def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[
             return [(weight / step, at(steps)) for steps, weight in stencil.items()]
         except MistrayError:
             continue
-    raise MistrayError(f"{plugin.title}: no derivative by {name} at {values[name]:g}, which has no neighbours")
+    raise MistrayError(
+        f"{plugin.title}: no derivative with respect to {name} at {values[name]:g}, which has no neighbours"
+    )
 
 
 def table_slopes(

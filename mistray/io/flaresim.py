@@ -193,7 +193,7 @@ def _read(path: Path) -> _File:
             if value.lower() != "inf":
                 (file.focal_mm,) = _numbers(f"{what}, line {number}", [value], ("focal length",))
         else:
-            file.unread.append(Unread(number, text, "no line of a FlareSim file"))
+            file.unread.append(Unread(number, text, "not a line of a FlareSim file"))
     if not file.lines:
         raise MistrayError(f"{what}: it holds no surfaces; give a file with lines behind 'surfaces:'")
     return file
@@ -353,7 +353,7 @@ def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
         )
     else:
         full = any(row.semi_diameter and row.semi_diameter > abs(row.radius) for row in lens.rows)
-        why = "half of a sphere is no larger" if full else "no F-number tells it"
+        why = "half of a sphere is not larger" if full else "no F-number tells it"
     if stated is not None:
         why += f"; F/{(2 if full else 1) * as_semi:.3g}, the file says F/{stated:g}"
     notes.append(f"apertures are read as {'full ' if full else 'semi-'}diameters, {why}")

@@ -60,7 +60,7 @@ def to_sequential(prescription: Prescription) -> Sequential:
     """
     if prescription.detector is None or not prescription.surfaces:
         missing = "detector" if prescription.surfaces else "optical surface"
-        raise MistrayError(f"prescription '{prescription.name}': it has no {missing}, so it is no sequential lens")
+        raise MistrayError(f"prescription '{prescription.name}': it has no {missing}, so it is not a sequential lens")
     return _Walk(prescription).sequential()
 
 

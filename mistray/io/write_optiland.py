@@ -123,7 +123,7 @@ def _aperture(what: str, row: Row) -> Any:
     if ring:
         return physical.RadialAperture(r_max=ring[0], r_min=ring[1])
     if sides is None:
-        raise MistrayError(f"{what}: its outline is no circle, ring or rectangle; to_optiland has no other")
+        raise MistrayError(f"{what}: its outline is not a circle, ring or rectangle; to_optiland has no other")
     return physical.RectangularAperture(x_min=-sides[0], x_max=sides[0], y_min=-sides[1], y_max=sides[1])
 
 

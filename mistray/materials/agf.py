@@ -140,7 +140,7 @@ def _numbers(path: Path, line: _Line, names: str = "") -> list[float]:
     for word in line.words:
         value = finite_of(word)
         if value is None:
-            raise _error(path, line.number, f"'{word}' is no number")
+            raise _error(path, line.number, f"'{word}' is not a number")
         values.append(value)
     if names and len(values) != len(names.split(", ")):
         raise _error(path, line.number, f"{len(values)} numbers; it needs {names}")
@@ -152,7 +152,7 @@ def _index(path: Path, block: _Block) -> Curve:
     formula = AGF_FORMULAS.get(int(number)) if number.isdecimal() else None
     if formula is None:
         raise _error(
-            path, block.head.number, f"formula '{number}' of glass '{name}' is none of 1 … {len(AGF_FORMULAS)}"
+            path, block.head.number, f"formula '{number}' of glass '{name}' is not one of 1 … {len(AGF_FORMULAS)}"
         )
     title, count, evaluate = formula
     for key in ("CD", "LD"):
@@ -166,7 +166,7 @@ def _index(path: Path, block: _Block) -> Curve:
     line = block.lines["LD"][0]
     low, high = _numbers(path, line, "least λ, greatest λ")
     if not 0 < low < high:
-        raise _error(path, line.number, f"{low:g} and {high:g} µm are no range of wavelengths")
+        raise _error(path, line.number, f"{low:g} and {high:g} µm are not a range of wavelengths")
     return formula_curve(evaluate, c[:count], (round(low * 1e3, 6), round(high * 1e3, 6)))
 
 

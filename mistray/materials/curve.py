@@ -57,7 +57,7 @@ class Curve:
         """
         if self.range_nm is not None and not (extrapolate or self.covers(wavelength_nm)):
             low, high = self.range_nm
-            raise MistrayError(f"{what}: {wavelength_nm:g} nm is outside of its {low:g} … {high:g} nm; {remedy}")
+            raise MistrayError(f"{what}: {wavelength_nm:g} nm is outside its {low:g} … {high:g} nm; {remedy}")
         try:
             value = self.evaluate(wavelength_nm)
         except (ArithmeticError, ValueError):

@@ -317,7 +317,7 @@ def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
     name = f"material '{spec.text}'"
     if not (found.n.covers(wavelength_nm) or spec.extrapolate):
         raise MistrayError(
-            f"{name}: {wavelength_nm:g} nm is outside of its {_known(spec)}; {_remedy(spec, wavelength_nm)}"
+            f"{name}: {wavelength_nm:g} nm is outside its {_known(spec)}; {_remedy(spec, wavelength_nm)}"
         )
     n = found.n.at(wavelength_nm, name, spec.extrapolate, "") + spec.shift
     if not n > 0:

@@ -236,13 +236,13 @@ def _extinction(text: str, k: float) -> float:
 
 def _k(text: str, value: str) -> float:
     if not _REAL.fullmatch(value):
-        raise MistrayError(f"material '{text}': k = '{value}' is no number; write for instance 'k=0' or 'k=1e-7'")
+        raise MistrayError(f"material '{text}': k = '{value}' is not a number; write for instance 'k=0' or 'k=1e-7'")
     return _extinction(text, float(value))
 
 
 def _shift(text: str, value: str) -> float:
     if not _REAL.fullmatch(value):
-        raise MistrayError(f"material '{text}': shift = '{value}' is no number; write for instance 'shift=-2e-4'")
+        raise MistrayError(f"material '{text}': shift = '{value}' is not a number; write for instance 'shift=-2e-4'")
     return float(INDEX_SHIFT.check("shift", float(value), f"material '{text}'"))
 
 
@@ -255,7 +255,7 @@ def _bulk(text: str, given: dict[str, str]) -> BulkScatter:
     for key in ("scatter", "g"):
         value = given.get(key, "0")
         if not _REAL.fullmatch(value):
-            raise MistrayError(f"material '{text}': {key} = '{value}' is no number; write for instance '{key}=0.01'")
+            raise MistrayError(f"material '{text}': {key} = '{value}' is not a number; write for instance '{key}=0.01'")
         values.append(float(value))
     per_mm, g = values
     SCATTER_PER_MM.check("scatter", per_mm, f"material '{text}'")

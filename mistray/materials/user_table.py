@@ -73,7 +73,7 @@ def _row(path: Path, number: int, cells: list[str], header: list[str]) -> list[f
     for name, cell in zip(header, cells, strict=True):
         value = number_of(cell)
         if value is None:
-            raise _error(path, number, f"{name} = '{cell}' is no number")
+            raise _error(path, number, f"{name} = '{cell}' is not a number")
         values[name] = value
         lowest_is_right = values[name] >= 0 if name == "k" else values[name] > 0
         if not (lowest_is_right and values[name] < math.inf):

@@ -105,7 +105,7 @@ class ABg(Placement):
         optic = within(self.g, 1.5, 3.5) and within(self.B, 1e-10, 1e-6)
         paint = within(self.g, 2, 6) and within(self.B, 0.1, 1)
         text = (
-            f"B {self.B:g} and g {self.g:g} are outside of what is usual: B 1e-10 … 1e-6, g 1.5 … 3.5 for optics, "
+            f"B {self.B:g} and g {self.g:g} are outside what is usual: B 1e-10 … 1e-6, g 1.5 … 3.5 for optics, "
             "B 0.1 … 1, g 2 … 6 for paints, Lambertian g 0"
         )
         return unusual(self.title, None if optic or paint else text, total=abg.tis(self.A, self.B, self.g))

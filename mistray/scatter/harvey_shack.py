@@ -130,6 +130,6 @@ class HarveyShack(Placement):
         Usual are l in 1e-4 … 1e-2 and s in -3.5 … -0.5 (FRED). The total is judged only if `b0` is given.
         """
         usual = within(self.l, 1e-4, 1e-2) and -3.5 <= self.s <= -0.5
-        text = f"l {self.l:g} and s {self.s:g} are outside of what is usual: l 1e-4 … 1e-2, s -3.5 … -0.5"
+        text = f"l {self.l:g} and s {self.s:g} are outside what is usual: l 1e-4 … 1e-2, s -3.5 … -0.5"
         total = 0.0 if self.b0 is None else float(harvey_shack.tis(self.b0, self.l, self.s))
         return unusual(self.title, None if usual else text, total=total)

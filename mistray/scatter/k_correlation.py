@@ -108,7 +108,7 @@ class KCorrelation(RoughSurface):
         """Return a line of advice if the slope is outside 1.5 … 3.5, usual for polished surfaces; None otherwise."""
         if 1.5 <= self.slope <= 3.5:
             return None
-        return f"{self.title}: slope {self.slope:g} is outside of what is usual, 1.5 … 3.5"
+        return f"{self.title}: slope {self.slope:g} is outside what is usual, 1.5 … 3.5"
 
     def _theories(self) -> Mapping[str, Callable[[str, float, float, float], Lobe]]:
         """Return, by the name of each scatter theory, the function that makes a lobe; see `RoughSurface._theories`."""

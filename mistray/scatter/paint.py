@@ -173,7 +173,7 @@ class Paint(Placement):
         at, values = _points(self.spectrum)
         if at and not at[0] <= wavelength_nm <= at[-1]:
             raise MistrayError(
-                f"{self.title}: {wavelength_nm:g} nm is outside of its spectrum, {at[0]:g} … {at[-1]:g} nm; add a point"
+                f"{self.title}: {wavelength_nm:g} nm is outside its spectrum, {at[0]:g} … {at[-1]:g} nm; add a point"
             )
         return float(np.interp(wavelength_nm, at, values)) if at else 1.0
 

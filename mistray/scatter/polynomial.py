@@ -89,7 +89,7 @@ class Polynomial(Placement):
         names = [name for name, _ in self.coefficients]
         for name, value in self.coefficients:
             if not is_coefficient(name):
-                raise MistrayError(f"{self.title}: '{name}' is no coefficient; use c and 3 digits or l and 2")
+                raise MistrayError(f"{self.title}: '{name}' is not a coefficient; use c and 3 digits or l and 2")
             if not math.isfinite(value):
                 raise MistrayError(f"{self.title}: {name} is {value:g}; give a finite number")
         if "c000" not in names or len(set(names)) < len(names):

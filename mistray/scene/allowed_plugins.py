@@ -155,7 +155,7 @@ def _refusal(name: str) -> str:
     if name == BLENDER:
         return f"the type '{name}' reads memory at any address; export a .ply file instead"
     if not _NAME.fullmatch(name):
-        return f"the type '{shown(name.split())}' is no name of a plugin; {remedy}"
+        return f"the type '{shown(name.split())}' is not the name of a plugin; {remedy}"
     library = str(mi.file_resolver().resolve(f"plugins/{name}{SUFFIX}"))
     if os.path.exists(library):
         return f"the type '{name}' would run the library '{library}'; {remedy}"

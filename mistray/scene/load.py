@@ -255,7 +255,7 @@ def _utf8(path: Path) -> str:
     try:
         return os.fsencode(path).decode("utf-8")
     except UnicodeDecodeError:
-        raise MistrayError(f"scene '{shown([str(path)])}': its name is no UTF-8; rename it, or its folder") from None
+        raise MistrayError(f"scene '{shown([str(path)])}': its name is not UTF-8; rename it, or its folder") from None
 
 
 def shipped_scenes() -> dict[str, Path]:

@@ -184,7 +184,7 @@ _REASONS: list[tuple[str | re.Pattern[str], Callable[[re.Match[str], SceneElemen
     (r"Plugin \"(\w+)\" not found", _plugin),
     (
         r"unsupported XML element: <(\w+)>",
-        lambda m, _: f"<{m[1]}> is no element of a scene; use shape, bsdf, emitter, sensor or integrator",
+        lambda m, _: f"<{m[1]}> is not an element of a scene; use shape, bsdf, emitter, sensor or integrator",
     ),
     (
         r"duplicate ID: \"(.+?)\" \(previous was .*line (\d+)",

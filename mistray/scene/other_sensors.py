@@ -60,7 +60,7 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
     across = np.cross(y, z)
     if not np.linalg.norm(across) > PARALLEL * np.linalg.norm(y) * np.linalg.norm(z):
         raise MistrayError(
-            f"{owner}: {NORMAL[word]} {z.tolist()} and up {y.tolist()} are no two directions; change one"
+            f"{owner}: {NORMAL[word]} {z.tolist()} and up {y.tolist()} are not two directions; change one"
         )
     frame = np.eye(4)
     frame[:3, 2], frame[:3, 0] = z / np.linalg.norm(z), across / np.linalg.norm(across)

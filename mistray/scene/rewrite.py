@@ -130,8 +130,8 @@ def _plugin(file: SceneFile, params: Any, key: str) -> Any:
     known |= {"n_front_shift", "n_back_shift"} if hasattr(plugin, "complex_indices") else set()
     if name not in known:
         raise MistrayError(
-            f"scene '{file.path}': parameter '{key}' is no value of a surface, coating or scatter that a file states; "
-            "leave it out"
+            f"scene '{file.path}': parameter '{key}' is not a value of a surface, coating or scatter that a file "
+            "states; leave it out"
         )
     return plugin
 

@@ -284,7 +284,7 @@ def read_table(path: str | Path) -> tuple[Array, Array]:
             headed = True
             continue
         if len(cells) != 2 or None in map(number_of, cells):
-            raise MistrayError(f"{where} is no pair of a wavelength and a value; correct the line")
+            raise MistrayError(f"{where} is not a pair of a wavelength and a value; correct the line")
         wavelength, value = map(float, cells)
         WAVELENGTH_NM.check("wavelength_nm", wavelength, where)
         WEIGHT.check("value", value, where)

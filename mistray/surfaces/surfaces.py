@@ -277,7 +277,7 @@ class SurfaceTable:
             raise MistrayError(f"detector is an empty list; choose from {', '.join(known)}")
         for name in names:
             if name not in known:
-                raise MistrayError(f"'{name}' is no detector of this scene; choose from {', '.join(known)}")
+                raise MistrayError(f"'{name}' is not a detector of this scene; choose from {', '.join(known)}")
         return [i for i in sensors if self.ids[i] in names]
 
     def _geometry(self, shapes: list[Any]) -> None:
@@ -394,7 +394,7 @@ class SurfaceTable:
             return width, height, (-half_x, half_x, -half_y, half_y)
         half = self.pieces[detector].detector_half
         if half is None:
-            raise MistrayError(f"{owner} is no optical surface; use an 'asphere' or a flat 'frustum'")
+            raise MistrayError(f"{owner} is not an optical surface; use an 'asphere' or a flat 'frustum'")
         return width, height, (-half[0], half[0], -half[1], half[1])
 
     def _detector_frame(self, detector: int) -> np.ndarray:

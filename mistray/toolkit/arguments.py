@@ -51,7 +51,7 @@ class Parser(argparse.ArgumentParser):
         For that argparse of Python 3.11 leaves an empty list.
         """
         if action.option_strings and "--" in arg_strings:
-            raise argparse.ArgumentError(action, "'--' is no value; give one, or leave the option out")
+            raise argparse.ArgumentError(action, "'--' is not a value; give one, or leave the option out")
         return super()._get_values(action, arg_strings)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:

@@ -269,7 +269,7 @@ def _content(text: str, toml: bool) -> dict[str, Any]:
 
 
 def _refuse(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a number of JSON")
 
 
 def _nearest(wrong: str, known: Mapping[str, Keyword]) -> str:

@@ -75,7 +75,7 @@ def _option_of(field: dataclasses.Field[Any], default: str) -> Option:
     if isinstance(demand, Interval):
         return Option(name, text, demand.of, metavar, 2)
     if isinstance(demand, ByName):
-        pair = Pairs(f"no {metavar}, such as {demand.example}", demand.of if callable(demand.of) else str)
+        pair = Pairs(f"not {metavar}, such as {demand.example}", demand.of if callable(demand.of) else str)
         return Option(name, text, pair, metavar, "+", extends=True)
     return Option(name, text, metavar=metavar)
 

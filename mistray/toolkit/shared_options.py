@@ -69,12 +69,12 @@ SCATTER = Group(f"scatter {ELSE}", tuple(map(setting, NAMES[NAMES.index("max_sca
 SURFACES = Group("surfaces, by PATTERN: the name of a surface or of a part, or with *, ?", (
     Option("--coating", "'L?_*=bbar3', 'L1_front=MgF2 99.64': a preset, layers, table.csv, R=0.01 T=0.99, bare, or one "
            "of the scene (docs/coatings.md)",
-           Pairs("no coating; write PATTERN=COATING, such as 'lens_*=bbar3'"), "PATTERN=COATING", "+", extends=True),
+           Pairs("not a coating; write PATTERN=COATING, such as 'lens_*=bbar3'"), "PATTERN=COATING", "+", extends=True),
     Option("--paint", "'barrel*=flat_black', 'wall=0.05' (Lambertian), 'ring=R=0.1'; black absorbs everything",
-           Pairs("no paint; write PATTERN=PAINT, such as 'vane*=flat_black'"), "PATTERN=PAINT", "+", extends=True),
+           Pairs("not a paint; write PATTERN=PAINT, such as 'vane*=flat_black'"), "PATTERN=PAINT", "+", extends=True),
     Option("--scatter", "'L*=harvey_shack rms_nm=4', 'window=particulate level=300': a model with its numbers, beside "
            "those of other kinds; none takes all off (docs/scatter.md)",
-           Pairs("no scatter model; write PATTERN=MODEL, such as 'L*=harvey_shack rms_nm=4'", repeats=True),
+           Pairs("not a scatter model; write PATTERN=MODEL, such as 'L*=harvey_shack rms_nm=4'", repeats=True),
            "PATTERN=MODEL", "+", extends=True),
 ))
 DETECTOR = _LIGHT["detector"]

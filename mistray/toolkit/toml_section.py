@@ -114,7 +114,7 @@ class TomlSection:
         """
         value = self.content.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
-            raise self.fail(key, f"is no list of sections; write each one as [[{key}]]")
+            raise self.fail(key, f"is not a list of sections; write each one as [[{key}]]")
         return [self.inner(f"{key}[{number}]", item) for number, item in enumerate(value, start=1)]
 
     def value(self, key: str, demand: Demand, default: Any = dataclasses.MISSING) -> Any:

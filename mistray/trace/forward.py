@@ -361,7 +361,7 @@ def _check_budget(runs: Sequence[Run]) -> None:
         if is_limited() and run.source.pattern == "grid" and run.passes > 1:
             raise MistrayError(
                 f"seconds is given and source '{run.source.name}' starts a grid of {run.rays} rays: "
-                f"its first rows are no sample; give at most {PASS_LANES} rays, or the pattern 'random'"
+                f"its first rows are not a sample; give at most {PASS_LANES} rays, or the pattern 'random'"
             )
 
 

@@ -224,4 +224,6 @@ def _check_events(words: Sequence[str], rows: Rows) -> None:
         if not _all_known([surface], rows):
             raise UnknownError(unknown_name(surface, rows.events.ids, rows.events.ids))
         if letter not in LETTERS.values():
-            raise UnknownError(f"'{letter}' after '{surface}:' is no event; use one of {', '.join(LETTERS.values())}")
+            raise UnknownError(
+                f"'{letter}' after '{surface}:' is not an event; use one of {', '.join(LETTERS.values())}"
+            )

@@ -357,7 +357,7 @@ class _Parser:
             self.columns |= Kind.columns
             return Kind(word)
         if compared is None:
-            self._fail(f"'{word}' is no kind of path; {nearest(word, KINDS)} For a surface write H({word})")
+            self._fail(f"'{word}' is not a kind of path; {nearest(word, KINDS)} For a surface write H({word})")
         self.columns.add(word)
         return _Compare(word, *compared)
 

@@ -185,7 +185,7 @@ class Trace(
         """
         table = self.runs[0].table
         if detector not in self.detectors:
-            raise MistrayError(f"'{detector}' is no detector of this trace; choose from {', '.join(self.detectors)}")
+            raise MistrayError(f"'{detector}' is not a detector of this trace; choose from {', '.join(self.detectors)}")
         number = table.ids.index(detector)
         if len(table.detectors) == 1:
             return self
@@ -315,7 +315,7 @@ class Trace(
         runs = [run for run in self.runs if run.source.name == source]
         if not runs:
             names = ", ".join(dict.fromkeys(run.source.name for run in self.runs))  # a run for each wavelength
-            raise MistrayError(f"source '{source}' is none of the trace; it has {names}")
+            raise MistrayError(f"source '{source}' is not one of the trace; it has {names}")
         return energy_ledger(runs, flux_report(runs))
 
     def surfaces_at(self, wavelength_nm: float) -> FluxReport:

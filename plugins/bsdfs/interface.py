@@ -225,7 +225,7 @@ class Interface(mi.BSDF):
 
     def _read_table(self, spec: str) -> CoatingModel:
         if not spec.lower().endswith(".csv"):
-            raise MistrayError(f"{self.title}: table '{spec}' is no CSV file; nest a 'thinfilm' for other files")
+            raise MistrayError(f"{self.title}: table '{spec}' is not a CSV file; nest a 'thinfilm' for other files")
         return CoatingTable.read(_resolve(spec))
 
     @property

@@ -87,7 +87,7 @@ class Sky(DistantSource):
         try:
             around = mi.load_dict({"type": "envmap", "filename": file})
         except RuntimeError:
-            self._fail(f"filename '{file}' is no picture; give an .exr, .hdr or .png")
+            self._fail(f"filename '{file}' is not a picture; give an .exr, .hdr or .png")
         height = mi.traverse(around)["data"].shape[0]
         self.lay(environment(around), height)
 

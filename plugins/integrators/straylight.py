@@ -227,7 +227,7 @@ def _check_differentiable(params: Any, tracked: dict[tuple[int, str], tuple[str,
         value = peek(params, key)
         if dr.grad_enabled(value) and getattr(value, "index_ad", None) not in known:
             reason = without_derivative(key) or "mistray.metrics.parameters(scene) lists those that it has"
-            raise MistrayError(f"integrator 'straylight' has no derivative by '{key}'; {reason}")
+            raise MistrayError(f"integrator 'straylight' has no derivative with respect to '{key}'; {reason}")
 
 
 mi.register_integrator("straylight", lambda props: StrayLight(props))

@@ -38,7 +38,7 @@ class FluxSplitSensor(PassingSensor):
     placed = False
     properties = {
         "surfaces": fixed(
-            "string", TEXT, "patterns of ids of surfaces or of parts, with blanks between", "", otherwise="all"
+            "string", TEXT, "patterns of ids of surfaces or of parts, separated by blanks", "", otherwise="all"
         )
     }
 

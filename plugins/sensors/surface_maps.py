@@ -42,7 +42,7 @@ class SurfaceMapsSensor(PassingSensor):
         "surfaces": fixed(
             "string",
             TEXT,
-            "patterns of ids of surfaces or of parts, with blanks between; by default all opaque surfaces that are "
+            "patterns of ids of surfaces or of parts, separated by blanks; by default all opaque surfaces that are "
             "neither mirrors nor detectors",
             "",
             otherwise="walls",

@@ -105,7 +105,7 @@ def test_what_is_no_stack() -> None:
         ([Layer("1.38", float("nan"))], "outside", 550.0, "layer 1 (1.38): thickness_nm is "),
         ([], "top", 550.0, "first = 'top'"),
         ([Layer("MgF", 10.0)], "outside", 550.0, "layer 1: material 'MgF' is unknown"),
-        ([Layer("N-BK7", 10.0)], "outside", 5000.0, "layer 1: material 'N-BK7': 5000 nm is outside of its 3"),
+        ([Layer("N-BK7", 10.0)], "outside", 5000.0, "layer 1: material 'N-BK7': 5000 nm is outside its 3"),
         ([Layer("nd=1.6 Vd=50", 10.0)], "outside", 550.0, "layer 1: material 'nd=1.6 Vd=50': k is unknown"),
         ([Layer("1.38", 9.0), Layer("1.6+0.4i", 90.0, 0.0, -0.5)], "outside", 550.0, "layer 2 (1.6+0.4i): n = 1.6, k"),
         ([Layer("1.38", 9.0), Layer("1.6+0.4i", 90.0, -1.7, 0.0)], "outside", 550.0, "layer 2 (1.6+0.4i): n = -0.1, k"),
@@ -290,7 +290,7 @@ def test_shares(read) -> None:
     np.testing.assert_allclose(at(table, 500.0, 80.0).R, 0.2)
     head, *rows = PLAIN.splitlines()[1:]
     np.testing.assert_array_equal(read("\n".join([head, rows[2], rows[1], rows[3], rows[0]])).shares, table.shares)
-    with refused(r"ar.csv': 450 nm is outside of its 500 … 600 nm"):
+    with refused(r"ar.csv': 450 nm is outside its 500 … 600 nm"):
         at(table, 450.0, 0.0)
 
 

@@ -130,8 +130,8 @@ def test_what_is_not_known(file) -> None:
         (lambda: file["VENDOR.ZEC"], "line 68: coating VENDOR.ZEC is encrypted"),
         (lambda: file["measure"], "no coating 'measure'"),
         (lambda: file.mirror("SPLIT"), r"line \d+: SPLIT has no layers; give its R and T = 0 instead"),
-        (lambda: file["AR"].response(800.0, AIR, GLASS, ONE, True), "'AR', layer 1: .*800 nm is outside of its 400"),
-        (lambda: file["MEASURED"].response(700.0, AIR, GLASS, ONE, True), "MEASURED': 700 nm is outside of its 500"),
+        (lambda: file["AR"].response(800.0, AIR, GLASS, ONE, True), "'AR', layer 1: .*800 nm is outside its 400"),
+        (lambda: file["MEASURED"].response(700.0, AIR, GLASS, ONE, True), "MEASURED': 700 nm is outside its 500"),
         (lambda: read_coating_file(SAMPLE, 0.0), "design_nm = 0"),
     )
 
@@ -177,7 +177,7 @@ def test_names_of_coatings(tmp_path: Path) -> None:
 def test_what_names_no_coating(text: str, words: str) -> None:
     with refused("", words):
         spectrum(coating_from_text(text), [550.0], [0.0])
-    with refused(r"coating 'ar\.xlsx' is no file that mistray knows"):
+    with refused(r"coating 'ar\.xlsx' is not a file that mistray knows"):
         read_coating("ar.xlsx")
 
 

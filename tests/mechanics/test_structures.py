@@ -235,7 +235,7 @@ class TestCommand:
         monkeypatch.setattr(mistray.mechanics, "read_mechanics", lambda *_, **__: assembly)  # not read once more
         for arguments, words in (
             (["--paint", "rnig*=black"], "no part or face is called 'rnig*'; the nearest are ring"),
-            (["--paint", "ring"], "--paint: 'ring' is no paint; write PATTERN=PAINT, such as 'vane*=flat_black'"),
+            (["--paint", "ring"], "--paint: 'ring' is not a paint; write PATTERN=PAINT, such as 'vane*=flat_black'"),
             (["--space", "ring=x"], "--space: 'x' is not a number"),
             (["--most-analytic", "-1"], "argument --most-analytic: -1 must be a whole number"),
             (["--coating", "ring=bbar3"], "--coating: parts get their coating and scatter by --paint; leave it out"),

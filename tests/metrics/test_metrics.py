@@ -326,9 +326,9 @@ def test_refusals(scene) -> None:
         *(
             (lambda scene, function=function: of_one(scene, function), message)
             for function, message in (
-                (lambda o: o.power("gost"), "'gost' is no kind of path; did you mean 'ghost'"),
+                (lambda o: o.power("gost"), "'gost' is not a kind of path; did you mean 'ghost'"),
                 (lambda o: o.power("L1_fron:T detector:A"), "is called 'L1_fron'; did you mean 'L1_front'"),
-                (lambda o: o.power("L1_front:X detector:A"), "'X' after 'L1_front:' is no event"),
+                (lambda o: o.power("L1_front:X detector:A"), "'X' after 'L1_front:' is not an event"),
                 (lambda o: o.power(""), "the selection of paths is ''"),
                 (lambda o: o.power([]), r"the selection of paths is \[\]"),
                 (lambda o: o.power(["ghost", 3]), r"the selection of paths is \['ghost', 3\]"),

@@ -122,7 +122,7 @@ def test_files_points_without_a_height_and_no_code(tmp_path: Path) -> None:
     assert read_grid(save_grid(found, tmp_path / "g.npz").path).lacks(X[:1] + 0.1, Y[:1] + 0.1)
     runs_code = tmp_path / "evil.npz"
     np.savez(runs_code, corners=np.array([print], dtype=object), step=[1, 1], middle=[0, 0], missing=[[False]])
-    with refused("no grid that mistray wrote"):
+    with refused("not a grid that mistray wrote"):
         read_grid(runs_code)
 
 

@@ -1,6 +1,7 @@
 """Sags and their derivatives by formulas, steps and polynomials; first-order numbers by hand and by textbooks."""
 
 import math
+from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
@@ -12,6 +13,7 @@ from mistray.errors import MistrayError
 from mistray.physics.geometry import sag as sags
 from mistray.physics.geometry.sag import conic_end, sag, sag_derivative
 from mistray.physics.imaging.paraxial import ParaxialSystem, chief_ray_angle, image_seen, natural_illumination
+from mistray.physics.sags.terms import vertex_curvatures
 
 N = 1.5168
 R_BARE = ((N - 1) / (N + 1)) ** 2
@@ -50,6 +52,15 @@ def test_the_ten_ghosts_of_lens_window_and_detector():
         n = int(row["n_surfaces"])
         system = ParaxialSystem([0.01] * n, list(range(n)), [1.0 + k % 2 / 2 for k in range(n + 1)])
         assert len(system.ghosts(n + 10.0, 1.0, [0.04] * n)) == int(row["2_bounce"])
+
+
+def test_a_ghost_in_focus_has_infinite_irradiance():
+    """A mirror of f = 50 mm sends light back to a plane one 25 mm before it; it meets in the vertex of the first."""
+    (ghost,) = ParaxialSystem([0.0, -1 / 100], [0.0, 25.0], [1.0, 1.0, 1.0]).ghosts(25.0, 8.0, [0.1, 0.2])
+    assert (ghost.spot_radius_mm, ghost.focus_mm) == (0.0, 0.0)
+    assert ghost.power == pytest.approx(0.9 * 0.2 * 0.1 * 0.8)
+    assert ghost.irradiance(8.0) == math.inf
+    assert replace(ghost, power=0.0).irradiance(8.0) == 0.0
 
 
 def test_chief_ray_crosses_the_axis_in_the_stop():
@@ -145,3 +156,20 @@ def test_polynomial_derivatives_are_those_of_the_terms():
         assert np.all(np.asarray(function(r2, ())) == 0)
     np.testing.assert_allclose(sag(r2, 0.0, 0.0, coefficients), whole(r2), rtol=1e-13, atol=1e-15)
     np.testing.assert_allclose(sag_derivative(r2, 0.0, 0.0, coefficients), whole.deriv()(r2), rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("terms", "x", "y"),
+    [
+        ({"r2": 1e-3}, 2e-3, 2e-3),
+        ({"curvature": 0.01, "conic": -0.5, "r1": 2e-3, "r2": 1e-3, "r3": 1e-2, "r4": 1e-2}, 0.012, 0.012),
+        (
+            {"curvature_x": 0.02, "curvature": 0.01, "a2": 1e-3, "r2": 2e-3, "xy_2_0": 3e-3, "slope_y": 0.1},
+            0.032,
+            0.016,
+        ),
+    ],
+)
+def test_vertex_curvatures_are_the_second_derivatives_at_the_vertex(terms, x, y):
+    """Of a r² they are 2 a; r1 has a kink there, and higher powers have none."""
+    np.testing.assert_allclose(vertex_curvatures(terms, 1e-3), (x, y), rtol=1e-6)

@@ -55,7 +55,7 @@ def test_vertices_have_no_derivative(scene: mi.Scene) -> None:
     dr.enable_grad(params[key])
     params.update()
     try:
-        with pytest.raises(MistrayError, match=r"no derivative by 'lens_front\.vertex_positions'"):
+        with pytest.raises(MistrayError, match=r"no derivative with respect to 'lens_front\.vertex_positions'"):
             dr.backward(dr.sum(mi.render(scene, params).array))
     finally:
         dr.disable_grad(params[key])
@@ -265,7 +265,7 @@ def test_the_frame_of_a_probe() -> None:
         (["probe:0,0"], "its place is 0,0"),
         (["probe:0,0,1,half_width=big"], "give a number"),
         (["probe:0,0,1,normal=0 0"], "normal is '0 0'"),
-        (["probe:0,0,1,normal=0 1 0,up=0 2 0"], "no two directions"),
+        (["probe:0,0,1,normal=0 1 0,up=0 2 0"], "not two directions"),
         (["probe:0,0,1,pixels=4.5"], "pixels is '4.5'"),
         (["lamp:0,0,1"], "'lamp' is none"),
         ([{"half_width": 1}], "type"),

@@ -316,7 +316,7 @@ def test_the_rectangle_that_the_image_states_is_the_detector():
     for other in (circle(5.0), rectangle(3.0, 4.0, y=1.0)):
         size, notes = detector(other)
         assert size[0] == size[1] >= 5.0
-        assert "no rectangle about its middle" in notes
+        assert "not a rectangle about its middle" in notes
 
 
 def test_clear_radii_are_those_of_rays_with_a_margin_unless_the_file_gives_them():
@@ -542,4 +542,4 @@ def test_a_freeform_lens_has_an_edge_that_reaches_both_rims():
     assert abs(light.energy.closure) < 1e-5
     cut = [replace(rows[0], aperture=Outline((OutlineFigure("ellipse", sizes=(9.0, 8.0)),))), *rows[1:]]
     notes = build(Sequential("toroid", tuple(cut), aperture=12.0)).notes
-    assert any("its outline is no centred circle" in note for note in notes)
+    assert any("its outline is not a centred circle" in note for note in notes)

@@ -8,6 +8,7 @@ from oracles import beams
 from refusals import refused
 
 from mistray import load
+from mistray.io.batoid.obscurations import clear_outline, is_open, opaque_outlines
 from mistray.prescription import Structure, from_batoid
 from mistray.trace import trace
 
@@ -116,12 +117,38 @@ def test_what_has_no_counterpart_is_named():
         (batoid.Sum([batoid.Sphere(2.0), batoid.Sphere(3.0)]), None, "surface Sphere"),
         (
             batoid.Plane(),
-            batoid.ObscUnion(clear(1.0), batoid.ObscAnnulus(0.2, 0.3)),
-            "what its obscuration leaves clear",
+            batoid.ObscUnion(batoid.ObscAnnulus(0.2, 0.3), batoid.ObscAnnulus(0.5, 0.6)),
+            "the area of its obscuration is not a list of figures",
         ),
     ):
         with refused(f"'front': {wanted}"):
             from_batoid(plate_of_glass(surface, obscuration), wavelength_nm=550.0)
+
+
+@pytest.mark.parametrize("clear", [True, False])
+def test_unions_and_intersections_in_negations(clear):
+    """By De Morgan's laws, against batoid's own test of points."""
+    circle, strip = batoid.ObscCircle(0.5, 0.1), batoid.ObscRectangle(0.2, 3.0, theta=0.3)
+    ring, negation = batoid.ObscAnnulus(0.2, 0.8), batoid.ObscNegation
+    covered = (
+        (batoid.ObscIntersection(circle, batoid.ObscUnion(strip, ring)), False),
+        (negation(batoid.ObscIntersection(ring, strip)), True),
+    )
+    x, y = np.random.default_rng(0).uniform(-0.7, 0.7, (2, 500))
+    for obscuration, opens in (
+        (negation(batoid.ObscUnion(circle, strip)), True),
+        (negation(batoid.ObscUnion(circle, negation(strip))), False),
+        (batoid.ObscIntersection(circle, negation(strip)), False),
+        (batoid.ObscUnion(negation(circle), ring), True),
+        (negation(negation(circle)), False),
+        *(() if clear else covered),  # what these leave clear is not a list of figures
+    ):
+        outlines = [clear_outline(obscuration, 1.0, "e")] if clear else opaque_outlines(obscuration, 1.0, "e")
+        found = np.any([outline.contains(1e3 * x, 1e3 * y) for outline in outlines], axis=0)
+        np.testing.assert_array_equal(
+            found, [obscuration.contains(*point) != clear for point in zip(x, y, strict=True)]
+        )
+        assert is_open(obscuration) == opens
 
 
 def test_baffles():

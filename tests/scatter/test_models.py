@@ -61,7 +61,7 @@ REFUSED: list[tuple[type, dict[str, Any], str]] = [
     (Particulate, {"level": 300.0, "max_um": 400.0}, "max_um ≤ level"),
     (Particulate, {"level": 300.0, "relative_to": "incident"}, "relative_to is 'incident'"),
     (Phong, {"b0": 0.1, "exponent": 0.5}, "exponent is 0.5"),
-    (Polynomial, {"coefficients": (("c00", -1.0),)}, "'c00' is no coefficient"),
+    (Polynomial, {"coefficients": (("c00", -1.0),)}, "'c00' is not a coefficient"),
     (Polynomial, {"coefficients": (("c100", -1.0),)}, "give each once, and c000"),
     (Polynomial, {"coefficients": (("c000", -1.0), ("c000", -2.0))}, "c000, c000; give each once"),
     (Polynomial, {"coefficients": ()}, "coefficients none"),
@@ -153,7 +153,7 @@ def test_paint_over_wavelength() -> None:
         assert np.pi * lobe.profile(np.zeros(1)) == pytest.approx(reflectance, rel=1e-12)
     assert paint.lobes(700.0, 1.0, 1.5, True) == ()
     assert Paint.of(spectrum="400:0.5", reflectance=0.2).reflectance == 0.2
-    with refused(r"Paint 'wall': 701 nm is outside of its spectrum, 400 … 700 nm"):
+    with refused(r"Paint 'wall': 701 nm is outside its spectrum, 400 … 700 nm"):
         Paint.of(spectrum=paint.spectrum, name="wall").lobes(701.0, 1.0, 1.5, True)
 
 

@@ -210,7 +210,7 @@ def test_each_wavelength_has_its_own_index(scene_file: Path, tmp_path: Path) -> 
     unlit = mistray.load(write(tmp_path, plates_text(1, index=BODY)))  # its light is taken to be 550 nm
     assert mistray.trace(unlit, rays=500, wavelength_nm=1e4, max_reflections=0).paths[0].power_W > 0
     # Light of 550 nm is what has no index, when it is traced
-    with pytest.raises(mistray.MistrayError, match=r"surface '.*550 nm is outside of its 8000 … 12000 nm") as error:
+    with pytest.raises(mistray.MistrayError, match=r"surface '.*550 nm is outside its 8000 … 12000 nm") as error:
         mistray.trace(scene, rays=500, wavelength_nm=550.0)
     assert "extrapolate" not in str(error.value)
     # Thicknesses in nm are what they are; only those in waves need the index at `design_nm`

@@ -157,7 +157,7 @@ def test_wrong_rules_by_all_ways_in(file: Path, capsys: Captured) -> None:
     assert words in fails(capsys, "ghosts", file, "--coating", "Z=bbar3")
     assert "scatter 'smooth': there is none" in fails(capsys, "ghosts", file, "--scatter", "A=smooth")
     assert "nothing to put on; give PATTERN=COATING" in fails(capsys, "coat", file)
-    assert "'bbar3' is no coating; write PATTERN=COATING" in fails(capsys, "coat", file, "bbar3")
+    assert "'bbar3' is not a coating; write PATTERN=COATING" in fails(capsys, "coat", file, "bbar3")
     with refused("coat: int is given; give a scene file"):
         mistray.coat(3, {"a": "bbar3"})  # type: ignore[call-overload]
     with refused("sources and sensors are for scenes"):

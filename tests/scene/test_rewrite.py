@@ -122,8 +122,8 @@ def test_what_cannot_be_placed(tmp_path: Path) -> None:
     for values, message in (
         ({"a.curvatur": 1.0}, "it has no parameter 'a.curvatur'; did you mean a.curvature"),
         ({"nothing": 1.0}, "it has no parameter 'nothing'"),
-        ({"detector.sensor.shutter_open": 1.0}, "is no value of a surface, coating or scatter"),
-        ({"a.vertex_positions": 1.0}, "is no value of a surface, coating or scatter"),
+        ({"detector.sensor.shutter_open": 1.0}, "is not a value of a surface, coating or scatter"),
+        ({"a.vertex_positions": 1.0}, "is not a value of a surface, coating or scatter"),
         ({"a.x": [1.0, 2.0]}, "parameter 'a.x': 2 numbers are given; it has 1"),
         ({"waves.n_shift": 0.1}, "parameter 'waves.n_shift': 1 numbers are given; it has 2"),
         ({"a.x": float("nan")}, "parameter 'a.x': nan is given; it must be finite"),

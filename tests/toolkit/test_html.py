@@ -42,12 +42,14 @@ from mistray.toolkit.pages.model import (
     Items,
     Map,
     NotePart,
+    PartGroup,
     Report,
     Section,
     Table,
     Terms,
     columns,
 )
+from mistray.toolkit.pages.own_sections import section_record, section_tables, section_texts
 from mistray.toolkit.pages.pdf import _cell, _Writer, pdf_bytes
 from mistray.toolkit.pages.render import html_page, html_parts, runs
 
@@ -309,3 +311,12 @@ def test_a_section_of_thermal_emission(capsys: Captured, tmp_path: Path) -> None
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.index('<h2 id="warmest">') < page.index('id="settings"')
     assert "sections" not in other
+
+
+def test_parts_in_groups_and_folds_are_printed_and_exported() -> None:
+    found = Table(columns("a"), [["1"]], "mine")
+    parts = [PartGroup("box", [NotePart("first")]), Folded("more", [PartGroup("box", [found])])]
+    sections = [Section("own", "Own", parts)]
+    assert section_texts(sections) == ["Own\nfirst\nmore\na\n-\n1"]
+    assert list(section_tables(sections)) == ["mine.csv"]
+    assert section_record(sections)["sections"]["own"]["mine"] == [{"a": "1"}]

@@ -6,7 +6,7 @@ import argparse
 import inspect
 import math
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass, fields, make_dataclass
+from dataclasses import KW_ONLY, dataclass, fields, make_dataclass, replace
 from typing import Any
 
 import pytest
@@ -22,6 +22,7 @@ from mistray.toolkit.analysis import analysis
 from mistray.toolkit.field_options import options_of, request_of
 from mistray.toolkit.fields import FieldSubset, Nested, Request, field
 from mistray.toolkit.rows import column, derived, frame, records, table
+from mistray.toolkit.tables.text import table_text
 
 pytestmark = pytest.mark.quick
 
@@ -199,5 +200,7 @@ def test_annotations_may_be_types_and_table() -> None:
     wide = found.beside(table(Wall, ROWS, only=("name",)), found)
     assert [len(wide.columns), *map(len, wide.rows)] == [11, 11, 11]
     assert wide.rows[0][4:6] == [Estimate(6.0, 0.2), "front"]
+    short = replace(found.kept([0]), most=1, rest=["… and 1 more"]).beside(found.kept([1]))
+    assert table_text(short).splitlines()[-1] == "… and 1 more"
     assert found.rows[1][:2] == ["(none)", "–"]
     assert [head.head for head in table(Wall, ROWS, only=("power_W", "name")).columns] == ["emitted", "name"]

@@ -19,7 +19,7 @@ from mistray.light import AS_THE_SCENE, Light
 from mistray.prescription import Coating
 from mistray.scenes.cooke_triplet.prescription import build
 from mistray.settings import Settings
-from mistray.trace import polarization_choice
+from mistray.trace.host import polarization_choice
 from mistray.trace.host.both_ways import Arrivals, follow
 from mistray.trace.host.polarization_choice import LEAST_CHANGE, PolarizationChoice, chosen_polarization
 

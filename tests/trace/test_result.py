@@ -321,7 +321,7 @@ class TestSplitBeam:
 def test_wrong_and_missing_names(load_text) -> None:
     scene, _ = load_text(split_text())
     both = mistray.trace(scene, rays=500)
-    asked, choose = r"2 detectors \(back, side\)", "'splitter' is no detector of this .*; choose from back, side"
+    asked, choose = r"2 detectors \(back, side\)", "'splitter' is not a detector of this .*; choose from back, side"
     for call, words in (
         (lambda: both.irradiance, asked),
         (lambda: both.on("splitter"), choose),

@@ -17,6 +17,6 @@ def read(file: str, name: str) -> list[dict[str, str]]:
 def value(cell: str) -> tuple[float, float]:
     """Value and standard error, 0 if there is none, of a cell that `number` of docs/make_validation_tables.py wrote."""
     match = re.fullmatch(r"\(?([-\d.,e+]+)(?: ± ([\d.]+))?\)?(?:e(-?\d+))?", cell)
-    assert match, f"'{cell}' is no number"
+    assert match, f"'{cell}' is not a number"
     scale = 10.0 ** int(match[3] or 0)
     return float(match[1].replace(",", "")) * scale, float(match[2] or 0) * scale

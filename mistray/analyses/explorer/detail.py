@@ -65,7 +65,7 @@ def path_detail(
     """
     rows = np.flatnonzero(of.ways.events == events)
     if not len(rows):
-        raise MistrayError(f"path '{events[:120]}' is none of the last trace; choose one of the table")
+        raise MistrayError(f"path '{events[:120]}' is not one of the last trace; choose one of the table")
     row = int(rows[0])
     lines = [of.sample.lines[k] for k in np.flatnonzero(of.sample.way == row)]
     words = [word.rpartition(":") for word in event_words(events)]

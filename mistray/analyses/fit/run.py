@@ -503,7 +503,7 @@ def _checked_data(
     if not np.all(np.diag(spread) > 0):
         raise MistrayError("noise has a standard error of 0; every number needs one greater than 0")
     if not np.allclose(spread, spread.T) or not np.linalg.eigvalsh(spread)[0] > 0:
-        raise MistrayError("noise is no covariance; give a symmetric matrix that is positive definite")
+        raise MistrayError("noise is not a covariance; give a symmetric matrix that is positive definite")
     return data, spread
 
 

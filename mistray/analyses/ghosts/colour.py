@@ -272,6 +272,6 @@ class ColourPictures:
         blocks = f"; {self.block} × {self.block} pixels averaged" if self.block > 1 else ""
         return (
             f"wavelengths: {lines} nm; white: {white}; exposure: {self.look.stops:+g} stops over the {over}{blocks}\n"
-            f"of the pixels with stray light {stray.outside:.0%} lie outside of sRGB, {stray.overexposed:.0%} are "
+            f"of the pixels with stray light {stray.outside:.0%} lie outside sRGB, {stray.overexposed:.0%} are "
             "overexposed"
         )

@@ -124,7 +124,7 @@ class Alias(Demand):
         {"enum": [*ALL_SURFACES]},
         {"type": "array", "items": {"type": "string", "minLength": 1}, "minItems": 2, "maxItems": 2},
     )
-    _pair = Pairs("no alias; give PATTERN=NAME, part or space")
+    _pair = Pairs("not an alias; give PATTERN=NAME, part or space")
 
     def __call__(self, text: str) -> str | tuple[str, str]:
         """Parse an alias from the command line: a word, or a pair of pattern and name."""

@@ -12,7 +12,7 @@ from mistray.toolkit.figures.figure import Figure, plain_axes
 from mistray.toolkit.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, "#555555")
-SHOWN = 8  # fields in one picture
+SHOWN = 8  # fields in one picture, spread evenly over all
 LEAST = 1e-5  # of the peak, what a logarithmic PSF shows
 PIXELS = 160
 AIRY_DISCS, RADII = 2.0, 2.5  # half size of the picture of a PSF: Airy diameters at least, radii of 80 % of the flux
@@ -21,7 +21,8 @@ RAYS = 3000  # of a spot diagram
 
 def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
     """Draw the tangential and sagittal MTF of up to 8 fields against frequency, 1/mm, with the diffraction limit."""
-    return _mtf(found.fields[:SHOWN], max(map(_last_frequency, found)), title)
+    images, of_all = _shown(found)
+    return _mtf(images, max(map(_last_frequency, found)), title, of_all)
 
 
 def field_mtf_figure(image: FieldImage, title: str = "") -> Figure:
@@ -29,11 +30,19 @@ def field_mtf_figure(image: FieldImage, title: str = "") -> Figure:
     return _mtf([image], _last_frequency(image), title)
 
 
+def _shown(found: ImageQuality) -> tuple[list[FieldImage], str]:
+    """Return the fields in one picture, spread evenly over all, and how many they are for its heading if not all."""
+    if len(found) <= SHOWN:
+        return [*found], ""
+    places = np.linspace(0, len(found) - 1, SHOWN).round().astype(int)
+    return [found[int(k)] for k in places], f", {SHOWN} of {len(found)} fields"
+
+
 def _last_frequency(image: FieldImage) -> float:
     return max(image.cut_off_per_mm("tangential"), image.cut_off_per_mm("sagittal"))
 
 
-def _mtf(images: Sequence[FieldImage], last: float, title: str) -> Figure:
+def _mtf(images: Sequence[FieldImage], last: float, title: str, of_all: str = "") -> Figure:
     made, axes = Figure.of_panels(8.0, 4.8)
     f = np.linspace(0, last, 201)
     axes.plot(f, images[0].diffraction_limit(f, "sagittal"), color="#888888", lw=1, ls=":", label="diffraction limit")
@@ -43,16 +52,16 @@ def _mtf(images: Sequence[FieldImage], last: float, title: str) -> Figure:
     axes.set(xlim=(0, last), ylim=(0, 1))
     plain_axes(axes, legend=True, xlabel="spatial frequency on the detector [1/mm]", ylabel="MTF")
     how = "solid: tangential, dashed: sagittal; dotted: the first field without aberration"
-    return made.headed(title, "modulation transfer function", how)
+    return made.headed(title, f"modulation transfer function{of_all}", how)
 
 
 def psf_figure(found: ImageQuality, title: str = "") -> Figure:
     """
-    Draw the point spread functions of the first 8 fields over their peaks; axes in µm.
+    Draw the point spread functions of up to 8 fields over their peaks; axes in µm.
 
     They are linear above and logarithmic below.
     """
-    images = found.fields[:SHOWN]
+    images, of_all = _shown(found)
     made, panels = Figure.of_panels(1.2 + 2.6 * len(images), 5.6, 2, len(images), squeeze=False)
     for column, image in zip(panels.T, images, strict=True):
         psf = image.psf(PIXELS, 2 * _half(image) / PIXELS)
@@ -69,16 +78,16 @@ def psf_figure(found: ImageQuality, title: str = "") -> Figure:
     for axes, text in zip(panels[:, 0], ("linear", f"logarithmic, to {LEAST:g}"), strict=True):
         axes.set_ylabel(f"{text}\ny [µm]", fontsize=8)
     how = "x sagittal, y tangential, from the chief ray; each picture has its own scale"
-    return made.headed(title, "point spread function, relative to its peak", how)
+    return made.headed(title, f"point spread function, relative to its peak{of_all}", how)
 
 
 def opd_figure(found: ImageQuality, title: str = "") -> Figure:
     """
-    Draw the wavefronts of the first 8 fields in waves over direction cosines.
+    Draw the wavefronts of up to 8 fields in waves over direction cosines.
 
     They are at the reference wavelength, after removal of tilt.
     """
-    images = found.fields[:SHOWN]
+    images, of_all = _shown(found)
     made, panels = Figure.of_panels(1.2 + 3.0 * len(images), 3.6, 1, len(images), squeeze=False)
     for axes, image in zip(panels[0], images, strict=True):
         pupil = image.main.pupil
@@ -92,12 +101,12 @@ def opd_figure(found: ImageQuality, title: str = "") -> Figure:
         axes.set_title(f"{image.name}: {image.main.rms_waves():.3g} waves rms", fontsize=9)
         axes.tick_params(labelsize=7)
         axes.set_xlabel("direction cosine x", fontsize=8)
-    return made.headed(title, f"wavefront at {found[0].main.wavelength_nm:g} nm without its tilt [waves]")
+    return made.headed(title, f"wavefront at {found[0].main.wavelength_nm:g} nm without its tilt [waves]{of_all}")
 
 
 def spot_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Draw the spot diagrams of the first 8 fields in µm, by wavelength, with the Airy disc."""
-    images = found.fields[:SHOWN]
+    """Draw the spot diagrams of up to 8 fields in µm, by wavelength, with the Airy disc."""
+    images, of_all = _shown(found)
     shared = {"squeeze": False, "sharex": True, "sharey": True}
     made, (panels,) = Figure.of_panels(1.2 + 2.6 * len(images), 3.4, 1, len(images), **shared)
     turn = np.linspace(0, 2 * np.pi, 97)
@@ -117,24 +126,22 @@ def spot_figure(found: ImageQuality, title: str = "") -> Figure:
     if len(found.wavelengths_nm) > 1:
         panels[0].legend(fontsize=7, frameon=False, markerscale=5)
     how = "circle: Airy disc of diameter 2.44 λN about the centroid"
-    return made.headed(title, "spots about the chief ray", how)
+    return made.headed(title, f"spots about the chief ray{of_all}", how)
 
 
 def energy_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Draw the encircled energy of the first 8 fields in percent against the radius in µm."""
+    """Draw the encircled energy of up to 8 fields in percent against the radius in µm."""
+    images, of_all = _shown(found)
     made, axes = Figure.of_panels(8.0, 4.4)
-    most = min(
-        max(2 * _half(image) for image in found.fields[:SHOWN]),
-        min(image.largest_radius_mm for image in found),
-    )
+    most = min(max(2 * _half(image) for image in images), min(image.largest_radius_mm for image in found))
     radii = np.linspace(0, most, 101)
-    for image, colour in zip(found.fields[:SHOWN], COLOURS * 2, strict=False):
+    for image, colour in zip(images, COLOURS * 2, strict=False):
         axes.plot(1e3 * radii, 100 * image.encircled_energy(radii), color=colour, lw=1.4, label=image.name)
     axes.axhline(100 * ENERGY, color="#888888", lw=0.8, ls=":")
     axes.set(xlim=(0, 1e3 * most), ylim=(0, 100))
     plain_axes(axes, xlabel="radius about the centroid [µm]", ylabel="encircled energy [%]")
     axes.legend(fontsize=8, frameon=False, loc="lower right")
-    return made.headed(title, "encircled energy")
+    return made.headed(title, f"encircled energy{of_all}")
 
 
 def field_figure(found: ImageQuality, title: str = "") -> Figure:

@@ -123,7 +123,9 @@ def _mechanics(options: Options, source: Path) -> Found:
     check_options(vars(options), "mechanical")
     output = options.output or Path(source.with_suffix(".xml").name)
     if opened(output) is not None or (output.exists() and not output.is_file()):
-        raise MistrayError(f"output '{output}' is no regular file, and meshes are written beside it; name a scene file")
+        raise MistrayError(
+            f"output '{output}' is not a regular file, and meshes are written beside it; name a scene file"
+        )
     options.claim_output(output)
     options.refuse(("coating", "scatter"), ": parts get their coating and scatter by --paint; leave it out")
     request = request_of(MechanicsRequest, vars(options))

@@ -259,7 +259,7 @@ def _finding(found: Objects) -> str:
     Without an estimate above 0 the second is left out.
     """
     counts = (
-        f"The detector sees {len(found.critical)} objects that are no optics, light from outside reaches "
+        f"The detector sees {len(found.critical)} objects that are not optics, light from outside reaches "
         f"{len(found.illuminated)}, and {len(found.common)} are both."
     )
     row = max(found.products, key=lambda row: row.pst.value, default=None)

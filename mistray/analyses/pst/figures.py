@@ -52,7 +52,7 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
     Draw the PST against field angle with bands of one standard error, and below it the relative standard errors.
 
     Curves show all light, all stray light, and each class. Angles without any light are marked by an open triangle at
-    the bottom. The curve of all stray light has no band.
+    the bottom.
     """
     figure, (above, below) = Figure.of_panels(10.4, 6.6, 2, sharex=True, height_ratios=(3.4, 1))
     angles = pst.field_deg
@@ -221,9 +221,9 @@ def _pst_range(pst: Pst) -> Range | None:
 
 def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
     """
-    Draw the PST curve of light class `group`, with gaps where it has no light, or nothing if it has none at all.
+    Draw the PST curve of light class `group` with its band of one standard error, with gaps where it has no light.
 
-    All classes but "stray" have a band of one standard error.
+    Nothing is drawn if it has none at all.
     """
     value, se = pst.curve(group)
     if not (value > 0).any():
@@ -235,12 +235,11 @@ def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
         label=LABELS.get(group, legend_label(name_of(group))), solid_capstyle="butt",
         zorder=2 if group == "stray" else 3,
     )  # fmt: skip
-    if group != "stray":
-        low = np.maximum(shown - se, floor / 10)
-        axes.fill_between(pst.field_deg, low, shown + se, color=colour, alpha=0.25, lw=0, zorder=2.5)
-        beside = np.pad(value > 0, 1)
-        alone = (value > 0) & ~beside[:-2] & ~beside[2:]  # a band needs a neighbour
-        axes.vlines(pst.field_deg[alone], low[alone], (shown + se)[alone], color=colour, lw=2.5, alpha=0.25)
+    low = np.maximum(shown - se, floor / 10)
+    axes.fill_between(pst.field_deg, low, shown + se, color=colour, alpha=0.25, lw=0, zorder=2.5)
+    beside = np.pad(value > 0, 1)
+    alone = (value > 0) & ~beside[:-2] & ~beside[2:]  # a band needs a neighbour
+    axes.vlines(pst.field_deg[alone], low[alone], (shown + se)[alone], color=colour, lw=2.5, alpha=0.25)
 
 
 def _errors(axes: Axes, pst: Pst) -> None:
@@ -268,7 +267,7 @@ def _errors(axes: Axes, pst: Pst) -> None:
 
 
 def _decades(axes: Axes) -> None:
-    """Put a tick at each decade of a logarithmic y axis, and remove the labels of minor ticks."""
+    """Put a tick at each of the up to `MOST_DECADES` decades of a PST axis, and remove the labels of minor ticks."""
     low, high = np.log10(axes.get_ylim())
     axes.yaxis.set_major_locator(LogLocator(base=10.0, numticks=int(high - low) + 3))
     axes.yaxis.set_minor_formatter(NullFormatter())

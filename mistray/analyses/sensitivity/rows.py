@@ -261,7 +261,7 @@ class LineNumbers:
         derivative = batches.sum(axis=0)
         wrong = [line.label for line, value in zip(lines, derivative, strict=True) if not np.isfinite(value)]
         if wrong:
-            raise MistrayError(f"the derivative by '{wrong[0]}' is not finite; leave it out")
+            raise MistrayError(f"the derivative with respect to '{wrong[0]}' is not finite; leave it out")
         tolerance = np.array([tolerances[line.parameter.key] for line in lines])
         # Lines of several keys have one width, so that what their rims do together is compared, not one by one
         widths = {key: found.edge_batches.get(key, parts[None]) for key, parts in found.batches.items()}

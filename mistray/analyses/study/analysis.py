@@ -301,7 +301,7 @@ def _level_findings(pst: Pst, first: FirstOrder | None, transmittance: float) ->
             k = int(np.flatnonzero(inside)[-1])
             drop = f"; it is below {100 * FALLEN:.0f} % from {angle[fallen[0]]:g}° on" if len(fallen) else ""
             found.append(
-                f"At {angle[k]:g}°, inside of the field of ±{first.field_deg['y']:.3g}°, the direct light is "
+                f"At {angle[k]:g}°, inside the field of ±{first.field_deg['y']:.3g}°, the direct light is "
                 f"{100 * direct[k] / on_axis:.0f} % of that on axis{drop}."
             )
     return found

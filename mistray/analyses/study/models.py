@@ -134,7 +134,8 @@ def mechanical_model(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
     """
     Return step 2, the mechanics: all surfaces that are not optics, with extents in z and r, mm.
 
-    For shapes with a profile r is the radius about their own axis. For others it is the range of their bounding box.
+    Extents in z are those in the world, also of tilted parts. For shapes with a profile r is the radius about their own
+    axis. For others it is the range of their bounding box.
     """
     rows = []
     for i in table.listed:
@@ -168,19 +169,22 @@ def mechanical_model(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
 
 def _extent(shape: Any) -> tuple[tuple[float, float], tuple[float, float], str]:
     """
-    Return ranges of z and r, mm, and the kind of the shape in words.
+    Return ranges of z and r in the world, mm, and the kind of the shape in words, which says if it is tilted.
 
-    For a shape with a profile, r is the radius about its own axis, and z the height of its axis points. A tilted one is
-    named so. For any other shape they bound its box, with r the distance from the world's z axis.
+    For a shape with a profile, r is the radius about its own axis. For any other shape they bound its box, with r the
+    distance from the world's z axis.
     """
-    if not hasattr(shape, "profile"):
-        low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
-        nearest = np.hypot(*np.maximum(np.maximum(low[:2], -high[:2]), 0.0))
-        furthest = np.hypot(*np.maximum(np.abs(low[:2]), np.abs(high[:2])))
-        return (float(low[2]), float(high[2])), (float(nearest), float(furthest)), getattr(shape, "figure", "mesh")
-    profile = shape.profile()
-    z = float(shape.matrix[2, 3]) + profile[:, 1] * float(shape.matrix[2, 2])
-    r = profile[:, 0]
-    kind = shape.figure
-    tilted = abs(shape.matrix[2, 2]) < 1 - 1e-9
-    return (float(z.min()), float(z.max())), (float(r.min()), float(r.max())), f"{kind}, tilted" if tilted else kind
+    low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
+    z = low[2], high[2]
+    if hasattr(shape, "profile"):
+        r, along = shape.profile().T
+        kind, upright = shape.figure, abs(shape.matrix[2, 2]) >= 1 - 1e-9
+        ends = r.min(), shape.outer_radius
+        if upright and r.max() == ends[1]:  # else, as for corners of a rectangle, the profile does not have its ends
+            heights = shape.matrix[2, 3] + along * shape.matrix[2, 2]
+            z = heights.min(), heights.max()  # exact, while the box is in float32
+    else:
+        kind, upright = getattr(shape, "figure", "mesh"), True
+        nearest = np.maximum(np.maximum(low[:2], -high[:2]), 0.0)
+        ends = np.hypot(*nearest), np.hypot(*np.maximum(np.abs(low[:2]), np.abs(high[:2])))
+    return (float(z[0]), float(z[1])), (float(ends[0]), float(ends[1])), kind if upright else f"{kind}, tilted"

@@ -194,7 +194,7 @@ def _keys(
 def _numbers(configuration: str, key: str, value: Any, now: Any) -> npt.NDArray[np.float64]:
     where = f"configuration '{configuration}': parameter '{key}'"
     if not holds_numbers(now):
-        raise MistrayError(f"{where} is no number but {type(now).__name__}; change another one")
+        raise MistrayError(f"{where} is not a number but {type(now).__name__}; change another one")
     try:
         numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError):

@@ -230,8 +230,8 @@ def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: fl
     beyond = float(direct.value[spread.edges_mm[:-1] > size].sum() / direct.total().value)
     if beyond > EXTENDED:
         notes.append(
-            f"{percent_text(beyond)} of the direct light falls beside the image of the point; the source is no point, "
-            "and transfer functions are those of its image"
+            f"{percent_text(beyond)} of the direct light falls beside the image of the point; the source is not a "
+            "point, and transfer functions are those of its image"
         )
     return tuple(notes)
 

@@ -1,1 +1,1 @@
-"""Commands of `mistray` that are no analyses, one file each."""
+"""Commands of `mistray` that are not analyses, one file each."""

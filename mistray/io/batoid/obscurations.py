@@ -51,7 +51,7 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
     MistrayError
         If a part of the obscuration has no counterpart, or figures cannot express the covered area.
     """
-    return [_outline(part, radius, owner, clear=False) for part in _parts(obscuration)]
+    return [_outline(part, radius, owner, clear=negated) for part, negated in _parts(obscuration)]
 
 
 def _outline(obscuration: Any, radius: float, owner: str, clear: bool) -> Outline:
@@ -62,20 +62,27 @@ def _outline(obscuration: Any, radius: float, owner: str, clear: bool) -> Outlin
     return Outline(tuple(figures))
 
 
-def is_open(obscuration: Any) -> bool:
-    """True if an obscuration is opaque everywhere except in an opening, so that it has no outer limit."""
+def is_open(obscuration: Any, negated: bool = False) -> bool:
+    """True if an obscuration, or the rest of the plane if `negated`, has no outer limit but the surface's."""
     kind = type(obscuration).__name__
-    if kind == "ObscUnion":
-        return any(is_open(item) for item in obscuration.items)
-    return kind in ("ObscNegation", "ObscRay")
+    if kind == "ObscNegation":
+        return is_open(obscuration.original, not negated)
+    if kind in ("ObscUnion", "ObscIntersection"):
+        some = any if (kind == "ObscUnion") != negated else all
+        return some(is_open(item, negated) for item in obscuration.items)
+    return negated or kind == "ObscRay"
 
 
-def _parts(obscuration: Any) -> Iterator[Any]:
-    if type(obscuration).__name__ == "ObscUnion":
+def _parts(obscuration: Any, negated: bool = False) -> Iterator[tuple[Any, bool]]:
+    """Yield parts whose union is an obscuration, or the rest of the plane if `negated`; each with its own `negated`."""
+    kind = type(obscuration).__name__
+    if kind == "ObscNegation":
+        yield from _parts(obscuration.original, not negated)
+    elif kind == ("ObscIntersection" if negated else "ObscUnion"):
         for item in obscuration.items:
-            yield from _parts(item)
+            yield from _parts(item, negated)
     elif obscuration is not None:
-        yield obscuration
+        yield obscuration, negated
 
 
 def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[OutlineFigure]:
@@ -90,16 +97,9 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[O
         return [OutlineFigure("circle", "+" if clear else "-", sizes=(radius * M_TO_MM,))]
     if kind == "ObscNegation":
         return _figures(obscuration.original, radius, owner, not clear)
-    if kind == "ObscUnion" and clear:  # clear where none of them covers
-        figures: list[OutlineFigure] = []
-        for item in sorted(obscuration.items, key=lambda item: not is_open(item)):
-            figures += _within(_figures(item, radius, owner, clear=True), figures, owner)
-        return figures
-    if kind == "ObscIntersection" and not clear:
-        figures = []
-        for item in obscuration.items:
-            figures += _within(_figures(item, radius, owner, clear=False), figures, owner)
-        return figures
+    if kind in ("ObscUnion", "ObscIntersection"):  # what a union leaves clear is the intersection of what its items do
+        areas = [_figures(item, radius, owner, clear) for item in obscuration.items]
+        return _combined(areas, (kind == "ObscUnion") == clear, owner)
     if kind == "ObscAnnulus":
         outer, inner = (_circle(obscuration, value) for value in (obscuration.outer, obscuration.inner))
         if not clear:
@@ -109,17 +109,23 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[O
     return [_signed(figure, "-" if clear else "+")]
 
 
-def _within(parts: list[OutlineFigure], before: list[OutlineFigure], owner: str) -> list[OutlineFigure]:
+def _combined(areas: list[list[OutlineFigure]], meet: bool, owner: str) -> list[OutlineFigure]:
     """
-    Return figures `parts` with "+" replaced by "&", so that they narrow the area of the figures before them.
+    Return the intersection of areas with `meet`, else their union, as one list of figures.
 
-    Without figures before they stay. Raise `MistrayError` if a later part adds an area.
+    An area that a single list must begin with leads. Raise `MistrayError` if there are two of them.
     """
-    if not before:
-        return parts
-    if any(figure.sign == "+" for figure in parts[1:]):
-        raise MistrayError(f"{owner}: what its obscuration leaves clear is no list of figures; split the obscuration")
-    return [_signed(figure, "&") if figure.sign == "+" else figure for figure in parts]
+
+    def narrowing(area: list[OutlineFigure]) -> list[OutlineFigure]:
+        return [_signed(area[0], "&"), *area[1:]] if meet and area[0].sign == "+" else area
+
+    def leads(area: list[OutlineFigure]) -> bool:
+        return any((figure.sign == "+") == meet for figure in narrowing(area))
+
+    start, *others = sorted(areas, key=lambda area: (not leads(area), area[0].sign == "-"))
+    if any(map(leads, others)):
+        raise MistrayError(f"{owner}: the area of its obscuration is not a list of figures; split the obscuration")
+    return [*start, *(figure for area in others for figure in narrowing(area))]
 
 
 def _single(obscuration: Any, kind: str, radius: float, owner: str) -> OutlineFigure:

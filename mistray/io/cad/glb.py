@@ -49,7 +49,7 @@ class Glb:
     def __init__(self, path: Path) -> None:
         data = read_file(path)
         if data[:4] != MAGIC:
-            raise ValueError("it is no GLB file")
+            raise ValueError("it is not a GLB file")
         self.tree: dict[str, Any] = {}
         self.binary = b""
         position = 12

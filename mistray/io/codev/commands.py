@@ -92,7 +92,7 @@ class SeqCommand:
         word = self.words[1 + place] if len(self.words) > 1 + place else ""
         value = finite_of(word)
         if value is None:
-            raise MistrayError(f"'{self.text}': '{shown([word])}' is no number; write it as in 1.5e-3")
+            raise MistrayError(f"'{self.text}': '{shown([word])}' is not a number; write it as in 1.5e-3")
         return value
 
     def positive(self, place: int = 0) -> float:

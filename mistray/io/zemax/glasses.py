@@ -114,7 +114,7 @@ class ZemaxGlasses(FileGlasses):
             return self._model(line)
         if name.upper() in MODEL_NAMES:
             raise line.error(
-                f"'{line.shown}' names no glass, and its flag {flag} says it is no model glass; use flag 1"
+                f"'{line.shown}' names no glass, and its flag {flag} says it is not a model glass; use flag 1"
             )
         if flag == 4:
             self.unread.append(line.unread("the glass is read, its offset of nd and Vd is not"))

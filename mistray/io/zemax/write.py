@@ -188,7 +188,7 @@ class _Writer:
             name = row.coating.rpartition(":")[2]
             extra.append(f"COAT {'_'.join(name.split())}")
             if name.split() != [name]:
-                self._lose(f"coating '{name}': its name is written with '_' for blanks")
+                self._lose(f"coating '{name}': its name is written with '_' for spaces")
         extra += self._aperture(row)
         curvature = 0.0 if row.radius == 0 else 1 / row.radius
         return self._block(kind, thickness=0.0 if row.kind == "image" else thickness, curvature=curvature, extra=extra)

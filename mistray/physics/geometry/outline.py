@@ -76,7 +76,7 @@ class OutlineFigure:
             too few or too many corners, no area, or sides that cross.
         """
         if self.kind not in KINDS or self.sign not in SIGNS:
-            raise MistrayError(f"{owner}: '{self.sign}{self.kind}' is no figure; use + - or & and one of {KINDS}")
+            raise MistrayError(f"{owner}: '{self.sign}{self.kind}' is not a figure; use + - or & and one of {KINDS}")
         numbers = (self.x, self.y, self.angle_deg, *self.sizes)
         if not all(math.isfinite(v) for v in numbers):
             raise MistrayError(f"{owner}: {self.kind} with {numbers}; all of its numbers must be finite")

@@ -43,7 +43,13 @@ class Ghost:
     power: float
 
     def irradiance(self, beam_radius_mm: float) -> float:
-        """Return the irradiance of the ghost's uniform disc per unit irradiance of a beam of the given radius, mm."""
+        """
+        Return the irradiance of the ghost's uniform disc per unit irradiance of a beam of the given radius, mm.
+
+        It is ``inf`` for a ghost in focus on the image plane.
+        """
+        if self.spot_radius_mm == 0:
+            return math.inf if self.power > 0 else 0.0
         return self.power * (beam_radius_mm / self.spot_radius_mm) ** 2
 
 

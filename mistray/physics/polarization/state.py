@@ -86,7 +86,7 @@ def _from_jones(owner: str, jones: Any) -> State:
     e = np.array(jones_numbers(owner, jones))
     largest = float(np.max(np.abs(e)))
     if largest == 0:
-        raise MistrayError(f"{owner}: jones is 0, 0, which is no light; give a field, as in '1, -1i'")
+        raise MistrayError(f"{owner}: jones is 0, 0, which is not light; give a field, as in '1, -1i'")
     x, y = (e / largest).tolist()
     intensity, product = abs(x) ** 2 + abs(y) ** 2, 2 * x * y.conjugate()
     return (abs(x) ** 2 - abs(y) ** 2) / intensity, product.real / intensity, product.imag / intensity

@@ -111,7 +111,7 @@ def check_names(names: str | Iterable[str], owner: str) -> None:
     names = set(several(names))
     for name in sorted(names - {GRID}):
         if length_power(name) is None:
-            raise MistrayError(f"{owner}: '{name}' is no number of a sag; see mistray.physics.sags.terms")
+            raise MistrayError(f"{owner}: '{name}' is not a parameter of a sag; see mistray.physics.sags.terms")
         kind = (_numbered(name) or ("",))[0]
         for needed in _NEEDS.get(kind, ()):
             if needed not in names:
@@ -209,7 +209,7 @@ def slopes(x: np.ndarray, y: np.ndarray, n: Numbers, step: float) -> tuple[np.nd
 
 def vertex_curvatures(n: Numbers, step: float) -> tuple[float, float]:
     """
-    Return the curvatures of a sag in x and y at the vertex, 1/mm, without the terms r1 … r30.
+    Return the curvatures of a sag in x and y at the vertex, 1/mm, without the kink of the term r1.
 
     Parameters
     ----------
@@ -218,7 +218,8 @@ def vertex_curvatures(n: Numbers, step: float) -> tuple[float, float]:
     step : float
         Step of the differences, mm.
     """
-    smooth = {name: value for name, value in n.items() if not (name[0] == "r" and name[1:].isdigit())}
+    # r3 … r30 have no curvature at the vertex, but those of odd orders would add an error of the first order in `step`
+    smooth = {name: value for name, value in n.items() if name == "r2" or (_numbered(name) or ("",))[0] != "r"}
     zero = np.zeros(1)
     middle = sag(zero, zero, smooth)
     both = ((step + zero, zero), (zero, step + zero))

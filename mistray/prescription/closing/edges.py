@@ -159,7 +159,7 @@ class Closing:
         part = run[0].part or run[0].name
         faces: list[Structure] = []
         if any(surface.outline is not None for surface in local):
-            self.notes.append(f"part '{part}': its outline is no centred circle; it has no edges")
+            self.notes.append(f"part '{part}': its outline is not a centred circle; it has no edges")
             return
         freeform = any(surface.sag for surface in local)
         try:

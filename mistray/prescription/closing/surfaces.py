@@ -146,7 +146,7 @@ class OpticalSurfaces:
         if self.enlarged:
             numbers = ", ".join(map(str, self.enlarged))
             self.notes.append(
-                f"drawn clear radii that are no apertures, made larger because rays reach up to "
+                f"drawn clear radii that are not apertures, made larger because rays reach up to "
                 f"{100 * max(self.enlarged.values()):.3g} % beyond: surfaces {numbers}"
             )
 

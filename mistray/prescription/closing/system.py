@@ -357,7 +357,9 @@ def _detector(table: OpticalSurfaces, half: tuple[float, ...] | None) -> Detecto
     if half is None and row.aperture is not None:
         half = row.aperture.sides
         if half is None:
-            table.notes.append("the aperture of the image is no rectangle about its middle: the detector is a square")
+            table.notes.append(
+                "the aperture of the image is not a rectangle about its middle: the detector is a square"
+            )
     if half is None:
         scale = data.epd / _SMALLEST_DETECTOR if math.isinf(data.efl) else abs(data.efl)
         size = max(float(table.rays.reach[-1]), row.semi_diameter or 0.0) * (1 + table.margin)

@@ -107,7 +107,7 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> Sequent
     from_height, from_slope = up[stop, 0], down[stop, 0]
     pupil_z = math.inf if lens.telecentric or abs(from_height) < _NONE else from_slope / from_height
     if any(math.isnan(value) for value in (efl, bfl, pupil_z)):
-        raise MistrayError(f"lens '{lens.name}': its first-order data are no numbers; look for huge values in it")
+        raise MistrayError(f"lens '{lens.name}': its first-order data are not numbers; look for huge values in it")
     epd, stop_radius = _beam(lens, efl, (from_height, from_slope), pupil_z)
     return SequentialFirstOrder(
         efl=float(efl),
@@ -245,7 +245,7 @@ def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: f
         epd = value
     else:
         if math.isinf(efl):
-            raise MistrayError(f"lens '{lens.name}': it is afocal, so F/{value:g} is no aperture; give a diameter")
+            raise MistrayError(f"lens '{lens.name}': it is afocal, so F/{value:g} is not an aperture; give a diameter")
         epd = abs(efl) / value
     return epd, scale * epd / 2
 

@@ -133,7 +133,7 @@ def declared(table: SurfaceTable, detector: int) -> Sequences:
             unknown = [name for name in names.split("|") if name not in numbers]
             if unknown:
                 raise MistrayError(
-                    f"detector '{table.ids[detector]}': its design_path names '{unknown[0]}', which is no surface; "
+                    f"detector '{table.ids[detector]}': its design_path names '{unknown[0]}', which is not a surface; "
                     "give ids of shapes"
                 )
             steps.append([event_of(numbers[name], whats[letter]) for name in names.split("|")])

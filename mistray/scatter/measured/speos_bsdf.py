@@ -89,7 +89,7 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     """
     lines = _Lines(path)
     if not _HEADER.fullmatch(lines.text()):
-        raise MistrayError(f"{lines.where}: it is no 'OPTIS - Anisotropic BSDF surface file v8.0'; export it as such")
+        raise MistrayError(f"{lines.where}: not an 'OPTIS - Anisotropic BSDF surface file v8.0'; export it as such")
     if lines.text() != "0":
         raise MistrayError(f"{lines.where}: it is in binary mode; save it as text in Speos (mode 0)")
     lines.text()

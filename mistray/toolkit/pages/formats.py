@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from mistray.errors import MistrayError, nearest
 from mistray.files.irradiance_files import FORMATS, IrradianceMap, write_irradiance
 from mistray.files.packages import format_package
 from mistray.files.parquet import write_parquet
@@ -18,11 +19,13 @@ from mistray.toolkit.pages.model import Report
 
 PDF = "pdf"
 RAYS = "dat"  # needs no package
+PARQUET = "parquet"
+ALL = (PARQUET, PDF, *FORMATS, RAYS)
 
 
-def require_formats(formats: Sequence[str]) -> None:
+def require_formats(formats: str | Sequence[str]) -> None:
     """
-    Raise `MistrayError` for formats whose packages are not installed, so that a long trace does not end in an error.
+    Raise `MistrayError` for formats that cannot be written, so that a long trace does not end in an error.
 
     Parameters
     ----------
@@ -32,9 +35,11 @@ def require_formats(formats: Sequence[str]) -> None:
     Raises
     ------
     MistrayError
-        If a package is missing; the message names it and the extra to install.
+        If a format is unknown, or a package is missing; the message then names it and the extra to install.
     """
-    for name in formats:
+    for name in several(formats):
+        if name not in ALL:
+            raise MistrayError(f"format '{name}' is unknown; {nearest(str(name), ALL)}")
         format_package(name)
 
 
@@ -77,7 +82,7 @@ def write_formats(
     Raises
     ------
     MistrayError
-        If a file cannot be written, or the package for a format is not installed.
+        If a file cannot be written, or for the reasons of `require_formats`.
 
     Examples
     --------
@@ -87,6 +92,7 @@ def write_formats(
     >>> [file.name for file in files]
     ['paths.parquet', 'image.npy']
     """
+    require_formats(formats)
     folder = Path(directory)
     written = []
     ByName(ANYTHING, "{'paths.csv': trace.paths.to_pandas()}").check_all("", tables=tables, facts=facts)
@@ -104,7 +110,7 @@ def write_formats(
                 written.append(replace_file(folder / pdf_name(report.page), pdf_bytes(report), "report"))
         else:
             written += [
-                write_parquet(table, folder / f"{stem.removesuffix('.csv')}.parquet", facts)
+                write_parquet(table, folder / f"{stem.removesuffix('.csv')}.{PARQUET}", facts)
                 for stem, table in tables.items()
             ]
     return written

@@ -6,7 +6,7 @@ Plain text is escaped on a page; `Markup` of markupsafe marks text that contains
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -162,10 +162,16 @@ class Table(PagePart):
         """
         Return the table with the columns of other tables, which have as many rows, on its right.
 
-        Its row `rest` gets no further cells.
+        If it has a row `rest`, the cells of others without one stay empty there.
         """
         rows = [[*chain(*parts)] for parts in zip(self.rows, *(one.rows for one in others), strict=True)]
-        return replace(self, columns=[*self.columns, *(c for one in others for c in one.columns)], rows=rows)
+        more = chain(*(one.rest or [""] * len(one.columns) for one in others))
+        return replace(
+            self,
+            columns=[*self.columns, *(c for one in others for c in one.columns)],
+            rows=rows,
+            rest=[*self.rest, *more] if self.rest else (),
+        )
 
 
 @dataclass(frozen=True)
@@ -295,6 +301,17 @@ class PartGroup(PagePart):
     style: str
     parts: Sequence[PagePart]
     kind: ClassVar[str] = "group"
+
+
+def without_groups(parts: Iterable[PagePart]) -> Iterator[PagePart]:
+    """Yield parts, with those of groups and folds in place of these; the summary of a fold is a note before them."""
+    for part in parts:
+        if isinstance(part, Folded):
+            yield NotePart(part.summary)
+        if isinstance(part, Folded | PartGroup):
+            yield from without_groups(part.parts)
+        else:
+            yield part
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import pandas as pd
 
 from mistray.errors import MistrayError
 from mistray.files.json_values import plain
-from mistray.toolkit.pages.model import Map, Report, Section, Table
+from mistray.toolkit.pages.model import Map, Report, Section, Table, without_groups
 from mistray.toolkit.tables.frames import table_frame
 from mistray.toolkit.tables.text import parts_text
 
@@ -88,7 +88,7 @@ def section_tables(sections: Sequence[Section], taken: Container[str] = ()) -> d
     """
     tables: dict[str, pd.DataFrame] = {}
     for section in sections:
-        for part in section.parts:
+        for part in without_groups(section.parts):
             if isinstance(part, Table):
                 name = f"{part.name}.csv"
                 if not part.name or name in taken or name in tables:
@@ -106,7 +106,7 @@ def section_record(sections: Sequence[Section]) -> dict[str, Any]:
     record: dict[str, Any] = {}
     for section in sections:
         record[section.anchor] = own = {"title": section.title}
-        for part in section.parts:
+        for part in without_groups(section.parts):
             if isinstance(part, Table):
                 own[part.name] = plain(table_frame(part).to_dict("records"))
             elif isinstance(part, Map):

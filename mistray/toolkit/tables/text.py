@@ -22,6 +22,7 @@ from mistray.toolkit.pages.model import (
     Table,
     Terms,
     Value,
+    without_groups,
 )
 
 SIGNIFICANT = 5  # digits of a value at most: errors below them are not worth a place
@@ -111,9 +112,9 @@ def cell_text(value: Value) -> str:
 
 
 def parts_text(parts: Sequence[PagePart]) -> str:
-    """Return tables, notes and lists as text, and pictures as their captions; groups and folded parts are left out."""
+    """Return tables, notes and lists as text, also those in groups and folds, and pictures as their captions."""
     texts = []
-    for part in parts:
+    for part in without_groups(parts):
         if isinstance(part, Table):
             texts.append(table_text(part))
         elif isinstance(part, NotePart):

@@ -39,7 +39,7 @@ class TestTotals:
         through = [row["scattered"] is None for row in found if row["event"] == "transmission"]
         assert through == [False, True]
         whole, part = (succeeds(capsys, *ABG, "--R", share, "--angles-deg", 0) for share in (1, 0.1))
-        assert "\nnote: ABg: B 0.001 and g 1.8 are outside of what is usual" in whole
+        assert "\nnote: ABg: B 0.001 and g 1.8 are outside what is usual" in whole
         assert rows(part)[0][0] == pytest.approx(0.1 * rows(whole)[0][0], rel=5e-4)
         assert rows(part)[0][1] == rows(whole)[0][1]  # the loss is a share of the specular beam
 

@@ -262,11 +262,14 @@ def test_formats_are_written_by_name_and_wrong_ones_refused(
     files = write_formats(["npy", "parquet", "fits"], tmp_path, {"paths.csv": table}, {"irradiance_0deg": one})
     assert [file.name for file in files] == ["irradiance_0deg.npy", "paths.parquet", "irradiance_0deg.fits"]
     assert all(file.is_file() for file in files)
+    with pytest.raises(MistrayError, match="format 'parket' is unknown; did you mean 'parquet'"):
+        write_formats("parket", tmp_path, {"others.csv": table}, {})
+    assert not (tmp_path / "others.parquet").exists()
     for package, name in (("pyarrow", "parquet"), ("OpenEXR", "exr"), ("astropy", "fits"), ("fpdf", "pdf")):
         for module in [package, *(module for module in sys.modules if module.startswith(f"{package}."))]:
             monkeypatch.setitem(sys.modules, module, None)
         with pytest.raises(MistrayError, match=r"pip install 'mistray\["):
-            require_formats([name])
+            require_formats(name)
 
 
 def test_normalised_rms_irradiance_is_over_the_on_axis_image(report):

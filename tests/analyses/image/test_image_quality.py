@@ -5,10 +5,12 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from oracles import ideal_images
 from refusals import each_refused
 
 import mistray
+from mistray.analyses.image import figures
 from mistray.analyses.transfer.surface import product, transfer_of_bsdf, transfer_of_spectrum
 from mistray.errors import MistrayWarning
 from mistray.physics.imaging import surface_transfer as formulas
@@ -110,6 +112,18 @@ def test_table():
     assert found.stop == "mirror"
     assert found.image_scale_mm == pytest.approx(FOCAL, rel=1e-6)
     assert found[0].shares == pytest.approx([1 / 3, 2 / 3])
+
+
+def test_pictures_of_some_fields_hold_the_last_one_and_say_so(monkeypatch):
+    found = mistray.image_quality(mistray.load(paraboloid()), [0.0, 0.1, 0.2], grid=32)
+    draws = (figures.mtf_figure, figures.psf_figure, figures.opd_figure, figures.spot_figure, figures.energy_figure)
+    assert not any("fields" in draw(found).get_suptitle() for draw in draws)
+    monkeypatch.setattr(figures, "SHOWN", 2)
+    for draw in draws:
+        made = draw(found, "mirror")
+        assert made.get_suptitle().endswith(", 2 of 3 fields")
+        named = [text.get_text() for text in made.findobj(Text)]
+        assert [any(text.startswith(image.name) for text in named) for image in found] == [True, False, True]
 
 
 def test_wavelengths_count_by_the_light_that_arrives():

@@ -234,7 +234,7 @@ def test_bad_arguments_are_one_line(phone):
             lambda: objects(phone.scene, field_deg=[1.0], half_angle_deg=3.0),
             "half_angle_deg and field_deg are given, two kinds of source",
         ),
-        (lambda: objects(phone.scene, detector="L1_front"), "'L1_front' is no detector"),
+        (lambda: objects(phone.scene, detector="L1_front"), "'L1_front' is not a detector"),
         (lambda: phone.to_pandas("seen"), "there is no list 'seen'"),
         (lambda: phone.illumination("L9"), "'L9' has no side"),
         (lambda: DiskSource((0, 0, 0), 1.0, 10.0, inner_radius=2.0), "inner_radius is 2"),

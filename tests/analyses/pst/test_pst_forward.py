@@ -237,7 +237,7 @@ def test_bad_input_is_one_line(bare) -> None:
         ({"error_up_to_deg": 30.0}, "without relative_error"),
         ({"relative_error": 0.1, "error_up_to_deg": 5.0}, "no angle is as small"),
         ({"weights": [1.0]}, "weights are given without wavelength_nm"),
-        ({"detector": "nobody"}, "'nobody' is no detector"),
+        ({"detector": "nobody"}, "'nobody' is not a detector"),
     ):
         with pytest.raises(MistrayError, match=message):
             mistray.pst(bare, [10.0], method="forward", **arguments)

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from analyses.fake_pst import FACTS, fake_pst
-from matplotlib.collections import QuadMesh
+from matplotlib.collections import PolyCollection, QuadMesh
 
 from mistray.analyses.pst import causes, tables
 from mistray.analyses.pst.causes import breaks, cause_frame, field_edge, main_cause, stray_paths
@@ -320,7 +320,7 @@ def test_files(around: Pst, tmp_path: Path) -> None:
     html_pages.check(text)
     assert "a <b> & c" not in text
     assert "Point source transmittance: a &lt;b&gt; &amp; c" in text
-    assert "single rays carry more than 10 %" in text
+    assert "single rays carry more than 10\xa0%" in text
     assert html_pages.table_of(text, "t-paths").count("<tr>") == 1 + 3 * len(around.field_deg)
 
 
@@ -347,10 +347,12 @@ def test_curve_shows_every_class_with_its_error(mapped: Pst) -> None:
         np.testing.assert_array_equal(lines(above)[label].get_ydata(), np.where(value > 0, value, np.nan))
     assert "edge of the field, 26.1°" in texts(above)
     # Bands are one standard error, which stands below with the one that was asked for
-    value, se = mapped.curve("total")
-    vertices = above.collections[0].get_paths()[0].vertices
-    at_40 = vertices[np.isclose(vertices[:, 0], 40.0)][:, 1]
-    np.testing.assert_allclose([at_40.min(), at_40.max()], [value[20] - se[20], value[20] + se[20]], rtol=1e-9)
+    bands = [item for item in above.collections if isinstance(item, PolyCollection)]
+    for band, group in zip(bands, ("stray", "total"), strict=False):
+        value, se = mapped.curve(group)
+        vertices = band.get_paths()[0].vertices
+        at_40 = vertices[np.isclose(vertices[:, 0], 40.0)][:, 1]
+        np.testing.assert_allclose([at_40.min(), at_40.max()], [value[20] - se[20], value[20] + se[20]], rtol=1e-9)
     errors = lines(below)
     np.testing.assert_allclose(errors["standard error, all light"].get_ydata(), 100 * se / value)
     np.testing.assert_allclose(errors["requested error"].get_xydata(), [[0, 2], [60, 2]])

@@ -565,7 +565,7 @@ def test_wrong_arguments(scene) -> None:
         (lambda: pst_bin(scene, 20, convention="both"), "convention is 'both'; choose from normal, projected"),
         (lambda: pst_bin(scene, 20, ray=3), "there is no setting 'ray'; did you mean 'rays'"),
         (lambda: pst_bin(scene, 20, method="forward"), "method of a PST metric is 'forward'; use 'joined'"),
-        (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is no setting of a PST metric"),
+        (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is not a setting of a PST metric"),
         (lambda: pst_bin(scene, 20, pst_field_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
         (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between -90 and 90"),
         (lambda: pst_band(scene, 50, 20), "band from 50 to 20°; field angles must ascend"),

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
@@ -88,6 +89,27 @@ def test_surfaces_in_the_order_of_the_light_and_their_targets(camera):
     assert last.traced_distance_mm == pytest.approx(last.distance_mm)
     optics = [table.ids[s.surface] for s in path.steps[:-1] if table.interfaces[s.surface].scatter]
     assert (beside.number[beside.surface.isin(optics)] > 0).all()
+
+
+def test_tilted_and_rectangular_parts_reach_to_their_rims():
+    """A ring at height h of an axis tilted by t lies within h cos t ± r sin t of its origin."""
+    frame, black = mi.ScalarTransform4f(), {"type": "interface", "R": 0.0}
+    shapes = {
+        "tube": {"type": "frustum", "r0": 5.0, "z0": -1.0, "r1": 3.0, "z1": 10.0},
+        "plate": {"type": "asphere", "half_width": 40.0, "half_height": 6.0},
+    }
+    for k, shape in enumerate(shapes.values(), start=1):
+        shape |= {"to_world": frame.translate([0, 200 * k, 50]).rotate([1, 0, 0], 30), "bsdf": black}
+    film = {"type": "asphere", "semi_diameter": 1.0, "sensor": {"type": "irradiancemeter"}, "bsdf": black}
+    light = {"type": "collimated", "radius": 1.0}
+    scene = mistray.load({"type": "scene", "light": light, "film": film, **shapes})
+    found = mechanical_model(SurfaceTable(scene, 550.0), None).table.set_index("surface")
+    tube, plate = found.loc["tube"], found.loc["plate"]
+    c, s = math.cos(math.radians(30)), 0.5
+    assert (tube.z_from_mm, tube.z_to_mm) == pytest.approx((50 - c - 5 * s, 50 + 10 * c + 3 * s), rel=1e-4)
+    assert (plate.z_from_mm, plate.z_to_mm) == pytest.approx((50 - 6 * s, 50 + 6 * s), rel=1e-6)
+    assert (tube.r_from_mm, tube.r_to_mm, plate.r_to_mm) == pytest.approx((3.0, 5.0, math.hypot(40.0, 6.0)))
+    assert (tube["shape"], plate["shape"]) == ("cone, tilted", "rectangle, tilted")
 
 
 def test_structure_has_extents_and_roles(camera):

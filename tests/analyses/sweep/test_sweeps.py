@@ -171,7 +171,7 @@ def test_wrong_arguments(plate: Path) -> None:
         (([0], 550, {"a": {"p0_front.z": math.nan}}), "'p0_front.z' is .nan.; it must be finite"),
         (([0], 550, {"a": {"p0_front.z": [1, 2]}}), "2 numbers are given; it has 1"),
         (([0], 550, {"a": {"p0_front.z": "far"}}), "is 'far'; give a number"),
-        (([0], 550, {"a": {"p0_front.faces": 1}}), "is no number but UInt"),
+        (([0], 550, {"a": {"p0_front.faces": 1}}), "is not a number but UInt"),
         (([0], 550, {"a": {"p0_rear.z": -5.0}}), "configuration 'a': surfaces 'p0_front' and 'p0_rear'"),
         by=lambda arguments: mistray.sweep(plate, *arguments, cache=False),
     )

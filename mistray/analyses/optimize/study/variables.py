@@ -356,7 +356,7 @@ def _of_group(
             motions.append(motion)
             continue
         if moved.pivot is not None:
-            raise MistrayError(f"{where}.parameters: '{moved.key}' is no tilt of a body, it has no pivot; remove it")
+            raise MistrayError(f"{where}.parameters: '{moved.key}' is not a tilt of a body, it has no pivot; remove it")
         for place, parameter in _places(moved, known, together, where):
             places.setdefault((place.key, place.entry), (place, parameter))
     units = {parameter.unit for _, parameter in places.values()}

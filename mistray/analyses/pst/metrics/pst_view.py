@@ -34,7 +34,7 @@ class PstView(TraceView):
     def __post_init__(self) -> None:
         for name in ("relative_error", "error_up_to_deg", "state", "resume", "map_pixels", "paths"):
             if name in self.arguments:
-                raise MistrayError(f"{name} is no setting of a PST metric: it traces `rays` rays, each time anew")
+                raise MistrayError(f"{name} is not a setting of a PST metric: it traces `rays` rays, each time anew")
         method = self.arguments.get("method", METHODS[0])
         if method not in METHODS:
             raise MistrayError(f"method of a PST metric is '{method}'; use {' or '.join(map(repr, METHODS))}")
