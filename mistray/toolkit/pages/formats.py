@@ -13,7 +13,7 @@ from mistray.files.irradiance_files import FORMATS, IrradianceMap, write_irradia
 from mistray.files.packages import format_package
 from mistray.files.parquet import write_parquet
 from mistray.files.ray_sets import save_ray_set
-from mistray.ranges import ANYTHING, TEXT, ByName, OfType, Several
+from mistray.ranges import ANYTHING, TEXT, ByName, OfType, Several, several
 from mistray.replace_file import replace_file
 from mistray.toolkit.pages.model import Report
 
