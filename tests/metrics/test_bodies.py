@@ -16,11 +16,10 @@ from mistray.analyses.optimize.study.variables import Variables, find_variables
 from mistray.analyses.sweep.configurations import Configuration, resolve
 from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import column_derivatives
-from mistray.metrics.bodies import Body
 from mistray.metrics.changes.first_surfaces import Entering, FirstLight, spoils, together
 from mistray.metrics.changes.gaps import Contacts, Gap
 from mistray.metrics.scene_values import changed
-from mistray.optimize import bodies, parameters, path_power, read_study
+from mistray.optimize import Body, bodies, parameters, path_power, read_study
 from mistray.physics.geometry.pose import moved
 from mistray.prescription import Detector, Prescription, Source, Structure, Surface, moved_as_one, prism
 from mistray.surfaces.gradient_columns import GEOMETRY, POSE

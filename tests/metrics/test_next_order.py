@@ -10,12 +10,11 @@ import pytest
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
 
 import mistray
+from mistray import MistrayError, Pst
 from mistray.analyses.optimize.page import write_optimization
 from mistray.analyses.optimize.tables import optimization_record, report_text
 from mistray.analyses.pst.next_order import with_next_orders
-from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.tables import pst_record, pst_text
-from mistray.errors import MistrayError
 from mistray.metrics.next_order import NextOrder, next_limits
 from mistray.optimize import Metric, optimize
 from mistray.recorders.direction_recorder import CLASSES

@@ -13,9 +13,8 @@ from refusals import refused
 from scipy.integrate import quad
 
 from mistray.physics.sags.forbes import q2d, q2d_values
-from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import half_turned, sag, slopes
-from mistray.prescription import read_grid, save_grid
+from mistray.prescription import Grid, read_grid, save_grid
 from mistray.surfaces.families.grid_patches import GridPatches
 
 pytestmark = pytest.mark.quick

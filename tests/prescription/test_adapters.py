@@ -13,13 +13,11 @@ from refusals import refused
 
 import mistray
 from mistray import MistrayError, MistrayWarning
-from mistray.io import from_oslo, read_oslo
 from mistray.io.optiland import from_optiland
 from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
-from mistray.physics.geometry.outline import circle
 from mistray.physics.sags.terms import sag as freeform_sag
-from mistray.prescription import Coating, to_optiland
+from mistray.prescription import Coating, circle, from_oslo, read_oslo, to_optiland
 from mistray.prescription import from_optiland as lens_of_optiland
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.materials import same_material

@@ -9,7 +9,7 @@ import vectors
 from sequential_lenses import by_name, lens, newtonian, triplet
 
 import mistray
-from mistray import Detector, MistrayError, Prescription, Source
+from mistray import Detector, MistrayError, Prescription, Source, Trace
 from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.prescription import (
     Coating,
@@ -33,7 +33,6 @@ from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
 from mistray.prescription.sequential.rays import to_world, trace
 from mistray.recorders import FarField, Probe
-from mistray.trace import Trace
 
 pytestmark = pytest.mark.quick
 

@@ -12,8 +12,7 @@ from sequential_lenses import BORED, by_name, lens, newtonian, triplet
 import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import path_power, transmission
-from mistray.physics.geometry.outline import circle
-from mistray.prescription import Coating, Decentre, Row, Sequential, from_optiland, to_prescription
+from mistray.prescription import Coating, Decentre, Row, Sequential, circle, from_optiland, to_prescription
 from mistray.prescription.closing.system import build
 from mistray.prescription.sequential.edge_rays import edge_rays
 from mistray.prescription.sequential.rays import trace

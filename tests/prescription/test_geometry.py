@@ -7,10 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mistray import Coating, Detector, Prescription, Source, Structure, Surface
-from mistray.errors import MistrayError
+from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface, trace
 from mistray.prescription import Stop, barrel, detector_frame, fresnel, lens_edge, wall
-from mistray.trace import trace
 
 
 def profile(pieces):

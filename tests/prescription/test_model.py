@@ -11,8 +11,7 @@ import vectors
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.io.to_sequential import to_sequential
-from mistray.io.zemax.write import write_zemax
+from mistray.io import to_sequential, write_zemax
 from mistray.prescription import (
     Coating,
     Detector,

@@ -11,13 +11,12 @@ from refusals import refused
 from mistray import MistrayError
 from mistray.io.codev.commands import commands
 from mistray.io.codev.glasses import table_material
-from mistray.io.codev.read import read_codev
 from mistray.materials import refractive_index
 from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
+from mistray.prescription import Sequential, read_codev
 from mistray.prescription.sequential.first_order import first_order, paraxial_system
 from mistray.prescription.sequential.rays import motion, to_world, trace
-from mistray.prescription.sequential.table import Sequential
 
 pytestmark = pytest.mark.quick
 DATA = Path(__file__).parents[1] / "data"

@@ -7,13 +7,11 @@ import pytest
 import vectors
 from refusals import refused
 
-from mistray.io.zemax.read import read_zemax
 from mistray.materials import refractive_index
-from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
+from mistray.prescription import Decentre, Outline, OutlineFigure, Sequential, circle, read_zemax, rectangle
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import frames, to_world, trace
-from mistray.prescription.sequential.table import Decentre, Sequential
 
 pytestmark = pytest.mark.quick
 COATINGS = Path(__file__).parents[1] / "data" / "coating_sample.dat"

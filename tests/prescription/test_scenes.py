@@ -14,8 +14,7 @@ import vectors
 from oracles import beams, nonsequential, scene_xml
 
 import mistray
-from mistray.analyses.thermal.run import thermal
-from mistray.errors import MistrayError
+from mistray import MistrayError, thermal
 from mistray.physics.sags.terms import sag
 from mistray.prescription import (
     Coating,

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from mistray import MistrayError
-from mistray.physics.geometry.outline import circle, rectangle
 from mistray.physics.geometry.sag import sag
-from mistray.prescription import Decentre, Row, Sequential
+from mistray.prescription import Decentre, Row, Sequential, circle, rectangle
 from mistray.prescription.sequential.edge_rays import edge_rays, launch
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import passes, trace

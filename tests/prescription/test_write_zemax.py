@@ -10,9 +10,7 @@ import vectors
 from command_line import fails, run
 from refusals import refused
 
-from mistray.io.to_sequential import to_sequential
-from mistray.io.zemax.read import read_zemax
-from mistray.io.zemax.write import write_zemax
+from mistray.io import read_zemax, to_sequential, write_zemax
 from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
 from mistray.prescription import Coating, Detector, Prescription, Stop, Surface

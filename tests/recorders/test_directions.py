@@ -15,11 +15,10 @@ from refusals import each_refused
 
 import mistray
 from mistray.physics.geometry.healpix import pixel, sides
-from mistray.recorders import FarField, Probe
+from mistray.recorders import Departure, FarField, Probe
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.recorder import Departure
 from mistray.sampling.sources import scene_sources
 
 pytestmark = pytest.mark.quick

@@ -18,8 +18,7 @@ from mistray.execute.tracer import prepare
 from mistray.light import AS_THE_SCENE, Light
 from mistray.prescription import Coating
 from mistray.scenes.cooke_triplet.prescription import build
-from mistray.settings import Settings
-from mistray.trace import polarization_choice
+from mistray.trace import Settings, polarization_choice
 from mistray.trace.both_ways import Arrivals, follow
 from mistray.trace.polarization_choice import LEAST_CHANGE, PolarizationChoice, chosen_polarization
 

@@ -13,10 +13,9 @@ import vectors
 from refusals import refused
 
 from mistray.materials import refractive_index
-from mistray.prescription import from_codev, from_zemax
+from mistray.prescription import Sequential, from_codev, from_zemax
 from mistray.prescription.sequential.first_order import first_order, paraxial_system
 from mistray.prescription.sequential.rays import to_world, trace
-from mistray.prescription.sequential.table import Sequential
 
 FILES = peer_lenses.files()
 SAME_FOCUS = 1e-6  # relative, of focal lengths

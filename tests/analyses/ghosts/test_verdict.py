@@ -13,6 +13,7 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z
 
 import mistray
+from mistray import Detector, GhostReport, Prescription, Source, Surface, ghosts
 from mistray.analyses.ghosts import peaks
 from mistray.analyses.ghosts.airy import with_airy
 from mistray.analyses.ghosts.combine import by_path
@@ -20,14 +21,11 @@ from mistray.analyses.ghosts.maps.path_maps import FieldMaps, PathMap
 from mistray.analyses.ghosts.page.answer import verdict
 from mistray.analyses.ghosts.page.record import record
 from mistray.analyses.ghosts.peaks import with_peaks
-from mistray.analyses.ghosts.result import GhostReport
-from mistray.analyses.ghosts.run import ghosts
 from mistray.analyses.ghosts.tables.ghosts import AIRY_TEXT, CONTESTED, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import path_table, summary_frame
 from mistray.analyses.ghosts.verdict import brightest_field, most_stray, remedy, shares_of_kinds, worst_of_all_fields
 from mistray.errors import Interrupted, MistrayError
 from mistray.metrics.ranking import bounds
-from mistray.prescription import Detector, Prescription, Source, Surface
 from mistray.toolkit.irradiance import log10_image, log_range, mirror_asymmetry, pixel_size, statistics
 from mistray.trace.sampled_hits import LightCone
 

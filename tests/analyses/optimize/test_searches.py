@@ -23,8 +23,7 @@ from mistray.analyses.optimize.study.state import Evaluation, State
 from mistray.analyses.optimize.study.study_scene import PlacedDesign, place
 from mistray.analyses.optimize.study.variables import Variable, VariablePlace, Variables, find_variables
 from mistray.errors import MistrayError
-from mistray.metrics.parameters import Parameter, parameters
-from mistray.optimize import Optimizer, Start, Step, read_study
+from mistray.optimize import Optimizer, Parameter, Start, Step, parameters, read_study
 
 NLOPT = pytest.mark.skipif(find_spec("nlopt") is None, reason="the extra 'nlopt' is not installed")
 METHODS = [

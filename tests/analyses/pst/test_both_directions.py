@@ -22,15 +22,14 @@ from oracles.small_scenes import interface_xml, write
 from oracles.vane_tube import VaneTube
 
 import mistray
+from mistray import MistrayWarning, Pst
 from mistray.analyses.pst import plan as plans
 from mistray.analyses.pst import request as requests
 from mistray.analyses.pst.pilot import FIRST_ROUND, LEAST_UNSCATTERED, Pilot
 from mistray.analyses.pst.plan import Plan, shared
 from mistray.analyses.pst.request import PstRequest
-from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.run import pst_of_each
 from mistray.analyses.pst.state import PstProgress
-from mistray.errors import MistrayWarning
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
 from mistray.kernel.kernel_scene import LEAST_PROBABILITY, MOST_RAYS, WeightWindows

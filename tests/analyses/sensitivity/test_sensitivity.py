@@ -16,10 +16,8 @@ from mistray.analyses.sensitivity import draws
 from mistray.analyses.sensitivity.page import notes
 from mistray.analyses.sensitivity.propagation import propagate
 from mistray.analyses.sensitivity.proposals import free_keys
-from mistray.analyses.sensitivity.run import sensitivity
 from mistray.errors import MistrayError
-from mistray.metrics.parameters import parameters
-from mistray.optimize import path_power
+from mistray.optimize import parameters, path_power, sensitivity
 
 R, T = 0.1, 0.8
 RS, TS = [[f"p0_{face}.bsdf.{name}" for face in ("front", "rear")] for name in "RT"]

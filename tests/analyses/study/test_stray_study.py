@@ -19,17 +19,15 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
+from mistray import MistrayError, Study, study
 from mistray.analyses.export.critical_rays import critical_rays
 from mistray.analyses.study.analysis import stray_light_analysis
 from mistray.analyses.study.first_order import FirstOrder, first_order
 from mistray.analyses.study.image import transfer_findings
 from mistray.analyses.study.models import mechanical_model, optical_model, role
 from mistray.analyses.study.objects import source_angles
-from mistray.analyses.study.result import Study
-from mistray.analyses.study.run import study
 from mistray.analyses.study.step import STEPS
 from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling
-from mistray.errors import MistrayError
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sources import scene_sources

@@ -18,11 +18,9 @@ from scipy.integrate import quad
 from scipy.special import expn
 from vectors import frame
 
+from mistray import MistrayError, ThermalReport, thermal
 from mistray.analyses.thermal.request import DetectorNoise
-from mistray.analyses.thermal.result import ThermalReport
-from mistray.analyses.thermal.run import thermal
 from mistray.analyses.thermal.spectrum import TracedBand, band_weights, traced_wavelengths
-from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.physics import planck
 from mistray.physics.netd import netd_by_detectivity, netd_by_photons
