@@ -162,15 +162,12 @@ class TestStudy:
                 self.variables(here, *sections)
 
 
-def test_configuration(here: Any, known: dict[str, Body]) -> None:
+def test_configuration_and_derivative_by_several_numbers(here: Any, known: dict[str, Body]) -> None:
     """A tilt, and a displacement, which is a value of the surfaces' own."""
     (found,) = resolve(here, mi.traverse(here), [Configuration("bent", {"L.tilt_x": 2.0, "L.z": 0.5, "P.y": 1.0})])
     expected = known["L"].moved({"tilt_x": 2.0, "z": 0.5}) | known["P"].moved({"y": 1.0})
     assert {key: float(value[0]) for key, value in found.values.items()} == pytest.approx(expected, abs=1e-5)
-
-
-def test_derivative_by_several_numbers(here: Any, known: dict[str, Body]) -> None:
-    """Its error comes from the batches of the sum; what the gradient lacks is refused."""
+    # Its error comes from the batches of the sum; what the gradient lacks is refused
     slopes = known["L"].slopes("tilt_x")
     found = mistray.gradient(path_power(here, "all", rays=2000), mi.traverse(here), keys=slopes)
     along = found.along(slopes)

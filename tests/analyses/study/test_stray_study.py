@@ -313,7 +313,7 @@ def test_image_in_glass_and_near_object(load_scene):
         first_order(laser, find_design_path(SurfaceTable(laser, 550.0), laser))
 
 
-def test_newtonian():
+def test_newtonian_and_phone_camera():
     """A paraboloid: half its radius of curvature; its rim is the stop; the diagonal and its holder obstruct it."""
     found, _ = measured("newtonian")
     assert found.focal_length_mm == pytest.approx(50 * 25.4, rel=1e-7)
@@ -329,10 +329,7 @@ def test_newtonian():
     diagonal = 2 * half * (2 * half + 3 / math.sqrt(2))
     tube = 25.4 * (95.25 - 3 * 25.4)
     assert found.pupil_area_mm2 == pytest.approx(math.pi * 95.25**2 - diagonal - tube, rel=0.01)
-
-
-def test_phone_camera():
-    """Focal length and chief ray of the float64 trace that scenes/phone_camera/SOURCE.md quotes; the stop's radius."""
+    # Focal length and chief ray of the float64 trace that scenes/phone_camera/SOURCE.md quotes; the stop's radius
     found, _ = measured("phone_camera")
     assert found.focal_length_mm == pytest.approx(7.0734, abs=1e-4)
     assert found.pupil_diameter_mm == pytest.approx(2 * 1.25171162, rel=1e-4)

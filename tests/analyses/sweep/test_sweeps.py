@@ -304,7 +304,7 @@ def test_edits_say_that_their_light_is_unpolarised(tmp_path: Path) -> None:
     assert any(told in text for text in sweeps.rank_edits(scene, 45.0, rays=2000, keys=["p0_front.z"]).left_out)
 
 
-def test_painted_and_moved_light_is_in_proportion(scene: Path) -> None:
+def test_paint_coating_block_and_errors(scene: Path) -> None:
     """What the wall scatters once goes with its reflectance, ray by ray: the error of the ratio is that of float32."""
     found = swept(
         scene,
@@ -317,10 +317,7 @@ def test_painted_and_moved_light_is_in_proportion(scene: Path) -> None:
         change = found.changed(name, FIELD, "single_scatter")
         assert change.ratio == pytest.approx(expected, rel=1e-4), name
         assert change.ratio_se < 1e-4 * max(expected, 1e-9) + 1e-12 < change.before_se / change.before
-
-
-def test_a_coating(scene: Path) -> None:
-    """The direct image goes with T of the plate, at 10° and unpolarised."""
+    # The direct image goes with T of the plate, at 10° and unpolarised
     found = swept(scene, sweeps.Configuration("coat", coat={"plate": "MgF2 99.64"}), cell_deg=0.2)
     change = found.changed("coat", FIELD, "direct")
     cosine = np.cos(np.radians(FIELD))
@@ -330,10 +327,7 @@ def test_a_coating(scene: Path) -> None:
         for layers, nm in (([n], [99.64]), ([], []))
     )
     assert change.ratio == pytest.approx(coated / bare, rel=1e-4)
-
-
-def test_a_block(scene: Path) -> None:
-    """A disc before the detector takes all; one that stands aside nothing, and it widens the beam of forward rays."""
+    # A disc before the detector takes all; one that stands aside nothing, and it widens the beam of forward rays
     covers = sweeps.Configuration("covers", block=[Structure("covers", 0.0, 19.0, 15.0, 19.0)])
     aside = sweeps.Configuration("aside", block=[Structure("aside", 50.0, 19.0, 51.0, 19.0)])
     assert swept(scene, covers).changed("covers", FIELD, "direct").after == 0
@@ -341,14 +335,8 @@ def test_a_block(scene: Path) -> None:
         change = swept(scene, aside, method=method).changed("aside", FIELD, "total")
         assert (change.ratio, change.ratio_se) == (pytest.approx(1, abs=1e-6), pytest.approx(0, abs=1e-6))
         assert change.before_se > 0
-
-
-def test_the_error_of_the_ratio(scene: Path) -> None:
-    """
-    Of 12 seeds the ratios spread as their errors say.
-
-    χ² of 11 degrees of freedom between its quantiles 1e-4 and 1 - 1e-4; a rim that blocks a part of the light.
-    """
+    # Of 12 seeds the ratios spread as their errors say
+    # χ² of 11 degrees of freedom between its quantiles 1e-4 and 1 - 1e-4; a rim that blocks a part of the light
     rim = sweeps.Configuration("rim", block=[Structure("rim", 2.0, 15.0, 30.0, 15.0)])
     changes = [swept(scene, rim, seed=seed).changed("rim", FIELD, "total") for seed in range(12)]
     ratios, errors = (np.array([getattr(change, key) for change in changes]) for key in ("ratio", "ratio_se"))

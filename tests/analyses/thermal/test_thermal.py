@@ -313,7 +313,7 @@ class TestCavity:
         assert any(e.name == "detector" and e.emission.value > 0 for e in report.emitters)
 
 
-def test_absorbing_medium(load: Load) -> None:
+def test_media_absorb_and_walls_emit(load: Load) -> None:
     """Constant k and index 1: 1 - exp(-4πk t/(λ cos θ)) over angle and band; interpolation in λ costs 1e-3."""
     k, thickness, near = 2e-4, 5.0, 1.0
     medium = f"1+{k:g}i"
@@ -336,9 +336,6 @@ def test_absorbing_medium(load: Load) -> None:
     assert slab.irradiance_W_mm2.se < 0.01 * expected
     assert_z("slab", slab.irradiance_W_mm2.value, expected, slab.irradiance_W_mm2.se, k=4.0, floor=4e-3 * expected)
     assert f"({medium})" in report.by_part()
-
-
-def test_emissivity_is_what_is_neither_reflected_nor_transmitted(load: Load) -> None:
     sheets = {"dark": (0.1, 0.0), "half": (0.1, 0.5), "clear": (0.25, 0.75)}
     scene = load(
         detector_xml(R=0.3),
