@@ -180,7 +180,7 @@ def test_focal_lengths_and_pupils_of_a_thick_lens():
     assert heading[0] == pytest.approx([0, 0.02, math.sqrt(1 - 0.02**2)], rel=1e-12)
 
 
-def test_telecentric_systems_mirrors_and_edge_rays():
+def test_telecentric_systems():
     """Cones about rays that leave the object parallel to the axis; the stop aims none and is as wide as they need."""
     distance, na = 30.0, 0.1
     system = {"object_distance": distance, "aperture_kind": "object_na", "aperture": na, "telecentric": True}
@@ -212,7 +212,10 @@ def test_telecentric_systems_mirrors_and_edge_rays():
     assert np.hypot(*edge_rays(lens).positions[2, :, :2].T).max() == pytest.approx(2.0, rel=1e-7)
     with pytest.raises(MistrayError, match=r"its entrance pupil lies at infinity, so its aperture .* limits no beam"):
         first_order(singlet(aperture=5.0, **near).with_rows(rows))
-    # f = R/2; of two f1 f2/(f1 + f2 - d), back focus f (f1 - d)/f1; a flat changes nothing; at 2f it is -1
+
+
+def test_mirrors():
+    """f = R/2; of two f1 f2/(f1 + f2 - d), back focus f (f1 - d)/f1; a flat changes nothing; at 2f it is -1."""
 
     def of(*rows: Row, **system: float):
         return first_order(lens(*rows, **({"aperture": 20.0} | system)))
@@ -230,6 +233,9 @@ def test_telecentric_systems_mirrors_and_edge_rays():
     front = Row(1, radius=100.0, thickness=1e-9, material="1.5", stop=True)
     data = of(front, Row(2, radius=-100.0, thickness=2 * f), object_distance=2 * f, aperture=5.0)
     assert data.magnification == pytest.approx(-1.0, rel=1e-8)
+
+
+def test_edge_rays_meet_the_rim_of_the_stop():
     lens = singlet(fields=((0.0, 0.0), (0.0, 15.0), (10.0, 20.0)), wavelengths_nm=(486.1, 587.6, 656.3),
                    weights=(1.0, 1.0, 1.0), primary=1)  # fmt: skip
     rays = edge_rays(lens)
