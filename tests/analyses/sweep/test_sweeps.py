@@ -24,6 +24,7 @@ from mistray.materials import refractive_index
 from mistray.optimize import pst_bin
 from mistray.physics import thinfilm
 from mistray.prescription import Structure
+from mistray.sweeps import write_configuration
 
 FEW = {"rays": 256, "cache": False}
 REFLECTANCES = {"weak": (0.1, 0.8), "strong": (0.3, 0.6)}
@@ -219,7 +220,7 @@ def numbers(scene) -> dict[str, np.ndarray]:
 def test_a_move(tmp_path, scene: str, key: str, step: float) -> None:
     """One surface, and a lens as a body: all its surfaces and edges go the same way, nothing else does."""
     before = numbers(mistray.load(scene))
-    file = sweeps.write_configuration(scene, sweeps.Configuration("moved", {key: step}), tmp_path / "moved.xml")
+    file = write_configuration(scene, sweeps.Configuration("moved", {key: step}), tmp_path / "moved.xml")
     after = numbers(mistray.load(file))
     assert before.keys() == after.keys()
     part, _, axis = key.rpartition(".")
