@@ -2,11 +2,12 @@
 Calls of public functions, methods and constructors by one of their arguments that takes several values.
 
 `ONE` has those for which a single value is a list of one, `FIXED` vectors and lists that cannot be single, `NAMED`
-mappings. Each call takes the argument alone and returns what depends on it.
+mappings. Each call takes the argument alone, most by its name, and returns what depends on it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -25,94 +26,33 @@ from mistray.scenes.cooke_triplet import prescription as triplet
 
 Call = Callable[[Any], Any]
 ANGLES = [5.0, 10.0]
-AGF = "odd.agf"
 SEQ = "RDM\nLEN\nEPD 8\nDIM M\nWL 588\nYAN 0\nSO 0 1E20\nS 50 5 NBK7_SCHOTT\nSTO\nS -50 46\nSI 0 0\nGO\n"
 CORNERS = [(0, 0), (10, 0), (0, 10)]
 X = np.arange(3.0)
-
-
-@cache
-def scene() -> Any:
-    return mistray.load("plate")
-
-
-@cache
-def known() -> Any:
-    return optimize.parameters(scene())
-
-
-@cache
-def trace() -> Any:
-    return mistray.trace(scene(), rays=256)
-
-
-@cache
-def history() -> Any:
-    return trace().history(0, 2)
-
-
-@cache
-def ghosts() -> Any:
-    return mistray.ghosts(scene(), 0, rays=256)
-
-
-@cache
-def stray() -> int:
-    return int(ghosts().top(0.0, 1).path_id.iloc[0])
-
-
-@cache
-def pst() -> Any:
-    return mistray.pst(mistray.load("lens_and_window"), ANGLES, rays=500)
-
-
-@cache
-def image() -> Any:
-    return mistray.image_quality(mistray.load("cooke_triplet"), 0, grid=32)
-
-
-@cache
-def transfer() -> Any:
-    return mistray.transfer(mistray.load("cooke_triplet"), rays=500, frequencies_per_mm=[10, 20])
-
-
-@cache
-def gradient() -> Any:
-    return optimize.gradient(optimize.transmission(scene(), rays=256), mi.traverse(scene()), keys=next(iter(known())))
-
-
-@cache
-def body() -> Any:
-    return optimize.bodies(optimize.parameters(mistray.load("lens_and_window")))["window"]
-
-
-@cache
-def bands() -> Any:
-    return optimize.PstBands(mistray.load("plate_and_wall"), "polish.A", [10, 20], rays=500)
-
-
-@cache
-def part() -> Any:
-    return mechanics.read_mechanics(Path(__file__).parent / "data" / "triangle.ply")
-
-
-@cache
-def explorer() -> Any:
-    return mistray.Explorer("plate", rays=64)
-
-
-@cache
-def pst_sweep() -> Any:
-    return sweeps.sweep_pst(scene(), {"nearer": {"plate_front.z": -0.1}}, ANGLES, rays=300)
+scene = cache(lambda: mistray.load("plate"))
+known = cache(lambda: optimize.parameters(scene()))
+trace = cache(lambda: mistray.trace(scene(), rays=256))
+history = cache(lambda: trace().history(0, 2))
+ghosts = cache(lambda: mistray.ghosts(scene(), 0, rays=256))
+pst = cache(lambda: mistray.pst(mistray.load("lens_and_window"), ANGLES, rays=500))
+image = cache(lambda: mistray.image_quality(mistray.load("cooke_triplet"), 0, grid=32))
+transfer = cache(lambda: mistray.transfer(mistray.load("cooke_triplet"), rays=500, frequencies_per_mm=[10, 20]))
+gradient = cache(
+    lambda: optimize.gradient(optimize.transmission(scene(), rays=256), mi.traverse(scene()), keys="plate_front.z")
+)
+body = cache(lambda: optimize.bodies(optimize.parameters(mistray.load("lens_and_window")))["window"])
+walled = cache(lambda: mistray.load("plate_and_wall"))
+bands = cache(lambda: optimize.PstBands(walled(), "polish.A", [10, 20], rays=500))
+part = cache(lambda: mechanics.read_mechanics(Path(__file__).parent / "data" / "triangle.ply"))
+explorer = cache(lambda: mistray.Explorer("plate", rays=64))
+pst_sweep = cache(lambda: sweeps.sweep_pst(scene(), {"nearer": {"plate_front.z": -0.1}}, ANGLES, rays=300))
 
 
 def line(values: np.ndarray) -> optimize.Modelled:
     return optimize.Modelled(values[0] * X, np.zeros((3, 3)), X[:, None])
 
 
-@cache
-def fitted() -> Any:
-    return optimize.fit(line, X, 0.1 * np.ones(3), {"a": 0.5})
+fitted = cache(lambda: optimize.fit(line, X, 0.1 * np.ones(3), {"a": 0.5}))
 
 
 POLISH = prescription.Scatter("harvey_shack", {"rms_nm": 2.0, "l": 0.01, "s": -1.5})
@@ -131,15 +71,10 @@ COATED = optimize.CoatingGroup("ar", ("L1_front",), QUARTER, ((60.0, 150.0),))
 TWO_STAGES = prescription.two_stage_baffle("baffle", optic_radius=20, z_rear=0, field_deg=5, exclusion_deg=40, depth=10)
 FILMS = [thinfilm.amplitudes, thinfilm.reflectance_transmittance, thinfilm.amplitudes_and_shares]
 POLYNOMIALS = [sag.polynomial, sag.polynomial_derivative, sag.polynomial_second_derivative]
+LENS = {"name": "lens", "rows": (GLASS, IMAGE), "aperture": 8}
+CURVED = Sequential(**LENS | {"rows": (GLASS, Row(2, radius=-50.0, thickness=46.0), Row(3, kind="image"))})
+FACE = {"name": "s", "semi_diameter": 5.0}
 ENDS = {"radius": 4, "z_front": 10, "z_rear": 10.5, "outer_front": 12, "outer_rear": 12}
-
-
-def lens(**given: Any) -> Sequential:
-    return Sequential("lens", given.pop("rows", (GLASS, IMAGE)), aperture=8, **given)
-
-
-def surface(**given: Any) -> prescription.Surface:
-    return prescription.Surface("s", semi_diameter=5.0, **given)
 
 
 def written(name: str, text: str) -> str:
@@ -147,6 +82,7 @@ def written(name: str, text: str) -> str:
     return name
 
 
+@cache
 def catalogue() -> str:
     """A glass catalogue of one glass."""
     text = (
@@ -155,15 +91,14 @@ def catalogue() -> str:
     return written("odd.agf", f"{text}103.560653\nLD 0.3 2.5\n")
 
 
-def zmx(glass: str = "N-BK7") -> str:
+@cache
+def zmx() -> str:
     """A singlet as a Zemax file."""
-    path = "singlet.zmx"
-    prescription.write_zemax(lens(rows=(GLASS, Row(2, radius=-50.0, thickness=46.0), Row(3, kind="image"))), path)
-    return path
+    prescription.write_zemax(CURVED, "singlet.zmx")
+    return "singlet.zmx"
 
 
-def seq() -> str:
-    return written("singlet.seq", SEQ)
+seq = cache(lambda: written("singlet.seq", SEQ))
 
 
 def table(name: str, **given: Any) -> bytes:
@@ -171,26 +106,14 @@ def table(name: str, **given: Any) -> bytes:
     return Path(name).read_bytes()
 
 
-def found(metric: Any) -> float:
-    return float(metric.value())
-
-
+@cache
 def oslo() -> str:
     text = 'LEN NEW "Singlet" 49 3; EBR 4; ANG 1; UNI 1; AIR; TH 1e20; NXT; GLA N-BK7; RD 50; TH 5; AP 10; AST; '
     text += "NXT; AIR; RD -50; TH 46; AP 10; NXT; AIR; WV 0.588; WW 1; END 3"
     return written("singlet.len", text.replace("; ", "\n"))
 
 
-def film(function: Call, n: Any, d: Any = 100.0) -> Any:
-    return function(1.0, n, d, 1.5, 550.0, 1.0)
-
-
-def disc() -> Any:
-    return Disc(7.0, 1.0)
-
-
-def nearer() -> Any:
-    return sweeps.Configuration("nearer", {"plate_front.z": -0.1})
+nearer = cache(lambda: sweeps.Configuration("nearer", {"plate_front.z": -0.1}))
 
 
 @cache
@@ -202,379 +125,312 @@ def cassegrain() -> Any:
     return prescription.cassegrain_baffles(primary, secondary, Detector(z=150, semi_diameter=10), **ends)
 
 
+ray = cache(lambda: report.rays_of_paths(trace(), 1, 1)[0])
+
+
+def made(value: Any) -> Any:
+    """What a cached function returns, when it is needed; any other value as it is."""
+    return value() if hasattr(value, "cache_info") else value
+
+
+def called(function: Call, argument: str, given: dict[str, Any], seen: Call, value: Any) -> Any:
+    return seen(function(**{name: made(other) for name, other in given.items()} | {argument: value}))
+
+
+def by(function: Any, names: str, /, seen: Call | None = None, module: str = "", **given: Any) -> dict[str, Call]:
+    """Calls of a function by some of its arguments, with others given; of a class they return its attribute."""
+    calls: dict[str, Call] = {}
+    for name in names.split():
+        attribute = (lambda found, name=name: getattr(found, name, found)) if isinstance(function, type) else made
+        call = partial(called, function, name, given, seen or attribute)
+        calls[f"{module}{function.__name__}({name})"] = call
+    return calls
+
+
+def by_each(functions: Iterable[Any], names: str, /, **given: Any) -> dict[str, Call]:
+    return {name: call for function in functions for name, call in by(function, names, **given).items()}
+
+
+def of(owner: Callable[[], Any], kind: str, names: str, /, seen: Call = made, **given: Any) -> dict[str, Call]:
+    """Calls of methods, as "method(argument)", of the object of a class that a function makes."""
+    calls: dict[str, Call] = {}
+    for name in names.split():
+        method, _, argument = name[:-1].partition("(")
+        calls[f"{kind}.{name}"] = partial(_of_owner, owner, method, argument, given, seen)
+    return calls
+
+
+def _of_owner(owner: Callable[[], Any], method: str, *rest: Any) -> Any:
+    return called(getattr(owner(), method), *rest)
+
+
+def one(value: Any, *calls: dict[str, Call]) -> dict[str, tuple[Call, Any]]:
+    return {name: (call, value) for named in calls for name, call in named.items()}
+
+
+paths = cache(lambda: trace().paths)
+observation = cache(lambda: optimize.Observation(trace()))
+pst_observation = cache(lambda: optimize.PstObservation(pst()))
+system = cache(lambda: paraxial.ParaxialSystem(0.01, 0.0, [1.0, 1.5]))
+transmission = cache(lambda: optimize.transmission(scene(), rays=64))
+field_image = cache(lambda: image()[0])
+surface_transfer = cache(lambda: analysis.transfer_of_bsdf(ABg(0.0025, 0.001, 1.8), 550.0))
+
+
+def coating_table() -> Any:
+    table("t.csv")
+    return coatings.CoatingTable.read("t.csv")
+
+
+path_rows = cache(lambda: trace().paths.to_pandas())
+params = cache(lambda: mi.traverse(scene()))
+
+
+def heights(system: Any) -> list[float]:
+    return [field.y for field in system.fields.fields]
+
+
+def drawn(figure: Any) -> int:
+    return len(figure.axes[0].lines)
+
+
+def names_of(files: Any) -> list[str]:
+    return [file.name for file in files]
+
+
+IDS, POWER = "path_ids", attrgetter("power")
+METRIC = {"scene": scene, "rays": 64}
+NORMS = (optimize.peak_irradiance, optimize.ghost_rms_irradiance, optimize.ghost_focus)
+LIGHT = (optimize.path_power, optimize.ghost_to_signal, *NORMS)
+WAY = {"wavelength_nm": 550.0, "n_front": 1.0, "n_back": 1.5, "from_front": True}
+TO_FIT = {"model": line, "observed": X, "noise": 0.1, "start": {"a": 0.5}}
+PRISM = {"name": "p", "corners": CORNERS, "width": 10, "material": "N-BK7"}
+FRESNEL = {"name": "f", "radius": -25, "semi_diameter": 5, "groove_mm": 1}
+SPIDER = {"name": "s", "vanes": 3, "inner_radius": 5, "outer_radius": 9, "thickness": 1, "depth": 2, "z": 0}
+HOOD = {"name": "h", "optic_radius": 20, "z_rear": 0, "length": 150, "field_deg": 5}
+BANDS = {"scene": walled, "keys": "polish.A", "edges_deg": [10, 20], "rays": 500}
+FILM = {"n_incident": 1.0, "n_layers": 1.38, "d_nm": 100.0, "n_substrate": 1.5, "wavelength_nm": 550.0}
+PART = {"name": "r", "r0": 5.0, "z0": 0.0, "r1": 8.0, "z1": 0.0}
+WRITTEN = {"formats": "npy", "directory": ".", "tables": {}, "maps": {}}
+BACK, REAR = prescription.Surface(**FACE, back="N-BK7"), prescription.Surface(**FACE, z=2.0, front="N-BK7")
+
 ONE: dict[str, tuple[Call, Any]] = {
     # Paths, surfaces and light of a trace
-    "Trace.irradiance_of(path_ids)": (lambda v: trace().irradiance_of(v), 1),
-    "Trace.surface_maps(surfaces)": (lambda v: trace().surface_maps(v, azimuths=4, lengths=2), "detector"),
-    "Trace.surface_maps(selections)": (lambda v: trace().surface_maps("detector", v, azimuths=4, lengths=2), "ghost"),
-    "Trace.maps(groups)": (lambda v: trace().maps(v), 1),
-    "Trace.each_map(groups)": (lambda v: list(trace().each_map(v, with_noise=False)), 1),
-    "Trace.each_map(with_noise)": (lambda v: list(trace().each_map([1], with_noise=v)), True),
-    "Trace.sampled_rays(path_ids)": (lambda v: trace().sampled_rays(v, 2), 1),
-    "Trace.light_cones(path_ids)": (lambda v: trace().light_cones(v), 1),
-    "Trace.rays_at(where)": (lambda v: trace().rays_at(v, n=5), "detector"),
-    "PathTable.located(path_ids)": (lambda v: [own.ids for own in trace().paths.located(v)], 1),
-    "PathTable.check_ids(path_ids)": (lambda v: trace().paths.check_ids(v), 1),
-    "PathTable.power(path_ids)": (lambda v: trace().paths.power(v), 1),
-    "PathTable.light(path_ids)": (lambda v: trace().paths.light(v), 1),
-    "PathTable.numbers(groups)": (lambda v: trace().paths.numbers(v), 1),
-    "PathTable.columns_of(groups)": (lambda v: trace().paths.columns_of(v), 1),
-    "RayHistory.__getitem__(numbers)": (lambda v: history()[v].rays, 1),
-    "trace(wavelength_nm)": (lambda v: mistray.trace(scene(), rays=64, wavelength_nm=v).energy, 600.0),
-    "trace(weights)": (lambda v: mistray.trace(scene(), rays=64, wavelength_nm=600.0, weights=v).energy, 2.0),
-    "trace(detector)": (lambda v: mistray.trace(scene(), rays=64, detector=v).energy, "detector"),
-    "trace(recorders)": (
-        lambda v: mistray.trace(scene(), rays=64, recorders=v).recorders.keys(),
-        recorders.FluxSplit("x"),
-    ),
-    "rays_of_paths(path_ids)": (lambda v: report.rays_of_paths(trace(), v, 2), 1),
-    "path_analysis(path_ids)": (lambda v: analysis.path_analysis(trace(), path_ids=v), 1),
-    "layout(path_ids)": (lambda v: len(report.layout(ghosts(), 0.0, path_ids=v).axes[0].lines), 1),
-    "layout_figure(trace)": (lambda v: len(report.layout_figure(scene(), v).axes[0].lines), lambda: trace()),
-    "layout_figure(path_ids)": (lambda v: len(report.layout_figure(scene(), trace(), path_ids=v).axes[0].lines), 1),
+    **one(1, of(trace, "Trace", "irradiance_of(path_ids) maps(groups) light_cones(path_ids) sampled_rays(path_ids)")),
+    **one(1, of(trace, "Trace", "each_map(groups)", list, with_noise=False)),
+    **one(True, of(trace, "Trace", "each_map(with_noise)", list, groups=[1])),
+    **one("detector", of(trace, "Trace", "rays_at(where)", n=5)),
+    **one("detector", of(trace, "Trace", "surface_maps(surfaces)", azimuths=4, lengths=2)),
+    **one("ghost", of(trace, "Trace", "surface_maps(selections)", surfaces="detector", azimuths=4, lengths=2)),
+    **one(1, of(paths, "PathTable", "located(path_ids)", lambda found: [own.ids for own in found])),
+    **one(1, of(paths, "PathTable", "check_ids(path_ids) power(path_ids) light(path_ids) numbers(groups)")),
+    **one(1, of(paths, "PathTable", "columns_of(groups)")),
+    **one(1, of(history, "RayHistory", "__getitem__(numbers)", attrgetter("rays"))),
+    **one(600.0, by(mistray.trace, "wavelength_nm", attrgetter("energy"), **METRIC)),
+    **one(2.0, by(mistray.trace, "weights", attrgetter("energy"), wavelength_nm=600.0, **METRIC)),
+    **one("detector", by(mistray.trace, "detector", attrgetter("energy"), **METRIC)),
+    **one(recorders.FluxSplit("x"), by(mistray.trace, "recorders", lambda found: found.recorders.keys(), **METRIC)),
+    **one(1, by_each((report.rays_of_paths, analysis.path_analysis), "path_ids", trace=trace)),
+    **one(1, by(report.layout, "path_ids", drawn, report=ghosts, field_deg=0.0)),
+    **one(1, by(report.layout_figure, "path_ids", drawn, scene=scene, trace=trace)),
+    **one(trace, by(report.layout_figure, "trace", drawn, scene=scene)),
+    **one(trace, by(report.view, "trace", attrgetter("title"), scene=scene)),
     "GhostReport.map_light(selections)": (lambda v: (ghosts().map_light(v), ghosts().light_maps)[1], "ghost"),
-    "GhostReport.check_ids(path_ids)": (lambda v: ghosts().check_ids(0.0, v), 1),
-    "GhostReport.path_maps(path_ids)": (lambda v: ghosts().path_maps(0.0, v), 1),
-    "GhostReport.rays_of_paths(path_ids)": (lambda v: ghosts().rays_of_paths(0.0, v), 1),
-    "FluxSplit(surfaces)": (lambda v: recorders.FluxSplit("x", v).patterns, "plate_front"),
-    "SurfaceMaps(surfaces)": (lambda v: recorders.SurfaceMaps("x", v).patterns, "plate_front"),
+    **one(1, of(ghosts, "GhostReport", f"check_ids({IDS}) path_maps({IDS}) rays_of_paths({IDS})", field_deg=0.0)),
+    **one("plate_front", by_each((recorders.FluxSplit, recorders.SurfaceMaps), "surfaces", name="x")),
     # Results over field angle, frequency and light
-    "Pst.samples(classes)": (lambda v: pst().samples(v), "stray"),
-    "Pst.map(classes)": (lambda v: pst().map(v), "ghost"),
-    "Pst.curve(classes)": (lambda v: pst().curve(v), "total"),
-    "Pst.estimates(classes)": (lambda v: pst().estimates(v), "stray"),
-    "Pst.budget(classes)": (lambda v: pst().budget(10.0, classes=v), "stray"),
-    "PstSweep.changed(classes)": (lambda v: pst_sweep().changed("nearer", 10.0, v), "stray"),
-    "PstSweep.to_pandas(classes)": (lambda v: pst_sweep().to_pandas(v), "stray"),
-    "PstObservation.cells(light)": (lambda v: optimize.PstObservation(pst()).cells(v), "stray"),
-    "PstObservation.curve(light)": (lambda v: optimize.PstObservation(pst()).curve(v), "stray"),
-    "FieldImage.otf(frequencies_per_mm)": (lambda v: image()[0].otf(v), 10.0),
-    "FieldImage.mtf(frequencies_per_mm)": (lambda v: image()[0].mtf(v), 10.0),
-    "FieldImage.diffraction_limit(frequencies_per_mm)": (lambda v: image()[0].diffraction_limit(v), 10.0),
-    "FieldImage.encircled_energy(radii_mm)": (lambda v: image()[0].encircled_energy(v), 0.01),
-    "FieldImage.line_spread(x_mm)": (lambda v: image()[0].line_spread(v), 0.01),
-    "ImageQuality.to_pandas(frequencies_per_mm)": (lambda v: image().to_pandas(v), 10.0),
-    "quality_text(frequencies)": (lambda v: report.quality_text(image(), v), 10.0),
-    "write_quality(frequencies)": (lambda v: [f.name for f in report.write_quality(image(), "q", frequencies=v)], 10.0),
-    "FieldTransfer.encircled_energy(radii_mm)": (lambda v: transfer()[0].encircled_energy(v), 0.01),
-    "SurfaceTransfer.at(frequencies_per_mm)": (
-        lambda v: analysis.transfer_of_bsdf(ABg(0.0025, 0.001, 1.8), 550.0).at(v, 4.0, 10.0),
-        10.0,
-    ),
+    **one("stray", of(pst, "Pst", "samples(classes) estimates(classes) curve(classes) map(classes)")),
+    **one("stray", of(pst, "Pst", "budget(classes)", field_deg=10.0)),
+    **one("stray", of(pst_sweep, "PstSweep", "changed(classes)", configuration="nearer", field_deg=10.0)),
+    **one("stray", of(pst_sweep, "PstSweep", "to_pandas(classes)")),
+    **one("stray", of(pst_observation, "PstObservation", "cells(light) curve(light)")),
+    **one("stray", of(pst_observation, "PstObservation", "weighted(light)", coefficients=np.ones((2, 1)))),
+    **one("stray", of(pst_observation, "PstObservation", "value_at(light)", field_deg=10.0)),
+    **one("stray", of(pst_observation, "PstObservation", "band(light)", low_deg=5.0, high_deg=10.0)),
+    **one("stray", of(pst_observation, "PstObservation", "seen(light)", source=Disc(7.0, 1.0))),
+    **one(10.0, of(field_image, "FieldImage", "otf(frequencies_per_mm) mtf(frequencies_per_mm)")),
+    **one(10.0, of(field_image, "FieldImage", "diffraction_limit(frequencies_per_mm)")),
+    **one(0.01, of(field_image, "FieldImage", "encircled_energy(radii_mm) line_spread(x_mm)")),
+    **one(10.0, of(image, "ImageQuality", "to_pandas(frequencies_per_mm)")),
+    **one(10.0, by(report.quality_text, "frequencies", found=image)),
+    **one(10.0, by(report.write_quality, "frequencies", names_of, found=image, directory="q")),
+    **one(0.01, of(lambda: transfer()[0], "FieldTransfer", "encircled_energy(radii_mm)")),
+    **one(10.0, of(surface_transfer, "SurfaceTransfer", "at(frequencies_per_mm)", f_number=4.0, footprint_mm=10.0)),
     # Metrics, parameters and fits
-    "match(patterns)": (lambda v: optimize.match(known(), v), "plate_front.*"),
-    "gradient(keys)": (
-        lambda v: [*optimize.gradient(optimize.transmission(scene(), rays=64), mi.traverse(scene()), keys=v).gradient],
-        "plate_front.z",
-    ),
-    "Gradient.require(keys)": (lambda v: gradient().require(v), next(iter(known()))),
-    "Gradient.covariance(keys)": (lambda v: gradient().covariance(v), next(iter(known()))),
+    **one("plate_front.*", by(optimize.match, "patterns", known=known)),
+    "gradient(keys)": (lambda v: [*optimize.gradient(transmission(), params(), keys=v).gradient], "plate_front.z"),
+    **one("plate_front.z", of(gradient, "Gradient", "require(keys) covariance(keys)")),
     "Metric(field_deg)": (lambda v: optimize.transmission(scene(), rays=64, field_deg=v).field_deg, 1.0),
     "Metric(wavelength_nm)": (lambda v: optimize.transmission(scene(), rays=64, wavelength_nm=v).wavelength_nm, 600.0),
-    "Metric(weights)": (
-        lambda v: optimize.transmission(scene(), rays=64, wavelength_nm=600.0, weights=v).weights,
-        2.0,
-    ),
-    "path_power(selection)": (lambda v: found(optimize.path_power(scene(), v, rays=64)), "ghost"),
-    "ghost_to_signal(selection)": (lambda v: found(optimize.ghost_to_signal(scene(), v, rays=64)), "ghost"),
-    "peak_irradiance(selection)": (lambda v: found(optimize.peak_irradiance(scene(), v, rays=64)), "ghost"),
-    "ghost_rms_irradiance(selection)": (lambda v: found(optimize.ghost_rms_irradiance(scene(), v, rays=64)), "ghost"),
-    "ghost_focus(selection)": (lambda v: found(optimize.ghost_focus(scene(), v, rays=64)), "ghost"),
-    "Observation.power(selection)": (lambda v: optimize.Observation(trace()).power(v), "ghost"),
-    "Observation.moments(selection)": (lambda v: optimize.Observation(trace()).moments(v).power, "ghost"),
-    "Observation.moments_of_each(selection)": (
-        lambda v: optimize.Observation(trace()).moments_of_each(v).power,
-        "ghost",
-    ),
-    "Observation.map(selection)": (lambda v: optimize.Observation(trace()).map(v), "ghost"),
-    "Observation.peak(selection)": (lambda v: optimize.Observation(trace()).peak(v), "ghost"),
-    "Observation.chosen(selection)": (lambda v: optimize.Observation(trace()).chosen(v), "ghost"),
+    "Metric(weights)": (lambda v: optimize.transmission(scene(), rays=64, wavelength_nm=600.0, weights=v).weights, 2.0),
+    **one("ghost", by_each(LIGHT, "selection", seen=lambda metric: float(metric.value()), **METRIC)),
+    **one("ghost", of(observation, "Observation", "power(selection) map(selection) peak(selection) chosen(selection)")),
+    **one("ghost", of(observation, "Observation", "moments(selection) moments_of_each(selection)", POWER)),
     "pst_mask(field_deg)": (lambda v: optimize.pst_mask(scene(), v, 1e-3).views[0].arguments["field_deg"], 10.0),
-    "pst_mask(limits)": (lambda v: optimize.pst_mask(scene(), 10.0, v).name, 1e-3),
-    "PstBands(keys)": (
-        lambda v: optimize.PstBands(mistray.load("plate_and_wall"), v, [10, 20], rays=500).keys,
-        "polish.A",
-    ),
-    "PstBands(azimuths_deg)": (
-        lambda v: optimize.PstBands(mistray.load("plate_and_wall"), "polish.A", [10, 20], azimuths_deg=v).bands,
-        0.0,
-    ),
-    "PstBands.observe(values)": (lambda v: bands().observe(v).pst.value, 0.01),
-    "PstBands.measure(values)": (lambda v: bands().measure(v), 0.01),
-    "PstBands.__call__(values)": (lambda v: bands()(v), 0.01),
-    "fit(low)": (lambda v: optimize.fit(line, X, 0.1, {"a": 0.5}, low=v), 0.0),
-    "fit(high)": (lambda v: optimize.fit(line, X, 0.1, {"a": 0.5}, high=v), 2.0),
-    "fit(power)": (lambda v: optimize.fit(line, X, 0.1, {"a": 0.5}, power=v), 1.0),
-    "DesignStudy(terms)": (lambda v: optimize.DesignStudy("s", v).terms, STUDY.terms[0]),
-    "DesignStudy(variables)": (lambda v: optimize.DesignStudy("s", STUDY.terms, v).variables, STUDY.variables[0]),
-    "DesignStudy(coatings)": (lambda v: optimize.DesignStudy("s", STUDY.terms, coatings=v).coatings, COATED),
-    "VariableGroup(parameters)": (lambda v: optimize.VariableGroup("v", v, low=0.0, high=1.0).parameters, MOVED),
-    "CoatingGroup(surfaces)": (
-        lambda v: optimize.CoatingGroup("ar", v, QUARTER, ((60.0, 150.0),)).surfaces,
-        "L1_front",
-    ),
-    "Explorer(field_deg)": (lambda v: mistray.Explorer("plate", field_deg=v, rays=64).fields, 0.0),
-    "Explorer(control)": (lambda v: [*mistray.Explorer("plate", control=v, rays=64).controls], "plate_front.z"),
-    "Configuration(block)": (lambda v: sweeps.Configuration("c", block=v).block, RING),
+    **one(1e-3, by(optimize.pst_mask, "limits", attrgetter("name"), scene=scene, field_deg=10.0)),
+    **one("stray", by(optimize.pst_mask, "light", attrgetter("name"), scene=scene, field_deg=10.0, limits=1e-3)),
+    **one("stray", by(optimize.pst_bin, "light", attrgetter("name"), scene=scene, field_deg=10.0)),
+    **one("stray", by(optimize.pst_band, "light", attrgetter("name"), scene=scene, low_deg=5.0, high_deg=10.0)),
+    **one("polish.A", by(optimize.PstBands, "keys", **BANDS)),
+    **one(0.0, by(optimize.PstBands, "azimuths_deg", attrgetter("bands"), **BANDS)),
+    **one("stray", by(optimize.PstBands, "light", attrgetter("bands"), **BANDS)),
+    **one(0.01, of(bands, "PstBands", "observe(values)", lambda found: found.pst.value)),
+    **one(0.01, of(bands, "PstBands", "measure(values) __call__(values)")),
+    **one(0.1, by(optimize.fit, "low noise", **TO_FIT)),
+    **one(2.0, by(optimize.fit, "high power", **TO_FIT)),
+    **one(STUDY.terms[0], by(optimize.DesignStudy, "terms", name="s")),
+    **one(STUDY.variables[0], by(optimize.DesignStudy, "variables", name="s", terms=STUDY.terms)),
+    **one(COATED, by(optimize.DesignStudy, "coatings", name="s", terms=STUDY.terms)),
+    **one(MOVED, by(optimize.VariableGroup, "parameters", name="v", low=0.0, high=1.0)),
+    **one("L1_front", by(optimize.CoatingGroup, "surfaces", name="ar", start=QUARTER, bounds_nm=((60.0, 150.0),))),
+    **one(0.0, by(mistray.Explorer, "field_deg", attrgetter("fields"), scene="plate", rays=64)),
+    **one("plate_front.z", by(mistray.Explorer, "control", lambda found: [*found.controls], scene="plate", rays=64)),
+    **one(RING, by(sweeps.Configuration, "block", name="c")),
+    **one(nearer, by(sweeps.sweep, "configurations", attrgetter("rows"), field_deg=0, cache=False, **METRIC)),
+    **one(nearer, by(sweeps.sweep_pst, "configurations", attrgetter("configurations"), field_deg=ANGLES, **METRIC)),
     # Coatings and materials
-    "Stack(layers)": (lambda v: coatings.Stack(v).layers, LAYER),
-    "layer_text(layers)": (coatings.layer_text, LAYER),
-    "spectrum(wavelengths_nm)": (lambda v: coatings.spectrum(QUARTER, v, [0.0]), 550.0),
-    "spectrum(angles_deg)": (lambda v: coatings.spectrum(QUARTER, [550.0], v), 30.0),
+    **one(LAYER, by(coatings.Stack, "layers"), by(coatings.layer_text, "layers")),
+    **one(550.0, by(coatings.spectrum, "wavelengths_nm", coating=QUARTER, angles_deg=[0.0])),
+    **one(30.0, by(coatings.spectrum, "angles_deg", coating=QUARTER, wavelengths_nm=[550.0])),
     "write_table(wavelengths_nm)": (lambda v: table("t.csv", wavelengths_nm=v), 550.0),
     "write_table(angles_deg)": (lambda v: table("t.csv", angles_deg=v), 30.0),
-    "Bare.response(cos_incident)": (lambda v: coatings.Bare().response(550.0, 1.0, 1.5, v, True), 0.5),
-    "Ideal.response(cos_incident)": (lambda v: coatings.Ideal(0.1, 0.8).response(550.0, 1.0, 1.5, v, True), 0.5),
-    "Stack.response(cos_incident)": (lambda v: QUARTER.response(550.0, 1.0, 1.5, v, True), 0.5),
-    "CoatingTable.response(cos_incident)": (
-        lambda v: (table("t.csv"), coatings.CoatingTable.read("t.csv").response(550.0, 1.0, 1.5, v, True))[1],
-        0.5,
-    ),
-    "Coating(n_shift)": (lambda v: mistray.Coating(layers="MgF2 99", n_shift=v).n_shift, 0.01),
-    "Coating(k_shift)": (lambda v: mistray.Coating(layers="MgF2 99", k_shift=v).k_shift, 0.01),
+    **one(0.5, of(coatings.Bare, "Bare", "response(cos_incident)", **WAY)),
+    **one(0.5, of(lambda: coatings.Ideal(0.1, 0.8), "Ideal", "response(cos_incident)", **WAY)),
+    **one(0.5, of(lambda: QUARTER, "Stack", "response(cos_incident)", **WAY)),
+    **one(0.5, of(coating_table, "CoatingTable", "response(cos_incident)", **WAY)),
+    **one(0.01, by(mistray.Coating, "n_shift k_shift", layers="MgF2 99")),
     # Prescriptions
-    "Surface(coefficients)": (lambda v: surface(coefficients=v).coefficients, 1e-6),
-    "Surface(scatter)": (lambda v: surface(scatter=v).scatter, POLISH),
-    "Structure(scatter)": (lambda v: mistray.Structure("r", 5.0, 0.0, 8.0, 0.0, scatter=v).scatter, POLISH),
-    "Detector(coefficients)": (lambda v: Detector(semi_diameter=5.0, coefficients=v).coefficients, 1e-6),
-    "Detector(scatter)": (lambda v: Detector(semi_diameter=5.0, scatter=v).scatter, POLISH),
-    "MeshStructure(scatter)": (lambda v: prescription.MeshStructure("m", "m.ply", scatter=v).scatter, POLISH),
-    "Stop(scatter)": (lambda v: Stop(**ENDS, scatter=v).scatter, POLISH),
-    "Finish(scatter)": (lambda v: mechanics.Finish(scatter=v).scatter, POLISH),
-    "Prescription(surfaces)": (lambda v: mistray.Prescription(name="p", surfaces=v).surfaces, FRONT),
-    "Prescription(structures)": (lambda v: mistray.Prescription(name="p", surfaces=(), structures=v).structures, RING),
-    "Prescription(more_detectors)": (
-        lambda v: mistray.Prescription(name="p", surfaces=(), more_detectors=v).more_detectors,
-        Detector(semi_diameter=5.0),
-    ),
-    "Source(wavelength_nm)": (lambda v: mistray.Source(radius=5.0, wavelength_nm=v).wavelength_nm, 600.0),
-    "Source(weights)": (lambda v: mistray.Source(radius=5.0, weights=v).weights, 2.0),
-    "ObjectPoint(wavelength_nm)": (
-        lambda v: prescription.ObjectPoint(distance=9.0, wavelength_nm=v).wavelength_nm,
-        600.0,
-    ),
-    "ObjectPoint(weights)": (lambda v: prescription.ObjectPoint(distance=9.0, weights=v).weights, 2.0),
-    "Row(coefficients)": (lambda v: Row(1, coefficients=v).coefficients, 1e-6),
-    "Sequential(wavelengths_nm)": (lambda v: lens(wavelengths_nm=v).wavelengths_nm, 600.0),
-    "Sequential(weights)": (lambda v: lens(weights=v).weights, 2.0),
-    "Sequential(unread)": (lambda v: lens(unread=v).unread, prescription.Unread(1, "GLRS", "it draws")),
-    "Sequential(notes)": (lambda v: lens(notes=v).notes, "a note"),
-    "OutlineFigure(sizes)": (lambda v: OutlineFigure("circle", sizes=v).sizes, 5.0),
-    "Outline(figures)": (lambda v: Outline(v).figures, OutlineFigure("circle", sizes=(5.0,))),
-    "box(scatter)": (lambda v: prescription.box("b", (1, 1, 1), scatter=v), POLISH),
-    "prism(mirrors)": (lambda v: prescription.prism("p", CORNERS, 10, material="N-BK7", mirrors=v), "1"),
-    "prism(scatter)": (lambda v: prescription.prism("p", CORNERS, 10, material="N-BK7", scatter=v), POLISH),
-    "fresnel(coefficients)": (
-        lambda v: prescription.fresnel("f", radius=-25, semi_diameter=5, groove_mm=1, coefficients=v),
-        1e-6,
-    ),
-    "fresnel(scatter)": (
-        lambda v: prescription.fresnel("f", radius=-25, semi_diameter=5, groove_mm=1, scatter=v),
-        POLISH,
-    ),
-    "plate(scatter)": (lambda v: prescription.plate("p", prescription.circle(5.0), 1.0, scatter=v), POLISH),
-    "spider(scatter)": (
-        lambda v: prescription.spider(
-            "s", vanes=3, inner_radius=5, outer_radius=9, thickness=1, depth=2, z=0, scatter=v
-        ),
-        POLISH,
-    ),
-    "BaffleTube.structures(scatter)": (lambda v: TUBE.structures(scatter=v), POLISH),
-    "BaffleTube.structures(wall_scatter)": (lambda v: TUBE.structures(wall_scatter=v), POLISH),
-    "vane_tube(wall_radius)": (
-        lambda v: prescription.vane_tube("h", optic_radius=20, z_rear=0, length=150, wall_radius=v, field_deg=5),
-        40.0,
-    ),
-    "array(faces)": (lambda v: prescription.array(v, [(0, 0), (9, 0)]), FRONT),
-    "moved_as_one(faces)": (lambda v: prescription.moved_as_one(v, z=1.0), FRONT),
-    "barrel(items)": (prescription.barrel, FRONT),
-    "add_structures(structures)": (lambda v: mistray.scene.add_structures("plate", v, "more.xml").read_bytes(), RING),
-    "load(sources)": (lambda v: len(mistray.load("plate", sources=v).emitters()), "point:0,0,-500"),
-    "load(sensors)": (lambda v: len(mistray.load("plate", sensors=v).sensors()), "probe:0,0,5,half_width=2"),
-    "coat(sources)": (lambda v: len(mistray.coat("plate", sources=v).emitters()), "point:0,0,-500"),
-    "coat(sensors)": (lambda v: len(mistray.coat("plate", sensors=v).sensors()), "probe:0,0,5,half_width=2"),
+    **one(1e-6, by(prescription.Surface, "coefficients", **FACE), by(Detector, "coefficients", semi_diameter=5.0)),
+    **one(1e-6, by(Row, "coefficients", number=1), by(prescription.fresnel, "coefficients", **FRESNEL)),
+    **one(POLISH, by(prescription.Surface, "scatter", **FACE), by(Detector, "scatter", semi_diameter=5.0)),
+    **one(POLISH, by(mistray.Structure, "scatter", **PART), by(Stop, "scatter", **ENDS)),
+    **one(POLISH, by(prescription.MeshStructure, "scatter", name="m", file="m.ply")),
+    **one(POLISH, by(prescription.prism, "scatter", **PRISM), by(mechanics.Finish, "scatter")),
+    **one(POLISH, by(prescription.box, "scatter", name="b", size=(1, 1, 1))),
+    **one(POLISH, by(prescription.fresnel, "scatter", **FRESNEL), by(prescription.spider, "scatter", **SPIDER)),
+    **one(POLISH, by(prescription.plate, "scatter", name="p", outline=prescription.circle(5.0), thickness=1.0)),
+    **one(POLISH, of(lambda: TUBE, "BaffleTube", "structures(scatter) structures(wall_scatter)")),
+    **one(POLISH, of(cassegrain, "CassegrainBaffles", "structures(scatter)")),
+    **one(POLISH, of(lambda: TWO_STAGES, "TwoStageBaffle", "structures(scatter) structures(wall_scatter)")),
+    **one(FRONT, by(mistray.Prescription, "surfaces", name="p")),
+    **one(RING, by(mistray.Prescription, "structures", name="p", surfaces=())),
+    **one(Detector(semi_diameter=5.0), by(mistray.Prescription, "more_detectors", name="p", surfaces=())),
+    **one(600.0, by(mistray.Source, "wavelength_nm", radius=5.0), by(Sequential, "wavelengths_nm", **LENS)),
+    **one(2.0, by(mistray.Source, "weights", radius=5.0), by(Sequential, "weights", **LENS)),
+    **one(600.0, by(prescription.ObjectPoint, "wavelength_nm", distance=9.0)),
+    **one(2.0, by(prescription.ObjectPoint, "weights", distance=9.0)),
+    **one(prescription.Unread(1, "GLRS", "it draws"), by(Sequential, "unread", **LENS)),
+    **one("a note", by(Sequential, "notes", **LENS)),
+    **one(5.0, by(OutlineFigure, "sizes", kind="circle")),
+    **one(OutlineFigure("circle", sizes=(5.0,)), by(Outline, "figures")),
+    **one("1", by(prescription.prism, "mirrors", **PRISM)),
+    **one(40.0, by(prescription.vane_tube, "wall_radius", **HOOD)),
+    **one(FRONT, by(prescription.array, "faces", places=[(0, 0), (9, 0)])),
+    **one(FRONT, by(prescription.barrel, "items"), by(prescription.moved_as_one, "faces", z=1.0)),
+    **one(RING, by(mistray.scene.add_structures, "structures", Path.read_bytes, source="plate", target="more.xml")),
+    **one("point:0,0,-500", by(mistray.load, "sources", lambda found: len(found.emitters()), source="plate")),
+    **one("probe:0,0,5,half_width=2", by(mistray.load, "sensors", lambda found: len(found.sensors()), source="plate")),
+    **one("point:0,0,-500", by(mistray.coat, "sources", lambda found: len(found.emitters()), system="plate")),
+    **one("probe:0,0,5,half_width=2", by(mistray.coat, "sensors", lambda found: len(found.sensors()), system="plate")),
     # Files
-    "read_codev(glass_catalogues)": (lambda v: prescription.read_codev(seq(), glass_catalogues=v), lambda: catalogue()),
-    "read_zemax(glass_catalogues)": (lambda v: prescription.read_zemax(zmx(), glass_catalogues=v), lambda: catalogue()),
-    "from_codev(glass_catalogues)": (lambda v: prescription.from_codev(seq(), glass_catalogues=v), lambda: catalogue()),
-    "from_zemax(glass_catalogues)": (lambda v: prescription.from_zemax(zmx(), glass_catalogues=v), lambda: catalogue()),
-    "write_rays(rays)": (
-        lambda v: report.write_rays(v, "rays.json").read_bytes(),
-        lambda: report.rays_of_paths(trace(), 1, 1)[0],
-    ),
-    "write_formats(formats)": (lambda v: [f.name for f in report.write_formats(v, ".", {}, {})], "npy"),
-    "transfer_of_bsdf(models)": (lambda v: analysis.transfer_of_bsdf(v, 550.0).plateau, ABg(0.0025, 0.001, 1.8)),
-    "read_oslo(glass_catalogues)": (lambda v: prescription.read_oslo(oslo(), glass_catalogues=v), lambda: catalogue()),
-    "from_oslo(glass_catalogues)": (lambda v: prescription.from_oslo(oslo(), glass_catalogues=v), lambda: catalogue()),
-    "to_optiland(field_deg)": (
-        lambda v: [field.y for field in prescription.to_optiland(triplet.build(), v).fields.fields],
-        5.0,
-    ),
-    "PstBands(light)": (
-        lambda v: optimize.PstBands(mistray.load("plate_and_wall"), "polish.A", [10, 20], v, rays=500).bands,
-        "stray",
-    ),
-    "PstObservation.weighted(light)": (
-        lambda v: optimize.PstObservation(pst()).weighted(np.ones(pst().grid.shape), v),
-        "stray",
-    ),
-    "PstObservation.value_at(light)": (lambda v: optimize.PstObservation(pst()).value_at(10.0, v), "stray"),
-    "PstObservation.band(light)": (lambda v: optimize.PstObservation(pst()).band(5.0, 10.0, light=v), "stray"),
-    "PstObservation.seen(light)": (lambda v: optimize.PstObservation(pst()).seen(disc(), v), "stray"),
-    "pst_bin(light)": (lambda v: optimize.pst_bin(scene(), 10.0, light=v).name, "stray"),
-    "pst_band(light)": (lambda v: optimize.pst_band(scene(), 5.0, 10.0, light=v).name, "stray"),
-    "pst_mask(light)": (lambda v: optimize.pst_mask(scene(), 10.0, 1e-3, light=v).name, "stray"),
-    "fit(noise)": (lambda v: optimize.fit(line, X, v, {"a": 0.5}), 0.1),
-    "CassegrainBaffles.structures(scatter)": (lambda v: cassegrain().structures(scatter=v), POLISH),
-    "TwoStageBaffle.structures(scatter)": (lambda v: TWO_STAGES.structures(scatter=v), POLISH),
-    "TwoStageBaffle.structures(wall_scatter)": (lambda v: TWO_STAGES.structures(wall_scatter=v), POLISH),
-    "view(trace)": (lambda v: report.view(scene(), v).title, lambda: trace()),
-    "sweep(configurations)": (
-        lambda v: sweeps.sweep(scene(), 0, configurations=v, rays=64, cache=False).rows,
-        lambda: nearer(),
-    ),
-    "sweep_pst(configurations)": (
-        lambda v: sweeps.sweep_pst(scene(), v, ANGLES, rays=64).configurations,
-        lambda: nearer(),
-    ),
-    "terms.check_names(names)": (lambda v: physics.sags.terms.check_names(v, "sag"), "curvature"),
-    "terms.with_even(coefficients)": (lambda v: physics.sags.terms.with_even(0.01, 0.0, v, {}), 1e-6),
+    **one(catalogue, by_each((prescription.read_codev, prescription.from_codev), "glass_catalogues", path=seq)),
+    **one(catalogue, by_each((prescription.read_zemax, prescription.from_zemax), "glass_catalogues", path=zmx)),
+    **one(catalogue, by_each((prescription.read_oslo, prescription.from_oslo), "glass_catalogues", path=oslo)),
+    **one(ray, by(report.write_rays, "rays", Path.read_bytes, path="rays.json")),
+    **one("npy", by(report.write_formats, "formats", names_of, **WRITTEN)),
+    **one(ABg(0.0025, 0.001, 1.8), by(analysis.transfer_of_bsdf, "models", attrgetter("plateau"), wavelength_nm=550.0)),
+    **one(5.0, by(prescription.to_optiland, "field_deg", heights, prescription=triplet.build())),
+    # Formulas
+    **one("curvature", by(physics.sags.terms.check_names, "names", module="terms.", owner="sag")),
+    **one(1e-6, by(physics.sags.terms.with_even, "coefficients", module="terms.", curvature=0.01, conic=0.0, more={})),
     "paraxial.ParaxialSystem(curvature)": (lambda v: paraxial.ParaxialSystem(v, [0.0], [1.0, 1.5]).efl, 0.01),
     "paraxial.ParaxialSystem(z)": (lambda v: paraxial.ParaxialSystem([0.01], v, [1.0, 1.5]).efl, 0.0),
-    "paraxial.ParaxialSystem.ghosts(reflectance)": (
-        lambda v: paraxial.ParaxialSystem(0.01, 0.0, [1.0, 1.5]).ghosts(9.0, 1.0, v, 0.1),
-        0.04,
-    ),
-    **{f"thinfilm.{f.__name__}(n_layers)": (partial(film, f), 1.38) for f in FILMS},
-    **{f"thinfilm.{f.__name__}(d_nm)": (partial(film, f, 1.38), 100.0) for f in FILMS},
-    **{f"sag.{f.__name__}(coefficients)": (partial(f, 4.0), 1e-6) for f in POLYNOMIALS},
-    "sag.sag(coefficients)": (lambda v: sag.sag(4.0, 0.01, 0.0, v), 1e-6),
-    "sag.sag_derivative(coefficients)": (lambda v: sag.sag_derivative(4.0, 0.01, 0.0, v), 1e-6),
+    **one(0.04, of(system, "paraxial.ParaxialSystem", "ghosts(reflectance)", image_z=9.0, beam_radius_mm=1.0)),
+    **one(1.38, by_each(FILMS, "n_layers", module="thinfilm.", cos_incident=1.0, **FILM)),
+    **one(100.0, by_each(FILMS, "d_nm", module="thinfilm.", cos_incident=1.0, **FILM)),
+    **one(1e-6, by_each(POLYNOMIALS, "coefficients", module="sag.", r2=4.0)),
+    "sag.sag(coefficients)": (partial(sag.sag, 4.0, 0.01, 0.0), 1e-6),
+    "sag.sag_derivative(coefficients)": (partial(sag.sag_derivative, 4.0, 0.01, 0.0), 1e-6),
     "sag.in_proportion(coefficients)": (lambda v: sag.in_proportion(v, 5.0), 1e-6),
     "sag.trimmed(terms)": (sag.trimmed, 1e-6),
 }
 
 # Vectors, pairs, and lists that cannot have one entry
 FIXED: dict[str, Call] = {
-    "Trace.rays(box)": lambda v: trace().rays(box=v),
-    "Trace.rays(pixels)": lambda v: trace().rays(pixels=v),
-    "FarField(edges_deg)": lambda v: recorders.FarField("far", edges_deg=v),
-    "FarField(axis)": lambda v: recorders.FarField("far", axis=v),
-    "FarField(up)": lambda v: recorders.FarField("far", up=v),
-    "Probe(centre)": lambda v: recorders.Probe("p", v),
-    "Probe(normal)": lambda v: recorders.Probe("p", (0, 0, 1), normal=v),
-    "Probe(pixels)": lambda v: recorders.Probe("p", (0, 0, 1), pixels=v),
-    "Probe(up)": lambda v: recorders.Probe("p", (0, 0, 1), up=v),
-    "DiskSource(centre)": lambda v: analysis.DiskSource(v, 1.0, 10.0),
-    "DiskSource(axis)": lambda v: analysis.DiskSource((0, 0, 0), 1.0, 10.0, axis=v),
-    "write_pst(maps_at)": lambda v: report.write_pst(pst(), "pst", maps_at=v),
-    "PstBands(edges_deg)": lambda v: optimize.PstBands(mistray.load("plate_and_wall"), "polish.A", v, rays=500),
-    "fit(observed)": lambda v: optimize.fit(line, v, 0.1, {"a": 0.5}),
-    "Body.about(pivot)": lambda v: body().about(v),
-    "Body.tilted(tilt_deg)": lambda v: body().tilted(v),
-    "CoatingGroup(bounds_nm)": lambda v: optimize.CoatingGroup("ar", None, QUARTER, v),
-    "Moved(pivot)": lambda v: optimize.Moved("L1.tilt_x", pivot=v),
-    "Surface(tilt_deg)": lambda v: surface(tilt_deg=v),
-    "Structure(tilt_deg)": lambda v: mistray.Structure("r", 5.0, 0.0, 8.0, 0.0, tilt_deg=v),
-    "Detector(tilt_deg)": lambda v: Detector(semi_diameter=5.0, tilt_deg=v),
-    "Detector(pixels)": lambda v: Detector(semi_diameter=5.0, pixels=v),
-    "Source(tilt_deg)": lambda v: mistray.Source(radius=5.0, tilt_deg=v),
-    "Source(band_nm)": lambda v: mistray.Source(radius=5.0, spectrum="sun", band_nm=v),
-    "Source(stokes)": lambda v: mistray.Source(radius=5.0, stokes=v),
-    "Source(jones)": lambda v: mistray.Source(radius=5.0, jones=v),
-    "ObjectPoint(tilt_deg)": lambda v: prescription.ObjectPoint(distance=9.0, tilt_deg=v),
-    "ObjectPoint(band_nm)": lambda v: prescription.ObjectPoint(distance=9.0, spectrum="sun", band_nm=v),
-    "ObjectPoint(stokes)": lambda v: prescription.ObjectPoint(distance=9.0, stokes=v),
-    "ObjectPoint(jones)": lambda v: prescription.ObjectPoint(distance=9.0, jones=v),
-    "Decentre(tilt_deg)": lambda v: prescription.Decentre(tilt_deg=v),
-    "Sequential(rows)": lambda v: lens(rows=v),
-    "Sequential(fields)": lambda v: lens(fields=v),
-    "Sequential(vignetting)": lambda v: lens(vignetting=v),
-    "Sequential.with_rows(rows)": lambda v: lens().with_rows(v),
-    "Grid.of(step)": lambda v: prescription.Grid.of(np.zeros((5, 5)), v),
-    "Grid.of(middle)": lambda v: prescription.Grid.of(np.zeros((5, 5)), (1.0, 1.0), v),
-    "box(size)": lambda v: prescription.box("b", v),
-    "box(centre)": lambda v: prescription.box("b", (1, 1, 1), centre=v),
-    "prism(corners)": lambda v: prescription.prism("p", v, 10, material="N-BK7"),
-    "prism(faces)": lambda v: prescription.prism("p", CORNERS, 10, material="N-BK7", faces=v),
-    "polygon(corners)": lambda v: prescription.polygon(v).check("polygon"),
-    "array(places)": lambda v: prescription.array(FRONT, v),
-    "moved_as_one(tilt_deg)": lambda v: prescription.moved_as_one(FRONT, tilt_deg=v),
-    "wall(points)": lambda v: prescription.wall("w", v),
-    "lens_edge(contact_radii)": lambda v: prescription.lens_edge(
-        surface(back="N-BK7"),
-        prescription.Surface("t", semi_diameter=5.0, z=2.0, front="N-BK7"),
-        contact_radii=v,
-    ),
-    "to_prescription(detector_half_mm)": lambda v: prescription.to_prescription(
-        lens(rows=(GLASS, Row(2, radius=-50.0, thickness=46.0), Row(3, kind="image"))), detector_half_mm=v
-    ),
-    "paraxial.ParaxialSystem(index)": lambda v: physics.imaging.paraxial.ParaxialSystem(0.01, 0.0, v),
-    "pose.fixed_turn(angles_deg)": lambda v: physics.geometry.pose.fixed_turn(v),
+    **of(trace, "Trace", "rays(box) rays(pixels)"),
+    **by(recorders.FarField, "edges_deg axis up", name="far"),
+    **by(recorders.Probe, "centre normal pixels up", name="p", centre=(0, 0, 1)),
+    **by(analysis.DiskSource, "centre axis", centre=(0, 0, 0), radius=1.0, half_angle_deg=10.0),
+    **by(report.write_pst, "maps_at", pst=pst, directory="pst"),
+    **by(optimize.PstBands, "edges_deg", **BANDS),
+    **by(optimize.fit, "observed", **TO_FIT),
+    **of(body, "Body", "about(pivot) tilted(tilt_deg)"),
+    **by(optimize.CoatingGroup, "bounds_nm", name="ar", surfaces=None, start=QUARTER),
+    **by(optimize.Moved, "pivot", key="L1.tilt_x"),
+    **by(prescription.Surface, "tilt_deg", **FACE),
+    **by(mistray.Structure, "tilt_deg", **PART),
+    **by(Detector, "tilt_deg pixels", semi_diameter=5.0),
+    **by(mistray.Source, "tilt_deg stokes jones", radius=5.0),
+    **by(mistray.Source, "band_nm", radius=5.0, spectrum="sun"),
+    **by(prescription.ObjectPoint, "tilt_deg stokes jones", distance=9.0),
+    **by(prescription.ObjectPoint, "band_nm", distance=9.0, spectrum="sun"),
+    **by(prescription.Decentre, "tilt_deg"),
+    **by(Sequential, "rows fields vignetting", **LENS),
+    **of(lambda: CURVED, "Sequential", "with_rows(rows)"),
+    **of(lambda: prescription.Grid, "Grid", "of(step) of(middle)", heights=np.zeros((5, 5)), step=(1.0, 1.0)),
+    **by(prescription.box, "size centre", name="b", size=(1, 1, 1)),
+    **by(prescription.prism, "corners faces", **PRISM),
+    **by(prescription.polygon, "corners", lambda found: found.check("polygon")),
+    **by(prescription.array, "places", faces=FRONT),
+    **by(prescription.moved_as_one, "tilt_deg", faces=FRONT),
+    **by(prescription.wall, "points", name="w"),
+    **by(prescription.lens_edge, "contact_radii", first=BACK, second=REAR),
+    **by(prescription.to_prescription, "detector_half_mm", sequential=CURVED),
+    **by(paraxial.ParaxialSystem, "index", module="paraxial.", curvature=0.01, z=0.0),
+    **by(physics.geometry.pose.fixed_turn, "angles_deg", module="pose."),
 }
 
 NAMED: dict[str, Call] = {
-    "coat(coatings)": lambda v: mistray.coat("plate", v),
-    "coat(paint)": lambda v: mistray.coat("plate", paint=v),
-    "coat(scatter)": lambda v: mistray.coat("plate", scatter=v),
-    "Rules(coatings)": lambda v: mistray.scene.Rules(coatings=v),
-    "Rules(paint)": lambda v: mistray.scene.Rules(paint=v),
-    "Rules(scatter)": lambda v: mistray.scene.Rules(scatter=v),
-    "Configuration(values)": lambda v: sweeps.Configuration("c", v),
-    "Configuration(paint)": lambda v: sweeps.Configuration("c", paint=v),
-    "Configuration(coat)": lambda v: sweeps.Configuration("c", coat=v),
-    "Surface(sag)": lambda v: surface(sag=v),
-    "Detector(sag)": lambda v: Detector(semi_diameter=5.0, sag=v),
-    "Row(sag)": lambda v: Row(1, sag=v),
-    "Scatter(properties)": lambda v: prescription.Scatter("harvey_shack", v),
-    "Prescription.with_scatter(rules)": lambda v: mistray.Prescription(name="p", surfaces=FRONT).with_scatter(v),
-    "prism(coatings)": lambda v: prescription.prism("p", CORNERS, 10, material="N-BK7", coatings=v),
-    "to_prescription(coatings)": lambda v: prescription.to_prescription(
-        lens(rows=(GLASS, Row(2, radius=-50.0, thickness=46.0), Row(3, kind="image"))), coatings=v
-    ),
-    "from_zemax(coatings)": lambda v: prescription.from_zemax(zmx(), coatings=v),
-    "read_zemax(glasses)": lambda v: prescription.read_zemax(zmx(), glasses=v),
-    "read_codev(glasses)": lambda v: prescription.read_codev(seq(), glasses=v),
-    "from_zemax(glasses)": lambda v: prescription.from_zemax(zmx(), glasses=v),
-    "from_codev(glasses)": lambda v: prescription.from_codev(seq(), glasses=v),
-    "finish(known)": lambda v: mechanics.finish("black", v),
-    "bodies(known)": optimize.bodies,
-    "groups(known)": optimize.groups,
-    "match(known)": lambda v: optimize.match(v, "plate_front.z"),
-    "parameters(params)": lambda v: optimize.parameters(scene(), v),
-    "gradient(params)": lambda v: optimize.gradient(optimize.transmission(scene(), rays=64), v),
-    "Gradient.along(slopes)": lambda v: gradient().along(v),
-    "Body.moved(amounts)": lambda v: body().moved(v),
-    "combine(metrics)": lambda v: optimize.combine(v, lambda values: values["a"]),
-    "fit(start)": lambda v: optimize.fit(line, X, 0.1, v),
-    "Fit.distance(values)": lambda v: fitted().distance(v),
-    "Fit.covers(values)": lambda v: fitted().covers(v),
-    "Explorer.move(values)": lambda v: explorer().move(v),
-    "PathTable.by_way(aliases)": lambda v: trace().paths.by_way(v),
-    "GhostReport.aliased(aliases)": lambda v: ghosts().aliased(0.0, v),
-    "RayHistory.with_facts(facts)": lambda v: history().with_facts(v),
-    "CoatingTable.from_columns(columns)": lambda v: coatings.CoatingTable.from_columns("t", v),
-    "write_formats(tables)": lambda v: report.write_formats("npy", ".", v, {}),
-    "write_formats(maps)": lambda v: report.write_formats("npy", ".", {}, v),
-    "write_formats(facts)": lambda v: report.write_formats("npy", ".", {}, {}, v),
-    "write_parquet(facts)": lambda v: report.write_parquet(trace().paths.to_pandas(), "p.parquet", v),
-    "write_html(pictures)": lambda v: report.write_html(ghosts(), "g.html", pictures=v),
-    "html_text(pictures)": lambda v: report.html_text(ghosts(), pictures=v),
-    "add_structures(files)": lambda v: mistray.scene.add_structures("plate", RING, "more.xml", files=v),
-    "read_study(source)": optimize.read_study,
-    "budget(study)": lambda v: optimize.budget("plate", v),
-    "IrradianceMap(facts)": lambda v: report.IrradianceMap(X[None], X[None], (0, 1, 0, 1), v),
-    "Mechanics.painted(paint)": lambda v: part().painted(v),
-    "Mechanics.painted(space)": lambda v: part().painted(space=v),
-    "Mechanics.painted(known)": lambda v: part().painted({"*": "black"}, known=v),
-    "Levels.including(numbers)": lambda v: optimize.Levels((0, 1), {}).including(v, {}),
-    "Levels.including(units)": lambda v: optimize.Levels((0, 1), {}).including({}, v),
-    "Term(own)": lambda v: optimize.Term("t", "path_power", "minimise", own=v),
-    "Term(traced)": lambda v: optimize.Term("t", "path_power", "minimise", traced=v),
-    "optimize(study)": lambda v: optimize.optimize("plate", v),
-    "sensitivity(params)": lambda v: optimize.sensitivity(optimize.transmission(scene(), rays=64), v),
-    "read_oslo(glasses)": lambda v: prescription.read_oslo(oslo(), glasses=v),
-    "from_oslo(glasses)": lambda v: prescription.from_oslo(oslo(), glasses=v),
-    "load(source)": mistray.load,
-    "sweep(scene)": lambda v: sweeps.sweep(v, 0, rays=64, cache=False),
+    **by(mistray.coat, "coatings paint scatter", system="plate"),
+    **by(mistray.scene.Rules, "coatings paint scatter"),
+    **by(sweeps.Configuration, "values paint coat", name="c"),
+    **by(prescription.Surface, "sag", **FACE),
+    **by(Detector, "sag", semi_diameter=5.0),
+    **by(Row, "sag", number=1),
+    **by(prescription.Scatter, "properties", kind="harvey_shack"),
+    **of(lambda: mistray.Prescription(name="p", surfaces=FRONT), "Prescription", "with_scatter(rules)"),
+    **by(prescription.prism, "coatings", **PRISM),
+    **by(prescription.to_prescription, "coatings", sequential=CURVED),
+    **by(prescription.from_zemax, "coatings glasses", path=zmx),
+    **by(prescription.read_zemax, "glasses", path=zmx),
+    **by_each((prescription.read_codev, prescription.from_codev), "glasses", path=seq),
+    **by_each((prescription.read_oslo, prescription.from_oslo), "glasses", path=oslo),
+    **by(mechanics.finish, "known", text="black"),
+    **by_each((optimize.bodies, optimize.groups), "known"),
+    **by(optimize.match, "known", patterns="plate_front.z"),
+    **by(optimize.parameters, "params", scene=scene),
+    **by_each((optimize.gradient, optimize.sensitivity), "params", metric=transmission),
+    **of(gradient, "Gradient", "along(slopes)"),
+    **of(body, "Body", "moved(amounts)"),
+    **by(optimize.combine, "metrics", function=lambda values: values["a"]),
+    **by(optimize.fit, "start", **TO_FIT),
+    **of(fitted, "Fit", "distance(values) covers(values)"),
+    **of(explorer, "Explorer", "move(values)"),
+    **of(paths, "PathTable", "by_way(aliases)"),
+    **of(ghosts, "GhostReport", "aliased(aliases)", field_deg=0.0),
+    **of(history, "RayHistory", "with_facts(facts)"),
+    **of(lambda: coatings.CoatingTable, "CoatingTable", "from_columns(columns)", name="t"),
+    **by(report.write_formats, "tables maps facts", **WRITTEN),
+    **by(report.write_parquet, "facts", table=path_rows, path="p.parquet"),
+    **by(report.write_html, "pictures", report=ghosts, path="g.html"),
+    **by(report.html_text, "pictures", report=ghosts),
+    **by(mistray.scene.add_structures, "files", source="plate", structures=RING, target="more.xml"),
+    **by_each((optimize.read_study, mistray.load), "source"),
+    **by_each((optimize.budget, optimize.optimize), "study", scene="plate"),
+    **by(report.IrradianceMap, "facts", irradiance=X[None], irradiance_se=X[None], extent=(0, 1, 0, 1)),
+    **of(part, "Mechanics", "painted(paint) painted(space)"),
+    **of(part, "Mechanics", "painted(known)", paint={"*": "black"}),
+    **of(lambda: optimize.Levels((0, 1), {}), "Levels", "including(numbers) including(units)", numbers={}, units={}),
+    **by(optimize.Term, "own traced", name="t", kind="path_power"),
+    **by(sweeps.sweep, "scene", field_deg=0, rays=64, cache=False),
 }

@@ -15,9 +15,7 @@ from pathlib import Path
 import numpy as np
 import peers
 
-from mistray.io.to_sequential import to_sequential
-from mistray.io.zemax.write import write_zemax
-from mistray.prescription.sequential.table import Decentre, Row, Sequential
+from mistray.prescription import Decentre, Row, Sequential, to_sequential, write_zemax
 
 CSV = Path(__file__).parent / "data" / "zemax_export_rays.csv"
 COLUMNS = ("lens", "wavelength_nm", "x0", "y0", "z0", "l0", "m0", "n0", "x", "y", "z")

@@ -18,9 +18,8 @@ from oracles.frozen_scene import FrozenScene, read_frozen
 from oracles.geometry import Array, Frustum
 
 import mistray
+from mistray import Metric, Trace
 from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
-from mistray.optimize import Metric
-from mistray.trace import Trace
 
 
 def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:

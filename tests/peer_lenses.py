@@ -23,12 +23,10 @@ import numpy as np
 import peers
 
 from mistray.errors import MistrayError
-from mistray.io.codev.read import read_codev
-from mistray.io.zemax.read import read_zemax
 from mistray.materials.agf import decode
+from mistray.prescription import Sequential, read_codev, read_zemax
 from mistray.prescription.sequential.edge_rays import launch
 from mistray.prescription.sequential.first_order import first_order
-from mistray.prescription.sequential.table import Sequential
 
 DATA = Path(__file__).parent / "data"
 FIRST_ORDER, RAYS, OWN = DATA / "lens_files.csv", DATA / "lens_file_rays.csv", DATA / "lenses"

@@ -11,11 +11,10 @@ import numpy as np
 import pandas as pd
 
 import mistray
-from mistray import analysis, optimize, report, sweeps
+from mistray import Metric, analysis, optimize, report, sweeps
 from mistray.execute.pickles import Missing
 from mistray.execute.tracer import Run
 from mistray.gradients.pst_gradient import PstRays
-from mistray.metrics.metric import Metric
 from mistray.scatter.abg import ABg
 from mistray.scatter.k_correlation import KCorrelation
 from mistray.surfaces.surfaces import SurfaceTable

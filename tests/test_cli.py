@@ -24,13 +24,12 @@ from analyses.fake_trace import EXTENT, trace_at
 from command_line import Captured, Patch, fails, on_a_terminal, run, succeeds
 
 import mistray.scene
-from mistray import cli
+from mistray import MistrayError, cli
 from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.state import PstProgress
 from mistray.cli import program
 from mistray.cli.options import Options
 from mistray.cli.progress import progress_bar, working
-from mistray.errors import MistrayError
 from mistray.report import read_irradiance
 from mistray.toolkit.pages.model import Report
 from mistray.trace import Settings

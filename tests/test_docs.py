@@ -29,13 +29,10 @@ from oracles.layers import stack_powers
 from test_cli_import import SEQ, ZMX
 
 import mistray
-from mistray import cli
-from mistray.analysis import GhostReport, Pst
+from mistray import GhostReport, MistrayError, Pst, cli
 from mistray.cli import program
-from mistray.errors import MistrayError
 from mistray.prescription import Prescription, from_zemax
-from mistray.trace import PathTable, Settings, Trace
-from mistray.trace.history import RayHistory
+from mistray.trace import PathTable, RayHistory, Settings, Trace
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"

@@ -12,8 +12,7 @@ from command_line import Captured, Patch, fails
 from test_every_command import INPUTS, STUDY
 
 import mistray
-from mistray import cli
-from mistray.errors import MistrayError
+from mistray import MistrayError, cli
 
 SCENE = vectors.text("singlet.xml")
 SOURCE_RADIUS = '<float name="radius" value="2"/>'

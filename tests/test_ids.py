@@ -14,10 +14,9 @@ from oracles.small_scenes import plates_text, write
 from test_cli_import import ZMX
 
 import mistray
-from mistray import cli
+from mistray import MistrayError, cli
 from mistray.analyses.optimize.toml.read_study import read_study
 from mistray.analyses.sweep.configurations import as_configurations
-from mistray.errors import MistrayError
 from mistray.ids import check_id, event_words, fits
 from mistray.prescription.coating import check_name
 

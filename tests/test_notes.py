@@ -58,7 +58,7 @@ def test_medium_on_the_wrong_side(load_scene):
     assert not [note for note in right.notes if note.code == "medium"]
 
 
-def test_small_cuts_are_notes_and_large_ones_warn(scene):
+def test_cuts_warnings_and_notes(scene):
     t, found = heard(lambda: mistray.trace(scene, rays=500))
     assert [(note.code, note.warns) for note in t.notes if note.code == "cut"] == [("cut", False)]
     assert "cut" not in [code for code, _ in found]
@@ -67,18 +67,12 @@ def test_small_cuts_are_notes_and_large_ones_warn(scene):
     few, found = heard(lambda: mistray.trace(scene, rays=500, max_reflections=0))
     assert few.energy.cut["max_reflections"] > 0.01 * few.energy.launched_W
     assert "cut" in [code for code, _ in found]
-
-
-def test_ghosts_warn_once_for_all_fields(scene):
-    """Each line once, with its fields; the traces of the fields say nothing of their own."""
+    # Each line once, with its fields; the traces of the fields say nothing of their own
     report, found = heard(lambda: mistray.ghosts(scene, [0.0, 5.0], rays=500, max_reflections=0))
     assert found == [(note.code, f"{note} [{note.code}]") for note in report.notes if note.warns]
     cut = [text for code, text in found if code == "cut"]
     assert len(cut) == 1
     assert cut[0].startswith("field 0, 5 deg: ")
-
-
-def test_pst_and_objects(scene):
     pst, found = heard(lambda: mistray.pst(scene, [0.0, 70.0], rays=2000, next_order=False))
     assert found == [(note.code, f"{note} [{note.code}]") for note in pst.notes]
     assert {"no-light", "error"} & {code for code, _ in found}

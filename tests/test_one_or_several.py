@@ -1,14 +1,13 @@
 """Arguments that take several ids, names or numbers take one, too; vectors and mappings say what they need."""
 
 import contextlib
-import types
 from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from argument_calls import FIXED, NAMED, ONE, Call
+from argument_calls import FIXED, NAMED, ONE, Call, made
 from public_arguments import ARRAY, BY_NAME, SEVERAL, SINGLE, VECTOR, arguments
 from refusals import refused
 from result_calls import data
@@ -101,10 +100,6 @@ def test_each_argument_is_called() -> None:
     assert sorted(ONE.keys() - single - fields) == []
     assert sorted(name for name in FIXED if not {SEVERAL, VECTOR} & hints[name]) == []
     assert sorted(name for name in NAMED if BY_NAME not in hints[name]) == []
-
-
-def made(value: Any) -> Any:
-    return value() if isinstance(value, types.FunctionType) else value
 
 
 @pytest.mark.parametrize("name", tiers_of(ONE))

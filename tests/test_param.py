@@ -18,8 +18,7 @@ from oracles.small_scenes import plates_text
 from refusals import refused
 
 import mistray
-from mistray import ranges
-from mistray.errors import MistrayError, MistrayWarning
+from mistray import MistrayError, MistrayWarning, ranges
 from mistray.known_arguments import known_arguments
 from mistray.param import Param, fixed, grouped, params_of, title_of
 from mistray.percent import percent_text

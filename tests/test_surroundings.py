@@ -19,10 +19,9 @@ from oracles.small_scenes import plates_text, write
 
 import mistray
 from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
-from mistray.analyses.pst.page import write_pst
 from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayWarning
-from mistray.report import writable_directory
+from mistray.report import writable_directory, write_pst
 from mistray.toolkit.figures.figure import Figure
 
 CONTENTS = [bytes([letter]) * 300_000 for letter in b"abcd"]

@@ -80,7 +80,7 @@ def test_where_the_first_layer_lies(first: str, front: complex, back: complex, f
         compare(stack, front, back, False, own[::-1])
 
 
-def test_absorbing_opaque_and_shifted_stacks() -> None:
+def test_stacks_and_their_text() -> None:
     """The test above would not see a stack taken the wrong way round if these were equal."""
     from_air, from_glass = (Stack(ABSORBING).response(550.0, AIR, GLASS, COSINES[:1], side) for side in (True, False))
     turned = Stack(ABSORBING, "back").response(550.0, AIR, GLASS, COSINES[:1], True)
@@ -97,9 +97,6 @@ def test_absorbing_opaque_and_shifted_stacks() -> None:
     for wavelength in (450.0, 650.0):
         plain = Layer("N-BK7", 100.0).index(wavelength)
         assert layer.index(wavelength) == pytest.approx(plain + 0.02 + 1e-3j, abs=1e-15)
-
-
-def test_what_is_no_stack() -> None:
     for layers, first, nm, words in (
         ([Layer("1.38", -1.0)], "outside", 550.0, "layer 1 (1.38): thickness_nm is "),
         ([Layer("1.38", float("nan"))], "outside", 550.0, "layer 1 (1.38): thickness_nm is "),
@@ -115,9 +112,6 @@ def test_what_is_no_stack() -> None:
     for text, design_nm, words in vectors.toml("refusals.toml")["layers"]:
         with pytest.raises(MistrayError, match=f"^coating 'ar'.*{re.escape(words)}"):
             parse_layers(text, design_nm, name="ar")
-
-
-def test_layers_from_text_and_back() -> None:
     layers = parse_layers("MgF2 99.64, 2.1 0.5w\n 1.63+0.001i   84.4,nd=1.6 Vd=50 k=0 10", 500.0)
     assert [layer.material for layer in layers] == ["MgF2", "2.1", "1.63+0.001i", "nd=1.6 Vd=50 k=0"]
     np.testing.assert_allclose([layer.thickness_nm for layer in layers], [99.64, 0.5 * 500 / 2.1, 84.4, 10.0])
@@ -137,24 +131,18 @@ MANY = np.cos(np.radians(np.concatenate([np.linspace(0, 89.9, 60), [90.0]])))
 CROWN, ALUMINIUM = 1.5168 + 0j, 0.958 + 6.69j
 
 
-def test_grazing_light_is_finite() -> None:
+def test_grazing_light_absorbing_media_and_ideal_shares() -> None:
     """What bare surfaces reflect is compared with `tmm` above, in test_thinfilm.py with vectors."""
     for front, back in ((1 + 0j, CROWN), (CROWN, 1 + 0j), (1.2 + 0j, ALUMINIUM), (1 + 0j, 1 + 0j)):
         grazing = Bare().response(550.0, front, back, np.array([0.0, 1e-12, 0.5]), True)
         np.testing.assert_allclose(grazing.R + grazing.T, 1.0, atol=1e-12)
-
-
-def test_absorption_of_the_medium_in_front_is_booked_along_the_ray() -> None:
-    """R + T > 1 is possible for waves that decay along their way; only the real part of their index counts."""
+    # R + T > 1 is possible for waves that decay along their way; only the real part of their index counts
     grey = Bare().response(550.0, 1.5 + 0.01j, 1 + 0j, MANY, True)
     clear = Bare().response(550.0, 1.5 + 0j, 1 + 0j, MANY, True)
     np.testing.assert_array_equal(grey.R, clear.R)
     np.testing.assert_array_equal(grey.T, clear.T)
     assert grey.A.min() > -1e-12
-
-
-def test_ideal_shares() -> None:
-    """The same everywhere; beyond the critical angle what would be transmitted is reflected too."""
+    # The same everywhere; beyond the critical angle what would be transmitted is reflected too
     front, back = (Ideal(0.3, 0.5).response(550.0, 1 + 0j, CROWN, MANY, side) for side in (True, False))
     for found, expected in ((front.R, 0.3), (front.T, 0.5), (front.A, 0.2), (front.phase_r, np.pi), (front.phase_t, 0)):
         np.testing.assert_allclose(found, expected)
@@ -280,7 +268,7 @@ def at(table: CoatingTable, nm: float, degrees: float, from_front: bool = True):
     return table.response(nm, RARE, DENSE, cosine, from_front)
 
 
-def test_shares(read) -> None:
+def test_shares_of_polarisations_and_sides_and_phases(read) -> None:
     """At the nodes, linear between them in wavelength and cosine; beyond the steepest angle the last value holds."""
     table = read(PLAIN)
     np.testing.assert_allclose(at(table, 500.0, 60.0).R, [[0.2, 0.2]], atol=1e-15)
@@ -292,10 +280,7 @@ def test_shares(read) -> None:
     np.testing.assert_array_equal(read("\n".join([head, rows[2], rows[1], rows[3], rows[0]])).shares, table.shares)
     with refused(r"ar.csv': 450 nm is outside its 500 … 600 nm"):
         at(table, 450.0, 0.0)
-
-
-def test_both_polarisations_and_sides(read) -> None:
-    """The angle is that in the rarer material; a table of one wavelength holds for all."""
+    # The angle is that in the rarer material; a table of one wavelength holds for all
     table = read(POLARISED)
     front, behind = at(table, 550.0, 60.0), at(table, 550.0, 60.0, from_front=False)
     np.testing.assert_allclose(front.R, [[0.3, 0.1]], atol=1e-15)
@@ -303,9 +288,6 @@ def test_both_polarisations_and_sides(read) -> None:
     np.testing.assert_allclose(behind.R, [[0.35, 0.12]], atol=1e-12)
     np.testing.assert_allclose(behind.T, front.T, atol=1e-12)
     np.testing.assert_array_equal(at(table, 400.0, 60.0).R, front.R)
-
-
-def test_total_reflection_takes_the_transmitted_share_too(read) -> None:
     beyond = read(PLAIN).response(500.0, RARE, DENSE, np.array([0.2]), False)
     np.testing.assert_allclose(beyond.R, 0.9)
     np.testing.assert_allclose(beyond.T, 0.0)
@@ -315,9 +297,6 @@ def test_total_reflection_takes_the_transmitted_share_too(read) -> None:
     assert not read(PLAIN).opaque
     for from_front in (True, False):
         np.testing.assert_allclose(table.response(550.0, RARE, DENSE, np.array([0.5]), from_front).R, 0.3)
-
-
-def test_phases(read) -> None:
     plain, table = at(read(PLAIN), 550.0, 30.0), read(POLARISED)
     np.testing.assert_allclose(np.exp(1j * plain.phase_r), -1, atol=1e-12)
     np.testing.assert_allclose(plain.phase_t, 0, atol=1e-12)

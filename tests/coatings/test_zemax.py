@@ -104,7 +104,7 @@ class TestLayers:
         assert as_window.R.max() < 0.05, "0.1 nm of aluminium is no mirror"
 
 
-def test_ideal_coatings_and_tables(file) -> None:
+def test_ideal_coatings_tables_and_what_is_not_known(file) -> None:
     """Of the retarder s is real, p has a quarter wave in both: in mistray's exp(-iωt) the sign is turned."""
     assert file["SPLIT"] == Ideal(0.5, 0.4, "SPLIT")
     np.testing.assert_allclose([file["CLEAR"].R, file["I.98"].T, file["I.98"].R], [0.01, 0.98, 0.02])
@@ -122,9 +122,6 @@ def test_ideal_coatings_and_tables(file) -> None:
     np.testing.assert_allclose(np.degrees(own.phase_r), 170, atol=1e-9)
     np.testing.assert_allclose(np.degrees(own.phase_t), 5, atol=1e-9)
     np.testing.assert_allclose(table.response(550.0, AIR, GLASS, ONE, True).R, 0.015)
-
-
-def test_what_is_not_known(file) -> None:
     each_refused(
         (lambda: file["SLOPED"], "line 51: taper RADIAL"),
         (lambda: file["VENDOR.ZEC"], "line 68: coating VENDOR.ZEC is encrypted"),

@@ -104,7 +104,7 @@ def run() -> Run:
     return run
 
 
-def test_numbers_of_the_last_rays(run: Run) -> None:
+def test_sums_and_numbers_of_the_last_rays(run: Run) -> None:
     """The last ray has the number 2³² - 2, its own random numbers, and is found again by its number."""
     assert run.passes == 4096
     first, last = run.start_pass(0), run.start_pass(run.passes - 1)
@@ -120,10 +120,7 @@ def test_numbers_of_the_last_rays(run: Run) -> None:
     origins, _ = run.start_rays(lanes[[0, -1]])
     # Found in float64 on the exact start plane, where the device's float32 has rounded
     np.testing.assert_allclose(origins, points[[0, -1]], rtol=0, atol=1e-6)
-
-
-def test_the_last_pass_of_a_grid_is_the_last_rows(run: Run) -> None:
-    """Row and column of a ray come from its 32-bit number."""
+    # Row and column of a ray come from its 32-bit number
     sample: list[mi.Point2f] = []
 
     class Grid:
@@ -135,10 +132,7 @@ def test_the_last_pass_of_a_grid_is_the_last_rows(run: Run) -> None:
     lane = mi.UInt32([0, rays - 1])
     run.source.start(lane, dr.zeros(mi.UInt32, 2), rays, None, run.table.centre)
     np.testing.assert_allclose(np.array(sample[0]).T, [[0.5 / 65535] * 2, [1 - 0.5 / 65535] * 2], rtol=1e-6)
-
-
-def test_sums_go_on_beyond_32_bits(run: Run) -> None:
-    """Every sum and count of a trace is a float64: after 2³³ hits one more counts."""
+    # Every sum and count of a trace is a float64: after 2³³ hits one more counts
     tallies, images, ledger = Tallies(run.table), Images(run.make_film()), Ledger(64, run.settings.max_events)
     before = 2.0**33
     for recorder, name in ((tallies, "surfaces"), (tallies, "channels"), (images, "sums"), (ledger, "sums")):

@@ -109,17 +109,14 @@ def test_a_beam_that_is_a_little_wider_has_an_honest_derivative(wider):
     assert has(found, "stop.r1", expected)
 
 
-def test_a_rectangular_beam_fills_two_sides_of_a_rectangle():
+def test_beams_and_cones_that_fill_rims():
     """The detector is 3 × 4, the beam 3 × 5: T = w h/15, on one side only in w; the other two sides are overfilled."""
     keys = ["detector.half_width", "detector.half_height", "detector.x"]
     found = derived(keys, beam(half_width=3.0, half_height=5.0), detector=detector(half_width=3.0, half_height=4.0))
     assert set(found.full) == {"detector.half_width", "detector.x"}
     assert agree(found.one_sided["detector.half_width"], 4 / 15, 0.0)
     assert has(found, "detector.half_height", 3 / 15)
-
-
-def test_the_cone_of_a_near_source_fills_a_stop():
-    """Of a cone of half angle α the stop takes (1 - cos θ)/(1 - cos α) with tan θ = r/L."""
+    # Of a cone of half angle α the stop takes (1 - cos θ)/(1 - cos α) with tan θ = r/L
     distance, alpha = 30.0, math.atan(RADIUS / 40.0)
     source = {"type": "point_source", "z": -distance, "half_angle_deg": math.degrees(alpha)}
     found = derived(["stop.r1", "lamp.z", "lamp.half_angle_deg"], source, stop=plate())
@@ -127,18 +124,12 @@ def test_the_cone_of_a_near_source_fills_a_stop():
     assert agree(found.one_sided["stop.r1"], by_angle * math.cos(alpha) ** 2 / 40.0, 0.0)
     # farther away the stop takes less
     assert agree(found.one_sided["lamp.z"], by_angle * math.sin(alpha) * math.cos(alpha) / 40.0, 0.0)
-
-
-def test_an_annular_beam_fills_an_obscuration():
-    """A disc in the dark centre of the beam: as it grows it takes 2 b/(a² - b²) of the light."""
+    # A disc in the dark centre of the beam: as it grows it takes 2 b/(a² - b²) of the light
     a, b = 10.0, 4.0
     disc = {"type": "frustum", "r0": b, "z0": 10.0, "r1": 0.0, "z1": 10.0, "bsdf": BLACK}
     found = derived(["disc.r0"], beam(radius=a, inner_radius=b), disc=disc)
     assert agree(found.one_sided["disc.r0"], 0.0, -2 * b / (a * a - b * b))
-
-
-def test_the_rim_of_an_optical_surface_and_keys_that_do_not_move_it():
-    """A sheet that passes half of the light, of the size of the beam: as it gets smaller, more light goes past it."""
+    # A sheet that passes half of the light, of the size of the beam: as it gets smaller, more light goes past it
     half = {"type": "interface", "front": "air", "back": "air", "coating": {"type": "thinfilm", "R": 0.3, "T": 0.5}}
     sheet = {"type": "asphere", "semi_diameter": RADIUS, "z": 20.0, "bsdf": half}
     keys = ["sheet.bsdf.coating.T", "sheet.semi_diameter", "stop.r1"]
@@ -147,10 +138,7 @@ def test_the_rim_of_an_optical_surface_and_keys_that_do_not_move_it():
     assert found.gradient["sheet.bsdf.coating.T"][0] == pytest.approx(1.0, rel=1e-5)
     assert found.gradient["stop.r1"][0] == 0.0  # the beam does not come there
     assert agree(found.one_sided["sheet.semi_diameter"], -2 / RADIUS * (1 - 0.5), 0.0)
-
-
-def test_an_edge_that_crosses_a_rim_is_no_full_rim():
-    """A square beam about a round stop crosses it at eight points, at 37°: d T/d r is that of the arcs within it."""
+    # A square beam about a round stop crosses it at eight points, at 37°: d T/d r is that of the arcs within it
     half = 0.9 * RADIUS
     found = derived(["stop.r1"], beam(half_width=half, half_height=half), stop=plate())
     assert not found.full
@@ -476,16 +464,13 @@ def test_against_scenes_built_again(make: Make, rays: int, step: float, selectio
     check(derivative(scene, path_power(scene, selection, rays=rays)), expected)
 
 
-def test_segments_that_abut() -> None:
+def test_segments_that_abut_and_pst_of_a_box() -> None:
     """The beam lies within both: nothing changes but by what falls off."""
     scene = mirrors_side_by_side()
     found = derivative(scene, path_power(scene, "all", rays=50_000), "x")
     assert abs(found.value) < max(4 * found.se, 1e-6)
     assert found.se < 0.01
-
-
-def test_pst_of_a_box() -> None:
-    """A box between detector and sky."""
+    # A box between detector and sky
 
     def make(step: float) -> Any:
         faces = moved_as_one(box("P", (6.0, 4.0, 3.0), coating=Coating(R=0.8)), y=3.0 + step, z=-6.0)

@@ -345,7 +345,7 @@ def test_values_without_derivative(
     assert all(fixed(plugin, other) is None for other in values if other in plugin.values and other != name)
 
 
-def test_at_the_end_of_a_range(load_scene: Load) -> None:
+def test_ends_of_ranges_and_rays_that_do_not_matter(load_scene: Load) -> None:
     """B = 0 of a Lambertian has a derivative to one side: f = A/(1 + B), d ln f/dB = -1."""
     table = table_of(load_scene, bsdf_xml("abg", A=0.1, B=0.0, g=0.0))
     scattering, rays = scattering_of(table, False), Rays(True, True, 0.05)
@@ -353,10 +353,7 @@ def test_at_the_end_of_a_range(load_scene: Load) -> None:
     dr.backward(dr.sum(replay.log_flux(rays.event(table), rays.direction, mi.Bool(True))))
     ((_, _, gradient),) = scatter_gradient(table, scattering, replay.derivatives(), lambda _, name: name == "B")
     assert gradient.sum() == pytest.approx(-RAYS, rel=1e-4)
-
-
-def test_rays_that_do_not_matter(load_scene: Load) -> None:
-    """Lanes that are not active have no value and no derivative, whatever their numbers are."""
+    # Lanes that are not active have no value and no derivative, whatever their numbers are
     table = table_of(load_scene, *map(model_xml, (FORMS["paint"], FORMS["ghs"])))
     for backward in (False, True):
         replay, rays = ScatterReplay(scattering_of(table, backward)), Rays(False, True, 0.05)

@@ -198,7 +198,7 @@ class TestPlate:
 
 
 @pytest.mark.quick
-def test_light_stays_in_the_medium_at_an_opaque_wall(load_scene) -> None:
+def test_light_lost_at_walls_and_in_metal(load_scene) -> None:
     """A painted rear face (R = 0.6) sends the light back through the glass: 1 - τ and again R τ (1 - τ)."""
     text = scene_text(
         shape_xml("asphere", "front", 0.0, interface_xml("air", DARK, R=0.0, T=1.0), semi_diameter=20.0),
@@ -210,19 +210,11 @@ def test_light_stays_in_the_medium_at_an_opaque_wall(load_scene) -> None:
     assert e.absorbed["paint"][0] / e.launched_W == pytest.approx(TAU * 0.4, rel=1e-5)
     assert e.escaped_W / e.launched_W == pytest.approx(TAU**2 * 0.6, rel=1e-5)
     assert abs(e.closure) < 1e-6
-
-
-@pytest.mark.quick
-def test_history_and_replay_know_the_loss(load_scene) -> None:
     t = mistray.trace(load_scene(coated_plate()), rays=100, max_reflections=2)
     (ghost,) = (row for row in t.paths if row.order == 2)
     flux = t.history(ghost.path_id, n=1).to_pandas().flux_W.to_numpy()
     factors = [1, 1, 0.98 * TAU, 0.05 * TAU, 0.02 * TAU, 0.95]
     np.testing.assert_allclose(flux / flux[0], np.cumprod(factors), rtol=3e-6)
-
-
-@pytest.mark.quick
-def test_metal_takes_what_it_does_not_reflect(load_scene) -> None:
     n = 0.958 + 6.69j
     text = scene_text(
         shape_xml("asphere", "mirror", 0.0, interface_xml("air", "0.958+6.69i"), semi_diameter=20.0),

@@ -97,7 +97,7 @@ def test_rays_of_a_point() -> None:
     assert np.all(np.abs(np.subtract(mean, (row.s1, row.s2, row.s3))) < 5 * error + 1e-6)
 
 
-def test_two_sources_one_polarised(load_scene) -> None:
+def test_polarisation_of_sources_scatter_and_renderings(load_scene) -> None:
     text = plates_text(1).replace(
         "</emitter>", '</emitter><emitter type="collimated" id="laser"><float name="radius" value="1.0"/>'
         '<float name="polarization_deg" value="0"/></emitter>', 1,
@@ -112,9 +112,6 @@ def test_two_sources_one_polarised(load_scene) -> None:
     assert plain.power_W / np.pi == pytest.approx(((1 - r_s) ** 2 + (1 - r_p) ** 2) / 2, rel=3e-6)
     assert (laser.s1, laser.polarization) == pytest.approx((1, 1), abs=1e-6)
     assert t.settings["source_stokes"] == {"laser": (1.0, 0.0, 0.0)}
-
-
-def test_scattered_light_has_lost_its_polarisation(load_scene) -> None:
     numbers = "".join(f'<float name="{name}" value="{value}"/>' for name, value in (("A", 0.1), ("B", 1), ("g", 0)))
     wall = interface_xml(R=0.5).replace("</bsdf>", f'<bsdf type="abg">{numbers}</bsdf></bsdf>')
     text = scene_text(
@@ -126,16 +123,10 @@ def test_scattered_light_has_lost_its_polarisation(load_scene) -> None:
     scattered = [row for row in t.paths if row.scatters]
     assert scattered
     assert all(row.polarization == 0 for row in scattered)
-
-
-def test_a_rendering_carries_it(load_scene) -> None:
     text = plates_text(1).replace("</emitter>", '<float name="polarization_deg" value="90"/></emitter>')
     scene = load_scene(text.replace('name="radius"', 'name="field_deg" value="45"/><float name="radius"'))
     image = np.array(mi.render(scene, integrator=mi.load_dict({"type": "straylight", "rays": 64})))
     assert image.sum() * 100.0**2 / 64**2 == pytest.approx(mistray.trace(scene, rays=64).energy.detected_W, rel=1e-5)
-
-
-def test_what_forgets_it_is_refused_unless_told_to(load_scene) -> None:
     text = plates_text(1)
     plain, none, scene = (
         load_scene(text.replace("</emitter>", f"{inside}</emitter>"))

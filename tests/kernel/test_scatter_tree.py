@@ -193,7 +193,7 @@ def test_limits(load_scene, limit: str, most: int) -> None:
     assert trace.energy.cut["max_generations" if limit == "max_generations" else "max_scatters"] > 0
 
 
-def test_aimed_rays_alone_one_in_one_out(load_scene) -> None:
+def test_aimed_rays_lost_light_and_random_rays(load_scene) -> None:
     """Light that has no target, here the reflected, is not sent at random then; the aimed carry the same as all do."""
     scene = load_scene(window_text(DULL))
     found = {}
@@ -205,20 +205,14 @@ def test_aimed_rays_alone_one_in_one_out(load_scene) -> None:
     (split, split_se), (one, one_se) = found.values()
     assert one_se < 0.03 * one
     assert abs(z_score(one, split, np.hypot(one_se, split_se))) < z_limit(1)
-
-
-def test_without_scatter_surfaces_lose_what_they_would_scatter(load_scene) -> None:
-    """Totals of the model at normal incidence, twice, exactly; both faces scatter what is reflected as well."""
+    # Totals of the model at normal incidence, twice, exactly; both faces scatter what is reflected as well
     scene = load_scene(window_text(DULL))
     energy = mistray.trace(scene, rays=1000, max_scatters=0, max_reflections=0).energy
     total = 0.0413436938882 * 2e-3 / 2.5e-3  # float64 test vector of A = 0.0025, B = 0.001, g = 1.8
     direct, lost = 0.96**2 * (1 - total) ** 2, total + 0.96 * (1 - total) * total
     assert energy.detected_W / energy.launched_W == pytest.approx(direct, rel=1e-4)
     assert energy.cut["max_scatters"] / energy.launched_W == pytest.approx(lost, rel=1e-3)
-
-
-def test_a_surface_can_ask_for_more_random_rays(load_scene) -> None:
-    """Same flux, more hits of the detector, from that surface only; false alarm 1e-3."""
+    # Same flux, more hits of the detector, from that surface only; false alarm 1e-3
     plain = window_text(DULL)
     more = plain.replace(REAR, f'<integer name="scatter_rays" value="8"/>{REAR}')
     assert more != plain

@@ -74,7 +74,7 @@ def test_of_two_thicknesses_the_more_exact_counts(write, order):
     assert complex_index(material, 330.0).imag == pytest.approx(k_of(0.10, 10, 330), rel=1e-12)
 
 
-def test_transmittances_that_tell_no_k(write):
+def test_transmittances_without_k_and_a_glass_among_others(write):
     """Exactly 1, none at all, and the 0 of a filter glass, which says that k is large, not how large."""
     assert source(write(N_BK7 + "IT 0.60 1.0 25.0\n")).k_range_nm == (350.0, 500.0)
     for lines in ("IT 0.4 1.0 10\nIT 0.7 1.0 10\n", ""):
@@ -86,10 +86,7 @@ def test_transmittances_that_tell_no_k(write):
         with refused("have no value at"):
             complex_index(material, wavelength_nm)
     assert complex_index(material, 400.0).imag == pytest.approx(k_of(0.992, 25, 400), rel=1e-12)
-
-
-def test_a_glass_among_others(write):
-    """Whatever capitals and wrong lines; coefficients may go on in the next line; a changed file is read again."""
+    # Whatever capitals and wrong lines; coefficients may go on in the next line; a changed file is read again
     other = N_BK7.replace("N-BK7", "OTHER").replace("1.03961212E+00", "1.2")
     own = N_BK7.replace(" 2.00179144E-02", "\n 2.00179144E-02")
     text = other + own + "NM BAD 77 0 1.5 60\nCD one two\n"
@@ -120,7 +117,7 @@ def write_csv(tmp_path):
     return write_csv
 
 
-def test_n_and_k_are_interpolated(write_csv):
+def test_columns_of_a_table_are_interpolated(write_csv):
     material = write_csv("# measured\nwavelength_nm,n,k\n500,1.52,1e-7\n\n400,1.54,3e-7\n# end\n600,1.51,0\n")
     assert complex_index(material, 450.0) == pytest.approx(1.53 + 2e-7j, abs=1e-14)
     assert complex_index(material, 600.0) == 1.51
@@ -129,9 +126,6 @@ def test_n_and_k_are_interpolated(write_csv):
         refractive_index(material, 399.0)
     assert complex_index(f"{material} extrapolate", 300.0) == 1.54 + 3e-7j
     assert complex_index(f"{material} k=0", 450.0).imag == 0
-
-
-def test_columns_in_any_order_and_no_k(write_csv):
     material = write_csv("\ufeffn, wavelength_nm\n1.5, 400\n1.4, 600\n")
     assert refractive_index(material, 500.0) == pytest.approx(1.45, abs=1e-15)
     with refused(r"k is unknown.*append ' k=0'"):

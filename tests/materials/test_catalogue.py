@@ -75,7 +75,7 @@ def test_internal_transmittance_of_the_data_sheet(name, wavelength_nm, of_10_mm,
     assert [math.exp(-per_mm * mm) for mm in (10, 25)] == pytest.approx([of_10_mm, of_25_mm], abs=6e-4)
 
 
-def test_every_name_gives_an_index():
+def test_names_capitals_and_makers():
     """n everywhere inside of its range, k ≥ 0 wherever it is known."""
     for name in names():
         found = source(name)
@@ -87,10 +87,7 @@ def test_every_name_gives_an_index():
             low, high = found.k_range_nm
             assert min(complex_index(f"{name} extrapolate", at).imag for at in (low, (low + high) / 2, high)) >= 0, name
         assert found.reference, name
-
-
-def test_capitals_and_makers():
-    """Among the four great makers two names need their order: F2 and F5 are Schott's and, with other data, CDGM's."""
+    # Among the four great makers two names need their order: F2 and F5 are Schott's and, with other data, CDGM's
     assert find("n-bk7") == find("SCHOTT/N-BK7") == find("schott/n-bk7") == find("N-BK7")
     assert find("h-k9l*").name == "cdgm/H-K9Lstar"
     assert find("MGF2") == PINNED["MgF2"]
@@ -181,7 +178,7 @@ def test_row_of_a_material(name):
     assert journal in found.reference
 
 
-def test_pages_of_the_infrared():
+def test_pages_of_the_infrared_and_of_the_phone_camera():
     """Each page beyond the first of a name has its row, in the order in which they are asked."""
     listed = iter(rows("In the infrared"))
     for name in PINNED:
@@ -197,10 +194,7 @@ def test_pages_of_the_infrared():
             assert reference.partition(", ")[2] in found.reference
             found = found.beyond
     assert next(listed, None) is None
-
-
-def test_materials_of_the_phone_camera_study():
-    """Every nd of the study's Table 5 but that of its sapphire, which is 0.0033 off the crystal's."""
+    # Every nd of the study's Table 5 but that of its sapphire, which is 0.0033 off the crystal's
     table = rows("The materials of the phone camera study")
     assert [row[0].strip("`") for row in table] == ["sapphire", "COC", "PSU", "N-BK7"]
     for string, _, stated, here in table:
@@ -243,7 +237,7 @@ def test_second_sources(name: str, other: str, wavelengths_nm: tuple[float, ...]
         assert refractive_index(name, nm) - 1 == pytest.approx(refractive_index(other, nm) - 1, rel=FOCAL_LENGTH), nm
 
 
-def test_names_of_makers_and_pages_by_the_wavelength() -> None:
+def test_names_of_makers_pages_and_absorption() -> None:
     for name, others in vectors.toml("tables.toml")["names of makers"].items():
         for other in others.split():
             assert source(other).name == name
@@ -255,15 +249,9 @@ def test_names_of_makers_and_pages_by_the_wavelength() -> None:
     assert refractive_index("Ge", 9000.0) == refractive_index("main/Ge/nk/Burnett", 9000.0)
     assert refractive_index("Ge", 16000.0) == refractive_index("main/Ge/nk/Li-293K", 16000.0)
     assert complex_index("Ge k=0 shift=0.01", 9000.0) == complex(refractive_index("Ge", 9000.0) + 0.01, 0.0)
-
-
-def test_absorption() -> None:
-    """
-    4πk/λ as docs/materials.md states it, k with two digits; no second source of these was found.
-
-    Lattice bands of silicon against the page of D. Chandler-Horowitz and P. M. Amirtharaj; germanium absorbs more than
-    the least that has been measured, 0.007/cm (J. Foley, S. K. Sharma, R. M. Wood, ASTM STP 37015, 1981).
-    """
+    # 4πk/λ as docs/materials.md states it, k with two digits; no second source of these was found
+    # Lattice bands of silicon against the page of D. Chandler-Horowitz and P. M. Amirtharaj; germanium absorbs more
+    # than the least that has been measured, 0.007/cm (J. Foley, S. K. Sharma, R. M. Wood, ASTM STP 37015, 1981)
 
     def per_cm(name: str, wavelength_nm: float) -> float:
         return 4 * math.pi * complex_index(name, wavelength_nm).imag / (wavelength_nm * 1e-7)

@@ -16,11 +16,10 @@ from mistray.analyses.optimize.study.variables import Variables, find_variables
 from mistray.analyses.sweep.configurations import Configuration, resolve
 from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import column_derivatives
-from mistray.metrics.bodies import Body
 from mistray.metrics.changes.first_surfaces import Entering, FirstLight, spoils, together
 from mistray.metrics.changes.gaps import Contacts, Gap
 from mistray.metrics.scene_values import changed
-from mistray.optimize import bodies, parameters, path_power, read_study
+from mistray.optimize import Body, bodies, parameters, path_power, read_study
 from mistray.physics.geometry.pose import moved
 from mistray.prescription import Detector, Prescription, Source, Structure, Surface, moved_as_one, prism
 from mistray.surfaces.gradient_columns import GEOMETRY, POSE
@@ -163,15 +162,12 @@ class TestStudy:
                 self.variables(here, *sections)
 
 
-def test_configuration(here: Any, known: dict[str, Body]) -> None:
+def test_configuration_and_derivative_by_several_numbers(here: Any, known: dict[str, Body]) -> None:
     """A tilt, and a displacement, which is a value of the surfaces' own."""
     (found,) = resolve(here, mi.traverse(here), [Configuration("bent", {"L.tilt_x": 2.0, "L.z": 0.5, "P.y": 1.0})])
     expected = known["L"].moved({"tilt_x": 2.0, "z": 0.5}) | known["P"].moved({"y": 1.0})
     assert {key: float(value[0]) for key, value in found.values.items()} == pytest.approx(expected, abs=1e-5)
-
-
-def test_derivative_by_several_numbers(here: Any, known: dict[str, Body]) -> None:
-    """Its error comes from the batches of the sum; what the gradient lacks is refused."""
+    # Its error comes from the batches of the sum; what the gradient lacks is refused
     slopes = known["L"].slopes("tilt_x")
     found = mistray.gradient(path_power(here, "all", rays=2000), mi.traverse(here), keys=slopes)
     along = found.along(slopes)

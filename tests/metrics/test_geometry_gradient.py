@@ -19,8 +19,7 @@ from oracles.small_scenes import scene_text as small_text
 from oracles.statistics import z_limit, z_score
 
 import mistray
-from mistray.metrics.parameters import parameters
-from mistray.optimize import Metric, image_metric, optimize
+from mistray.optimize import Metric, image_metric, optimize, parameters
 
 TOLERANCE = 1e-3  # of geometry on frozen paths, and of coatings
 ZERO = 1e-6  # of the metric's value, for a move by the size of the surface

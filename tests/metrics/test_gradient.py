@@ -13,9 +13,8 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 from oracles.statistics import z_limit, z_score
 
 import mistray
-from mistray.metrics.parameters import groups
 from mistray.metrics.scene_values import changed
-from mistray.optimize import Metric, ghost_to_signal, gradient, image_metric, parameters, path_power
+from mistray.optimize import Metric, ghost_to_signal, gradient, groups, image_metric, parameters, path_power
 from mistray.prescription import Coating, Prescription
 from mistray.recorders.sampled import batch_error
 from mistray.scenes.cooke_triplet.prescription import build as build_triplet

@@ -10,12 +10,11 @@ import pytest
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
 
 import mistray
+from mistray import MistrayError, Pst
 from mistray.analyses.optimize.page import write_optimization
 from mistray.analyses.optimize.tables import optimization_record, report_text
 from mistray.analyses.pst.next_order import with_next_orders
-from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.tables import pst_record, pst_text
-from mistray.errors import MistrayError
 from mistray.metrics.next_order import NextOrder, next_limits
 from mistray.optimize import Metric, optimize
 from mistray.recorders.direction_recorder import CLASSES
@@ -153,7 +152,7 @@ def scene():
     return mistray.load("plate_and_wall")
 
 
-def test_each_curve_has_its_limits(scene):
+def test_limits_of_curves_and_progress(scene):
     found = mistray.first_level(scene, ANGLES, rays=40_000, max_scatters=2, max_reflections=3)
     limits = {"scatter once": [1, 0], "ghosts off": [2, 0], "scatter off": [0, 3], "all": [2, 3]}
     for name, one in found.curves.items():
@@ -170,9 +169,6 @@ def test_each_curve_has_its_limits(scene):
     assert np.any(found.curves["ghosts off"].curve("multiple_scatter")[0] > 0)
     assert not np.any(found.curves["ghosts off"].curve("ghost")[0])
     assert not np.any(found.curves["scatter off"].curve("single_scatter")[0])
-
-
-def test_other_limits_and_progress(scene):
     found = mistray.first_level(scene, [0.0, 20.0], rays=1000)
     assert found.curves["scatter once"] is found.curves["ghosts off"]
     seen = []

@@ -60,7 +60,7 @@ def known() -> dict[str, Any]:
     return parameters(scene())
 
 
-def test_what_there_is(known: dict[str, Any]) -> None:
+def test_what_there_is_facts_and_ranges(known: dict[str, Any]) -> None:
     owners: dict[str, set[str]] = {}
     for key in known:
         owner, _, name = key.rpartition(".")
@@ -85,9 +85,6 @@ def test_what_there_is(known: dict[str, Any]) -> None:
         "detector": lens - {"semi_diameter"} | {"half_width", "half_height"},
         "detector.bsdf": {"R"},
     }
-
-
-def test_facts(known: dict[str, Any]) -> None:
     for key, expected in {
         "AR.thickness_nm": ("coating", "nm", [100.0, 60.0], ("front", "rear")),
         "polish.l": ("scatter", "1", [np.float32(0.02)], ("front",)),
@@ -102,9 +99,6 @@ def test_facts(known: dict[str, Any]) -> None:
         p = known[key]
         assert (p.key, p.name) == (key, key.rpartition(".")[2])
         assert (p.kind, p.unit, p.value.tolist(), p.shapes) == expected
-
-
-def test_ranges(known: dict[str, Any]) -> None:
     for key, low, high in (
         ("AR.thickness_nm", 0.0, math.inf),
         ("AR.n_shift", -1.38, math.inf),

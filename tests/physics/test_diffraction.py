@@ -130,7 +130,7 @@ def test_density_is_the_mean_of_gaussians(law: str) -> None:
     assert 2 * total(lambda d: diffraction.deflection_density(d, width, LAMBDA, law)) == pytest.approx(1, abs=1e-5)
 
 
-def test_samples_follow_the_density() -> None:
+def test_samples_and_rings_in_drjit() -> None:
     """χ² of 2e5 samples in 40 cells; false-alarm probability 1e-3. A density of 5 % less width fails."""
     rng = np.random.default_rng(3)
     count, width = 200_000, 0.1
@@ -148,10 +148,7 @@ def test_samples_follow_the_density() -> None:
     limit = 73.4  # χ² of 40 degrees of freedom, 1e-3
     assert chi2(width) < limit
     assert chi2(0.95 * width) > 3 * limit
-
-
-def test_ring_is_the_aperture_also_in_drjit() -> None:
-    """Ring of any width: flux times BSDF is the far field of the whole aperture; over all directions it is 1."""
+    # Ring of any width: flux times BSDF is the far field of the whole aperture; over all directions it is 1
     radius = 5.0
     for width in (0.01, 0.1):
         r = np.array([0.05, 0.2, 0.7])

@@ -13,9 +13,8 @@ from refusals import refused
 from scipy.integrate import quad
 
 from mistray.physics.sags.forbes import q2d, q2d_values
-from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import half_turned, sag, slopes
-from mistray.prescription import read_grid, save_grid
+from mistray.prescription import Grid, read_grid, save_grid
 from mistray.surfaces.families.grid_patches import GridPatches
 
 pytestmark = pytest.mark.quick
@@ -34,7 +33,7 @@ def grid() -> Grid:
     return Grid.of(bicubic(*np.meshgrid(X, Y)), STEP, MIDDLE)
 
 
-def test_a_bicubic_is_met_exactly_and_others_to_the_fourth_power() -> None:
+def test_bicubics_kernels_and_patches_of_batoid() -> None:
     """Splines of cubics are those cubics, with all their slopes and twists."""
     x, y = AT
     z, by_x, by_y = grid().evaluate(x, y)
@@ -50,9 +49,6 @@ def test_a_bicubic_is_met_exactly_and_others_to_the_fourth_power() -> None:
         return float(np.abs(Grid.of(wave, step).evaluate(x, y)[0] - np.sin(2 * y) * np.cos(1.5 * x)).max())
 
     assert error(31) / error(61) == pytest.approx(16, rel=0.25)
-
-
-def test_the_kernels_arrays_give_the_same() -> None:
     x, y = AT
     exact = grid().evaluate(x, y)
     for kind, error in ((mi.Float64, 1e-13), (mi.Float, 2e-5)):
@@ -63,9 +59,6 @@ def test_the_kernels_arrays_give_the_same() -> None:
     z, by_x, _ = GridPatches(grid()).evaluate(u, mi.Float64(y))
     dr.backward(dr.sum(z))
     assert np.array(u.grad) == pytest.approx(np.array(dr.detach(by_x)), abs=1e-12)
-
-
-def test_patches_are_those_of_batoid() -> None:
     batoid = pytest.importorskip("batoid")
     rng = np.random.default_rng(2)
     corners = 1e-3 * rng.normal(size=(len(Y), len(X), 4))
@@ -76,10 +69,7 @@ def test_patches_are_those_of_batoid() -> None:
     normal = theirs.normal(x, y)
     assert by_x == pytest.approx(-normal[:, 0] / normal[:, 2], abs=1e-12)
     assert by_y == pytest.approx(-normal[:, 1] / normal[:, 2], abs=1e-12)
-
-
-def test_in_a_sag() -> None:
-    """Scaled, moved and turned over, with slopes that jump at no cell."""
+    # Scaled, moved and turned over, with slopes that jump at no cell
     numbers = {"curvature": 0.01, "grid": grid(), "grid_scale": -2.0, "grid_x": 0.3, "grid_y": -0.1}
     x, y = AT * 0.8
     base = sag(x, y, {"curvature": 0.01})

@@ -89,7 +89,7 @@ def test_defocus_and_tilt():
     assert total == pytest.approx((pupil.share**2).sum() / pupil.share.sum(), rel=1e-9)
 
 
-def test_focal_shift_of_a_slow_beam():
+def test_slow_beams_huygens_and_zernike_fit():
     """I(z) = (R/(R + z))² sinc²(N z/(2 (R + z))), N = a²/(λR): Y. Li, E. Wolf, Opt. Commun. 39, 211 (1981)."""
     fresnel, na = 4.0, 1e-3
     radius = fresnel * WAVELENGTH_MM / na**2
@@ -105,20 +105,14 @@ def test_focal_shift_of_a_slow_beam():
     assert z[np.argmax(found)] < 0  # the brightest point lies before the focus
     debye = np.array([pupil.moved(dz).psf([0], [0])[0, 0] for dz in z]) / pupil.ideal_peak()
     assert np.abs(debye - exact).max() > 0.1
-
-
-def test_huygens_is_the_fourier_transform_where_the_pupil_is_far():
-    """The terms that differ are of the size of x²/(λR)."""
+    # The terms that differ are of the size of x²/(λR)
     at = np.linspace(-4e-3, 4e-3, 9)
     points = np.stack([*np.meshgrid(at, at), np.zeros((9, 9))], axis=-1).reshape(-1, 3)
     for curvature in (0.0, 1e-2):
         pupil = disc(64, w20=0.4, curvature=curvature)
         peak = pupil.ideal_peak()
         assert pupil.huygens(points).reshape(9, 9) / peak == pytest.approx(pupil.psf(at, at) / peak, abs=1e-4)
-
-
-def test_zernike_fit():
-    """Coefficients come back, over the full disc and over a part of it, whatever the kind."""
+    # Coefficients come back, over the full disc and over a part of it, whatever the kind
     rng = np.random.default_rng(1)
     points = rng.uniform(-1, 1, (4000, 2))
     points = points[np.hypot(*points.T) < 1]
@@ -173,22 +167,16 @@ def test_the_correlation_of_k_correlation_is_the_transform_of_its_spectrum(slope
     assert (steep[0], steep[-1]) == (1, 0)
 
 
-def test_the_correlation_of_a_gaussian_is_the_transform_of_its_spectrum():
+def test_correlation_of_spectra_and_rings():
     def spectrum(f):
         return math.pi * LENGTH_UM**2 * np.exp(-((math.pi * LENGTH_UM * f) ** 2))
 
     for lag in LAGS_UM:
         assert st.gaussian_correlation(lag, LENGTH_UM) == pytest.approx(hankel(spectrum, lag, 3.0), abs=1e-9)
-
-
-def test_it_begins_at_1_and_ends_at_the_share_that_is_not_scattered():
     a = float(ghs.phase_variance(ghs.path_in_reflection(0.8, 0.8), 0.02, 0.5))
     assert a == pytest.approx((4 * math.pi * 0.02 * 0.8 / 0.5) ** 2)
     found = st.surface_transfer(st.exponential_correlation(np.array([0.0, 1e9]), LENGTH_UM), a)
     np.testing.assert_allclose(found, [1.0, math.exp(-a)], rtol=1e-14)
-
-
-def test_rings_have_the_transform_of_a_disc():
     radii, q = np.array([0.0, 0.1, 0.4, 1.0]), np.array([0.0, 1e-6, 1e-3, 0.2, 3.0, 50.0])
     x = 2 * math.pi * q
     expected = np.where(q > 0, 2 * special.j1(x) / np.where(x > 0, x, 1), 1)

@@ -109,13 +109,10 @@ def test_drjit(
     np.testing.assert_array_less(np.abs(found - expected), 1e-7 * np.abs(expected) + 1e-9 * scale + 1e-300)
 
 
-def test_derivatives_at_the_peak_of_an_abg() -> None:
+def test_derivatives_and_directions() -> None:
     for g in (0.0, 0.5, 1.8, 3.0):
         found = forward_derivatives(lambda *numbers: abg.bsdf(dr.llvm.ad.Float64([0.0]), *numbers), (0.0025, 1e-3, g))
         assert np.all(np.isfinite(found))
-
-
-def test_directions() -> None:
     table = vectors.frame("abg_directions.csv")
     theta_i, theta_s, phi = (np.radians(table[key]) for key in ("theta_i", "theta_s", "phi_s_from_specular"))
     r = np.hypot(np.sin(theta_s) * np.cos(phi) - np.sin(theta_i), np.sin(theta_s) * np.sin(phi))
@@ -244,7 +241,7 @@ def fresnel(cosine: np.ndarray, n: float) -> np.ndarray:
     return 0.5 * (np.abs(s) ** 2 + np.abs(p) ** 2)
 
 
-def test_the_growth_of_a_paint() -> None:
+def test_paint_and_henyey_greenstein() -> None:
     """The root of two reflectances, by Fresnel's equations with complex numbers."""
     cos_i, cos_s = np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41))
     for n in (1.3, 1.5, 1.8):
@@ -253,10 +250,7 @@ def test_the_growth_of_a_paint() -> None:
         np.testing.assert_array_equal(gain(cos_i, cos_s, n), gain(cos_s, cos_i, n))
     found = forward_derivatives(gain, (0.3, 0.4, 1.5))
     np.testing.assert_allclose(found, central_differences(gain, (0.3, 0.4, 1.5), (1e-4,) * 3), rtol=1e-7)
-
-
-def test_henyey_greenstein() -> None:
-    """Vectors, norm and mean cosine; the samples invert the distribution, below |g| = 1e-3 a uniform one."""
+    # Vectors, norm and mean cosine; the samples invert the distribution, below |g| = 1e-3 a uniform one
     table = vectors.frame("hg_phase.csv")
     np.testing.assert_allclose(phase_function(table["cos"], table["g"]), table["p_per_sr"], rtol=1e-12)
     for g in (-0.7, 0.0, 1e-4, 0.3, 0.9):

@@ -226,7 +226,7 @@ def test_specular_direction(n: float) -> None:
     np.testing.assert_allclose(rr.transmitted_factor(ci, ct, np.ones_like(ci), n), 1 - expected, atol=1e-12)
 
 
-def test_reciprocity() -> None:
+def test_reciprocity_scalar_theory_and_drjit() -> None:
     """Q(i → s) is Q(s → i); in transmission, n² of the BTDF goes with the direction."""
     rng = np.random.default_rng(5)
     a, b, cphi = rng.uniform(0.01, 1, 200), rng.uniform(0.01, 1, 200), rng.uniform(-1, 1, 200)
@@ -243,10 +243,7 @@ def test_reciprocity() -> None:
         return ghs.smooth(cos_i - index * ct, 1.0, in_medium, index) * rr.transmitted_factor(cos_i, cos_s, cphi, index)
 
     np.testing.assert_allclose(btdf(a, b, n) / n**2, btdf(b, a, 1 / n), rtol=1e-9)
-
-
-def test_scalar_theory_is_right_near_the_refracted_beam_only() -> None:
-    """What the docstring of the scalar theory says of it, for light from air into glass at normal incidence."""
+    # What the docstring of the scalar theory says of it, for light from air into glass at normal incidence
     n = 1.5168
     whole = rr.transmitted_factor(1.0, 1.0, 1.0, n)
     for angle, share, error in ((2, 0.996, 1e-3), (10, 0.91, 0.02), (30, 0.35, 0.02)):
@@ -254,9 +251,6 @@ def test_scalar_theory_is_right_near_the_refracted_beam_only() -> None:
         scalar = (ghs.path_in_transmission(1.0, cs, 1.0, n) / (1 - n)) ** 2
         vector = np.mean([rr.transmitted_factor(1.0, cs, math.cos(phi), n) / whole for phi in (0, math.pi / 2)])
         assert scalar / vector == pytest.approx(share, abs=error)
-
-
-def test_drjit() -> None:
     rng = np.random.default_rng(6)
     a, b, cphi = rng.uniform(0.05, 1, 50), rng.uniform(0.05, 1, 50), rng.uniform(-1, 1, 50)
     cosines = [mi.Float(x) for x in (a, b, cphi)]
@@ -273,7 +267,7 @@ def test_drjit() -> None:
     assert np.all(np.isfinite(dr.grad(q)))
 
 
-def test_band_limited_roughness_and_relevant_roughness() -> None:
+def test_relevant_roughness_and_generalized_harvey_shack() -> None:
     """A' and the BSDF of a smooth surface, S = 1.5, 2 (a logarithm) and 2.5."""
     table = vectors.frame("kcorr_bandlimited.csv")
     assert set(table["s"]) >= {1.5, 2.0, 2.5}
@@ -293,10 +287,7 @@ def test_band_limited_roughness_and_relevant_roughness() -> None:
         assert rms == pytest.approx(row.sigma_rel_um_numeric, rel=NEAR)
         variance = ghs.phase_variance(2 * math.cos(math.radians(row.theta_i_deg)), rms, row.lambda_um)
         assert -math.expm1(-variance) == pytest.approx(row.TIS_GHS_R1, rel=NEAR)
-
-
-def test_total_roughness_by_quadrature_and_the_power_law() -> None:
-    """The integral of the PSD over all frequencies is σ², and over a band what is asked for."""
+    # The integral of the PSD over all frequencies is σ², and over a band what is asked for
     rng = np.random.default_rng(3)
     for _ in range(30):
         rms, length, slope = 1e-3, 10 ** rng.uniform(-1, 3), rng.uniform(2.2, 5)
@@ -315,10 +306,7 @@ def test_total_roughness_by_quadrature_and_the_power_law() -> None:
     psd = kc.psd_um4(f, amplitude, length, slope)
     assert math.log2(psd[0] / psd[1]) == pytest.approx(slope, rel=1e-6)
     np.testing.assert_allclose(psd, harvey_shack.bsdf(f * 0.5, amplitude, 0.5 / length, -slope), rtol=1e-12)
-
-
-def test_reflection_by_generalized_harvey_shack() -> None:
-    """The smooth form, the full series with the total and with the relevant roughness, and Rayleigh-Rice with Q = 1."""
+    # The smooth form, the full series with the total and with the relevant roughness, and Rayleigh-Rice with Q = 1
     table = vectors.frame("ghs_rr_vectors.csv")
     assert table["phase_variance_a"].max() > 3
     for row in table.itertuples(index=False):

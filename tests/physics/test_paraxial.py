@@ -22,7 +22,7 @@ SINGLET = ParaxialSystem([1 / 100, -1 / 100], [0.0, 5.0], [1.0, N, 1.0])
 WITH_WINDOW = ParaxialSystem([1 / 100, -1 / 100, 0.0, 0.0], [0.0, 5.0, 85.0, 87.0], [1.0, N, 1.0, N, 1.0])
 
 
-def test_focal_lengths_and_bad_input():
+def test_focal_lengths_ghosts_chief_rays_and_images():
     (ghost,) = SINGLET.ghosts(5.0, 10.0, [R_BARE, R_BARE])
     for quantity, found in (("EFL", SINGLET.efl), ("BFL", SINGLET.bfl), ("ghost BFL", ghost.focus_mm)):
         assert found == pytest.approx(analytic("singlet R", quantity), rel=1e-13)
@@ -33,9 +33,6 @@ def test_focal_lengths_and_bad_input():
         SINGLET.ghosts(10.0, 1.0, [0.04])
     with pytest.raises(MistrayError, match="focus"):
         SINGLET.chief_ray(1.0, 5.0 + SINGLET.bfl)
-
-
-def test_the_ten_ghosts_of_lens_window_and_detector():
     image_z = 87.0 + WITH_WINDOW.bfl
     assert WITH_WINDOW.bfl == pytest.approx(14.599477266251874, rel=1e-13)
     ghosts = WITH_WINDOW.ghosts(image_z, 10.0, [R_BARE] * 4, image_reflectance=0.2)
@@ -52,18 +49,6 @@ def test_the_ten_ghosts_of_lens_window_and_detector():
         n = int(row["n_surfaces"])
         system = ParaxialSystem([0.01] * n, list(range(n)), [1.0 + k % 2 / 2 for k in range(n + 1)])
         assert len(system.ghosts(n + 10.0, 1.0, [0.04] * n)) == int(row["2_bounce"])
-
-
-def test_a_ghost_in_focus_has_infinite_irradiance():
-    """A mirror of f = 50 mm sends light back to a plane one 25 mm before it; it meets in the vertex of the first."""
-    (ghost,) = ParaxialSystem([0.0, -1 / 100], [0.0, 25.0], [1.0, 1.0, 1.0]).ghosts(25.0, 8.0, [0.1, 0.2])
-    assert (ghost.spot_radius_mm, ghost.focus_mm) == (0.0, 0.0)
-    assert ghost.power == pytest.approx(0.9 * 0.2 * 0.1 * 0.8)
-    assert ghost.irradiance(8.0) == math.inf
-    assert replace(ghost, power=0.0).irradiance(8.0) == 0.0
-
-
-def test_chief_ray_crosses_the_axis_in_the_stop():
     marginal, slope = WITH_WINDOW.trace(10.0, 0.0), math.tan(math.radians(10.0))
     for stop_z in (-10.0, 0.0, 2.0, 40.0, 90.0):
         rays = WITH_WINDOW.chief_ray(10.0, stop_z)
@@ -73,10 +58,7 @@ def test_chief_ray_crosses_the_axis_in_the_stop():
         assert rays[place, 0] + way == pytest.approx(0, abs=1e-12)
         invariant = WITH_WINDOW.index[1:] * (rays[:, 1] * marginal[:, 0] - marginal[:, 1] * rays[:, 0])
         np.testing.assert_allclose(invariant, 10.0 * slope, rtol=1e-12)
-
-
-def test_images_that_scattered_light_should_go_to():
-    """ISL and ISH from the rays of a published table, whose own values belong to the wrong surfaces."""
+    # ISL and ISH from the rays of a published table, whose own values belong to the wrong surfaces
     audit = frame("table15_audit.csv")
     length, height = image_seen(*(audit[name].to_numpy() for name in ("y", "u_after", "ybar", "ubar_after")))
     np.testing.assert_allclose(length, audit["ISL_correct=-y_k/u'_k"], rtol=1e-3)
@@ -173,3 +155,12 @@ def test_polynomial_derivatives_are_those_of_the_terms():
 def test_vertex_curvatures_are_the_second_derivatives_at_the_vertex(terms, x, y):
     """Of a r² they are 2 a; r1 has a kink there, and higher powers have none."""
     np.testing.assert_allclose(vertex_curvatures(terms, 1e-3), (x, y), rtol=1e-6)
+
+
+def test_a_ghost_in_focus_has_infinite_irradiance():
+    """A mirror of f = 50 mm sends light back to a plane one 25 mm before it; it meets in the vertex of the first."""
+    (ghost,) = ParaxialSystem([0.0, -1 / 100], [0.0, 25.0], [1.0, 1.0, 1.0]).ghosts(25.0, 8.0, [0.1, 0.2])
+    assert (ghost.spot_radius_mm, ghost.focus_mm) == (0.0, 0.0)
+    assert ghost.power == pytest.approx(0.9 * 0.2 * 0.1 * 0.8)
+    assert ghost.irradiance(8.0) == math.inf
+    assert replace(ghost, power=0.0).irradiance(8.0) == 0.0

@@ -61,7 +61,7 @@ def test_any_band_by_quadrature(temperature: float, band: tuple[float, float]) -
         assert planck.band_derivative(temperature, *band) == pytest.approx(estimate, rel=1e-3 + (1e-3 * first) ** 2)
 
 
-def test_spectrum_and_self_emission_and_narcissus() -> None:
+def test_spectrum_emission_and_bad_input() -> None:
     wavelengths = np.geomspace(0.3, 300, 20)
     expected = [PER_M2 * radiance(w, 293.0) for w in wavelengths]
     np.testing.assert_allclose(planck.spectral_radiance(wavelengths, 293.0), expected, rtol=1e-11)
@@ -83,9 +83,6 @@ def test_spectrum_and_self_emission_and_narcissus() -> None:
         found = planck.narcissus_nitd(row.R * row.fraction_of_cone_returning_cold, row.T_housing, row.T_cold, *BAND)
         assert found == pytest.approx(row.NITD_K, rel=1e-8)
     assert planck.narcissus_nitd(1.0, 293.0, 292.99, *BAND) == pytest.approx(0.01, rel=1e-4)
-
-
-def test_cold_and_bad_input() -> None:
     assert planck.band_radiance(0.0, *BAND) == planck.band_derivative(0.0, *BAND) == 0
     for arguments, words in (
         ((-1.0, 8.0, 12.0), "temperature of -1 K"),
@@ -102,7 +99,7 @@ def photon_radiance(wavelength_um: float, temperature: float) -> float:
     return radiance(wavelength_um, temperature) * 1e-6 * wavelength_um / (constants.h * constants.c)
 
 
-def test_photons_and_derivatives_of_a_band() -> None:
+def test_photons_detectivity_and_counted_electrons() -> None:
     """The quadratures of `planck` times photons per joule, beside scipy's; the derivative by differences of 1e-3 K."""
     for temperature in (77.0, 300.0):
         waves, radiances = planck.band_nodes(temperature, *BAND)
@@ -113,10 +110,7 @@ def test_photons_and_derivatives_of_a_band() -> None:
         assert 1e6 * float(slopes @ planck.photons_per_joule(waves)) == pytest.approx((above - below) / 1e-3, rel=1e-6)
         assert slopes.sum() == pytest.approx(planck.band_derivative(temperature, *BAND), rel=1e-13)
     assert planck.derivative_nodes(0.0, *BAND)[1].sum() == 0
-
-
-def test_by_detectivity_is_the_form_by_the_f_number() -> None:
-    """J. M. Lloyd's form, (4F² + 1) √Δf/(π τ D* √A dL/dT), in cm, for optics that fill their cone."""
+    # J. M. Lloyd's form, (4F² + 1) √Δf/(π τ D* √A dL/dT), in cm, for optics that fill their cone
     f_number, passed, d_star, bandwidth, side_cm = 2.0, 0.9, 8e10, 2e4, 50e-4
     slope_cm2 = 1e2 * planck.band_derivative(300.0, *BAND)  # W/(cm² sr K)
     textbook = (4 * f_number**2 + 1) * math.sqrt(bandwidth) / (math.pi * passed * d_star * side_cm * slope_cm2)
@@ -124,10 +118,7 @@ def test_by_detectivity_is_the_form_by_the_f_number() -> None:
     found = netd_by_detectivity(per_kelvin, d_star, (10 * side_cm) ** 2, bandwidth)
     assert found == pytest.approx(textbook, rel=1e-12)
     assert 0.01 < found < 1.0
-
-
-def test_by_photons_is_that_of_counted_electrons() -> None:
-    """Poisson's numbers of electrons at 300 K and 301 K in 40 000 frames: 2 % are 5 standard errors of the NETD."""
+    # Poisson's numbers of electrons at 300 K and 301 K in 40 000 frames: 2 % are 5 standard errors of the NETD
     area, time, efficiency, cone = 15e-3**2, 1e-3, 0.6, 0.95 * math.pi / 17
     below, flux, above = (cone * 1e-6 * quad(photon_radiance, *BAND, args=(t,))[0] for t in (299.5, 300.0, 300.5))
     per_kelvin = above - below

@@ -13,13 +13,11 @@ from refusals import refused
 
 import mistray
 from mistray import MistrayError, MistrayWarning
-from mistray.io import from_oslo, read_oslo
 from mistray.io.optiland import from_optiland
 from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
-from mistray.physics.geometry.outline import circle
 from mistray.physics.sags.terms import sag as freeform_sag
-from mistray.prescription import Coating, to_optiland
+from mistray.prescription import Coating, circle, from_oslo, read_oslo, to_optiland
 from mistray.prescription import from_optiland as lens_of_optiland
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.materials import same_material
@@ -222,7 +220,7 @@ def test_freeforms_of_optiland_have_the_same_rays(kind):
     assert headings == pytest.approx(onward[-1], abs=1e-7)
 
 
-def test_apertures_of_optiland():
+def test_optiland_apertures_and_what_we_do_not_have():
     physical = peers.optiland("physical_apertures")
     points = np.random.default_rng(3).uniform(-6, 6, (400, 2))
     for aperture in (
@@ -236,10 +234,7 @@ def test_apertures_of_optiland():
         assert not found.unread
         theirs = np.asarray(aperture.contains(*points.T))
         assert (found.rows[2].aperture.contains(*points.T) == theirs).all(), aperture
-
-
-def test_what_optiland_has_and_we_do_not():
-    """It adds two conics, one of x and one of y, which is no biconic of the standard."""
+    # It adds two conics, one of x and one of y, which is no biconic of the standard
     optic = mirror_and_lens()
     optic.set_aperture(aperture_type="imageFNO", value=5)
     assert from_optiland(optic).aperture_kind == "f_number"
@@ -333,7 +328,7 @@ def read(tmp_path: Path) -> Any:
     return reader
 
 
-def test_a_doublet(read: Any) -> None:
+def test_a_doublet_and_what_is_not_understood(read: Any) -> None:
     lens = read(DOUBLET)
     assert lens.source == "OSLO file lens of mine.len"
     assert [row.radius for row in lens.rows[:3]] == pytest.approx([61.47, -44.64, -129.94])
@@ -354,9 +349,6 @@ def test_a_doublet(read: Any) -> None:
         y += row.thickness * u
     assert first_order(lens).efl == pytest.approx(-1 / u, rel=1e-9)
     assert 95 < -1 / u < 105
-
-
-def test_what_is_not_understood_is_one_line(read: Any) -> None:
     for change, message in (
         (("CC -0.5", "GSP 1.0"), "lens of mine.len'"),
         (("GLA N-BK7", "GLA NO-SUCH-GLASS"), "glass 'NO-SUCH-GLASS' is not in"),

@@ -9,7 +9,7 @@ import vectors
 from sequential_lenses import by_name, lens, newtonian, triplet
 
 import mistray
-from mistray import Detector, MistrayError, Prescription, Source
+from mistray import Detector, MistrayError, Prescription, Source, Trace
 from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.prescription import (
     Coating,
@@ -33,7 +33,6 @@ from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
 from mistray.prescription.sequential.rays import to_world, trace
 from mistray.recorders import FarField, Probe
-from mistray.trace import Trace
 
 pytestmark = pytest.mark.quick
 
@@ -92,7 +91,7 @@ class TestPrism:
         assert down.power[0] == pytest.approx(np.pi * 0.96**2, rel=2e-3)
         assert abs(t.energy.closure) < 1e-6
 
-    def test_total_reflection(self) -> None:
+    def test_total_reflection_faces_and_bad_input(self) -> None:
         """A right-angle prism turns light by its hypotenuse, with nothing lost but at the two other faces."""
         body = prism("porro", [(-5, -5), (5, -5), (-5, 5)], 10.0, material="1.6", faces=("in", "hypotenuse", "out"))
         down = FarField("down", **DOWN)
@@ -100,9 +99,7 @@ class TestPrism:
         r = (0.6 / 2.6) ** 2
         assert down.power[0] == pytest.approx(np.pi * (1 - r) ** 2, rel=1e-5)
         assert t.energy.absorbed["porro_left"][0] == 0
-
-    def test_closed(self) -> None:
-        """Light that got into a concave body finds no gap between its faces on the way through 60 reflections."""
+        # Light that got into a concave body finds no gap between its faces on the way through 60 reflections
         corners = [(-10, -10), (10, -10), (10, 10), (3, 2), (-10, 10)]
         sides = Coating(R=0.7, T=0.2)
         body = prism("w", corners, 12.0, material="1.5", coatings={str(k): sides for k in range(1, 6)}, ends=sides)
@@ -111,8 +108,6 @@ class TestPrism:
         assert t.segments > 30 * 20_000
         assert t.energy.cut["medium"] == 0
         assert abs(t.energy.closure) < 1e-6
-
-    def test_bad_input(self) -> None:
         for change, words in (
             ({"corners": [(0, 0), (1, 1), (1, 0), (0, 1)]}, "crosses itself"),
             ({"corners": [(0, 0), (1, 1), (2, 2)]}, "without area"),
@@ -294,7 +289,7 @@ def test_a_triplet_is_closed_from_the_first_rim_to_the_detector():
     assert stop.outer_front > np.interp(stop.z_front, [barrel.z0, barrel.z1], [barrel.r0, barrel.r1])
 
 
-def test_the_rectangle_that_the_image_states_is_the_detector():
+def test_the_detector_and_the_clear_radii():
     """The image of the fields is no measure of a sensor: what lies beyond it sees past the rims of the lenses."""
     given = triplet()
     image = given.rows[-1]
@@ -317,9 +312,6 @@ def test_the_rectangle_that_the_image_states_is_the_detector():
         size, notes = detector(other)
         assert size[0] == size[1] >= 5.0
         assert "not a rectangle about its middle" in notes
-
-
-def test_clear_radii_are_those_of_rays_with_a_margin_unless_the_file_gives_them():
     given = changed(6, changed(2, semi_diameter=12.0), semi_diameter=5.0, semi_diameter_fixed=True)
     built = build(given, margin=0.1)
     shapes = by_name(built.prescription)
@@ -334,7 +326,7 @@ def test_clear_radii_are_those_of_rays_with_a_margin_unless_the_file_gives_them(
     assert any("drawn clear radii" in note and note.endswith("surfaces 1") for note in built.notes)
 
 
-def test_cemented_lenses_share_a_rim_and_no_face_stands_twice():
+def test_rims_rays_coatings_and_edges_of_lenses():
     rows = (
         Row(1, radius=61.0, thickness=6.0, material="1.5168", stop=True, label="crown"),
         Row(2, radius=-44.0, thickness=2.5, material="1.6727"),
@@ -350,10 +342,7 @@ def test_cemented_lenses_share_a_rim_and_no_face_stands_twice():
     rings = [(piece.r0, piece.z0, piece.r1, piece.z1) for piece in pieces if piece.z0 == piece.z1]
     assert len(rings) == len(set(rings))
     assert shapes["crown"].part == "L1"
-
-
-def test_rays_of_the_table_meet_the_surfaces_of_the_prescription():
-    """Every point of the float64 trace, put into the world, lies on the placed surface."""
+    # Every point of the float64 trace, put into the world, lies on the placed surface
     for given in (triplet(), newtonian()):
         shapes = [*to_prescription(given).surfaces, to_prescription(given).detector]
         starts = np.array([[x, y, -10.0] for x, y in ((0, 0), (1, 2), (-3, 1), (0, -4))], dtype=float)
@@ -368,9 +357,6 @@ def test_rays_of_the_table_meet_the_surfaces_of_the_prescription():
             local = places[k] @ own[:3, :3].T + own[:3, 3]
             flat = replace(shape, x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0))
             assert local[:, 2] == pytest.approx(flat.z_at(np.hypot(local[:, 0], local[:, 1])), abs=1e-9)
-
-
-def test_coatings_come_by_name_and_edges_are_ground_or_open():
     given = changed(3, changed(2, changed(1, coating="AR"), coating="lib/COATING.DAT:HEAR1"), coating="unknown")
     built = build(given, coatings={"ar": Coating(preset="mgf2_quarter_wave")})
     shapes = by_name(built.prescription)
@@ -412,7 +398,7 @@ def test_provenance_lists_notes_and_every_line_without_effect(tmp_path):
     assert not set(map(chr, range(32))) - {"\n"} & set(text)
 
 
-def test_the_source_fills_the_pupil_or_the_front():
+def test_the_source_and_what_is_no_lens():
     weighted = triplet(wavelengths_nm=(486.1, 587.6, 656.3), weights=(1.0, 2.0, 0.0), primary=1)
     source = to_prescription(weighted, beam="exact").source
     assert (source.radius, source.plane, source.pupil_area) == (5.0, "axis", None)
@@ -429,9 +415,6 @@ def test_the_source_fills_the_pupil_or_the_front():
     assert source.azimuth_deg == pytest.approx(-math.degrees(math.atan2(*tangents)), abs=1e-8)
     down = to_prescription(triplet(fields=((0.0, -5.0), (0.0, 5.0)))).source
     assert (down.field_deg, down.azimuth_deg) == (-5.0, 0.0)
-
-
-def test_what_is_no_lens_to_build():
     built = build(triplet(fields=tuple((0.0, 0.1 * k) for k in range(200))))
     assert "of 200 fields the 24 outermost give sizes and vignetting" in built.notes
     rows = triplet().rows
@@ -446,7 +429,7 @@ def test_what_is_no_lens_to_build():
             build(given, **options)
 
 
-def test_surfaces_that_would_cross_end_where_they_meet():
+def test_crossing_surfaces_names_and_tilted_groups():
     """An equiconvex lens of R = 50, t = 2: the faces meet where 2 sag = 2, r² = 2 R - 1."""
     biconvex = lens(
         Row(1, stop=True, thickness=8.0),
@@ -461,9 +444,6 @@ def test_surfaces_that_would_cross_end_where_they_meet():
         assert shapes[name].semi_diameter == pytest.approx(knife, rel=0.01)
         assert shapes[name].semi_diameter < knife
     assert any("'S2' and 'S3' cross" in note for note in built.notes)
-
-
-def test_names_of_surfaces_and_bodies_and_those_not_kept():
     for labels, names, parts in vectors.toml("tables.toml")["names of surfaces"]:
         named = zip(triplet().rows, [*labels.split(";"), *8 * [""]], strict=False)
         rows = [replace(row, label=name) for row, name in named]
@@ -479,9 +459,6 @@ def test_names_of_surfaces_and_bodies_and_those_not_kept():
         assert f"'{old}' is {new}" in note
     with pytest.raises(MistrayError, match="did you mean 'detector'"):
         mistray.coat(prescription, {"FPA": "R=0.05"})
-
-
-def test_a_tilted_group_is_closed_in_its_own_frame():
     tilted = lens(
         Row(1, thickness=5.0, stop=True),
         Row(2, kind="coordinate_break", decentre=Decentre(y=1.0, tilt_deg=(10.0, 0.0, 0.0))),

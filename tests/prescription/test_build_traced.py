@@ -12,8 +12,7 @@ from sequential_lenses import BORED, by_name, lens, newtonian, triplet
 import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import path_power, transmission
-from mistray.physics.geometry.outline import circle
-from mistray.prescription import Coating, Decentre, Row, Sequential, from_optiland, to_prescription
+from mistray.prescription import Coating, Decentre, Row, Sequential, circle, from_optiland, to_prescription
 from mistray.prescription.closing.system import build
 from mistray.prescription.sequential.edge_rays import edge_rays
 from mistray.prescription.sequential.rays import trace
@@ -57,7 +56,7 @@ def test_a_triplet_images_as_its_table_does(field_deg):
     assert path.x_mm == pytest.approx(0.0, abs=5 * spread + 1e-5)
 
 
-def test_a_folded_newtonian_images_as_its_table_does():
+def test_newtonian_and_mangin_mirror_image_as_their_tables():
     prescription = to_prescription(NEWTONIAN, beam="exact")
     t = mistray.trace(prescription.to_scene(), rays=RAYS, field_deg=0.5)
     image = next(path for path in t.paths if path.order == 0)
@@ -67,10 +66,7 @@ def test_a_folded_newtonian_images_as_its_table_does():
     flat = next(surface for surface in prescription.surfaces if surface.name == "flat")
     shadow = flat.semi_diameter**2 * math.cos(math.radians(45)) / 100.0**2
     assert image.power_W / t.energy.launched_W == pytest.approx(1 - shadow, abs=0.02)
-
-
-def test_a_bored_mangin_mirror_images_through_its_field_lens():
-    """Light passes the secondary, meets the glass outside of its bore, and comes back through the lens within that."""
+    # Light passes the secondary, meets the glass outside of its bore, and comes back through the lens within that
     prescription = to_prescription(BORED_MANGIN, coatings={"clear": CLEAR})
     t = mistray.trace(prescription.to_scene(), rays=RAYS, max_reflections=2)
     assert abs(t.energy.closure) < 1e-5
@@ -145,7 +141,7 @@ CASSEGRAIN = (
 )
 
 
-def test_a_cassegrain_gets_a_hole_where_the_beam_passes():
+def test_holes_mangin_mirrors_and_lenses_after_mirrors():
     """The beam comes to the focus 200 mm behind the primary at F/20, from a secondary 700 mm before it."""
     built = build(lens(*CASSEGRAIN, aperture=200.0), margin=0.0)
     shapes = by_name(built.prescription)
@@ -160,10 +156,7 @@ def test_a_cassegrain_gets_a_hole_where_the_beam_passes():
     assert shapes["primary_rear"].inner_semi_diameter == bore.r0 == bore.r1 == hole
     sag = -(hole**2) / 4000.0
     assert (bore.z0, bore.z1 - bore.z0) == pytest.approx((sag, 5.0), abs=1e-9)
-
-
-def test_a_mangin_mirror_is_one_lens():
-    """Light comes past the detector; a wall from it to the lens would stand in the incoming beam."""
+    # Light comes past the detector; a wall from it to the lens would stand in the incoming beam
     glass = "1.5168"
     mangin = lens(
         Row(1, radius=-150.0, thickness=5.0, material=glass, stop=True),
@@ -180,9 +173,6 @@ def test_a_mangin_mirror_is_one_lens():
     assert not any(name.startswith(("barrel", "board")) for name in shapes)
     assert "there is no wall in space 1: it would stand in the beam" in built.notes
     assert any(note.startswith("the detector stands in the beam on its way to surface 1") for note in built.notes)
-
-
-def test_lenses_after_a_mirror_are_closed_though_light_runs_backwards():
     catadioptric = lens(
         Row(1, radius=-400.0, mirror=True, stop=True, thickness=-120.0),
         Row(2, radius=-80.0, thickness=-4.0, material="1.6"),
@@ -323,7 +313,7 @@ def test_its_numbers_are_those_of_the_pupil(tmp_path):
     assert values["pupil"] == pytest.approx(values["exact"], abs=5 * math.sqrt(0.3 / FEWER))
 
 
-def test_light_beside_the_pupil_does_not_bypass_the_lens():
+def test_light_beside_the_pupil_and_the_pupil_of_a_source():
     """All that reaches the detector has met every lens, off the axis too; but for reflections nothing escapes."""
     scene = to_prescription(triplet()).to_scene()
     faces = {f"S{number}" for number in (1, 2, 3, 4, 6, 7)}
@@ -332,9 +322,6 @@ def test_light_beside_the_pupil_does_not_bypass_the_lens():
         assert all(faces <= {event.split(":")[0] for event in row.events.split()} for row in t.paths)
         first = mistray.trace(scene, field_deg=field_deg, rays=FEWER, max_reflections=0)
         assert first.energy.escaped_W < 1e-6 * first.energy.launched_W
-
-
-def test_a_source_states_its_pupil_whatever_its_size():
     for radius, share in ((5.0, 0.64), (4.0, 1.0), (3.0, 1.0)):
         source = {"type": "collimated", "radius": radius, "pupil_area": math.pi * 16}
         assert mi.load_dict(source).pupil_share == pytest.approx(share)

@@ -7,10 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mistray import Coating, Detector, Prescription, Source, Structure, Surface
-from mistray.errors import MistrayError
+from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface, trace
 from mistray.prescription import Stop, barrel, detector_frame, fresnel, lens_edge, wall
-from mistray.trace import trace
 
 
 def profile(pieces):
@@ -72,7 +70,7 @@ def free_ends(shapes):
     return {point for point, count in ends.items() if count < 2}
 
 
-def test_barrel_closes_a_group_and_steps_where_a_cone_would_cut():
+def test_barrels_and_frames():
     stop = Stop(2.0, 4.0, 4.1, 3.0, 3.0)
     detector = Detector(z=20.0, semi_diameter=6.0)
     cemented = (
@@ -99,9 +97,6 @@ def test_barrel_closes_a_group_and_steps_where_a_cone_would_cut():
         barrel((first, plano("b", -1.0, 3.0)))
     gas = barrel((plano("a", 0.0, 5.0, back="1.00027"), plano("b", 3.0, 5.0, front="1.00027")))
     assert [piece.part for piece in gas] == ["barrel"]  # no lens
-
-
-def test_frame_tiles_the_plane_around_the_detector():
     detector = Detector(z=5.0, half_width=2.0, half_height=1.0)
     frame = detector_frame(detector, 4.0, space=7)
     for x, y in [(2.5, 0.0), (-3.0, 3.5), (0.0, 1.5), (1.9, -1.2), (0.0, -3.9), (3.9, 3.9)]:
@@ -139,7 +134,7 @@ def sag_of(r: np.ndarray | float) -> np.ndarray:
     return np.asarray(c * np.square(r) / (1 + np.sqrt(1 - (1 + CONIC) * c * c * np.square(r))))
 
 
-def test_spots_of_the_rings_and_rings_of_equal_depth() -> None:
+def test_spots_of_fresnel_lenses_and_bad_numbers() -> None:
     """Ring k and its focus lie set back: the spot follows from straight lines; 4 SE of 10⁵ rays are 1 %."""
     found = trace(lens().to_scene(), rays=100_000, seed=1)
     rows = {row.events: row for row in found.paths}
@@ -167,9 +162,6 @@ def test_spots_of_the_rings_and_rings_of_equal_depth() -> None:
     assert first.inner_semi_diameter == 0
     assert last.semi_diameter == SIZE
     assert last.z_at(last.inner_semi_diameter) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_bad_numbers_of_fresnel_lenses_are_one_line() -> None:
     for numbers, message in (
         ({}, "no width of its rings; give groove_mm or depth_mm"),
         ({"groove_mm": 1.0, "depth_mm": 1.0}, "groove_mm and depth_mm; give"),

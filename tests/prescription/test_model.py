@@ -11,8 +11,7 @@ import vectors
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.io.to_sequential import to_sequential
-from mistray.io.zemax.write import write_zemax
+from mistray.io import to_sequential, write_zemax
 from mistray.prescription import (
     Coating,
     Detector,
@@ -90,15 +89,12 @@ def test_bad_parts():
         assert wanted in message(part, **({} if part is Source else {"name": "x"}) | values)
 
 
-def test_which_coatings_have_layers_and_are_opaque():
+def test_coatings_crossing_surfaces_stops_and_names():
     kinds = vectors.toml("tables.toml")["coatings"]
     for recipe, layered, opaque in kinds:
         assert (Coating(**recipe).layered, Coating(**recipe).opaque) == (layered, opaque), recipe
     assert system(*lens(front=AR, rear=AR)).shared_coatings() == {"ar": AR}
-
-
-def test_surfaces_that_cross():
-    """Two spheres whose sags add up to the thickness; rings of a telescope that share no radius may stand so."""
+    # Two spheres whose sags add up to the thickness; rings of a telescope that share no radius may stand so
     front = Surface("front", radius=10.0, semi_diameter=6.0, back="1.5")
     rear = Surface("rear", z=2.0, radius=-10.0, semi_diameter=6.0, front="1.5")
     at = re.search(r"'front' and 'rear' cross at r = ([\d.]+) mm", message(system, front, rear))
@@ -107,9 +103,6 @@ def test_surfaces_that_cross():
         Surface("M1", semi_diameter=10.0, inner_semi_diameter=6.0, radius=100.0),
         Surface("M3", z=-0.1, semi_diameter=6.0, inner_semi_diameter=1.0, radius=20.0),
     )
-
-
-def test_stops_and_names():
     assert "radius is 5;" in message(Stop, 5.0, 0.0, 0.1, 4.0, 6.0)
     assert "swap them" in message(Stop, 1.0, 0.2, 0.1, 4.0, 6.0)
     for name in ("", "a.b", " a", "=a", "a\nb"):

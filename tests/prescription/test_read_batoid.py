@@ -7,10 +7,9 @@ import pytest
 from oracles import beams
 from refusals import refused
 
-from mistray import load
+from mistray import load, trace
 from mistray.io.batoid.obscurations import clear_outline, is_open, opaque_outlines
 from mistray.prescription import Structure, from_batoid
-from mistray.trace import trace
 
 batoid = pytest.importorskip("batoid")
 WAVELENGTH_NM = 620.0

@@ -11,13 +11,12 @@ from refusals import refused
 from mistray import MistrayError
 from mistray.io.codev.commands import commands
 from mistray.io.codev.glasses import table_material
-from mistray.io.codev.read import read_codev
 from mistray.materials import refractive_index
 from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
+from mistray.prescription import Sequential, read_codev
 from mistray.prescription.sequential.first_order import first_order, paraxial_system
 from mistray.prescription.sequential.rays import motion, to_world, trace
-from mistray.prescription.sequential.table import Sequential
 
 pytestmark = pytest.mark.quick
 DATA = Path(__file__).parents[1] / "data"
@@ -164,7 +163,7 @@ def test_signs_of_the_angles(lens):
 BOTH = Outline((*circle(3).figures, OutlineFigure("rectangle", "&", sizes=(2, 9))))
 
 
-def test_apertures(lens):
+def test_apertures_glasses_and_private_catalogues(lens):
     for text, radius, fixed, clear, opaque, unread in (
         ("CIR CLR 3; CIR EDG 4", 3, True, None, None, 1),
         ("CIR EDG 4", 4, False, None, None, 0),
@@ -186,18 +185,12 @@ def test_apertures(lens):
         assert (row.semi_diameter, row.semi_diameter_fixed) == (radius, fixed)
         assert (row.aperture, row.obscuration) == (clear, opaque)
         assert len(found.unread) == unread
-
-
-def test_glasses(lens):
     named = ("NBK7_SCHOTT", "SLAL8_OHARA", "N-SF5", "BK7", "SILICA", "'MINE'")
     numbers = ("517642", "517000.520000", "569.631", "1.7:30")
     text = "".join(f"S 10 2 {word}\n" for word in (*named, *numbers))
     found = [row.material for row in lens(system(f"{text}S 0 5"), glasses={"mine": "1.5"}).rows]
     assert found[:6] == ["schott/N-BK7", "ohara/S-LAL8", "schott/N-SF5", "schott/N-BK7", "fused silica", "1.5"]
     assert found[6:10] == [f"nd={nd} Vd={vd} k=0" for nd, vd in ((1.517, 64.2), (1.517, 52), (1.569, 63.1), (1.7, 30))]
-
-
-def test_a_private_catalogue_is_exact_at_its_points_and_smooth_between(lens):
 
     def index(wavelength):
         return 1.5 + 6e3 / wavelength**2
@@ -214,7 +207,7 @@ def test_a_private_catalogue_is_exact_at_its_points_and_smooth_between(lens):
     assert table_material([500.0], [1.5], [600.0]) == "n(500.0)=1.5"
 
 
-def test_an_object_or_an_image_at_a_finite_distance(lens):
+def test_finite_distances_and_what_is_left_out(lens):
     surfaces = "S 10 1 NBK7_SCHOTT\nS -20 15"
 
     def without_pupil(**changes: str) -> Sequential:
@@ -236,9 +229,6 @@ def test_an_object_or_an_image_at_a_finite_distance(lens):
     found = lens(system(surfaces, TEL="Y"))
     assert not found.telecentric
     assert [(entry.line, entry.text) for entry in found.unread] == [(6, "TEL Y")]
-
-
-def test_what_a_file_leaves_out_is_noted(lens):
     found = lens("RDM Y\nEPD 5\nWL 650 550 450\nS 10 1 NBK7_SCHOTT\nS -20 15")
     assert [note.split(":")[0] for note in found.notes] == ["no STO", "no SI", "no REF", "no field"]
     assert found.wavelength_nm == 550

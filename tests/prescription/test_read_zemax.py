@@ -7,13 +7,11 @@ import pytest
 import vectors
 from refusals import refused
 
-from mistray.io.zemax.read import read_zemax
 from mistray.materials import refractive_index
-from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
+from mistray.prescription import Decentre, Outline, OutlineFigure, Sequential, circle, read_zemax, rectangle
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import frames, to_world, trace
-from mistray.prescription.sequential.table import Decentre, Sequential
 
 pytestmark = pytest.mark.quick
 COATINGS = Path(__file__).parents[1] / "data" / "coating_sample.dat"
@@ -81,7 +79,7 @@ def turned(*tilts: float, order: int = 0, x: float = 0.0, thickness: float = 0.0
     return surface("TYPE COORDBRK", *(f"PARM {place} {value}" for place, value in values), f"DISZ {thickness}")
 
 
-def test_sense_and_order_of_tilts_by_hand(read):
+def test_tilts_folds_and_terms_in_r2_by_hand(read):
     """Right-handed rotations about the frame's own axes; the thickness runs along the last z axis."""
     for text, x_axis, z_axis, origin in (
         (turned(90, 0, 0), (1, 0, 0), (0, -1, 0), (0, 0, 0)),
@@ -97,10 +95,7 @@ def test_sense_and_order_of_tilts_by_hand(read):
         frame = frames(read(text))[1]
         np.testing.assert_allclose(frame[:3, [0, 2]].T, [x_axis, z_axis], atol=1e-15)
         np.testing.assert_allclose(frame[:3, 3], origin, atol=1e-14)
-
-
-def test_fold_mirror_by_hand_and_materials_around_it(read):
-    """A mirror turned by 45° about x sends +z to +y, and a second break by 45° with a negative thickness follows it."""
+    # A mirror turned by 45° about x sends +z to +y, and a second break by 45° with a negative thickness follows it
     lines = ["SURF 1", "  TYPE COORDBRK", "  PARM 3 45", "  DISZ 0", "SURF 2", "  GLAS MIRROR 0 0 1.5 40", "  DISZ 0"]
     lines += ["SURF 3", "  TYPE COORDBRK", "  PARM 3 45", "  DISZ -30", "SURF 4", "  DISZ 0"]
     lens = read("\n".join([SYSTEM, OBJECT, *lines]))
@@ -117,9 +112,6 @@ def test_fold_mirror_by_hand_and_materials_around_it(read):
     assert row.decentre == Decentre(x=0.5, y=-0.25, tilt_deg=(10.0, 20.0, 30.0), tilt_first=True)
     text = surface("GLAS ___BLANK 1 0 1.6 40", "DISZ 1").replace("GLAS N-BK7 0 0 1.5 40", "GLAS ___BLANK 2 1 1.5 30")
     assert [row.material for row in read(text).rows[:2]] == ["nd=1.6 Vd=40 k=0"] * 2
-
-
-def test_term_in_r2_is_a_paraboloid_where_that_is_exact(read):
     r = np.array([1.0, 5.0])
     for curvature, conic in ((0.0, 3), (0.02, -1)):
         terms = (f"CURV {curvature}", f"CONI {conic}", "PARM 1 0.01", "PARM 2 1e-6")
@@ -211,7 +203,7 @@ def waves(first: float, second: float, weight: float, primary: int) -> dict[str,
     return {"wavelengths_nm": (first, second), "weights": (1.0, weight), "primary": primary}
 
 
-def test_system_lines(read):
+def test_system_lines_finite_objects_angles_and_coatings(read):
     for old, new, expected in (
         ("ENPD 8", "FNUM 2.8 0", {"aperture_kind": "f_number", "aperture": 2.8}),
         ("ENPD 8", "OBNA 0.25 0", {"aperture_kind": "object_na", "aperture": 0.25}),
@@ -230,10 +222,7 @@ def test_system_lines(read):
         assert old in text
         lens = read(text.replace(old, new))
         assert {key: getattr(lens, key) for key in expected} == expected
-
-
-def test_an_object_at_a_finite_distance(read):
-    """A thin lens, f = 60 mm, from 90 to 180 mm: F/5 at the image is a slope of 0.1 there and of 0.2 at the object."""
+    # A thin lens, f = 60 mm, from 90 to 180 mm: F/5 at the image is a slope of 0.1 there and of 0.2 at the object
     rows = f"SURF 1\n  STOP\n  CURV {1 / 60}\n  GLAS ___BLANK 1 0 1.5 0\nSURF 2\n  CURV {-1 / 60}\n  DISZ 180"
     text = "\n".join([SYSTEM, OBJECT.replace("INFINITY", "90"), rows, "SURF 3", "  DISZ 0"])
     lens = read(text.replace("ENPD 8", "FNUM 5 1"))
@@ -245,19 +234,13 @@ def test_an_object_at_a_finite_distance(read):
     lens = read(text.replace("ENPD 8", "OBNA 0.1 0").replace("FTYP 0 0", "FTYP 1 1"))
     assert lens.telecentric
     assert lens.unread == ()
-
-
-def test_theodolite_angles(read):
-    """Azimuth 30°, elevation 40°: the direction (cos 40° sin 30°, sin 40°, cos 40° cos 30°) has the same tangents."""
+    # Azimuth 30°, elevation 40°: the direction (cos 40° sin 30°, sin 40°, cos 40° cos 30°) has the same tangents
     text = SINGLET.replace("FTYP 0", "FTYP 4").replace("XFLN 0", "XFLN 30").replace("YFLN 0", "YFLN 40")
     ((x, y),) = read(text).fields
     azimuth, elevation = math.radians(30), math.radians(40)
     z = math.cos(elevation) * math.cos(azimuth)
     assert math.tan(math.radians(x)) == pytest.approx(math.cos(elevation) * math.sin(azimuth) / z)
     assert math.tan(math.radians(y)) == pytest.approx(math.sin(elevation) / z)
-
-
-def test_coatings(read):
     text = SINGLET.replace("  STOP", "  STOP\n  COAT HR")
     lens = read(text)
     assert lens.rows[0].coating == "HR"
@@ -271,7 +254,7 @@ def test_coatings(read):
 KNOWN = ["GFAC 0 0", "NOTE 0 hello", "POLS 1 0 1", "GLRS 1 0", "ENVD 20 1 0", "RAIM 0 1", "COFN COATING.DAT", "PWAV"]
 
 
-def test_lines_without_effect_are_listed(read):
+def test_lines_are_listed_or_refused(read):
     for text, lines in (
         (surface("TYPE SZERNSAG", "XDAT 1 2", "XDAT 2 10", "XDAT 9 3", "XDAT 8 0"), ["XDAT 9 3"]),
         (surface("UDAD mask", "DIAM 5 0"), ["UDAD mask"]),
@@ -298,10 +281,7 @@ def test_lines_without_effect_are_listed(read):
             assert line.reason
         if not lines:  # those that are known to have no effect
             assert [replace(row, line=0) for row in lens.rows] == [replace(row, line=0) for row in read(SINGLET).rows]
-
-
-def test_no_line_gets_lost(read):
-    """An unknown keyword is listed wherever it stands, and so is one between two surfaces."""
+    # An unknown keyword is listed wherever it stands, and so is one between two surfaces
     lines = SINGLET.splitlines()
     for place in range(len(lines) + 1):
         for stray in ("QQQQ 1 2", "  QQQQ 1 2"):
@@ -309,9 +289,6 @@ def test_no_line_gets_lost(read):
                 continue  # the merit function of an indented file
             lens = read("\n".join([*lines[:place], stray, *lines[place:]]))
             assert [(line.line, line.text) for line in lens.unread] == [(place + 1, "QQQQ 1 2")], place
-
-
-def test_errors_are_one_line_with_file_and_place(read):
     for change, message in (
         ((SINGLET, bytes(range(256)).decode("latin-1")), "no line 'SURF 0'"),
         (("CURV -0.02", "STOP\n  CURV -0.02"), "surfaces 1, 2 are all stops"),

@@ -14,8 +14,7 @@ import vectors
 from oracles import beams, nonsequential, scene_xml
 
 import mistray
-from mistray.analyses.thermal.run import thermal
-from mistray.errors import MistrayError
+from mistray import MistrayError, thermal
 from mistray.physics.sags.terms import sag
 from mistray.prescription import (
     Coating,
@@ -84,7 +83,7 @@ def test_light_leaves_through_the_front_only(name, field_deg):
     assert {key for key, power in ledger.escaped_from_W.items() if power} <= {front, "source"}
 
 
-def test_newtonian_forms_an_image_on_its_axis():
+def test_scenes_image_as_they_should():
     _, ledger = in_air("newtonian", RAYS, 0.1, flux_threshold=1e-6)
     image = ledger.paths[0]
     assert image.text == "primary:R diagonal:R image:A"
@@ -99,19 +98,13 @@ def test_newtonian_forms_an_image_on_its_axis():
     passing = (primary**2 - shadow / math.pi) / tube**2
     standard_error = math.sqrt(passing * (1 - passing) / RAYS)
     assert image.power_W / ledger.launched_W == pytest.approx(0.92**2 * passing, abs=standard_error)
-
-
-def test_lens_and_reflector_has_the_paths_of_the_slide():
     beam, ledger = in_air("lens_and_reflector", 4000, 0.0)
     direct = ledger.find("lens_front:T", "lens_rear:T", "reflector:R", "target:A")
     ghost = ledger.find("lens_front:T", "lens_rear:R", "lens_front:R", "lens_rear:T", "reflector:R", "target:A")
     assert direct.power_W / direct.rays / beam.power[0] == pytest.approx(20.7347613517402 / 26, rel=3e-3)
     per_ray = (ghost.power_W / ghost.rays) / (direct.power_W / direct.rays)
     assert per_ray == pytest.approx((0.00286680426298308 / 2) / (20.7347613517402 / 26), rel=1e-2)
-
-
-def test_the_mirror_of_the_head_up_display_is_a_paraboloid():
-    """Its polynomials against the root of the equation of equal paths, and what they make of the light of the sun."""
+    # Its polynomials against the root of the equation of equal paths, and what they make of the light of the sun
     from mistray.scenes.head_up_display.prescription import FOCUS_MM, INCIDENCE_DEG, MIRROR_HALF, coefficients
 
     c, s = math.cos(math.radians(INCIDENCE_DEG)), math.sin(math.radians(INCIDENCE_DEG))

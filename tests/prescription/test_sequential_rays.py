@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from mistray import MistrayError
-from mistray.physics.geometry.outline import circle, rectangle
 from mistray.physics.geometry.sag import sag
-from mistray.prescription import Decentre, Row, Sequential
+from mistray.prescription import Decentre, Row, Sequential, circle, rectangle
 from mistray.prescription.sequential.edge_rays import edge_rays, launch
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import passes, trace
@@ -26,7 +25,7 @@ def parallel(*heights):
     return np.array([[0.0, y, -5.0] for y in heights]), np.tile(ALONG, (len(heights), 1))
 
 
-def test_a_refracting_sphere_has_the_textbook_aberration():
+def test_spheres_and_conics_by_textbook():
     """A ray parallel to the axis at height h: sin I = h/R, n' sin I' = sin I, L' = R + R sin I' / sin(I - I')."""
     radius, n, h = 50.0, 1.5, 20.0
     incidence = math.asin(h / radius)
@@ -40,10 +39,7 @@ def test_a_refracting_sphere_has_the_textbook_aberration():
     lost = np.isnan(trace(rows, *parallel(1.0, 8.0, 11.0))[0]).all(axis=2)
     assert lost.tolist() == [[False, False, False], [False, False, True], [False, True, True]]
     assert math.asin(-onward[0, 0, 1]) == pytest.approx(incidence - refracted, abs=1e-14)
-
-
-def test_conics_focus_exactly():
-    """A paraboloid, and a plano-convex lens whose rear is a hyperboloid of conic -n²."""
+    # A paraboloid, and a plano-convex lens whose rear is a hyperboloid of conic -n²
     mirror = lens(Row(1, radius=-200.0, conic=-1.0, mirror=True, thickness=-100.0))
     hits, onward = trace(mirror, *parallel(0, 10, -30, 80))
     assert np.abs(hits[1, :, :2]).max() < 1e-12
@@ -61,7 +57,7 @@ def test_conics_focus_exactly():
     assert np.abs(hits[1, :, :2]).max() < 1e-11
 
 
-def test_aspheres_are_met_where_their_sag_is_and_obey_snell():
+def test_aspheres_obey_snell_and_apertures_stop_rays():
     row = Row(1, radius=25.0, conic=-0.7, coefficients=(2e-5, -3e-8, 1e-11), material="1.7", thickness=10.0)
     rng = np.random.default_rng(1)
     positions = np.column_stack([rng.uniform(-6, 6, (50, 2)), np.full(50, -3.0)])
@@ -84,9 +80,6 @@ def test_aspheres_are_met_where_their_sag_is_and_obey_snell():
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     assert np.abs(np.cross(inward, normal) - 1.7 * np.cross(onward[0], normal)).max() < 1e-9
     assert np.linalg.norm(onward[0], axis=1) == pytest.approx(1.0, abs=1e-15)
-
-
-def test_stated_apertures_stop_rays():
     for row, through in (
         (Row(1, aperture=circle(2.0)), [1, 1, 0, 0, 0]),  # a ray that touches a rim passes
         (Row(1, aperture=circle(2.0, 1.0)), [0, 1, 0, 0, 0]),
@@ -187,7 +180,7 @@ def test_focal_lengths_and_pupils_of_a_thick_lens():
     assert heading[0] == pytest.approx([0, 0.02, math.sqrt(1 - 0.02**2)], rel=1e-12)
 
 
-def test_telecentric_object_space_has_parallel_chief_rays():
+def test_telecentric_systems():
     """Cones about rays that leave the object parallel to the axis; the stop aims none and is as wide as they need."""
     distance, na = 30.0, 0.1
     system = {"object_distance": distance, "aperture_kind": "object_na", "aperture": na, "telecentric": True}
@@ -205,10 +198,7 @@ def test_telecentric_object_space_has_parallel_chief_rays():
     assert flat.reach[0] == pytest.approx(4.0 + distance * math.tan(math.asin(na)), rel=1e-12)
     assert rays.stop_radius == pytest.approx(np.hypot(*rays.positions[2, :, :2].T).max(), rel=1e-13)
     assert any("telecentric" in note for note in rays.notes)
-
-
-def test_a_stop_in_the_rear_focus_is_telecentric_of_itself():
-    """The stop's image lies at infinity; object NA and stop diameter then mean the same cone, u = r/f."""
+    # The stop's image lies at infinity; object NA and stop diameter then mean the same cone, u = r/f
     efl, bfl = lensmaker()
     rows = list(singlet().rows)
     rows[1] = Row(2, radius=R2, thickness=bfl)

@@ -10,9 +10,7 @@ import vectors
 from command_line import fails, run
 from refusals import refused
 
-from mistray.io.to_sequential import to_sequential
-from mistray.io.zemax.read import read_zemax
-from mistray.io.zemax.write import write_zemax
+from mistray.io import read_zemax, to_sequential, write_zemax
 from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
 from mistray.prescription import Coating, Detector, Prescription, Stop, Surface
@@ -211,7 +209,7 @@ def test_freeforms_come_back(kind, tmp_path):
     assert found == pytest.approx(25.4 * sag(x, y, row.sag_numbers), abs=1e-12)
 
 
-def test_stop_is_put_where_its_rim_stands():
+def test_the_stop_surfaces_from_behind_and_what_is_refused():
     """A front surface that bulges through the plane of the stop lies behind the stop at the stop's rim."""
     front = Surface("front", radius=10.0, semi_diameter=5.0, back="1.5")
     lens = (front, Surface("rear", z=4.0, radius=-10.0, semi_diameter=5.0, front="1.5"))
@@ -222,10 +220,7 @@ def test_stop_is_put_where_its_rim_stands():
         rows = to_sequential(p).rows
         assert [row.label for row in rows[:2]] == labels
         np.testing.assert_allclose(sum(row.thickness for row in rows), 12.0 - (z if labels[0] == "stop" else 0.0))
-
-
-def test_surfaces_that_light_meets_from_behind():
-    """A lens in the way back from a mirror keeps its materials and bends the same way."""
+    # A lens in the way back from a mirror keeps its materials and bends the same way
     mirror = Surface("mirror", z=50.0, semi_diameter=20.0, coating=Coating(R=1.0), mirror=True)
     near = Surface("near", z=20.0, radius=30.0, semi_diameter=10.0, front="1.5")
     far = Surface("far", z=16.0, semi_diameter=10.0, back="1.5")
@@ -244,9 +239,6 @@ def test_surfaces_that_light_meets_from_behind():
     rear = Surface("rear", y=0.5, z=4.0, radius=-30.0, semi_diameter=10.0, front="1.5")
     p = Prescription(name="x", surfaces=(front, rear), detector=Detector(y=0.5, z=30.0, semi_diameter=9.0))
     assert [row.decentre for row in to_sequential(p).rows[1:]] == [Decentre(y=0.5), None]
-
-
-def test_what_is_no_sequence_is_refused_in_one_line():
     front, image = Surface("front", semi_diameter=5.0, back="1.5"), Detector("image", z=20.0, semi_diameter=9.0)
     rear = Surface("rear", z=4.0, semi_diameter=5.0, front="1.5")
     for surfaces, detector, message in (

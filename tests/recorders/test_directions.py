@@ -15,11 +15,10 @@ from refusals import each_refused
 
 import mistray
 from mistray.physics.geometry.healpix import pixel, sides
-from mistray.recorders import FarField, Probe
+from mistray.recorders import Departure, FarField, Probe
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.recorder import Departure
 from mistray.sampling.sources import scene_sources
 
 pytestmark = pytest.mark.quick
@@ -30,7 +29,7 @@ def random_rotation(seed: int) -> np.ndarray:
     return q * np.sign(np.linalg.det(q))
 
 
-def test_edges() -> None:
+def test_cells_and_their_solid_angles() -> None:
     for angles, given, edges in (
         ([0.0, 20.0, 90.0], None, [[0, 1], [19, 21], [89, 90]]),  # 2°, clipped at the ends
         ([10.0, 10.5, 12.0], None, [[9.75, 10.25], [10.25, 10.75], [11.75, 12.25]]),  # the least distance
@@ -52,19 +51,13 @@ def test_edges() -> None:
         grid = DirectionGrid.of([5.0], azimuths, azimuth_cell_deg=given)
         assert grid.azimuth_cell_deg == pytest.approx(span, rel=1e-12)
         assert grid.shape == (1, len(azimuths))
-
-
-def test_bad_cells_are_one_line() -> None:
     each_refused(
         ({"field_deg": np.array([[1.0, 2.0], [3.0, 4.0]])}, "field_deg is .*; it must lie"),
         ({"field_deg": [2.0, 2.0]}, "field_deg must ascend"),
         ({"azimuths_deg": [0.0, 30.0], "azimuth_cell_deg": 31.0}, "is 31; .* two azimuths, 30 degrees"),
         by=lambda arguments: DirectionGrid.of(**{"field_deg": [1.0]} | arguments),
     )
-
-
-def test_solid_angles_and_mean_cosines() -> None:
-    """By the midpoint rule in θ with 20 000 nodes; those of the hemisphere add up."""
+    # By the midpoint rule in θ with 20 000 nodes; those of the hemisphere add up
     grid = DirectionGrid.of([0.0, 0.3, 17.0, 60.0, 89.9], [0.0, 40.0], cell_deg=0.3, azimuth_cell_deg=25.0)
     low, high = np.radians(grid.edges_deg).T
     theta = low + (high - low) * (np.arange(20_000)[:, None] + 0.5) / 20_000
@@ -77,9 +70,6 @@ def test_solid_angles_and_mean_cosines() -> None:
     parts = DirectionGrid.of(np.arange(0, 91, 2), np.arange(0, 360, 30))
     assert 12 * parts.solid_angle.sum() == pytest.approx(2 * np.pi, rel=1e-14)
     assert np.sum(whole.solid_angle * whole.mean_cosine) == pytest.approx(np.pi, rel=1e-14)
-
-
-def test_nearest_cell() -> None:
     grid = DirectionGrid.of([0.0, 10.0, 20.0], [0.0, 120.0, -100.0], cell_deg=4.0, azimuth_cell_deg=20.0)
     for direction, cell in (
         ((0.0,), (0, 0)),

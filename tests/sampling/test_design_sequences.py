@@ -108,7 +108,7 @@ def test_light_through_the_hole_of_a_cassegrain_is_a_straight_shot(filtered: boo
     assert share(mistray.trace(scene, rays=2000), "direct") > 0.98
 
 
-def test_both_arms_of_a_cube_and_of_an_interferometer_are_design_paths() -> None:
+def test_design_paths_through_cubes_roofs_and_mirrors() -> None:
     """Of a Michelson interferometer one mirror is declared, the other only shines."""
     cube = beam_splitter_cube("cube", 20.0, material="N-BK7", splitter=Coating(R=0.48, T=0.48))
     camera = Detector("camera", z=60.0, half_width=8.0, half_height=8.0)
@@ -124,9 +124,6 @@ def test_both_arms_of_a_cube_and_of_an_interferometer_are_design_paths() -> None
     aside = Surface("aside", y=50.0, tilt_deg=(90.0, 0, 0), semi_diameter=12.0, coating=Coating(R=0.95), mirror=True)
     t = traced((splitter, ahead, aside), Detector("screen", y=-50.0, **ACROSS))
     assert kinds(t) == {"splitter:R aside:R splitter:T": "direct", "splitter:T ahead:R splitter:R": "direct"}
-
-
-def test_the_halves_of_a_roof_count_in_either_order() -> None:
     bounds = {"half_width": 12.0, "half_height": 11.0, "coating": Coating(R=0.9), "mirror": True}
     faces = [
         Surface(f"face_{k}", y=8.0 * s, z=-8.0, tilt_deg=(-45.0 * s, 0, 0), **bounds) for k, s in enumerate((1, -1))
@@ -134,9 +131,6 @@ def test_the_halves_of_a_roof_count_in_either_order() -> None:
     aside = Detector("camera", x=-60.0, tilt_deg=(0.0, 90.0, 0.0), half_width=15.0, half_height=15.0)
     t = traced(tuple(moved_as_one(faces, tilt_deg=(0.0, 45.0, 0.0))), aside, radius=5.0)
     assert kinds(t) == {"face_0:R face_1:R": "direct", "face_1:R face_0:R": "direct"}
-
-
-def test_images_by_total_reflection_and_by_every_segment_are_the_image() -> None:
     segments = mistray.trace(mistray.load("segmented_mirror"), rays=20_000).paths
     assert [row.kind for row in segments] == ["direct"] * 18
     faces = prism("prism", [(-10.0, 0.0), (10.0, 0.0), (-10.0, 20.0)], 20.0, material="N-BK7")
@@ -144,10 +138,7 @@ def test_images_by_total_reflection_and_by_every_segment_are_the_image() -> None
     assert share(t, "direct") == pytest.approx(0.993, abs=0.002)
     assert share(t, "TIR") == 0
     assert t.paths[0].tir == 1
-
-
-def test_an_undeclared_fold_mirror_is_a_mirror_where_the_design_is_reflected() -> None:
-    """Its reflection counts neither as a ghost nor as one of `max_reflections`; a dark one is no mirror."""
+    # Its reflection counts neither as a ghost nor as one of `max_reflections`; a dark one is no mirror
     camera = Detector("camera", y=-70.0, z=20.0, **ACROSS)
     fold = {"z": 20.0, "tilt_deg": (-45.0, 0.0, 0.0), "semi_diameter": 15.0}
     declared = traced((*LENS, Surface("fold", **fold, coating=Coating(R=0.9), mirror=True)), camera)

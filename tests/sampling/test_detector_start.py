@@ -161,7 +161,7 @@ def test_detector_is_lambertian(detector_table, name: str, how: str, both_sides:
         np.testing.assert_allclose(w, np.where(side > 0, 1 / shares[0], 1 / shares[1]), rtol=1e-6)
 
 
-def test_aimed_rays_go_to_the_targets(detector_table) -> None:
+def test_aimed_rays_and_their_pixels(detector_table) -> None:
     disc = AimSet((Target("ellipse", AT - [0, 0, 40.0], np.array([3.0, 0, 0]), np.array([0, 3.0, 0])),), 1)
     share = []
     for aim in (None, disc):
@@ -171,10 +171,7 @@ def test_aimed_rays_go_to_the_targets(detector_table) -> None:
         share.append(np.mean(np.hypot(*(met - AT)[:, :2].T) < 3.0))
     assert share[0] < 0.02
     assert share[1] > 0.3
-
-
-def test_pixels_are_those_of_the_places(detector_table) -> None:
-    """Row 0 at the smallest y of the detector's frame, which a `lookat` turns about z."""
+    # Row 0 at the smallest y of the detector's frame, which a `lookat` turns about z
     table = detector_table("rectangle")
     found = rays_of(DetectorStart(table, AXIS, None, False), lanes=3200)
     own = (table.download_points(found.o) - AT) @ table.rotations[table.detector]

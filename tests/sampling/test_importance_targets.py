@@ -74,7 +74,7 @@ def test_paraxial_images_are_those_of_the_audited_table():
         assert not target.reverse
 
 
-def test_images_of_a_coaxial_system_are_conjugates():
+def test_images_in_coaxial_and_folded_systems():
     """The Cooke triplet surface by surface: refraction equation backwards from the detector, float64, 1e-7."""
     prescription = importlib.import_module("mistray.scenes.cooke_triplet.prescription").build()
     images = images_of(prescription.to_scene())
@@ -91,10 +91,7 @@ def test_images_of_a_coaxial_system_are_conjugates():
         distance = before / vergence
         size *= distance / before * n / (at - system.z[k])
         at, n = system.z[k] + distance, before
-
-
-def test_images_in_folded_systems():
-    """A Newtonian: from the primary, the image unfolded, at the focus on its axis; the diagonal sees the real one."""
+    # A Newtonian: from the primary, the image unfolded, at the focus on its axis; the diagonal sees the real one
     images = images_of(mistray.load("newtonian"))
     primary, diagonal = images.paraxial[1], images.paraxial[2]
     np.testing.assert_allclose(primary.centre, [0, 0, -1270], atol=1e-6)
@@ -463,16 +460,13 @@ def measured(scene: mi.Scene, rays: int, **settings: str) -> tuple[float, float]
     return energy.detected_W, energy.detected_se_W
 
 
-def test_scatter_at_the_front_of_a_window_finds_the_detector_through_its_rear() -> None:
+def test_light_finds_the_detector_through_windows() -> None:
     """The closed form within a z of two-sided chance 1e-4 and within 2 %; unaimed, this many rays find nothing."""
     scene, expected = window("front", THICK + AWAY), through_the_window()
     power, se = measured(scene, 10_000)
     assert se < 0.02 * expected
     assert abs(power - expected) < z_limit(1, 1e-4) * se
-
-
-def test_a_diffuser_behind_a_window_finds_the_detector_before_it() -> None:
-    """An opaque wall that sees the detector through both faces: as by rays without aim, 4 errors (6e-5) of a fifth."""
+    # An opaque wall that sees the detector through both faces: as by rays without aim, 4 errors (6e-5) of a fifth
     paint = {**BLACK, "paint": {"type": "paint", "reflectance": 0.5}}
     wall = {"type": "asphere", "semi_diameter": 10.0, "z": 20.0, "bsdf": paint}
     beam = {"type": "collimated", "radius": BEAM_MM, "to_world": mi.ScalarTransform4f().translate([0, 0, -10])}

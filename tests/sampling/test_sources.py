@@ -154,7 +154,7 @@ def test_a_sky_is_aimed_at_the_front_of_a_short_scene() -> None:
     assert aimed.energy.launched_W == pytest.approx(blind.energy.launched_W, rel=1e-9)
 
 
-def test_shadow_edge_of_the_sun() -> None:
+def test_the_sun_gaussian_beams_and_near_sources() -> None:
     """Behind a straight edge the irradiance falls as the part of the sun that is seen does; false alarms 0.1 %."""
     edge = {"type": "asphere", "half_width": 50.0, "half_height": 50.0, "y": 50.0, "z": -200.0, "bsdf": BLACK}
     for limb in (0.0, 0.6):
@@ -178,10 +178,7 @@ def test_shadow_edge_of_the_sun() -> None:
         error = np.linalg.norm(t.light.apart[:, middle], axis=(1, 2)) / 8
         z = (found - np.array(rows))[inside] / np.maximum(error[inside], 2e-3)
         assert np.max(np.abs(z)) < 4.7  # of 2 · 58 numbers
-
-
-def test_gaussian_beam_spreads_as_it_should() -> None:
-    """Second moments before, at and behind the waists of an astigmatic beam; false alarms 0.1 %."""
+    # Second moments before, at and behind the waists of an astigmatic beam; false alarms 0.1 %
     numbers = {"waist_x": 0.4, "waist_y": 1.1, "m2_x": 2.0, "m2_y": 9.0, "offset_x": 300.0, "offset_y": 900.0}
     for z in (-10.0, -300.0, -1500.0):
         t = mistray.trace(lit({"type": "gaussian_beam", "z": z, "wavelength_nm": 1000.0, **numbers}, 64), rays=100_000)
@@ -193,9 +190,6 @@ def test_gaussian_beam_spreads_as_it_should() -> None:
             size = np.sqrt(waist**2 + (m2 * 1e-3 * (-z - offset) / (np.pi * waist)) ** 2)
             error = size**2 / 4 * np.sqrt(2 / 100_000)
             assert_z(f"{axis} at {z}", mean, size**2 / 4, error, false_alarm=1.5e-4)
-
-
-def test_fields_of_near_sources() -> None:
     here = lit({"type": "point_source", "z": -100.0})
     (source,) = scene_sources(here, field_deg=30.0, azimuth_deg=90.0)
     assert source.pivot + np.array([0, 0, -100]) == pytest.approx([100 * np.tan(np.radians(30)), 0, -100])
@@ -266,7 +260,7 @@ def test_sky_in_healpix(ordering: str, tmp_path: Path) -> None:
         lit({"type": "sky", "filename": str(file)})
 
 
-def test_several_sources() -> None:
+def test_several_sources_of_scenes_and_calls() -> None:
     lamps = {
         "lamp": {"type": "point_source", "z": -20.0, "power": 2.0},
         "moon": {"type": "distant_disc", "irradiance": 1e-3},
@@ -285,9 +279,6 @@ def test_several_sources() -> None:
     with pytest.raises(mistray.MistrayError, match="'sun'"):
         t.energy_of("sun")
     assert table.power_W.sum() == pytest.approx(t.energy.detected_W, rel=1e-9)
-
-
-def test_sources_of_a_call() -> None:
     given = {
         "type": "scene",
         "detector": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter()},
@@ -305,10 +296,7 @@ def test_sources_of_a_call() -> None:
     for wrong in ("point:0,0", "point:0,a,1", "", "point:0,0,1,z=2", "warp:0,0,1", "point:0,0,1,power", {"z": 1.0}):
         with pytest.raises(mistray.MistrayError):
             mistray.load(given, wrong)
-
-
-def test_a_lamp_in_a_ball_of_glass() -> None:
-    """From its middle all light meets the surface at right angles, 4 % of it comes back there."""
+    # From its middle all light meets the surface at right angles, 4 % of it comes back there
     glass = {"type": "interface", "back": "1.5"}
     ball = {"type": "sphere", "center": [0, 0, -50], "radius": 5.0, "flip_normals": True, "bsdf": glass}
     energy = mistray.trace(lit({"type": "point_source", "z": -50.0, "power": 1.0}, block=ball), rays=1000).energy

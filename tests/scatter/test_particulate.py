@@ -60,7 +60,7 @@ class OneSize(Particulate):
         return Cloud(answer.extinction[0] * area, answer.scattering[0] * area, CubicSpline(u, np.log(f)))
 
 
-def test_mirror_against_an_exact_calculation() -> None:
+def test_mirrors_and_refracted_light_against_an_exact_calculation() -> None:
     """SCATMECH's double interaction, over heights: within 2 % where phases average out, twice as much where θs = θi."""
     table = pd.read_csv(DATA / "contam_double_interaction.csv", comment="#")
     table = table[table["substrate"] == "PEC-like"]
@@ -74,10 +74,7 @@ def test_mirror_against_an_exact_calculation() -> None:
             assert found == pytest.approx(row.BRDF_SCATMECH_dist_avg, rel=0.02), row
         elif row.phi_s == 0:
             assert 2 * found == pytest.approx(row.BRDF_SCATMECH_dist_avg, rel=0.02), row
-
-
-def test_light_is_refracted_after_its_scatter() -> None:
-    """Into glass a small deflection is divided by n and the peak is n² higher; out of glass it is as in air."""
+    # Into glass a small deflection is divided by n and the peak is n² higher; out of glass it is as in air
     model = Particulate(level=300.0)
     cloud, n = model.cloud(WAVELENGTH_NM), 1.5
     into, out = (model.lobes(WAVELENGTH_NM, *indices, True)[0] for indices in ((1.0, n), (n, 1.0)))

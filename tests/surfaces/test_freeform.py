@@ -16,10 +16,9 @@ from scipy.optimize import brentq
 
 import mistray
 from mistray.mechanics.ply import ply_bytes
-from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.physics.sags.terms import sag
 from mistray.plugins.shapes.implicit import Implicit, sqrt
-from mistray.prescription import read_grid
+from mistray.prescription import Outline, OutlineFigure, read_grid
 from mistray.ranges import RADIUS_MM, Range
 from mistray.surfaces import mosaic_search, seams, shell_tree
 from mistray.surfaces.intersect import Intersector

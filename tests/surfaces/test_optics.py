@@ -155,7 +155,7 @@ def test_transmittance_of_a_plate(wavelength_nm: float, thickness_mm: float, fie
         assert t.own_notes == []
 
 
-def test_a_dark_body_is_opaque_and_says_so() -> None:
+def test_dark_bodies_metals_and_cubes() -> None:
     """0.5 mm of a black glass leave e^-57 of the light; the note says so in the report, too."""
     scene = plate("1.5+0.005i", 0.5, 550.0)
     t = mistray.trace(scene, rays=100, max_reflections=0)
@@ -169,10 +169,7 @@ def test_a_dark_body_is_opaque_and_says_so() -> None:
     assert note in report.notes
     assert note in main_table(report)
     assert note in mistray.pst(plate("1.5+0.005i", 0.5, 550.0), field_deg=[0, 10], rays=100).facts["notes"]
-
-
-def test_metals() -> None:
-    """A mirror of aluminium absorbs what it does not reflect, at the surface; a leaf of gold is told of."""
+    # A mirror of aluminium absorbs what it does not reflect, at the surface; a leaf of gold is told of
     mirror = {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "Al", "mirror": True}}
     beam, film = {"type": "collimated", "radius": 1.0, "distance": 2.0}, scene_dicts.detector(-5, semi_diameter=20.0)
     t = mistray.trace(scene_dicts.load(beam=beam, mirror=mirror, detector=film), rays=100)
@@ -186,10 +183,7 @@ def test_metals() -> None:
     note, lost = leaf.own_notes
     assert lost.startswith("no light reaches the detector: max_reflections cuts")
     assert all(word in note for word in ("Au", "0.0001 mm"))
-
-
-def test_what_nothing_closes() -> None:
-    """The silicon of a detector is as thick as may be: dark at 550 nm, where its k is below that of a metal."""
+    # The silicon of a detector is as thick as may be: dark at 550 nm, where its k is below that of a metal
     film = scene_dicts.detector(0, semi_diameter=5.0, bsdf={"type": "interface", "back": "Si"})
     t = mistray.trace(scene_dicts.load(beam={"type": "collimated", "radius": 1.0}, detector=film), rays=100)
     n = mistray.materials.complex_index("Si", 550.0)
@@ -197,10 +191,7 @@ def test_what_nothing_closes() -> None:
     assert t.energy.detected_W / t.energy.launched_W == pytest.approx(1 - abs((n - 1) / (n + 1)) ** 2, rel=1e-5)
     (note,) = t.own_notes
     assert "Si" in note
-
-
-def test_a_cube_of_triangles() -> None:
-    """The bodies of meshes are measured, too: a stock cube of 2 mm, 1.5 + 0.0005i at 550 nm, that is dark."""
+    # The bodies of meshes are measured, too: a stock cube of 2 mm, 1.5 + 0.0005i at 550 nm, that is dark
 
     def scene(k: float) -> mi.Scene:
         return scene_dicts.load(

@@ -85,7 +85,7 @@ def reflected(R: float, minor: float, major: float, n: int = 400_000) -> float:
     return float(R * np.sum(h * arrives) * 2 / n / BEAM)
 
 
-def test_trace_and_ghosts() -> None:
+def test_trace_ghosts_and_pst_both_ways() -> None:
     t = mistray.trace(scene(), rays=400_000, max_reflections=1)
     power = {row.kind: row.power_W / t.energy.launched_W for row in t.paths}
     assert power["straight shot"] == pytest.approx(1 - 4 * MAJOR * MINOR / BEAM**2, abs=1e-3)
@@ -93,10 +93,7 @@ def test_trace_and_ghosts() -> None:
     assert abs(t.energy.closure) < 1e-8
     report = mistray.ghosts(scene(), [0.0], rays=20_000, max_reflections=1)
     assert "lip (structure)" in report.table(0.0).label.tolist()
-
-
-def test_pst_both_ways() -> None:
-    """Three methods, each by its own rays; false alarm 4e-3 in all."""
+    # Three methods, each by its own rays; false alarm 4e-3 in all
     here = scene(scatter={"type": "abg", "A": 0.02, "B": 0.05, "g": 2.0})
     found = {
         method: mistray.pst(here, [20.0, 60.0], method=method, cell_deg=4.0, rays=rays, seed=1)

@@ -24,9 +24,7 @@ import mistray
 from mistray.analyses.ghosts.page import output
 from mistray.analyses.ghosts.page import report as html
 from mistray.analyses.ghosts.page.report import html_text, write_html
-from mistray.analyses.ghosts.result import GhostReport
-from mistray.analysis import ThermalReport
-from mistray.estimate import Estimate
+from mistray.analysis import Estimate, GhostReport, ThermalReport
 from mistray.report import Look, remove_section, report_section, write_all, write_thermal
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import FIGURE, within

@@ -13,8 +13,7 @@ import pytest
 import vectors
 from refusals import refused
 
-from mistray import ranges
-from mistray.errors import MistrayError
+from mistray import MistrayError, ranges
 from mistray.estimate import Estimate
 from mistray.ranges import Several
 from mistray.settings import Settings

@@ -25,12 +25,10 @@ from result_calls import CALLS, LONG, data
 from workers_here import assert_same
 
 import mistray
-from mistray import recorders
+from mistray import ImageQuality, Trace, Transfer, recorders
 from mistray.analyses.ghosts.page import record as ghosts
-from mistray.analyses.image.result import ImageQuality
 from mistray.analyses.objects import page as objects
 from mistray.analyses.study import page as study
-from mistray.analyses.transfer.result import Transfer
 from mistray.analyses.validate.request import ValidateRequest
 from mistray.analyses.validate.run import run_validation
 from mistray.recorders import Recorder
@@ -38,7 +36,6 @@ from mistray.result import Result
 from mistray.toolkit import saved_result
 from mistray.toolkit.saved_result import KIND
 from mistray.toolkit.summary import has_figure
-from mistray.trace import Trace
 
 load = mistray.load
 long = pytest.mark.long

@@ -9,10 +9,7 @@ import pytest
 
 import mistray
 from mistray.analyses.pst.run import pst
-from mistray.prescription import Coating, Detector, Prescription, Scatter, Source
-from mistray.prescription.baffles.two_stage import two_stage_baffle
-from mistray.prescription.baffles.vane_edges import VaneEdge
-from mistray.prescription.baffles.vane_tube import vane_tube
+from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, VaneEdge, two_stage_baffle, vane_tube
 
 BLACK = Coating(R=0.0)
 PAINT = (Scatter("paint", {"reflectance": 0.3}, name="grey"),)

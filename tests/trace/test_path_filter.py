@@ -198,14 +198,11 @@ def names_of(events: Sequence[str], *design: str) -> list[str]:
     return describe_events(events)["label"].tolist()
 
 
-def test_names_follow_from_the_events_of_a_path_alone() -> None:
+def test_names_follow_from_the_events_and_differ() -> None:
     """Written down by hand; and the same for each path by itself as in a table with all others."""
     assert names_of(list(NAMES), DESIGN) == list(NAMES.values())
     assert [names_of([events], DESIGN)[0] for events in NAMES] == list(NAMES.values())
-
-
-def test_different_paths_have_different_names() -> None:
-    """Every event list of up to four events, 41 371 of them."""
+    # Every event list of up to four events, 41 371 of them
     words = [f"{name}:{letter}" for name in ("front", "rear", "mirror", "tube") for letter in "TRtr"]
     words = [*(w for w in words if w not in ("mirror:T", "tube:T", "mirror:t", "tube:t")), "detector:R", "bevel:T"]
     lists = [" ".join([*some, "detector:A"]) for n in range(5) for some in itertools.product(words, repeat=n)]
@@ -254,7 +251,7 @@ def traced(scene) -> mistray.Trace:
     return mistray.trace(scene, rays=400, field_deg=1.0, wavelength_nm=[500.0, 600.0])
 
 
-def test_every_printed_name_means_its_row(traced) -> None:
+def test_printed_names_mean_their_rows_also_within_a_filter(traced) -> None:
     rows = traced.paths.by_way()
     chosen = [*range(12), *range(12, len(rows), len(rows) // 12)]
     assert any("scatter at" in rows.label[k] for k in chosen)
@@ -270,9 +267,6 @@ def test_every_printed_name_means_its_row(traced) -> None:
             warnings.simplefilter("error")
             found = {row.events for row in traced.paths.select(rows.events[k])}
         assert found == {traced.paths[i].events for i in expected}
-
-
-def test_a_name_within_a_filter(traced) -> None:
     label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
     whole = traced.paths.select(label)
     assert len(whole) == 2, "one at each wavelength"

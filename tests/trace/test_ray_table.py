@@ -257,7 +257,7 @@ def traced() -> mistray.Trace:
     return mistray.trace(mistray.load("singlet_window_detector"), rays=60, field_deg=5.0)
 
 
-def test_incident_rays_are_those_of_the_ledger(traced) -> None:
+def test_rays_of_the_ledger_filters_and_numbers(traced) -> None:
     for name in ("window_front", "barrel_1_wall", "detector"):
         (row,) = [row for row in traced.surfaces if row.id == name]
         table = traced.rays_at(row.id, n=None)
@@ -274,9 +274,6 @@ def test_incident_rays_are_those_of_the_ledger(traced) -> None:
     assert escaped.flux_W.sum() + missed == pytest.approx(traced.energy.escaped_W, rel=1e-5)
     returned = traced.rays_at("returned", n=None)
     assert len(returned) == (escaped.dz < 0).sum() > 0  # the light goes along z
-
-
-def test_a_filter_and_a_number(traced) -> None:
     table = traced.rays_at("window_front", "R(window_rear)", n=7)
     assert len(table) == 7
     assert table.history.str.contains("window_rear:SpecRefl").all()

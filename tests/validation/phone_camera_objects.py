@@ -6,10 +6,8 @@ from typing import Any
 import numpy as np
 
 import mistray
-from mistray.analyses.objects.result import Objects
-from mistray.analyses.objects.run import objects
 from mistray.analyses.validate.packs.known import PACKS
-from mistray.trace.host.ray_sources import DiskSource
+from mistray.analysis import DiskSource, Objects, objects
 
 FILE = "phone_camera_objects.md"
 STUDY_RAYS = 1_000_000

@@ -8,9 +8,8 @@ import nbformat
 import pandas as pd
 
 import mistray
+from mistray import Pst, pst
 from mistray.analyses.pst.causes import breaks, cause_frame, first_level_scatter
-from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.run import pst
 
 NOTEBOOK = Path(__file__).parents[2] / "notebooks" / "phone_camera_pst.ipynb"
 SIDE = 4.367886545  # of the detector in the study's script, mm

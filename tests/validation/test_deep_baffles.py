@@ -7,8 +7,7 @@ import pytest
 from oracles.lens_behind_baffle import BaffledLens
 
 import mistray
-from mistray.prescription import Coating, Detector, Prescription, Scatter, Source
-from mistray.prescription.baffles.two_stage import two_stage_baffle
+from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, two_stage_baffle
 
 ALBEDO = 0.02
 CELL_DEG = (45.0, 75.0)

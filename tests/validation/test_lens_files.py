@@ -13,10 +13,9 @@ import vectors
 from refusals import refused
 
 from mistray.materials import refractive_index
-from mistray.prescription import from_codev, from_zemax
+from mistray.prescription import Sequential, from_codev, from_zemax
 from mistray.prescription.sequential.first_order import first_order, paraxial_system
 from mistray.prescription.sequential.rays import to_world, trace
-from mistray.prescription.sequential.table import Sequential
 
 FILES = peer_lenses.files()
 SAME_FOCUS = 1e-6  # relative, of focal lengths
@@ -157,7 +156,7 @@ def test_a_file_becomes_a_scene(file, tmp_path):
     assert bool(found.surfaces) == bool(bends)
 
 
-def test_a_ray_parallel_to_the_axis_through_a_polynomial_by_hand():
+def test_polynomials_and_schmidt_plates():
     """asp46.seq: z = -0.1 r⁴ + 0.1 r⁶ in front, plane behind, n = 1.5, thicknesses 1 and 2 mm."""
     n = lens("asp46.seq")
     index = 1.5 + (0.5 / 70 / (1 / 486.1327**2 - 1 / 656.2725**2)) * (1 / 587.6**2 - 1 / 587.5618**2)
@@ -169,10 +168,7 @@ def test_a_ray_parallel_to_the_axis_through_a_polynomial_by_hand():
     outside = math.asin(index * math.sin(inside))
     hits, _ = trace(n, [(0, y, -1)], [(0, 0, 1)])
     assert hits[-1, 0, 1] == pytest.approx(height + 2 * math.tan(outside), abs=1e-8)
-
-
-def test_the_figure_of_a_schmidt_plate_does_its_work():
-    """F/1.3 Schmidt: with A as r⁴ the spot on the axis is some µm, with a sphere it is 0.1 mm."""
+    # F/1.3 Schmidt: with A as r⁴ the spot on the axis is some µm, with a sphere it is 0.1 mm
     radii = []
     for name in ("schmidt.seq", "schmidt_sph.seq"):
         found = lens(name)
@@ -192,16 +188,13 @@ def spot(found: Sequential, radius: float) -> float:
     return float(np.sqrt(np.var(hits[-1][:, :2], axis=0).sum()))
 
 
-def test_a_q_asphere_of_a_vendor_is_sharp():
+def test_q_aspheres_and_toroids():
     """f = 40 mm, 44 mm wide: Qbfs along the normals of the conic are within its Airy disc, none leave 0.1 mm."""
     found = lens("ASL5040-UV-Zemax(ZMX).zmx")
     assert found.wavelength_nm == 405.0
     assert spot(found, 22.0) < 1.22 * 405e-6 * 40 / 44
     assert spot(found.with_rows([replace(found.rows[0], sag={}), *found.rows[1:]]), 22.0) > 1e-1
-
-
-def test_a_toroid_corrects_the_astigmatism_of_a_schiefspiegler():
-    """Handbook of Optics, volume 2, chapter 18, example 46: a sphere of the same curvature in y leaves far more."""
+    # Handbook of Optics, volume 2, chapter 18, example 46: a sphere of the same curvature in y leaves far more
     found = lens("HoO-V2C18Ex46.zmx")
     assert sum(bool(row.sag) for row in found.rows) == 1
     sharp, plain = spot(found, 10.0), spot(found.with_rows([replace(row, sag={}) for row in found.rows]), 10.0)
@@ -231,7 +224,7 @@ def straight(name: str, x: float, y: float) -> np.ndarray:
     return trace(lens(name), [(x, y, -10)], [(0, 0, 1)])[0][-1, 0]
 
 
-def test_moves_by_hand_and_folding_does_not_change_the_lens():
+def test_moves_folds_and_three_mirrors():
     """Plane dummies and plane mirrors, so that rays can be followed with a ruler. s = sin 45°."""
     s = math.sqrt(0.5)
     # 100 along an axis that ADE 45 turns to +y, and back parallel by REV: the image lies 100 s higher
@@ -252,10 +245,7 @@ def test_moves_by_hand_and_folding_does_not_change_the_lens():
     for x, y in ((0.1, 0.3), (-0.2, 0.0), (0.3, -0.4)):
         ends_of = [np.abs(straight(name, x, y)) for name in ("folded_lenses.seq", "unfolded_lenses_w_ape.seq")]
         assert ends_of[0] == pytest.approx(ends_of[1], abs=1e-9)
-
-
-def test_the_three_mirror_telescope_is_sharp_and_centred():
-    """With the opposite turns, without DAR or with the defocus behind the turn it is blurred, or 2 mm away or more."""
+    # With the opposite turns, without DAR or with the defocus behind the turn it is blurred, or 2 mm away or more
     found = lens("threemir.seq")
     grid = np.linspace(-1, 1, 9)
     aim = 20 * np.stack([axis.ravel() for axis in np.meshgrid(grid, grid)], axis=1)
@@ -320,7 +310,7 @@ def test_glasses_by_hand_and_those_that_rayoptics_does_not_have():
     assert "hikari/E-LAFH3" in [row.material.removesuffix(" k=0") for row in lens("US05331467-1.zmx").rows]
 
 
-def test_bk7_of_an_achromat_and_model_glasses():
+def test_glasses_turns_back_focus_and_off_axis_parabolas():
     """zmax_55278: the file states its focal length, 52.24 mm, and the image stands at its focus."""
     text = path_of("zmax_55278.zmx").read_text(encoding="utf-16")
     assert "DBDT 0 55278 5.224E+01" in text
@@ -336,10 +326,7 @@ def test_bk7_of_an_achromat_and_model_glasses():
     nd = [float(row.material.split()[0].removeprefix("nd=")) for row in found.rows if row.material.startswith("nd=")]
     assert nd == [1.489, 1.583, 1.489, 1.583]
     assert at_d.efl != efl
-
-
-def test_a_positive_turn_about_x_sends_light_to_plus_y():
-    """HoO-V2C18Ex66: the first mirror's normal is R_x(α) ẑ = (0, -sin α, cos α): light goes to (0, sin 2α, -cos 2α)."""
+    # HoO-V2C18Ex66: the first mirror's normal is R_x(α) ẑ = (0, -sin α, cos α): light goes to (0, sin 2α, -cos 2α)
     found = lens("HoO-V2C18Ex66.zmx")
     places = to_world(found, np.zeros((len(found.rows), 1, 3)))[:, 0]
     mirrors = [k for k, row in enumerate(found.rows) if row.mirror]
@@ -350,17 +337,11 @@ def test_a_positive_turn_about_x_sends_light_to_plus_y():
     file = "rayoptics/zemax/tests/HoO-V2C18Ex66.zmx"
     chief = [0, 9, 12]  # through the middle of the pupil: the fields on the axis and at the sides
     check_rays(our_ends(file)[chief] * [1, -1, 1, 1, -1, 1], ends(file, "rayoptics")[chief])
-
-
-def test_the_back_focal_length_begins_at_the_last_surface():
-    """ray-optics begins it at the last row, a coordinate break."""
+    # ray-optics begins it at the last row, a coordinate break
     for name, behind in (("US08011793-1.zmx", 400.0), ("HoO-V2C18Ex66NEW.zmx", 121.4)):
         file = f"rayoptics/zemax/tests/{name}"
         assert first_order(lens(name)).bfl == pytest.approx(float(SUMMARY[file]["rayoptics_bfl"]) + behind, rel=1e-9)
-
-
-def test_an_off_axis_parabola_focuses_in_its_image():
-    """zmax_37992: a parabola of f = 95.3 mm turns a beam 190.6 mm off its axis by 90° into a point."""
+    # zmax_37992: a parabola of f = 95.3 mm turns a beam 190.6 mm off its axis by 90° into a point
     found = lens("zmax_37992.zmx")
     y = np.linspace(-25, 25, 7)
     hits, _ = trace(found, np.stack([y / 2, y, 0 * y], axis=1), np.tile([0.0, 0.0, 1.0], (7, 1)))

@@ -9,13 +9,11 @@ import peers
 import pytest
 from scipy.optimize import least_squares
 
-from mistray.io.codev.read import read_codev
 from mistray.io.optiland import from_optiland
+from mistray.prescription import Sequential, read_codev, to_optiland
 from mistray.prescription import from_optiland as take_over
-from mistray.prescription import to_optiland
 from mistray.prescription.closing.system import build
 from mistray.prescription.sequential.rays import frames, to_world, trace
-from mistray.prescription.sequential.table import Sequential
 
 pytestmark = pytest.mark.validation
 

@@ -10,10 +10,9 @@ import pytest
 from scipy.stats import chi2, norm, t
 
 import mistray
+from mistray import Scatter, pst
 from mistray.analyses.pst.forward import forward_pst
 from mistray.analyses.pst.result import CLASSES, Pst
-from mistray.analyses.pst.run import pst
-from mistray.prescription import Scatter
 from mistray.sampling.plane_wave import Entrance
 from mistray.settings import Settings
 

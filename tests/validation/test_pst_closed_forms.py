@@ -14,10 +14,9 @@ from oracles.small_scenes import interface_xml
 from oracles.statistics import assert_z
 
 import mistray
+from mistray import Pst, pst
 from mistray.analyses.pst.glare.extended_source import SkyRadiance, source_irradiance
 from mistray.analyses.pst.glare.glare import veiling_glare_index
-from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.run import pst
 
 Load = Callable[[str], Any]
 

@@ -23,10 +23,9 @@ from mistray.analyses.budget.allocation import (
     relative_scatter,
 )
 from mistray.analyses.budget.read_budget import read_budget
-from mistray.analyses.budget.run import budget
 from mistray.errors import MistrayError
 from mistray.metrics.scene_values import assign
-from mistray.optimize import path_power
+from mistray.optimize import budget, path_power
 
 TRACED = {"rays": 4096, "max_reflections": 0, "flux_threshold": 0.0, "scatter_threshold": 0.0}
 AS_GIVEN = 4.0

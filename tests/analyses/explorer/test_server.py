@@ -15,11 +15,10 @@ from analyses.explorer.chromium import CHROMIUM, page
 from command_line import succeeds
 
 import mistray
+from mistray import Explorer, MistrayError
 from mistray.analyses.explorer.assets import asset
-from mistray.analyses.explorer.explorer import Explorer
 from mistray.analyses.explorer.saving import SCENE_FILE, STUDY_FILE
 from mistray.analyses.explorer.server import LOOPBACK, MOST_BYTES, MOST_STRANGE, PageServer, serving
-from mistray.errors import MistrayError
 from mistray.metrics.parameters import parameters
 
 

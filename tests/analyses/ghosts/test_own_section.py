@@ -11,8 +11,7 @@ import pytest
 from command_line import Captured, succeeds
 
 import mistray
-from mistray.analysis import GhostReport
-from mistray.errors import MistrayError
+from mistray import GhostReport, MistrayError
 from mistray.estimate import Estimate
 from mistray.report import main_table, remove_section, report_section, write_all
 from mistray.toolkit.figures.figure import Figure as Drawing

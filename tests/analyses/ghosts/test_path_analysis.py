@@ -18,6 +18,7 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, lenses_text, placed_xml, 
 from oracles.small_scenes import interface_xml
 
 import mistray
+from mistray import GhostReport, MistrayError
 from mistray.analyses.ghosts.figures.ghost_images import KINDS
 from mistray.analyses.ghosts.page.fields import shown_paths
 from mistray.analyses.ghosts.page.record import record
@@ -25,12 +26,10 @@ from mistray.analyses.ghosts.page.report import html_text
 from mistray.analyses.ghosts.path_analysis import path_analysis
 from mistray.analyses.ghosts.path_sort_text import parse_path_sort, path_sort_text, sorted_paths
 from mistray.analyses.ghosts.request import SORT_KEYS, GhostTables
-from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.tables.ghosts import STRONGEST, beyond, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables, path_table, write_csv
 from mistray.analyses.ghosts.tables.levels import level_rows, level_text
 from mistray.analyses.ghosts.tables.scatter import scatter_text
-from mistray.errors import MistrayError
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS, way_text
 from mistray.toolkit.drawings.layout import worst_paths
 

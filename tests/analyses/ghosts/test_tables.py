@@ -15,13 +15,12 @@ import pytest
 from analyses import fake_trace as fake
 
 import mistray
-from mistray.analyses.ghosts.run import ghosts
+from mistray import MistrayError, Trace, ghosts
 from mistray.analyses.ghosts.spectral import spectral_maps
 from mistray.analyses.ghosts.tables.ghosts import main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import write_csv
 from mistray.analyses.study.page import fact_text
 from mistray.analyses.study.step import Fact
-from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.files.parquet import unit
 from mistray.metrics.ranking import direct_image
@@ -32,7 +31,6 @@ from mistray.toolkit.pages.model import Table, columns
 from mistray.toolkit.pages.render import html_parts
 from mistray.toolkit.tables.frames import error_of, frame_table, heading_of, value_text
 from mistray.toolkit.tables.text import table_text, with_error
-from mistray.trace import Trace
 
 pytestmark = pytest.mark.quick
 

@@ -13,6 +13,7 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z
 
 import mistray
+from mistray import Detector, GhostReport, Prescription, Source, Surface, ghosts
 from mistray.analyses.ghosts import peaks
 from mistray.analyses.ghosts.airy import with_airy
 from mistray.analyses.ghosts.combine import by_path
@@ -20,14 +21,11 @@ from mistray.analyses.ghosts.maps.path_maps import FieldMaps, PathMap
 from mistray.analyses.ghosts.page.answer import verdict
 from mistray.analyses.ghosts.page.record import record
 from mistray.analyses.ghosts.peaks import with_peaks
-from mistray.analyses.ghosts.result import GhostReport
-from mistray.analyses.ghosts.run import ghosts
 from mistray.analyses.ghosts.tables.ghosts import AIRY_TEXT, CONTESTED, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import path_table, summary_frame
 from mistray.analyses.ghosts.verdict import brightest_field, most_stray, remedy, shares_of_kinds, worst_of_all_fields
 from mistray.errors import Interrupted, MistrayError
 from mistray.metrics.ranking import bounds
-from mistray.prescription import Detector, Prescription, Source, Surface
 from mistray.toolkit.irradiance import log10_image, log_range, mirror_asymmetry, pixel_size, statistics
 from mistray.trace.sampled_hits import LightCone
 
@@ -37,7 +35,7 @@ def report_of(paths_by_field, rank="rms"):
     return GhostReport(lens_scene(), traces, traces.get(0.0, fake.trace_at(0.0)), {}, rank)
 
 
-def test_worst_paths_stand_once_at_their_worst_field():
+def test_worst_paths_and_what_is_left_without_them():
     report = report_of({field: fake.paths_at(field) for field in (0.0, 10.0, 20.0)})
     worst = worst_of_all_fields(report)
     assert len({path.label for path in worst}) == len(worst) == 4
@@ -56,10 +54,7 @@ def test_worst_paths_stand_once_at_their_worst_field():
     straight = fake.FakePath(f"stop_wall:R {fake.LENS} detector:A", 1e-3, 99)
     (alone,) = shares_of_kinds(report_of({0.0: [straight]}), 0.0).values()
     assert (alone.value, alone.se) == pytest.approx((100, 0), abs=1e-9)
-
-
-def test_a_field_without_stray_light_is_left_with_none():
-    """The remedy is not the detector, at which all ghosts of the fake trace turn; a dark one needs none."""
+    # The remedy is not the detector, at which all ghosts of the fake trace turn; a dark one needs none
     dark = [fake.FakePath(f"{fake.LENS} detector:A", 1.0, 99)]
     found = remedy(report_of({0.0: fake.paths_at(0.0), 10.0: dark, 20.0: []}))
     assert found.surface == "window_rear"
@@ -77,10 +72,7 @@ def test_a_field_without_stray_light_is_left_with_none():
         assert (found.surface, found.deed, found.field_deg) == ("window_rear", deed, 20.0)
         assert found.percent.value == pytest.approx(90)
         assert {field: left.value for field, left in found.left_W.items()} == pytest.approx({0.0: 1e-4, 20.0: 1e-4})
-
-
-def test_light_that_passes_where_the_image_does_not():
-    """The phone camera at 20°: light through the bevel of L3 is half of the stray light, docs/validation."""
+    # The phone camera at 20°: light through the bevel of L3 is half of the stray light, docs/validation
     report = mistray.ghosts(mistray.load("phone_camera"), field_deg=[20.0], rays=4000)
     found = remedy(report)
     assert (found.surface, found.deed) == ("L3_bevel_2", "passes")

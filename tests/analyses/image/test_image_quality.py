@@ -53,7 +53,7 @@ def axis():
     return mistray.image_quality(mistray.load(paraboloid()), 0.0, grid=128)[0]
 
 
-def test_annular_pupil(axis):
+def test_annular_pupil_line_and_edge(axis):
     """On its axis there is no aberration; y = 2f tan(u/2), so that N = 1/(2 sin u) = (1 + (y/2f)²)/(2 y/f)."""
     half = RADIUS / (2 * FOCAL)
     f_number = (1 + half**2) / (4 * half)
@@ -68,9 +68,6 @@ def test_annular_pupil(axis):
     psf = axis.psf(64, method="huygens")
     assert psf.values == pytest.approx(axis.psf(64).values, abs=1e-5 * psf.values.max())
     assert np.unravel_index(np.argmax(psf.values), (64, 64)) == (32, 32)
-
-
-def test_line_and_edge(axis):
     x = np.linspace(-0.02, 0.02, 401)
     line, edge = axis.line_spread(x, "sagittal")
     assert edge[200] == pytest.approx(0.5, abs=1e-9)

@@ -98,7 +98,7 @@ def test_a_tube_lit_from_outside(load_scene, angle):
     assert_z("detector", detector.value, direct, max(detector.se, 1e-12))
 
 
-def test_cone_of_light_through_an_opening(load_scene):
+def test_openings_and_plates(load_scene):
     """Averaged over the solid angle of a cone, an area takes A (1 + cos h)/2; a disc source gives the same."""
     scene = load_scene(open_tube_text(1e-3, 1.0, 0.999))
     half = 35.0
@@ -111,9 +111,6 @@ def test_cone_of_light_through_an_opening(load_scene):
     # A disc of three times the radius this near fills the cone everywhere but for 1e-3
     assert_z("cone and disc", [cone.value, near.value], expected, [cone.se, near.se], floor=2e-3 * expected)
     assert abs(cone.value - np.pi) > 10 * cone.se
-
-
-def test_plate_in_front(load_scene):
     found = objects(load_scene(plate_text(R=0.1, T=0.8)), rays=20_000, view_half_angle_deg=10.0, field_deg=[0.0])
     for name, seen, lit in (("p0_front", 0.8, 1.0), ("p0_rear", 1.0, 0.8), ("detector", 0.0, 0.64)):
         entry = row(found.optics, name)

@@ -16,6 +16,7 @@ from oracles.small_scenes import plates_text, write
 from refusals import refused
 
 import mistray
+from mistray import MistrayError, load
 from mistray.analyses.optimize.reflectance_weights import best_thicknesses, reflectance_weights
 from mistray.analyses.optimize.study.comparison import ComparisonCell, Levels, compare, worse
 from mistray.analyses.optimize.study.goals import by_value, check, contribution, holds, least_merit, limit_of, pieces
@@ -25,10 +26,8 @@ from mistray.analyses.optimize.study.terms import layer_minimum, material_count,
 from mistray.analyses.optimize.study.variables import find_variables
 from mistray.analyses.optimize.tables import optimization_record, report_text
 from mistray.coatings import preset
-from mistray.errors import MistrayError
 from mistray.metrics.scene_values import changed
 from mistray.optimize import Metric, Optimizer, Term, gradient, optimize, path_power, read_study
-from mistray.scene import load
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating, write_recoated
 

@@ -94,7 +94,7 @@ class TestSearch:
         ratio = (reflectance(60.0) / reflectance(QUARTER_WAVE)) ** 2
         assert result.comparison.total.ratio == pytest.approx(ratio, rel=0.05)
 
-    def test_limits(self, plate: Path) -> None:
+    def test_limits_and_variables_beside_coatings(self, plate: Path) -> None:
         """A bound; and the least ghost of at most 80 nm: the penalty begins 1 % below the limit and costs 1 at it."""
         bound = optimized(plate, study(bounds=(20.0, 80.0)))
         assert bound.thickness_nm("AR") == pytest.approx([80.0])
@@ -106,9 +106,7 @@ class TestSearch:
         assert result.steps[-1].broken == ()
         assert result.comparison.of("price").after == pytest.approx(result.thickness_nm("AR")[0])
         assert result.comparison.of("price").after_se == 0
-
-    def test_variables_beside_coatings(self, plate: Path) -> None:
-        """The index of the layer moves with its thickness: towards the root of 1.5, and the quarter wave follows."""
+        # The index of the layer moves with its thickness: towards the root of 1.5, and the quarter wave follows
         given = study()
         given["variable"] = [{"name": "n", "parameters": "AR.n_shift", "low": -0.1, "high": 0.1}]
         result = optimized(plate, given)
@@ -133,7 +131,7 @@ class TestSearch:
         assert set(result.parameters) == {"p0_front.bsdf.R", "p0_rear.bsdf.R"}
         assert result.comparison.of("path_power").ratio == pytest.approx(2500, rel=1e-4)
 
-    def test_several_starts_leave_a_local_minimum(self, plate: Path) -> None:
+    def test_several_starts_shared_and_separate_designs(self, plate: Path) -> None:
         """Three quarter waves are a minimum too, a worse one over a band: from there only other starts lead away."""
         band = [450, 550, 650]
         alone = optimized(plate, study(280.0, (20.0, 400.0), band))
@@ -142,9 +140,7 @@ class TestSearch:
         assert several.thickness_nm("AR") == pytest.approx([97.0], abs=4.0)
         assert several.best.merit < alone.best.merit - np.log(2)
         assert several.starts[several.best.start].name.startswith("minimum 1")
-
-    def test_shared_and_separate_designs(self, plate: Path) -> None:
-        """Two coatings that start apart both end at the quarter wave."""
+        # Two coatings that start apart both end at the quarter wave
         given = study()
         (one,) = given["coating"]
         given["coating"] = [
@@ -431,7 +427,7 @@ class TestRows:
             assert row.after == pytest.approx(0.81 if signal else (0.02 * 0.9) ** 2, rel=1e-5)
             assert row.ratio == pytest.approx(1.0 if signal else 6.25, rel=1e-5)
 
-    def test_the_whole_is_the_mean(self) -> None:
+    def test_the_mean_and_parts_without_light(self) -> None:
         """Of the fields, and of the wavelengths with their weights; the coatings of the triplet are not grey."""
         read = asked(
             GHOSTS, field_deg=[0, 10], wavelength_nm=[450, 550], weights=[1, 3], rays=1000, flux_threshold=1e-9
@@ -445,9 +441,7 @@ class TestRows:
         for field in (None, 0, 10):
             # The same seed draws other rays for one wavelength than for that among two
             assert mean(field, None) == pytest.approx(0.25 * mean(field, 450) + 0.75 * mean(field, 550), rel=0.2)
-
-    def test_no_light_in_a_part(self) -> None:
-        """A field without a value has no number, but the others have; the result of a search is not lost for it."""
+        # A field without a value has no number, but the others have; the result of a search is not lost for it
         term = {"kind": "ghost_rms_irradiance", "goal": "minimise", "rays": 300}
         scene = mistray.load("cooke_triplet")
         levels = measure(scene, asked({**term, "field_deg": [0, 10], "wavelength_nm": [500, 510, 520, 530]}), seeds=2)
@@ -459,9 +453,7 @@ class TestRows:
         beside = measure(scene, asked({**term, "kind": "rms_spot", "field_deg": [80]}), seeds=2)
         assert np.isnan(beside.of("rms_spot")).all()
         assert np.isnan(compare(beside, beside).of("rms_spot").ratio)
-
-    def test_exact_terms_and_standard_errors(self) -> None:
-        """Against the formulas: the error of a ratio of means knows that both see the same rays."""
+        # Against the formulas: the error of a ratio of means knows that both see the same rays
         levels = Levels((1, 2), {ComparisonCell("a"): np.array([1.0, 3.0])}, {"a": "mm"})
         row = compare(levels.including({"b": 7.0}, {"b": "nm"}), levels.including({"b": 14.0}, {"b": "nm"})).of("b")
         assert (row.before, row.before_se, row.after, row.ratio, row.ratio_se) == (7.0, 0.0, 14.0, 0.5, 0.0)

@@ -23,8 +23,7 @@ from mistray.analyses.optimize.study.state import Evaluation, State
 from mistray.analyses.optimize.study.study_scene import PlacedDesign, place
 from mistray.analyses.optimize.study.variables import Variable, VariablePlace, Variables, find_variables
 from mistray.errors import MistrayError
-from mistray.metrics.parameters import Parameter, parameters
-from mistray.optimize import Optimizer, Start, Step, read_study
+from mistray.optimize import Optimizer, Parameter, Start, Step, parameters, read_study
 
 NLOPT = pytest.mark.skipif(find_spec("nlopt") is None, reason="the extra 'nlopt' is not installed")
 METHODS = [
@@ -295,7 +294,7 @@ def placed_coating(layers: str, surfaces: list[str], bounds: list[float]) -> Pla
 
 
 class TestProxy:
-    def test_proxy_is_the_mean_square_of_R(self) -> None:
+    def test_proxy_and_its_minima(self) -> None:
         """Against the coating's own response, from the air on both sides of a lens, whatever side is the front."""
         placed = placed_coating("1.38 90, 2.1 120", ["L1_front", "L1_rear"], [10.0, 200.0])
         proxy = Proxy.of(placed, (500.0, 600.0), (0.25, 0.75))
@@ -307,9 +306,7 @@ class TestProxy:
                 answer = stack.response(nm, *sides, np.cos(np.radians([0.0, 15.0, 30.0, 45.0])), from_front)
                 expected += weight * np.mean(answer.R.mean(axis=1) ** 2) / 2
         assert proxy(np.array([[90.0, 120.0], [50.0, 50.0]]))[0] == pytest.approx(expected, rel=1e-12)
-
-    def test_minima(self) -> None:
-        """Of one layer at one wavelength: odd quarter waves, the one next to the given design among them, each once."""
+        # Of one layer at one wavelength: odd quarter waves, the one next to the given design among them, each once
         placed = placed_coating("1.38 530", ["L1_front"], [20.0, 600.0])
         proxy = Proxy.of(placed, (550.0,), (1.0,))
         found = minima(proxy, placed.group.bounds_nm, np.array([530.0]), seed=0)

@@ -22,15 +22,14 @@ from oracles.small_scenes import interface_xml, write
 from oracles.vane_tube import VaneTube
 
 import mistray
+from mistray import MistrayWarning, Pst
 from mistray.analyses.pst import plan as plans
 from mistray.analyses.pst import request as requests
 from mistray.analyses.pst.pilot import FIRST_ROUND, LEAST_UNSCATTERED, Pilot
 from mistray.analyses.pst.plan import Plan, shared
 from mistray.analyses.pst.request import PstRequest
-from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.run import pst_of_each
 from mistray.analyses.pst.state import PstProgress
-from mistray.errors import MistrayWarning
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
 from mistray.kernel.kernel_scene import LEAST_PROBABILITY, MOST_RAYS, WeightWindows
@@ -363,7 +362,7 @@ ANGLES = [50.0, 65.0]
 CELLS = [(49.0, 51.0), (64.0, 66.0)]
 
 
-def test_scenes_that_are_compared_have_the_same_windows() -> None:
+def test_windows_of_scenes_kernel_and_pilot() -> None:
     """Those of the first; none where surfaces were added; they are saved with the plan."""
     first, second = np.random.default_rng(0).random((2, 3, WAYS)), np.full((2, 3, WAYS), 2.0)
     assert all(one.sharing.windows is first for one in shared([plan(first), plan(second)]))
@@ -377,10 +376,7 @@ def test_scenes_that_are_compared_have_the_same_windows() -> None:
     assert np.array(rays).tolist() == [1, 4, 1, MOST_RAYS, 1]
     assert np.array(chances).tolist() == [0.5, 1, 1, 1, LEAST_PROBABILITY]
     assert dr.width(rays) == 5
-
-
-def test_the_kernel_reads_what_the_pilot_has_written() -> None:
-    """Rays that are left to chance at all ways which the pilot has met, and at no others, are so everywhere."""
+    # Rays that are left to chance at all ways which the pilot has met, and at no others, are so everywhere
     scene = mistray.load("baffle_tube")
     trace = BackwardTrace(scene, DirectionGrid.of([8.0], cell_deg=8.0), Settings.of(scene))
 
@@ -397,10 +393,7 @@ def test_the_kernel_reads_what_the_pilot_has_written() -> None:
     here, everywhere = (samples(np.where(where, 1e-9, 0.0)) for where in (met, np.full_like(met, True)))
     assert len(here.weight) < 0.5 * len(free.weight)
     assert np.array_equal(here.weight, everywhere.weight)
-
-
-def test_backward_paths_tell_forward_rays_where_they_matter() -> None:
-    """What backward paths contribute to rows of forward rays lies where forward rays arrive, and they to the same."""
+    # What backward paths contribute to rows of forward rays lies where forward rays arrive, and they to the same
     scene = mistray.load("baffle_tube")
     trace = BackwardTrace(scene, DirectionGrid.of([8.0], cell_deg=8.0), Settings.of(scene, max_scatters=2))
     one = np.ones(1)

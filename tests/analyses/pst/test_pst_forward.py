@@ -17,12 +17,11 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z, z_limit, z_score
 
 import mistray
+from mistray import MistrayError, Pst
 from mistray.analyses.pst import backward_run, forward
 from mistray.analyses.pst.forward import FIRST_RAYS
 from mistray.analyses.pst.request import PstRequest
-from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.state import PstProgress
-from mistray.errors import MistrayError
 from mistray.execute.backward import BackwardTrace
 from mistray.files.saved_state import load_state
 from mistray.recorders.directions import DirectionGrid

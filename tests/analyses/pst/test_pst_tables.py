@@ -259,7 +259,7 @@ def test_curve_frame_holds_the_means_of_the_batches(pst: Pst, around: Pst) -> No
     assert merged.percent_of_stray.sum() == pytest.approx(100)
 
 
-def test_curve_text_has_the_numbers_with_their_errors(pst: Pst) -> None:
+def test_text_with_the_numbers_and_their_errors(pst: Pst) -> None:
     text = tables.curve_text(pst)
     table = rows(text)
     assert len(table) == 41
@@ -277,9 +277,6 @@ def test_curve_text_has_the_numbers_with_their_errors(pst: Pst) -> None:
     assert angle == "20"
     assert [first, second] == list(expected.label) == ["barrel_1 (structure)", "detector → L1_rear"]
     assert [float(share), float(second_share)] == pytest.approx(list(expected.percent_of_stray), rel=5e-3)
-
-
-def test_text(pst: Pst) -> None:
     text = tables.pst_text(pst)
     assert "edge of the field, half of the direct light at 0°, interpolated: 26.1°" in text
     assert "Strongest stray paths" not in tables.pst_text(fake_pst(paths=False))

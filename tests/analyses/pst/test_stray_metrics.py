@@ -495,7 +495,7 @@ TRACED = {"rays": 20_000, "max_scatters": 1}
 
 
 class TestMetrics:
-    def test_against_the_curve(self, scene) -> None:
+    def test_curve_and_band(self, scene) -> None:
         angles = (0.0, 20.0, 40.0)
         pst = mistray.pst(scene, angles, paths=False, **TRACED)
         stray = pst.curve("stray")[0]
@@ -511,9 +511,7 @@ class TestMetrics:
         assert mask.value() == pytest.approx(share.max() * np.sum((share / share.max()) ** 16) ** (1 / 16), rel=1e-10)
         assert log(at_40).value() == pytest.approx(np.log(stray[2]), rel=1e-12)
         assert at_40.value(seed=1) != at_40.value()
-
-    def test_cells_fill_a_band(self, scene) -> None:
-        """The mean over a band is the PST of one cell as wide as the band: the rays are the same."""
+        # The mean over a band is the PST of one cell as wide as the band: the rays are the same
         band = pst_band(scene, 20, 50, method="adjoint", **TRACED)
         (view,) = band.views
         angles, width = view.arguments["field_deg"], view.arguments["cell_deg"]

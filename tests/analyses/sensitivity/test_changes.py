@@ -25,7 +25,7 @@ def ranges(slope, value=None, low=None, high=None, tolerance=None, se=None) -> R
                   given(se, 0))  # fmt: skip
 
 
-def test_alone_and_least_effort() -> None:
+def test_alone_and_together() -> None:
     """ln M falls by ln 10 after Δ = -ln 10 / s, against s; less at a bound; noise proposes nothing."""
     up, down = single_changes(ranges([2.0, -0.5], value=[1.0, 3.0]), 10.0)
     assert (up.value, up.factor, up.reached) == (pytest.approx(1 - math.log(10) / 2), pytest.approx(10), True)
@@ -47,10 +47,7 @@ def test_alone_and_least_effort() -> None:
     )  # fmt: skip
     assert least_effort(weight, most, goal) == pytest.approx(found.x, abs=1e-6)
     assert least_effort(np.ones(2), np.array([0.5, 0.25]), 3.0) == pytest.approx([0.5, 0.25])
-
-
-def test_together() -> None:
-    """The three with the largest change per tolerance, unless they have nothing to give or are not known."""
+    # The three with the largest change per tolerance, unless they have nothing to give or are not known
     given = ranges([1.0, 5.0, 3.0, 2.0], tolerance=[10.0, 0.1, 1.0, 2.0])
     found = best_together(given, 10.0)
     assert [c.number for c in found] == [0, 3, 2]

@@ -16,10 +16,8 @@ from mistray.analyses.sensitivity import draws
 from mistray.analyses.sensitivity.page import notes
 from mistray.analyses.sensitivity.propagation import propagate
 from mistray.analyses.sensitivity.proposals import free_keys
-from mistray.analyses.sensitivity.run import sensitivity
 from mistray.errors import MistrayError
-from mistray.metrics.parameters import parameters
-from mistray.optimize import path_power
+from mistray.optimize import parameters, path_power, sensitivity
 
 R, T = 0.1, 0.8
 RS, TS = [[f"p0_{face}.bsdf.{name}" for face in ("front", "rear")] for name in "RT"]
@@ -40,7 +38,7 @@ def table(plate: Any) -> Any:
 class TestClosedForm:
     """ln M = ln T1 + ln R2 + ln R1 + ln T2, tolerances 20 % of R and of 1 - T."""
 
-    def test_ranking(self, plate: Any, table: Any) -> None:
+    def test_ranking_and_proposal(self, plate: Any, table: Any) -> None:
         """And its spread; both R as one add up to (0.2 + 0.2)²."""
         assert {row.label for row in table.rows[:2]} == set(RS)
         for key in RS:
@@ -57,13 +55,8 @@ class TestClosedForm:
         (group,) = found.spread.contributions
         assert group.members == tuple(RS)
         assert found.spread.variance.value == pytest.approx(0.16, rel=1e-4)
-
-    def test_proposal(self, plate: Any, table: Any) -> None:
-        """
-        R down to 0 is a factor of e each by the linear model, and leaves nothing in the trace; T is not offered.
-
-        The factor 1.2 by ΔlnM = ln 1.2: R alone goes to R - R ln 1.2; traced it is 1/(1 - ln 1.2).
-        """
+        # R down to 0 is a factor of e each by the linear model, and leaves nothing in the trace; T is not offered
+        # The factor 1.2 by ΔlnM = ln 1.2: R alone goes to R - R ln 1.2; traced it is 1/(1 - ln 1.2)
         assert {row.label for row, _ in table.together.changes} == set(RS)
         assert table.together.factor == pytest.approx(math.e**2, rel=1e-4)
         assert not table.together.reached
@@ -267,7 +260,7 @@ def batches(changes, noise=0.0, seed=0) -> np.ndarray:
     return changes / BATCHES + noise / np.sqrt(BATCHES) * generator.standard_normal((BATCHES, len(changes)))
 
 
-def test_closed_forms_and_the_error_of_the_metric() -> None:
+def test_closed_forms_and_noise() -> None:
     """3² + 4² = 5²; what varies together adds with its signs, (3 - 4)² + 2²; and no change at all."""
     spread = propagate(["a", "b", "c"], batches([3.0, -4.0, 0.0]))
     assert spread.variance == pytest.approx((25.0, 0.0))
@@ -289,13 +282,8 @@ def test_closed_forms_and_the_error_of_the_metric() -> None:
     assert spread.variance.value == pytest.approx(25 * (1 - 1e-4))
     assert spread.deviation == pytest.approx((5.0, 0.05), rel=1e-4)
     assert spread.contributions[0].change == pytest.approx((4.0, 0.04))
-
-
-def test_noise_does_not_add_up_and_standard_errors() -> None:
-    """200 parameters of which one counts: V = 1 within 4.5 of its errors, over 100 draws on average within 4.5 σ/10.
-
-    False-alarm probability 1e-5 for both together. Uncorrected the noise would be 200 · 0.1² = 2.
-    """
+    # 200 parameters of which one counts: V = 1 within 4.5 of its errors, over 100 draws on average within 4.5 σ/10
+    # False-alarm probability 1e-5 for both together. Uncorrected the noise would be 200 · 0.1² = 2
     changes = np.zeros(200)
     changes[7] = 1.0
     found = [propagate([str(k) for k in range(200)], batches(changes, 0.1, seed)) for seed in range(100)]

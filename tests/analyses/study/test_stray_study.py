@@ -20,17 +20,15 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
+from mistray import MistrayError, Study, study
 from mistray.analyses.export.critical_rays import critical_rays
 from mistray.analyses.study.analysis import stray_light_analysis
 from mistray.analyses.study.first_order import FirstOrder, first_order
 from mistray.analyses.study.image import transfer_findings
 from mistray.analyses.study.models import mechanical_model, optical_model, role
 from mistray.analyses.study.objects import source_angles
-from mistray.analyses.study.result import Study
-from mistray.analyses.study.run import study
 from mistray.analyses.study.step import STEPS
 from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling
-from mistray.errors import MistrayError
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sources import scene_sources
@@ -337,7 +335,7 @@ def test_image_in_glass_and_near_object(load_scene):
         first_order(laser, find_design_path(SurfaceTable(laser, 550.0), laser))
 
 
-def test_newtonian():
+def test_newtonian_and_phone_camera():
     """A paraboloid: half its radius of curvature; its rim is the stop; the diagonal and its holder obstruct it."""
     found, _ = measured("newtonian")
     assert found.focal_length_mm == pytest.approx(50 * 25.4, rel=1e-7)
@@ -353,10 +351,7 @@ def test_newtonian():
     diagonal = 2 * half * (2 * half + 3 / math.sqrt(2))
     tube = 25.4 * (95.25 - 3 * 25.4)
     assert found.pupil_area_mm2 == pytest.approx(math.pi * 95.25**2 - diagonal - tube, rel=0.01)
-
-
-def test_phone_camera():
-    """Focal length and chief ray of the float64 trace that scenes/phone_camera/SOURCE.md quotes; the stop's radius."""
+    # Focal length and chief ray of the float64 trace that scenes/phone_camera/SOURCE.md quotes; the stop's radius
     found, _ = measured("phone_camera")
     assert found.focal_length_mm == pytest.approx(7.0734, abs=1e-4)
     assert found.pupil_diameter_mm == pytest.approx(2 * 1.25171162, rel=1e-4)

@@ -89,16 +89,13 @@ def test_fields(fields: Sweep) -> None:
     assert page.text(fields).count("no gain") == 1
 
 
-def test_a_sweep_without_the_scene_as_it_is(scene: Path) -> None:
+def test_ranking_and_a_sweep_without_the_scene_as_it_is(scene: Path) -> None:
     """There is nothing to compare light with; gaps are found against the file."""
     found = sweep(scene, ANGLE, 550.0, {"lifted": EDITS["lifted"]}, rays=2000, max_scatters=1, cache=False)
     assert found.entering("lifted", ANGLE) == ()
     assert len(found.gaps["lifted"]) == 1
     assert "entering" not in found.to_pandas()
-
-
-def test_ranking(scene: Path) -> None:
-    """A step of an edit that opens a gap is named, and comes after those that open none."""
+    # A step of an edit that opens a gap is named, and comes after those that open none
     ranking = rank_edits(scene, ANGLE, "single_scatter", rays=10_000, max_scatters=1)
     opening = [edit.label for edit in ranking.edits if edit.gaps]
     sheet = ranking["sheet.z"]

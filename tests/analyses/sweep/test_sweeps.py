@@ -18,20 +18,13 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 from refusals import each_refused, refused
 
 import mistray
+from mistray import sweeps
 from mistray.analyses.sweep.configurations import resolve
 from mistray.materials import refractive_index
 from mistray.optimize import pst_bin
 from mistray.physics import thinfilm
 from mistray.prescription import Structure
-from mistray.sweeps import (
-    Configuration,
-    EditRanking,
-    PstSweep,
-    rank_edits,
-    read_configurations,
-    sweep_pst,
-    write_configuration,
-)
+from mistray.sweeps import write_configuration
 
 FEW = {"rays": 256, "cache": False}
 REFLECTANCES = {"weak": (0.1, 0.8), "strong": (0.3, 0.6)}
@@ -164,7 +157,7 @@ def test_wrong_arguments(plate: Path) -> None:
     each_refused(
         (([0], [550, 550]), "give every wavelength once"),
         (([0], 550, {}), "configurations is empty"),
-        (([0], 550, [Configuration("a", {})] * 2), "configuration 'a' is given twice"),
+        (([0], 550, [sweeps.Configuration("a", {})] * 2), "configuration 'a' is given twice"),
         (([0], 550, {"a": 1.0}), "configurations: .* is none"),
         (([0], 550, {"a": {"p0_frnt.z": 1}}), "'a': the scene has no parameter 'p0_frnt.z'; did you"),
         (([0], 550, {"a": {"q*.z": 1}}), r"no parameter 'q\*.z'"),
@@ -186,7 +179,7 @@ def test_wrong_arguments(plate: Path) -> None:
 
 class TestToml:
     def test_values(self) -> None:
-        found = read_configurations(vectors.DATA / "zoom_states.toml")
+        found = sweeps.read_configurations(vectors.DATA / "zoom_states.toml")
         assert [one.name for one in found] == ["as designed", "tele", "warm"]
         assert [dict(one.values) for one in found] == [
             {}, {"G2.z": (1.5,), "AR.thickness_nm": (90.0, 120.5)}, {"N-BK7.index": (1e-4,)},
@@ -195,7 +188,7 @@ class TestToml:
     def test_the_example(self) -> None:
         path = Path(__file__).parents[3] / "examples" / "triplet_states.toml"
         scene = mistray.load("cooke_triplet")
-        designed, warm, moved = resolve(scene, mi.traverse(scene), read_configurations(path))
+        designed, warm, moved = resolve(scene, mi.traverse(scene), sweeps.read_configurations(path))
         assert designed.values == {}
         assert set(moved.values) >= {"L2_front.z", "L2_rear.z", "L2_edge.z"}
         glasses = [key for key, value in warm.values.items() if value == np.float32(1e-4)]
@@ -205,11 +198,11 @@ class TestToml:
     def test_wrong(self, tmp_path: Path) -> None:
         path = tmp_path / "states.toml"
         with refused(r"configurations '.*states\.toml': No such file or directory"):
-            read_configurations(path)
+            sweeps.read_configurations(path)
         for text, words in vectors.toml("refusals.toml")["configurations"]:
             path.write_text(text, encoding="utf-8")
             with refused(words):
-                read_configurations(path)
+                sweeps.read_configurations(path)
 
 
 NAMED = (("far", 3), ("near", 1))
@@ -227,7 +220,7 @@ def numbers(scene) -> dict[str, np.ndarray]:
 def test_a_move(tmp_path, scene: str, key: str, step: float) -> None:
     """One surface, and a lens as a body: all its surfaces and edges go the same way, nothing else does."""
     before = numbers(mistray.load(scene))
-    file = write_configuration(scene, Configuration("moved", {key: step}), tmp_path / "moved.xml")
+    file = write_configuration(scene, sweeps.Configuration("moved", {key: step}), tmp_path / "moved.xml")
     after = numbers(mistray.load(file))
     assert before.keys() == after.keys()
     part, _, axis = key.rpartition(".")
@@ -282,12 +275,12 @@ def scene(tmp_path: Path) -> Path:
     return write(tmp_path, plate_and_wall())
 
 
-def swept(scene: Path | mi.Scene, *configurations: Configuration, **more: Any) -> PstSweep:
-    return sweep_pst(scene, configurations, [FIELD], rays=RAYS, max_scatters=1, **more)
+def swept(scene: Path | mi.Scene, *configurations: sweeps.Configuration, **more: Any) -> sweeps.PstSweep:
+    return sweeps.sweep_pst(scene, configurations, [FIELD], rays=RAYS, max_scatters=1, **more)
 
 
 def test_nothing_changes_nothing(scene: Path) -> None:
-    found = swept(scene, Configuration("nothing"))
+    found = swept(scene, sweeps.Configuration("nothing"))
     assert found.configurations == ("as it is", "nothing")
     change = found.changed("nothing", FIELD, "total")
     assert change.ratio == 1
@@ -295,39 +288,38 @@ def test_nothing_changes_nothing(scene: Path) -> None:
     assert change.before_se > 0
     assert not any("no stray light" in text for text in found.warnings)
     # Without scatter and reflections there is none: 0 ± 0 is no measurement
-    dark = sweep_pst(scene, [Configuration("nothing")], [FIELD], rays=1000, max_scatters=0, max_reflections=0)
+    dark = sweeps.sweep_pst(
+        scene, [sweeps.Configuration("nothing")], [FIELD], rays=1000, max_scatters=0, max_reflections=0
+    )
     (text,) = [text for text in dark.warnings if "no stray light" in text]
     assert "10 deg" in text
 
 
 def test_edits_say_that_their_light_is_unpolarised(tmp_path: Path) -> None:
     """The ghost of a plate at 45° is 1.548 times as bright by Stokes vectors; what is given is taken."""
-    scene, edit = write(tmp_path, plates_text(1)), Configuration("bent", {"p0_front.curvature": [1e-5]})
+    scene, edit = write(tmp_path, plates_text(1)), sweeps.Configuration("bent", {"p0_front.curvature": [1e-5]})
     told = "Stokes vectors change the ghost p0_rear → p0_front by +54.8"
-    found = sweep_pst(scene, [edit], [45.0], rays=2000)
+    found = sweeps.sweep_pst(scene, [edit], [45.0], rays=2000)
     assert [text.partition(": ")[0] for text in found.warnings if told in text] == ["as it is", "bent"]
-    assert not sweep_pst(scene, [edit], [45.0], rays=2000, polarization="unpolarized").warnings
-    assert any(told in text for text in rank_edits(scene, 45.0, rays=2000, keys=["p0_front.z"]).left_out)
+    assert not sweeps.sweep_pst(scene, [edit], [45.0], rays=2000, polarization="unpolarized").warnings
+    assert any(told in text for text in sweeps.rank_edits(scene, 45.0, rays=2000, keys=["p0_front.z"]).left_out)
 
 
-def test_painted_and_moved_light_is_in_proportion(scene: Path) -> None:
+def test_paint_coating_block_and_errors(scene: Path) -> None:
     """What the wall scatters once goes with its reflectance, ray by ray: the error of the ratio is that of float32."""
     found = swept(
         scene,
-        Configuration("paint", paint={"w*": 0.1}),
-        Configuration("preset", paint={"wall": "flat_black"}),
-        Configuration("black", paint={"wall": 0.0}),
-        Configuration("value", {"wall.bsdf.paint.reflectance": 0.3}),
+        sweeps.Configuration("paint", paint={"w*": 0.1}),
+        sweeps.Configuration("preset", paint={"wall": "flat_black"}),
+        sweeps.Configuration("black", paint={"wall": 0.0}),
+        sweeps.Configuration("value", {"wall.bsdf.paint.reflectance": 0.3}),
     )
     for name, expected in (("paint", 0.25), ("preset", 0.045 / 0.4), ("black", 0.0), ("value", 0.75)):
         change = found.changed(name, FIELD, "single_scatter")
         assert change.ratio == pytest.approx(expected, rel=1e-4), name
         assert change.ratio_se < 1e-4 * max(expected, 1e-9) + 1e-12 < change.before_se / change.before
-
-
-def test_a_coating(scene: Path) -> None:
-    """The direct image goes with T of the plate, at 10° and unpolarised."""
-    found = swept(scene, Configuration("coat", coat={"plate": "MgF2 99.64"}), cell_deg=0.2)
+    # The direct image goes with T of the plate, at 10° and unpolarised
+    found = swept(scene, sweeps.Configuration("coat", coat={"plate": "MgF2 99.64"}), cell_deg=0.2)
     change = found.changed("coat", FIELD, "direct")
     cosine = np.cos(np.radians(FIELD))
     n = complex(refractive_index("MgF2", 550.0))
@@ -336,26 +328,17 @@ def test_a_coating(scene: Path) -> None:
         for layers, nm in (([n], [99.64]), ([], []))
     )
     assert change.ratio == pytest.approx(coated / bare, rel=1e-4)
-
-
-def test_a_block(scene: Path) -> None:
-    """A disc before the detector takes all; one that stands aside nothing, and it widens the beam of forward rays."""
-    covers = Configuration("covers", block=[Structure("covers", 0.0, 19.0, 15.0, 19.0)])
-    aside = Configuration("aside", block=[Structure("aside", 50.0, 19.0, 51.0, 19.0)])
+    # A disc before the detector takes all; one that stands aside nothing, and it widens the beam of forward rays
+    covers = sweeps.Configuration("covers", block=[Structure("covers", 0.0, 19.0, 15.0, 19.0)])
+    aside = sweeps.Configuration("aside", block=[Structure("aside", 50.0, 19.0, 51.0, 19.0)])
     assert swept(scene, covers).changed("covers", FIELD, "direct").after == 0
     for method in ("joined", "forward"):
         change = swept(scene, aside, method=method).changed("aside", FIELD, "total")
         assert (change.ratio, change.ratio_se) == (pytest.approx(1, abs=1e-6), pytest.approx(0, abs=1e-6))
         assert change.before_se > 0
-
-
-def test_the_error_of_the_ratio(scene: Path) -> None:
-    """
-    Of 12 seeds the ratios spread as their errors say.
-
-    χ² of 11 degrees of freedom between its quantiles 1e-4 and 1 - 1e-4; a rim that blocks a part of the light.
-    """
-    rim = Configuration("rim", block=[Structure("rim", 2.0, 15.0, 30.0, 15.0)])
+    # Of 12 seeds the ratios spread as their errors say
+    # χ² of 11 degrees of freedom between its quantiles 1e-4 and 1 - 1e-4; a rim that blocks a part of the light
+    rim = sweeps.Configuration("rim", block=[Structure("rim", 2.0, 15.0, 30.0, 15.0)])
     changes = [swept(scene, rim, seed=seed).changed("rim", FIELD, "total") for seed in range(12)]
     ratios, errors = (np.array([getattr(change, key) for change in changes]) for key in ("ratio", "ratio_se"))
     chi2 = np.sum(((ratios - np.average(ratios, weights=errors**-2)) / errors) ** 2)
@@ -371,7 +354,7 @@ def test_tables_and_command(ringed: Path, tmp_path: Path, capsys: pytest.Capture
         '[[configuration]]\nname = "coated"\ncoat = { "plate" = "MgF2 99.64" }\n',
         encoding="utf-8",
     )
-    grey, rim, coated = read_configurations(edits)
+    grey, rim, coated = sweeps.read_configurations(edits)
     assert grey.paint == {"wall": 0.2}
     assert rim.block == [Structure("rim", 4.0, 15.0, 30.0, 15.0)]
     assert (coated.coat, coated.rebuilds) == ({"plate": "MgF2 99.64"}, True)
@@ -402,29 +385,31 @@ def test_wrong_edits_are_refused(scene: Path, capsys: pytest.CaptureFixture[str]
         ({"coat": {"plate": "bbr3"}}, "coating 'bbr3'.*did you mean 'bbar3'"),
         ({"coat": {"wall": "bbar3"}}, "'wall' is opaque; give an opaque coating"),
         ({"block": [Structure("wall", 1.0, 0.0, 2.0, 0.0)]}, "it has an object 'wall' already"),
-        by=lambda change: swept(scene, Configuration("x", **change)),
+        by=lambda change: swept(scene, sweeps.Configuration("x", **change)),
         pattern="configuration 'x'.*{}",
     )
     with refused("relative_error would give the runs different rays"):
-        swept(scene, Configuration("x"), relative_error=0.1)
+        swept(scene, sweeps.Configuration("x"), relative_error=0.1)
     with refused("this name is that of the scene without changes"):
-        swept(scene, Configuration("as it is"))
+        swept(scene, sweeps.Configuration("as it is"))
     with refused("no configuration 'y'"):
-        swept(scene, Configuration("x")).changed("y", FIELD)
+        swept(scene, sweeps.Configuration("x")).changed("y", FIELD)
     for more in (["--pst-field-deg", "10"], ["none.toml", "--pst-field-deg", "10", "--field-deg", "1"]):
         fails(capsys, "sweep", scene, *more)
 
 
 def test_a_loaded_scene(scene: Path) -> None:
     """Edits of a loaded scene are those of its file, with its numbers as they are; it stays as it is."""
-    key, paint = "wall.bsdf.paint.reflectance", Configuration("paint", paint={"w*": 0.1})
+    key, paint = "wall.bsdf.paint.reflectance", sweeps.Configuration("paint", paint={"w*": 0.1})
     loaded = mistray.load(scene)
     params = mi.traverse(loaded)
     assert swept(loaded, paint).changed("paint", FIELD, "single_scatter").ratio == pytest.approx(0.25, rel=1e-4)
     assert np.ravel(params[key]) == pytest.approx([0.4])
     params[key] = type(params[key])(0.2)
     params.update()
-    assert swept(loaded, Configuration("back", {key: 0.4})).changed("back", FIELD).ratio == pytest.approx(2, rel=1e-4)
+    assert swept(loaded, sweeps.Configuration("back", {key: 0.4})).changed("back", FIELD).ratio == pytest.approx(
+        2, rel=1e-4
+    )
     assert np.ravel(params[key]) == pytest.approx([0.2])
     with refused(r"configuration 'paint': 'wall.bsdf.paint.reflectance' of the scene is"):
         swept(loaded, paint)
@@ -435,10 +420,10 @@ def test_a_loaded_scene(scene: Path) -> None:
     light = {"type": "collimated", "radius": 3.0, "to_world": place}
     given = {"type": "scene", "light": light, "detector": detector}
     loaded = mistray.load(given)
-    found = sweep_pst(loaded, {"moved": {"detector.z": 1.0}}, [FIELD], rays=2000)
+    found = sweeps.sweep_pst(loaded, {"moved": {"detector.z": 1.0}}, [FIELD], rays=2000)
     assert found.changed("moved", FIELD, "direct").ratio == pytest.approx(1, abs=0.05)
     with refused("a scene of a dict cannot be painted"):
-        sweep_pst(loaded, [Configuration("dark", paint={"detector": 0.1})], [FIELD], rays=2000)
+        sweeps.sweep_pst(loaded, [sweeps.Configuration("dark", paint={"detector": 0.1})], [FIELD], rays=2000)
 
 
 @pytest.fixture(scope="module")
@@ -449,8 +434,8 @@ def ringed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("edits"), plate_and_wall(film, ring))
 
 
-def ranked(scene: Any, light: str = "total", **more: Any) -> EditRanking:
-    return rank_edits(scene, [ANGLE], light, **{"rays": 30_000, "max_scatters": 1, "cell_deg": CELL, **more})
+def ranked(scene: Any, light: str = "total", **more: Any) -> sweeps.EditRanking:
+    return sweeps.rank_edits(scene, [ANGLE], light, **{"rays": 30_000, "max_scatters": 1, "cell_deg": CELL, **more})
 
 
 def through_the_hole(hole: float = HOLE, distance: float = DISTANCE, nm: float = LAYER_NM) -> float:
@@ -499,7 +484,7 @@ def test_closed_forms(ringed: Path) -> None:
 def test_parts_move_as_a_whole() -> None:
     """The derivative by the place of a lens is the sum of those by its surfaces, which are no edits of their own."""
     scene, settings = mistray.load("baffle_tube"), {"rays": 20_000, "max_scatters": 1, "cell_deg": 8}
-    found = rank_edits(scene, [6], keys=["lens_front.z", "detector.z", "*.tilt_x"], **settings)
+    found = sweeps.rank_edits(scene, [6], keys=["lens_front.z", "detector.z", "*.tilt_x"], **settings)
     keys = ["lens_front.z", "lens_rear.z", "lens_edge.z"]
     gradient = mistray.gradient(pst_bin(scene, 6, **settings), mi.traverse(scene), keys)
     whole = sum(gradient.gradient[key][0] for key in keys)
@@ -511,7 +496,7 @@ def test_parts_move_as_a_whole() -> None:
 
 
 def test_several_angles_ranking_and_steps(ringed: Path) -> None:
-    both = rank_edits(ringed, [ANGLE, 25.0], "total", rays=20_000, max_scatters=1)
+    both = sweeps.rank_edits(ringed, [ANGLE, 25.0], "total", rays=20_000, max_scatters=1)
     metric = pst_bin(mistray.load(ringed), 25.0, "total", pst_field_deg=[ANGLE, 25.0], rays=20_000, max_scatters=1)
     # One width of the zones at rims for all edits, where a gradient by one of them may choose another
     gradient = mistray.gradient(metric, mi.traverse(metric.scene), ["ring.r0"], edge_width=both.edge_width[1])
@@ -545,6 +530,6 @@ def test_wrong_steps_are_refused(ringed: Path, capsys: pytest.CaptureFixture[str
         by=lambda change: ranked(ringed, **change),
     )
     with refused("field_deg is empty"):
-        rank_edits(ringed, [])
+        sweeps.rank_edits(ringed, [])
     for more in ("--rank", "--pst-field-deg 10 --step rim=1", "--pst-field-deg 10 --rank --step rim"):
         fails(capsys, "sweep", ringed, *more.split())

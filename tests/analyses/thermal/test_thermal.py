@@ -18,11 +18,9 @@ from scipy.integrate import quad
 from scipy.special import expn
 from vectors import frame
 
+from mistray import MistrayError, ThermalReport, thermal
 from mistray.analyses.thermal.request import DetectorNoise
-from mistray.analyses.thermal.result import ThermalReport
-from mistray.analyses.thermal.run import thermal
 from mistray.analyses.thermal.spectrum import TracedBand, band_weights, traced_wavelengths
-from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.physics import planck
 from mistray.physics.netd import netd_by_detectivity, netd_by_photons
@@ -315,7 +313,7 @@ class TestCavity:
         assert any(e.name == "detector" and e.emission.value > 0 for e in report.emitters)
 
 
-def test_absorbing_medium(load: Load) -> None:
+def test_media_absorb_and_walls_emit(load: Load) -> None:
     """Constant k and index 1: 1 - exp(-4πk t/(λ cos θ)) over angle and band; interpolation in λ costs 1e-3."""
     k, thickness, near = 2e-4, 5.0, 1.0
     medium = f"1+{k:g}i"
@@ -338,9 +336,6 @@ def test_absorbing_medium(load: Load) -> None:
     assert slab.irradiance_W_mm2.se < 0.01 * expected
     assert_z("slab", slab.irradiance_W_mm2.value, expected, slab.irradiance_W_mm2.se, k=4.0, floor=4e-3 * expected)
     assert f"({medium})" in report.by_part()
-
-
-def test_emissivity_is_what_is_neither_reflected_nor_transmitted(load: Load) -> None:
     sheets = {"dark": (0.1, 0.0), "half": (0.1, 0.5), "clear": (0.25, 0.75)}
     scene = load(
         detector_xml(R=0.3),

@@ -177,7 +177,7 @@ def test_scales_do_not_matter(load_scene, size):
     assert_z("STF", stf.value * detected, expected, stf.se, floor=2e-4, false_alarm=1e-3)
 
 
-def test_frequencies_that_float32_does_not_resolve_fade(load_scene):
+def test_smooth_mirrors_wavelengths_and_errors(load_scene):
     """A mirror of 200 km: places of rays are good to centimetres, and these frequencies see no scatter."""
     found = mistray.transfer(load_scene(paraboloid_text(HALO, size=1e6)), frequencies_per_mm=[10.0, 40.0], rays=2000)[0]
     stf, floor = found.stf(), found.veiling_floor
@@ -189,9 +189,6 @@ def test_frequencies_that_float32_does_not_resolve_fade(load_scene):
     assert found.books["escaped"].value > found.books["scatter"].value
     assert found.composite().value[0] == pytest.approx(1, abs=1e-12)
     assert found.edges_mm[-1] < 0.8
-
-
-def test_a_smooth_mirror_has_no_stray_light(load_scene):
     smooth = bsdf_xml("k_correlation", rms_nm=0.0, B_um=B_UM, slope=3.0, event="reflection")
     found = mistray.transfer(load_scene(paraboloid_text(smooth)), rays=1000)[0]
     assert found.veiling_floor.value == 1
@@ -204,10 +201,7 @@ def test_a_smooth_mirror_has_no_stray_light(load_scene):
     outside = 1 - found.encircled_energy(radii, stray=False).value
     expected = 1 - airy_encircled(radii, LINE * 1e-6, FOCUS / (2 * RADIUS))
     np.testing.assert_allclose(outside, expected, rtol=0.08)
-
-
-def test_wavelengths_are_added_by_their_light(load_scene):
-    """The sum over wavelengths of lens times (direct + scatter), with the shares of a trace of each."""
+    # The sum over wavelengths of lens times (direct + scatter), with the shares of a trace of each
     scene = load_scene(paraboloid_text(HALO))
     nu = [0.0, 0.1, 5.0, 40.0]
     lines, weights = [500.0, 700.0], [1.0, 3.0]
@@ -217,10 +211,7 @@ def test_wavelengths_are_added_by_their_light(load_scene):
     found = both.composite()
     se = np.sqrt(found.se**2 + sum((s * one.composite().se) ** 2 for s, one in zip((0.25, 0.75), each, strict=True)))
     assert_z("MTF", found.value, expected, se, floor=1e-6, false_alarm=1e-3)
-
-
-def test_errors_hold_over_seeds(load_scene):
-    """Spread of 60 seeds over the printed errors, pooled: 0.85 … 1.15; of one number a false alarm is below 0.1."""
+    # Spread of 60 seeds over the printed errors, pooled: 0.85 … 1.15; of one number a false alarm is below 0.1
     scene = load_scene(paraboloid_text(HALO, detector=5.0))
     quality = mistray.image_quality(scene)
     nu = np.array([0.1, 0.3, 1.0, 3.0, 10.0, 40.0])

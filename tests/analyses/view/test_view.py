@@ -365,7 +365,7 @@ def traced(triplet):
     return mistray.trace(triplet, rays=2_000, field_deg=10.0, max_reflections=2, max_scatters=0)
 
 
-def test_every_hit_lies_on_the_surface_that_its_event_names(triplet, traced):
+def test_hits_lie_on_their_surfaces_and_pages_are_small(triplet, traced):
     seen = mistray.view(triplet, traced, paths=3, rays=4)
     surfaces = {shape.id(): shape for shape in triplet.shapes()}
     met = set()
@@ -384,9 +384,6 @@ def test_every_hit_lies_on_the_surface_that_its_event_names(triplet, traced):
     for ray in rays_of_paths(traced, [0, 1], n=2):
         assert (np.diff(ray.flux_W) <= 0).all()
         assert ray.flux_W[0] == pytest.approx(traced.energy.launched_W / 2_000)
-
-
-def test_a_page_of_many_surfaces_is_small(triplet, traced):
     seen = mistray.view(mistray.load("phone_camera"))
     assert len(seen.surfaces) > 60
     assert len(seen.html().encode()) < 6_000_000
