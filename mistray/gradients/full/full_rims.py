@@ -32,7 +32,7 @@ from mistray.surfaces.upload import download
 
 RAYS = 64  # number of rays along the edge of a beam
 CLOSE = 0.1  # distance of the edge of a beam, in units of the zone, within which it just fills a rim
-INSIDE = 2.0  # distance inside of the edge, in units of `CLOSE` times the width, at which light must continue
+INSIDE = 2.0  # distance inside the edge, in units of `CLOSE` times the width, at which light must continue
 ARC = 3  # rays in a row that must run along a rim: an edge that touches it in a point has no first-order effect
 ALONG = 0.1  # change of the distance per length along the edge, below which the edge runs along the rim
 EXACT = 0.03  # in units of the zone: an edge that stays this near to a rim counts as lying on it

@@ -306,7 +306,7 @@ def test_one_row_for_each_kind_of_surface() -> None:
     # the rear of a lens is drawn from the air as well
     behind = spectrum(Bare(), WAVELENGTHS, [30.0], "1.6", "air", from_front=False).mean()[:, 0]
     np.testing.assert_allclose(curve(figure.axes[2], "30°"), 100 * behind)
-    with pytest.raises(MistrayError, match="not an optical surface"):
+    with pytest.raises(MistrayError, match="no optical surface"):
         coated_surfaces(SimpleNamespace(shapes=list))
 
 

@@ -422,7 +422,7 @@ class TestWavelengths:
         with pytest.raises(MistrayError, match=r"surface 'lens' at 8 µm: .*2500 nm.*"):
             thermal(scene, 293.0, BAND)
         report = thermal(scene, 293.0, BAND, wavelengths_um=2.0, rays=1000, aim="none")
-        assert "outside of the band" in report.notes[-1]
+        assert "outside the band" in report.notes[-1]
         scene = load(detector_xml(), placed_xml("asphere", "window", at=(0, 0, -5), semi_diameter=1.0))
         with pytest.raises(MistrayError, match="give one or more in ascending order"):
             thermal(scene, wavelengths_um=[9.0, 8.0], rays=1000, aim="none")
