@@ -326,9 +326,10 @@ class Pilot:
         error = np.sqrt(shared_squares)
         least, most = (_ratio(follows + errors * error, weight) / mean for errors in (-1, BOUND))
         inverse_upper = np.maximum(np.sqrt(_ratio(squares, weight_squares) / moment), least)
-        return _rounded(
-            np.stack([inverse_upper, np.where(shared_squares > 0, np.maximum(most, inverse_upper), 0)])
-        ).astype(np.float32)
+        # Forward rays are split only: roulette would take those that matter to derivatives by faint scatterers
+        by_roulette = (shared_squares > 0) & (not forward)
+        lower = np.where(by_roulette, np.maximum(most, inverse_upper), 0)
+        return _rounded(np.stack([inverse_upper, lower])).astype(np.float32)
 
     def _values(self, rays: np.ndarray, light: np.ndarray) -> np.ndarray:
         """
