@@ -497,7 +497,8 @@ def _checked_data(
     if spread.shape not in (data.shape, 2 * data.shape):
         raise MistrayError(f"noise has the shape {spread.shape}; give {len(data)} standard errors or their covariance")
     if spread.ndim == 1:
-        spread = np.diag(np.square(spread))
+        with np.errstate(over="ignore"):  # an infinite square is refused below
+            spread = np.diag(np.square(spread))
     if not np.all(np.isfinite(spread)):
         raise MistrayError(f"noise is {shown(noise)}; give finite numbers, whose squares are finite, too")
     if not np.all(np.diag(spread) > 0):
@@ -564,7 +565,9 @@ def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.n
     if np.any(free):
         shortest = np.sqrt(ALIKE) * np.eye(int(np.sum(free)))
         scaled, sought = np.vstack([rows[:, free] / size[free], shortest]), np.append(aims, np.zeros(len(shortest)))
-        found = lsq_linear(scaled, sought, room[:, free] * size[free], method="bvls")
+        with np.errstate(over="ignore"):  # an infinite bound is none
+            within = room[:, free] * size[free]
+        found = lsq_linear(scaled, sought, within, method="bvls")
         step[free] = found.x / size[free]
     return np.clip(step, *room)
 
