@@ -263,7 +263,8 @@ class AllCells:
             assert self.unscattered is not None
             threshold = settings.flux_threshold / float(self.unscattered.max())
             settings = replace(settings, max_scatters=0, flux_threshold=threshold)
-            scene = replace(scene, competing=replace(scene.competing, connects=False))
+            # Nothing is split that does not scatter, nor counts as throughput that could
+            scene = replace(scene, competing=replace(scene.competing, connects=False), windows=None)
 
         # The threshold of unscattered light changes from round to round, but the time per ray, by which launches are
         # sized, does not

@@ -407,6 +407,11 @@ def test_windows_of_scenes_kernel_and_pilot() -> None:
     # Both estimate parts of the same sums: large rows of one are large rows of the other
     large = by_backward > 0.02 * by_backward.max()
     assert by_forward[large].sum() > 0.8 * by_forward.sum()
+    # Rays for unscattered light alone bring no throughput to scattering surfaces
+    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), one, 0 * one, unscattered=4 * one))
+    scattered, clear = AllCells(trace).samples(np.array([1 << 12]), 0, one)
+    assert scattered.importance[0].any()
+    assert not clear.importance.any()
 
 
 @pytest.mark.parametrize("forward", [False, True])
