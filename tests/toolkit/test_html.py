@@ -241,7 +241,7 @@ def test_tables_are_no_wider_than_the_page(tmp_path):
     assert runs("TTTRA") == "T×3 R A"
     assert [_cell(value) for value in (Estimate(1.5, 0.1), "a </ b")] == ["1.50\n±\u00a00.10", "a </ b"]
     report = Report("Heading", "scene", [Section("a", "First", [NotePart("text")])], page="objects.html")
-    (path,) = write_formats(["pdf"], tmp_path, {}, {}, report=report)
+    (path,) = write_formats(iter(["pdf"]), tmp_path, {}, {}, report=report)
     assert path.name == "objects.pdf"
     assert pages_of(path.read_bytes()) == 1
 

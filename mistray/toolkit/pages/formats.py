@@ -92,12 +92,13 @@ def write_formats(
     >>> [file.name for file in files]
     ['paths.parquet', 'image.npy']
     """
-    require_formats(formats)
+    chosen = dict.fromkeys(Several(TEXT, least=0).check("formats", formats))
+    require_formats(tuple(chosen))
     folder = Path(directory)
     written = []
     ByName(ANYTHING, "{'paths.csv': trace.paths.to_pandas()}").check_all("", tables=tables, facts=facts)
     ByName(OfType(IrradianceMap, "must be an IrradianceMap"), "{'image': IrradianceMap.of(trace)}").check("maps", maps)
-    for name in dict.fromkeys(Several(TEXT, least=0).check("formats", formats)):
+    for name in chosen:
         if name in FORMATS:
             written += [write_irradiance(one, folder / f"{stem}.{name}") for stem, one in maps.items()]
         elif name == RAYS:
