@@ -75,12 +75,7 @@ class CoatingModel(Protocol):
         ...
 
     def response(
-        self,
-        wavelength_nm: float,
-        n_front: complex,
-        n_back: complex,
-        cos_incident: npt.ArrayLike,
-        from_front: bool,
+        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: npt.ArrayLike, from_front: bool
     ) -> Response:
         """
         Return R, T and phases of the coating for light from one side.

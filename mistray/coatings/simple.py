@@ -51,12 +51,7 @@ class Bare:
     opaque: bool = False
 
     def response(
-        self,
-        wavelength_nm: float,
-        n_front: complex,
-        n_back: complex,
-        cos_incident: npt.ArrayLike,
-        from_front: bool,
+        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: npt.ArrayLike, from_front: bool
     ) -> Response:
         """Return R, T and phases for light from one side, see `CoatingModel.response`."""
         return layered_response((), (), wavelength_nm, n_front, n_back, cos_incident, from_front)
@@ -100,12 +95,7 @@ class Ideal:
         return self.T == 0
 
     def response(
-        self,
-        wavelength_nm: float,
-        n_front: complex,
-        n_back: complex,
-        cos_incident: npt.ArrayLike,
-        from_front: bool,
+        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: npt.ArrayLike, from_front: bool
     ) -> Response:
         """Return R, T and phases for light from one side, see `CoatingModel.response`; phase_r is π, phase_t 0."""
         cosine = cosines(cos_incident)

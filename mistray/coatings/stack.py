@@ -162,12 +162,7 @@ class Stack:
         return indices[order], thickness[order], order
 
     def response(
-        self,
-        wavelength_nm: float,
-        n_front: complex,
-        n_back: complex,
-        cos_incident: npt.ArrayLike,
-        from_front: bool,
+        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: npt.ArrayLike, from_front: bool
     ) -> Response:
         """Return R, T and phases for light from one side, see `CoatingModel.response`; T = 0 if `opaque`."""
         indices, thickness, _ = self.front_to_back(wavelength_nm, n_front, n_back)

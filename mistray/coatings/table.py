@@ -152,12 +152,7 @@ class CoatingTable:
         return not np.any(self.shares[:, :, THROUGH])
 
     def response(
-        self,
-        wavelength_nm: float,
-        n_front: complex,
-        n_back: complex,
-        cos_incident: npt.ArrayLike,
-        from_front: bool,
+        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: npt.ArrayLike, from_front: bool
     ) -> Response:
         """
         Return R, T and phases for light from one side, see `CoatingModel.response`.
