@@ -14,6 +14,7 @@ from mistray.errors import MistrayError
 from mistray.physics.thinfilm import amplitudes_and_shares
 from mistray.ranges import shown
 
+COSINE_ROUNDING = 1e-6  # of a product of two unit vectors, of float32, too
 
 @dataclass(frozen=True, eq=False)
 class Response:
@@ -136,13 +137,17 @@ def layered_response(
 
 
 def cosines(given: npt.ArrayLike) -> np.ndarray:
-    """Return one or several cosines of incidence as an array, (m,); raise `MistrayError` for others."""
+    """
+    Return one or several cosines of incidence as an array, (m,), each within 0 … 1.
+
+    Products of unit vectors may lie beyond by `COSINE_ROUNDING`; they become 0 or 1. Raise `MistrayError` for others.
+    """
     found = np.zeros((0, 0))
     with contextlib.suppress(TypeError, ValueError):
         found = np.atleast_1d(np.asarray(given, dtype=np.float64))
-    if found.ndim != 1 or not np.all((found >= 0) & (found <= 1)):
+    if found.ndim != 1 or not np.all((found >= -COSINE_ROUNDING) & (found <= 1 + COSINE_ROUNDING)):
         raise MistrayError(f"cos_incident is {shown(given)}; give cosines of angles of incidence, 0 … 1")
-    return found
+    return found.clip(0.0, 1.0)
 
 
 def total_reflection(n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool) -> np.ndarray:

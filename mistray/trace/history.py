@@ -267,7 +267,8 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
         here = lanes[lanes // PASS_LANES == number] - number * PASS_LANES
         sample = run.start_pass(int(number)).take(upload(mi.UInt32, here))
         origins, directions = run.exact(sample)
-        place = {int(lane): k for k, lane in enumerate(np.array(sample.lane))}
+        numbers = np.array(sample.lane)
+        by_number = np.argsort(numbers)
         for part in np.split(
             np.arange(len(here)), FIRST_RAYS * 2 ** np.arange(int(np.log2(SAMPLE_RAYS / FIRST_RAYS)) + 1)
         ):
@@ -276,9 +277,10 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
             recorder.clear()
             run.trace_trees(sample.take(upload(mi.UInt32, part)), recorder)
             missing = np.array([len(rays) < most for rays in found.values()])
-            slots = _requested(recorder, own.keys[missing], most)
-            starts = [place[int(lane)] for lane in np.array(recorder.lane)[slots]]
-            rays = rays_in_slots(run, recorder, slots, origins[starts], directions[starts])
+            found_numbers = np.array(recorder.lane)[: recorder.kept]
+            starts = by_number[np.searchsorted(numbers, found_numbers, sorter=by_number)]
+            slots = _requested(recorder, own.keys[missing], most, starts)
+            rays = rays_in_slots(run, recorder, slots, origins[starts[slots]], directions[starts[slots]])
             for path_id, ray in zip(own.ids_of(np.array(recorder.path)[slots]).tolist(), rays, strict=True):
                 if len(found[path_id]) < most:
                     found[path_id].append(ray)
@@ -287,10 +289,15 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
     return found
 
 
-def _requested(recorder: BranchRecorder, keys: np.ndarray, most: int) -> np.ndarray:
-    """Return the recorder slots, (n,) int, of at most `most` branches of each path whose key is in `keys`."""
+def _requested(recorder: BranchRecorder, keys: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
+    """
+    Return the recorder slots, (n,) int, of at most `most` branches of each path whose key is in `keys`.
+
+    These come from the first start rays, by the place of each branch's start ray in the sample, `starts`: the threads
+    claim slots in any order.
+    """
     paths = np.array(recorder.path)[: recorder.kept]
-    order = np.argsort(paths, kind="stable")
+    order = np.lexsort((starts, paths))
     ends = [np.searchsorted(paths[order], keys, side) for side in ("left", "right")]
     parts = [order[first : min(last, first + most)] for first, last in zip(*ends, strict=True)]
     return np.concatenate([np.zeros(0, dtype=np.int64), *parts])

@@ -136,6 +136,8 @@ def test_grazing_light_absorbing_media_and_ideal_shares() -> None:
     for front, back in ((1 + 0j, CROWN), (CROWN, 1 + 0j), (1.2 + 0j, ALUMINIUM), (1 + 0j, 1 + 0j)):
         grazing = Bare().response(550.0, front, back, np.array([0.0, 1e-12, 0.5]), True)
         np.testing.assert_allclose(grazing.R + grazing.T, 1.0, atol=1e-12)
+        rounded = Bare().response(550.0, front, back, [np.nextafter(1.0, 2.0), -1e-17], True)  # of unit vectors
+        np.testing.assert_array_equal(rounded.R, Bare().response(550.0, front, back, [1.0, 0.0], True).R)
     # R + T > 1 is possible for waves that decay along their way; only the real part of their index counts
     grey = Bare().response(550.0, 1.5 + 0.01j, 1 + 0j, MANY, True)
     clear = Bare().response(550.0, 1.5 + 0j, 1 + 0j, MANY, True)

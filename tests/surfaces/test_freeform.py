@@ -155,6 +155,27 @@ def test_the_kernel_keeps_to_an_outline_and_light_the_other_way_passes() -> None
         assert ids == hits
 
 
+def test_outlines_end_at_a_circle() -> None:
+    """The parts of random outlines within a circle and of the circle outside them, also where figures reach beyond."""
+    rng, radius = np.random.default_rng(3), 6.0
+    x, y = rng.uniform(-15, 15, (2, 4000))
+    near = x**2 + y**2 <= radius**2
+    outside = 0
+    for _ in range(300):
+        kinds = rng.choice(["circle", "rectangle"], rng.integers(1, 5))
+        figures = [
+            OutlineFigure(kind, rng.choice(["+", "-", "&"]), *rng.uniform(-8, 8, 3), sizes=rng.uniform(1, 9, count))
+            for kind, count in zip(kinds, 1 + (kinds == "rectangle"), strict=True)
+        ]
+        outline = Outline(tuple(figures))
+        inside = outline.contains(x, y)
+        np.testing.assert_array_equal(outline.within(radius).contains(x, y), inside & near)
+        if (rest := outline.around(radius)) is not None:
+            outside += 1
+            np.testing.assert_array_equal(rest.contains(x, y), ~inside & near)
+    assert outside > 50
+
+
 def test_bad_input_names_the_shape() -> None:
     for numbers, named in vectors.toml("refusals.toml")["freeform"]:
         with refused("shape", named):

@@ -252,7 +252,7 @@ class Outline:
         """Return the part of the outline within a circle about the origin; the radius is in mm."""
         first, *more = self.figures
         own = first if first.sign == "-" else replace(first, sign="&")
-        return Outline((OutlineFigure("circle", sizes=(radius,)), own, *more))
+        return _in_circle(radius, [own, *more])
 
     def around(self, radius: float) -> Outline | None:
         """
@@ -263,8 +263,7 @@ class Outline:
         if self.figures[0].sign != "+" or any(f.sign == "&" for f in self.figures):
             return None
         signs = {"+": "-", "-": "+"}
-        rest = [replace(f, sign=signs[f.sign]) for f in self.figures]
-        return Outline((OutlineFigure("circle", sizes=(radius,)), *rest))
+        return _in_circle(radius, [replace(f, sign=signs[f.sign]) for f in self.figures])
 
     def grown(self, margin: float) -> Outline:
         """Return the outline with all edges but those of polygons moved out by `margin`, mm; holes shrink."""
@@ -420,6 +419,13 @@ def polygon(corners: Sequence[Sequence[float]]) -> Outline:
     """
     points = Several(CORNER).check("corners", corners, "polygon")
     return Outline((OutlineFigure("polygon", sizes=tuple(v for point in points for v in point)),))
+
+
+def _in_circle(radius: float, figures: Sequence[OutlineFigure]) -> Outline:
+    """Return the outline of a circle of `radius`, mm, about the origin, combined with figures and cut to the circle."""
+    circle = OutlineFigure("circle", sizes=(radius,))
+    beyond = [replace(circle, sign="&")] if any(f.sign == "+" for f in figures) else []
+    return Outline((circle, *figures, *beyond))
 
 
 def _around(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, float, float]:

@@ -3,6 +3,7 @@
 import functools
 import importlib
 import itertools
+import math
 import tempfile
 import time
 from collections.abc import Callable
@@ -664,12 +665,21 @@ def test_backward_rays_find_what_few_points_of_the_detector_see(monkeypatch: pyt
     """
     Of a Cassegrain the edge alone sees the rim of a baffle, which is half of the light at 16°.
 
-    Means agree to 4 standard errors (6e-5), and the error is at most 0.7 of that without a map; it was 0.35 to 0.5.
+    Weight windows, which find a part of it, too, are left out. Means of three seeds agree to 4 standard errors (6e-5),
+    and the median of their errors is at most 0.7 of that without a map; it was 0.48, 0.56 and 0.59 (1.0 in a fourth).
     """
-    scene, light = mistray.load("cassegrain"), {"rays": 400_000, "max_scatters": 2, "paths": False}
-    guided = mistray.pst(scene, [16.0], **light)
+    monkeypatch.setattr(Pilot, "_windows", lambda *_: None)
+    scene = mistray.load("cassegrain")
+
+    def found() -> tuple[float, float, float]:
+        """Mean of the seeds, its error, and the median of their errors."""
+        light: dict[str, Any] = {"rays": 400_000, "max_scatters": 2, "paths": False}
+        runs = [mistray.pst(scene, [16.0], **light, seed=seed) for seed in range(3)]
+        errors = [float(run.standard_error[0]) for run in runs]
+        return float(np.mean([run.value[0] for run in runs])), math.hypot(*errors) / 3, float(np.median(errors))
+
+    guided, guided_error, with_map = found()
     monkeypatch.setattr(DetectorStart, "guide", lambda *_: None)
-    plain = mistray.pst(scene, [16.0], **light)
-    errors = guided.standard_error[0], plain.standard_error[0]
-    assert abs(guided.value[0] - plain.value[0]) < 4 * np.hypot(*errors)
-    assert errors[0] < 0.7 * errors[1]
+    plain, plain_error, without = found()
+    assert abs(guided - plain) < 4 * math.hypot(guided_error, plain_error)
+    assert with_map < 0.7 * without
