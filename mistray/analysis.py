@@ -8,7 +8,7 @@ __all__ = lazy_package(
         "mistray.analyses.export.critical_rays": ("critical_rays",),
         "mistray.analyses.ghosts.field_summary": ("FieldSummary",),
         "mistray.analyses.ghosts.path_analysis": ("path_analysis",),
-        "mistray.metrics.ranking": ("DirectImage",),
+        "mistray.metrics.ghost_ranking": ("DirectImage",),
         "mistray.analyses.ghosts.result": ("GhostReport",),
         "mistray.analyses.ghosts.run": ("ghosts",),
         "mistray.analyses.image.line_image": ("LineImage", "PointSpread"),

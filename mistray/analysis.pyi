@@ -27,7 +27,7 @@ from mistray.analyses.transfer.result import FieldTransfer as FieldTransfer
 from mistray.analyses.transfer.result import Transfer as Transfer
 from mistray.analyses.transfer.surface import SurfaceTransfer as SurfaceTransfer
 from mistray.estimate import Estimate as Estimate
-from mistray.metrics.ranking import DirectImage as DirectImage
+from mistray.metrics.ghost_ranking import DirectImage as DirectImage
 from mistray.scatter.lobe import LobeModel
 from mistray.scatter.rough_surface import RoughSurface
 from mistray.toolkit.irradiance import MapStatistics as MapStatistics

@@ -21,8 +21,8 @@ from mistray.analyses.ghosts.path_sort_text import SortedPath as SortedPath
 from mistray.analyses.ghosts.path_sort_text import parse_path_sort as parse_path_sort
 from mistray.analyses.ghosts.path_sort_text import path_sort_text as path_sort_text
 from mistray.analyses.ghosts.request import Look as Look
-from mistray.analyses.ghosts.tables.ghosts import main_table as main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import write_csv as write_csv
+from mistray.analyses.ghosts.tables.printed import main_table as main_table
 from mistray.analyses.image.page import quality_text as quality_text
 from mistray.analyses.image.page import write_quality as write_quality
 from mistray.analyses.objects.figures import objects_layout as objects_layout
@@ -43,11 +43,11 @@ from mistray.files.irradiance_files import write_irradiance as write_irradiance
 from mistray.files.parquet import write_parquet as write_parquet
 from mistray.toolkit.drawings.baffles import baffle_figure as baffle_figure
 from mistray.toolkit.drawings.baffles import cassegrain_figure as cassegrain_figure
-from mistray.toolkit.drawings.layout import layout as layout
-from mistray.toolkit.drawings.layout import layout_figure as layout_figure
-from mistray.toolkit.drawings.layout import write_layout as write_layout
-from mistray.toolkit.drawings.path_rays import RayLine as RayLine
-from mistray.toolkit.drawings.path_rays import rays_of_paths as rays_of_paths
+from mistray.toolkit.drawings.path_polylines import RayLine as RayLine
+from mistray.toolkit.drawings.path_polylines import rays_of_paths as rays_of_paths
+from mistray.toolkit.drawings.section_layout import layout as layout
+from mistray.toolkit.drawings.section_layout import layout_figure as layout_figure
+from mistray.toolkit.drawings.section_layout import write_layout as write_layout
 from mistray.toolkit.pages.formats import write_formats as write_formats
 from mistray.toolkit.pages.output import writable_directory as writable_directory
 from mistray.toolkit.pages.own_sections import remove_section as remove_section

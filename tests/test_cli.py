@@ -28,7 +28,7 @@ from mistray import MistrayError, cli
 from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.state import PstProgress
 from mistray.cli import program
-from mistray.cli.options import Options
+from mistray.cli.parsed_options import Options
 from mistray.cli.progress import progress_bar, working
 from mistray.report import read_irradiance
 from mistray.toolkit.pages.model import Report

@@ -69,7 +69,7 @@ def test_other_files_without_a_page(capsys: Captured, traced: Calls) -> None:
 
 def test_a_path_is_drawn_once_for_all_wavelengths() -> None:
     """Three wavelengths give three rows of each path; four paths take four ways, and each row is the strongest."""
-    from mistray.toolkit.drawings.path_rays import chosen_rows
+    from mistray.toolkit.drawings.path_polylines import chosen_rows
 
     traced = mistray.trace(mistray.load("cooke_triplet"), wavelength_nm=(450, 550, 650), rays=500, max_scatters=0)
     ways = {row.events for row in traced.paths}

@@ -18,7 +18,7 @@ from oracles.rough_paraboloid import paraboloid_text
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 
-from mistray.cli.options import print_json
+from mistray.cli.parsed_options import print_json
 from mistray.physics.planck import band_radiance, cone_projected_solid_angle
 
 WITHOUT_JSON = {"completion"}  # what it prints is for a shell to read

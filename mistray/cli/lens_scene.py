@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from mistray.cli.options import Options
+from mistray.cli.parsed_options import Options
 from mistray.errors import MistrayError
 
 

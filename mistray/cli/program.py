@@ -17,7 +17,7 @@ from typing import Any
 
 from mistray.cli.claims import guard_of, named_places
 from mistray.cli.lens_scene import lens_as_scene
-from mistray.cli.options import Options
+from mistray.cli.parsed_options import Options
 from mistray.cli.run_analysis import run_analysis
 from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError, one_line

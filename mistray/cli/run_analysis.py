@@ -7,7 +7,7 @@ import importlib.util
 import inspect
 from typing import Any
 
-from mistray.cli.options import Options
+from mistray.cli.parsed_options import Options
 from mistray.toolkit.command import AnalysisCommand
 from mistray.toolkit.field_options import request_of
 

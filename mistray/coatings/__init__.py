@@ -16,7 +16,7 @@ Wavelengths are in vacuum, nm; N = n + ik with k > 0 absorbs.
 """
 
 from mistray.coatings.files import coating_from_text, read_coating, write_table
-from mistray.coatings.fitted import FittedPreset, fitted_preset
+from mistray.coatings.fitted_to_substrate import FittedPreset, fitted_preset
 from mistray.coatings.presets import PRESETS, preset
 from mistray.coatings.response import CoatingModel, Response
 from mistray.coatings.simple import Bare, Ideal

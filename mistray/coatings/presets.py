@@ -18,10 +18,11 @@
 
 The first layer is the outermost. The constant indices (k = 0) are those that the designs were made with; the metals are
 the materials ``Al`` and ``Ag``, with their dispersion. Figures are for the wavelength of the design, normal incidence.
-The designs for glass are made for n = 1.5168, those of the infrared for germanium; `mistray.coatings.fitted` fits them
-to other bodies. The designs of one to three layers are classical (H. A. Macleod, *Thin-Film Optical Filters*, chapters
-4 and 5); those of four layers and the thicknesses of the V-coat were computed for this collection. ZnS is hard and
-adheres to germanium; fluorides are softer, and absorb beyond 10 µm. No preset is a vendor's coating.
+The designs for glass are made for n = 1.5168, those of the infrared for germanium;
+`mistray.coatings.fitted_to_substrate` fits them to other bodies. The designs of one to three layers are classical (H.
+A. Macleod, *Thin-Film Optical Filters*, chapters 4 and 5); those of four layers and the thicknesses of the V-coat were
+computed for this collection. ZnS is hard and adheres to germanium; fluorides are softer, and absorb beyond 10 µm. No
+preset is a vendor's coating.
 """
 
 from __future__ import annotations

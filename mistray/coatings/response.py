@@ -16,6 +16,7 @@ from mistray.ranges import shown
 
 COSINE_ROUNDING = 1e-6  # of a product of two unit vectors, of float32, too
 
+
 @dataclass(frozen=True, eq=False)
 class Response:
     """

@@ -28,7 +28,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.coatings import METAL_K, Bare, Response, Stack
-from mistray.coatings.fitted import unfitted
+from mistray.coatings.fitted_to_substrate import unfitted
 from mistray.errors import MistrayError, errors_of
 from mistray.materials import bulk_scatter, complex_index
 from mistray.messages import Message

@@ -32,7 +32,7 @@ from mistray.analyses.ghosts.request import GhostTables
 from mistray.analyses.image.request import ImageRequest
 from mistray.analyses.thermal.request import DetectorNoise, ThermalRequest
 from mistray.analyses.view.request import ViewRequest
-from mistray.cli.options import Options
+from mistray.cli.parsed_options import Options
 from mistray.cli.program import COMMANDS, main
 from mistray.errors import MistrayError
 from mistray.ranges import ByName, Each, Interval, OfType, Range, Several, Words, demand_of, doc_of

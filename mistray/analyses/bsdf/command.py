@@ -10,7 +10,7 @@ from mistray.toolkit.field_options import group, options_of, request_of
 from mistray.toolkit.shared_options import FORCE, JSON, PLOT, written
 
 if TYPE_CHECKING:
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 
 def model_argument() -> Option:

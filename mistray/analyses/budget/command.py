@@ -9,7 +9,7 @@ from mistray.toolkit.command import Command, Option
 from mistray.toolkit.shared_options import MACHINE, SCENE, TABLE_FORMATS, output
 
 if TYPE_CHECKING:
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 COMMAND = Command(
     "budget",

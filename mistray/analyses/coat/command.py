@@ -11,7 +11,7 @@ from mistray.toolkit.command import Command
 from mistray.toolkit.shared_options import FORCE, JSON, SCENE, SURFACES, written
 
 if TYPE_CHECKING:
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 COATING, PAINT, SCATTER = SURFACES.options
 

@@ -9,7 +9,7 @@ from mistray.toolkit.field_options import options_of, request_of
 from mistray.toolkit.shared_options import FORCE, JSON, PLOT, written
 
 if TYPE_CHECKING:
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 COMMAND = Command(
     "coating",

@@ -12,7 +12,7 @@ from mistray.toolkit.field_options import group, request_of
 from mistray.toolkit.shared_options import FORCE, SCATTER, SCENE, ray_tree
 
 if TYPE_CHECKING:
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 AT_ONCE_S = 0.5  # in which Ctrl-C is noticed at the latest
 COMMAND = Command(

@@ -16,7 +16,7 @@ from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, LETTERS
 from mistray.ids import event_words
 from mistray.recorders.path_events import DIRECT
-from mistray.toolkit.drawings.layout import RAYS_DRAWN, meridional
+from mistray.toolkit.drawings.section_layout import RAYS_DRAWN, meridional
 from mistray.toolkit.pages.embedded import rounded
 
 _WORDS = {letter: EVENT_WORDS[INTERCEPTS[code]] for code, letter in LETTERS.items()}

@@ -11,7 +11,7 @@ from mistray.analyses.explorer.estimate import Guess
 from mistray.analyses.ghosts.verdict import Remedy
 from mistray.estimate import Estimate
 from mistray.files.json_values import plain
-from mistray.metrics.ranking import bounds
+from mistray.metrics.ghost_ranking import bounds
 from mistray.recorders.path_events import DIRECT
 from mistray.toolkit.pages.embedded import power_codes
 from mistray.toolkit.tables.frames import row_of

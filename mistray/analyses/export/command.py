@@ -13,7 +13,7 @@ from mistray.toolkit.field_options import group, request_of
 from mistray.toolkit.shared_options import FORCE, JSON, SCENE, written
 
 if TYPE_CHECKING:
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 OF_STEP = ("paths", "rays", "rays_per_path", "mirror_thickness_mm", "freeform_tolerance_mm")
 Found = tuple[dict[str, Any], Sequence[str]]  # record for JSON, and lines

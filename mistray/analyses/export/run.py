@@ -17,7 +17,7 @@ from mistray.io.cad.write_step import Colour, StepFile
 from mistray.recorders.path_events import DIRECT
 from mistray.result import KeyNumber, Result
 from mistray.toolkit.analysis import analysis
-from mistray.toolkit.drawings.path_rays import one_of_each, rays_of_paths
+from mistray.toolkit.drawings.path_polylines import one_of_each, rays_of_paths
 from mistray.trace import trace
 
 COLOURS: dict[str, Colour] = {

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from mistray.analyses.ghosts.request import GhostsRequest, GhostTables
     from mistray.analyses.ghosts.result import GhostReport
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 # Of --seconds: the maps of a report trace the same rays again, and pictures take seconds, more with each field
 SHARE_OF_TRACE = 0.5
@@ -209,7 +209,7 @@ def _write(report: GhostReport, shown: GhostTables, options: Options) -> list[Pa
         If a file cannot be written; the message names the tables that are. An `UnfinishedError` passes unchanged.
     """
     from mistray.analyses.ghosts.page.output import page
-    from mistray.analyses.ghosts.tables.ghosts import WORST_SHOWN, main_table
+    from mistray.analyses.ghosts.tables.printed import WORST_SHOWN, main_table
 
     try:
         return options.write(lambda title, line: page(report, shown, title, line))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from mistray.estimate import UNKNOWN, Estimate
-from mistray.metrics.ranking import DirectImage, direct_image, stray_to_direct
+from mistray.metrics.ghost_ranking import DirectImage, direct_image, stray_to_direct
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.toolkit.irradiance import MapStatistics, mirror_asymmetry, statistics
 from mistray.toolkit.tables.frames import estimate_of

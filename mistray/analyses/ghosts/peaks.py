@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from mistray.metrics.ranking import ranks
+from mistray.metrics.ghost_ranking import ranks
 from mistray.recorders.film import images_of
 from mistray.toolkit.irradiance import brightest
 from mistray.trace import Trace
@@ -30,7 +30,7 @@ def with_peaks(table: pd.DataFrame, trace: Trace) -> pd.DataFrame:
     Parameters
     ----------
     table : DataFrame
-        Table from `mistray.metrics.ranking.ranked`, the strongest path first.
+        Table from `mistray.metrics.ghost_ranking.ranked`, the strongest path first.
     trace : Trace
         Trace of the table.
 

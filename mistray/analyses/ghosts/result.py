@@ -34,7 +34,7 @@ from mistray.analyses.ghosts.stray_levels import stray_levels
 from mistray.errors import MistrayError, UnknownKeyError
 from mistray.estimate import Estimate
 from mistray.files.irradiance_files import Map
-from mistray.metrics.ranking import DirectImage, bounds, direct_image, ranked
+from mistray.metrics.ghost_ranking import DirectImage, bounds, direct_image, ranked
 from mistray.notes import Note
 from mistray.ranges import TEXT, Several
 from mistray.recorders.film import Pixels
@@ -54,7 +54,7 @@ Polyline = npt.NDArray[np.float64]
 class GhostReport(
     Mapping[float, Trace],
     Result,
-    table=".tables.ghosts:field_table",
+    table=".tables.printed:field_table",
     figure=".figures.ghost_images:levels_against_field",
 ):
     """
@@ -219,8 +219,8 @@ class GhostReport(
             ``_se``: percentage of the power of all stray paths (``percent`` is of all light, the direct image
             included). ``normalised_rms_irradiance`` with its ``_se``. ``rank_power`` and ``rank_rms_irradiance``: ranks
             among the stray paths, 1 = worst, 0 for direct paths. The second rank is by the lower bound of the
-            irradiance, `mistray.metrics.ranking.SURE` standard errors below it; paths of few rays have no bound and
-            come last. ``contested``: whether the upper bound is above the lower bound of the first. Per wavelength,
+            irradiance, `mistray.metrics.ghost_ranking.SURE` standard errors below it; paths of few rays have no bound
+            and come last. ``contested``: whether the upper bound is above the lower bound of the first. Per wavelength,
             rows are normalised to the on-axis image at their wavelength, and ranked among the rows of that wavelength.
             Once paths are ranked by peak, rows of all light also have the columns of
             `mistray.analyses.ghosts.peaks.with_peaks`.

@@ -14,7 +14,7 @@ from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.tables.path_columns import mark_of
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.ids import event_words
-from mistray.metrics.ranking import bounds
+from mistray.metrics.ghost_ranking import bounds
 from mistray.recorders.path_events import DIRECT, way_text
 from mistray.recorders.sampled import Sampled
 from mistray.toolkit.rows import column, derived

@@ -17,7 +17,7 @@ from mistray.toolkit.shared_options import FORCE, JSON, SURFACES, written
 
 if TYPE_CHECKING:
     from mistray.analyses.import_lens.read import Imported
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
     from mistray.prescription import Prescription
 
 # Formats of CAD that have a near relative among those that are read

@@ -10,7 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from mistray.analyses.objects.result import Objects
-from mistray.toolkit.drawings.layout import GLASS, GLASS_EDGE, Polyline, SectionLine, bounds, glass_bodies, section
+from mistray.toolkit.drawings.section_layout import (
+    GLASS,
+    GLASS_EDGE,
+    Polyline,
+    SectionLine,
+    bounds,
+    glass_bodies,
+    section,
+)
 from mistray.toolkit.figures.figure import Figure
 from mistray.toolkit.figures.palette import BLUE, GREEN, PURPLE, VERMILION
 

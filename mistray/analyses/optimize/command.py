@@ -12,7 +12,7 @@ from mistray.toolkit.shared_options import MACHINE, SCENE, TABLE_FORMATS, TIME, 
 
 if TYPE_CHECKING:
     from mistray.analyses.optimize.study.state import Start, Step
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 CHECKPOINT = "checkpoint.json"
 FILES = (

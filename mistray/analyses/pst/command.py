@@ -29,7 +29,7 @@ from mistray.toolkit.shared_options import (
 if TYPE_CHECKING:
     from mistray.analyses.pst.request import PstRequest
     from mistray.analyses.pst.state import PstProgress
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 PAGE_S = 6.0  # of the report, see `Options.seconds_left`: two figures are drawn twice, as PNG and for the page
 STATE = "pst_state.npz"

@@ -22,7 +22,7 @@ from mistray.toolkit.shared_options import (
 )
 
 if TYPE_CHECKING:
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 STATE = "sensitivity_state.npz"
 METRIC = ("metric", "paths", "field_deg", "band_deg", "patch_deg", "light", "spectrum")

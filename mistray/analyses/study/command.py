@@ -21,7 +21,7 @@ from mistray.toolkit.shared_options import (
 )
 
 if TYPE_CHECKING:
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 STATE = "pst_state.npz"
 STEPS = 8

@@ -17,7 +17,7 @@ from mistray.analyses.transfer.request import TransferRequest
 from mistray.analyses.transfer.result import AZIMUTHS, Transfer
 from mistray.analyses.transfer.run import run as transfer
 from mistray.errors import MistrayError
-from mistray.metrics.ranking import direct_image
+from mistray.metrics.ghost_ranking import direct_image
 from mistray.time_budget import coarse_first, is_limited, left
 
 QUICK_GRID = 64  # cells across the pupil of a first look

@@ -162,7 +162,7 @@ def draw_study(study: Study) -> dict[str, bytes]:
     """Draw a study's pictures as PNG bytes by file name, see `CAPTIONS`; within a time budget as many as possible."""
     from mistray.analyses.ghosts.figures.ghost_images import levels_against_field, montage
     from mistray.analyses.objects.figures import objects_layout
-    from mistray.toolkit.drawings.layout import layout
+    from mistray.toolkit.drawings.section_layout import layout
     from mistray.toolkit.figures.plots import as_png
 
     report = study.ghosts

@@ -24,7 +24,7 @@ from mistray.toolkit.shared_options import (
 if TYPE_CHECKING:
     from mistray.analyses.sweep.configurations import Configuration
     from mistray.analyses.sweep.result import Sweep
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 COATING, PAINT, _ = SURFACES.options
 OF_FIELDS = ("field_deg", "azimuth_deg", "seconds", "no_cache")  # options that mean nothing for a PST

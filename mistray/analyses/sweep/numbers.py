@@ -15,7 +15,7 @@ from mistray.analyses.ghosts.field_summary import power_of
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.changes.first_surfaces import Entering, FirstLight, together
 from mistray.metrics.changes.gaps import Gap
-from mistray.metrics.ranking import direct_image, ranked, stray_to_direct
+from mistray.metrics.ghost_ranking import direct_image, ranked, stray_to_direct
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.toolkit.tables.frames import estimate_of, flat
 from mistray.trace import Trace

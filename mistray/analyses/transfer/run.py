@@ -20,7 +20,7 @@ from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, Transfer
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.light import Light
-from mistray.metrics.ranking import direct_image, stray_to_direct
+from mistray.metrics.ghost_ranking import direct_image, stray_to_direct
 from mistray.metrics.stray_metric import StrayMetric
 from mistray.percent import percent_text
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences

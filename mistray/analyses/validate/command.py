@@ -9,7 +9,7 @@ from mistray.toolkit.field_options import group, options_of, request_of
 from mistray.toolkit.shared_options import MACHINE, TABLE_FORMATS, output
 
 if TYPE_CHECKING:
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 FILES = ("report.html", "validation.csv", "packs.csv", "validation.json", "differences.png")
 DISAGREES = 1  # exit code: a row differs that should agree, or a program failed

@@ -11,7 +11,7 @@ from mistray.toolkit.field_options import options_of, request_of
 from mistray.toolkit.shared_options import FORCE, MAPS, NAMES, SCATTER, SCENE, SOURCE, SURFACES, ray_tree
 
 if TYPE_CHECKING:
-    from mistray.cli.options import Options
+    from mistray.cli.parsed_options import Options
 
 PICTURE = ("colour", "cut_deg", "cut_mm")
 LIGHT = ("field_deg", "light")
@@ -76,9 +76,9 @@ def run(options: Options) -> int:
     from mistray.analyses.view.ray_files import format_of, write_rays
     from mistray.analyses.view.run import graph_objects
     from mistray.analyses.view.run import run as view
-    from mistray.toolkit.drawings.layout import PATHS_DRAWN, layout_figure, layout_format, write_layout
-    from mistray.toolkit.drawings.path_rays import ray_groups
+    from mistray.toolkit.drawings.path_polylines import ray_groups
     from mistray.toolkit.drawings.ray_choice import BACKWARD
+    from mistray.toolkit.drawings.section_layout import PATHS_DRAWN, layout_figure, layout_format, write_layout
     from mistray.toolkit.pages.output import writable_directory
     from mistray.trace import trace
     from mistray.trace.check_paths import check_paths

@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex
 
 from mistray.analyses.view.drawing import ROLE_COLOURS, xyz
 from mistray.toolkit.drawings.cut_open import CutPlane, OpenSurface
-from mistray.toolkit.drawings.path_rays import RayLine
+from mistray.toolkit.drawings.path_polylines import RayLine
 from mistray.toolkit.typeset import power_of_ten
 
 if TYPE_CHECKING:

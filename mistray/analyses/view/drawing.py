@@ -13,8 +13,8 @@ import numpy.typing as npt
 from mistray.estimate import Estimate
 from mistray.ids import event_words
 from mistray.toolkit.drawings.cut_open import CutPlane, OpenSurface, triangulate
-from mistray.toolkit.drawings.layout import GLASS, PATH_COLOURS, glass_bodies
-from mistray.toolkit.drawings.path_rays import RayGroup
+from mistray.toolkit.drawings.path_polylines import RayGroup
+from mistray.toolkit.drawings.section_layout import GLASS, PATH_COLOURS, glass_bodies
 from mistray.toolkit.figures.palette import BLACK, INDIGO
 from mistray.toolkit.pages.parts import thousands
 from mistray.toolkit.tables.text import with_error

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mistray.files.json_values import plain
-from mistray.toolkit.drawings.path_rays import rows_of
+from mistray.toolkit.drawings.path_polylines import rows_of
 from mistray.toolkit.drawings.ray_choice import RayChoice
 from mistray.toolkit.tables.frames import row_of
 from mistray.trace import Trace

@@ -23,7 +23,7 @@ from mistray.errors import MistrayError
 from mistray.ranges import OfType, Several
 from mistray.read_file import read_file
 from mistray.replace_file import replace_file
-from mistray.toolkit.drawings.path_rays import RayLine
+from mistray.toolkit.drawings.path_polylines import RayLine
 
 VERTEX = np.dtype(
     [(name, "<f8") for name in ("x", "y", "z", "flux_W", "wavelength_nm")]

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from mistray.replace_file import replace_file
 from mistray.toolkit.drawings.cut_open import OpenSurface
-from mistray.toolkit.drawings.path_rays import RayLine
+from mistray.toolkit.drawings.path_polylines import RayLine
 
 
 class View:

@@ -26,7 +26,7 @@ from mistray.errors import MistrayError
 from mistray.files.packages import package
 from mistray.toolkit.analysis import analysis
 from mistray.toolkit.drawings.cut_open import CutPlane, OpenSurface, open_surfaces
-from mistray.toolkit.drawings.path_rays import ray_groups, rows_of, traces_of
+from mistray.toolkit.drawings.path_polylines import ray_groups, rows_of, traces_of
 from mistray.toolkit.pages.parts import thousands
 from mistray.trace import Trace
 

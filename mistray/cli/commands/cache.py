@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mistray.cli.options import Options
+from mistray.cli.parsed_options import Options
 from mistray.toolkit.command import Command, Option
 
 BYTES_PER_MB = 1e6

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mistray.cli.options import Options
+from mistray.cli.parsed_options import Options
 from mistray.toolkit.command import Command, Option
 
 # Placeholders of file names

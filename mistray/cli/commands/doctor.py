@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mistray.cli.options import Options
+from mistray.cli.parsed_options import Options
 from mistray.cli.progress import working
 from mistray.toolkit.command import Command, Option
 

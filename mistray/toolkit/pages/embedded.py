@@ -22,7 +22,7 @@ import numpy.typing as npt
 from matplotlib import colormaps
 from PIL import Image
 
-from mistray.toolkit.drawings.layout import bounds, glass_bodies, section
+from mistray.toolkit.drawings.section_layout import bounds, glass_bodies, section
 
 if TYPE_CHECKING:
     from mistray.analyses.ghosts.maps.path_maps import PathMap

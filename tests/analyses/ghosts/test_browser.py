@@ -16,7 +16,7 @@ from analyses.fake_trace import ghosts_of, trace_at
 from mistray.analyses.ghosts.figures.ghost_images import common_range
 from mistray.analyses.ghosts.page.report import html_text
 from mistray.analyses.pst.page import pst_report
-from mistray.toolkit.drawings.layout import worst_paths
+from mistray.toolkit.drawings.section_layout import worst_paths
 from mistray.toolkit.pages.embedded import palette_png
 from mistray.toolkit.pages.render import html_page
 from mistray.toolkit.typeset import power_of_ten

@@ -26,12 +26,12 @@ from mistray.analyses.ghosts.page.report import html_text
 from mistray.analyses.ghosts.path_analysis import path_analysis
 from mistray.analyses.ghosts.path_sort_text import parse_path_sort, path_sort_text, sorted_paths
 from mistray.analyses.ghosts.request import SORT_KEYS, GhostTables
-from mistray.analyses.ghosts.tables.ghosts import STRONGEST, beyond, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables, path_table, write_csv
 from mistray.analyses.ghosts.tables.levels import level_rows, level_text
+from mistray.analyses.ghosts.tables.printed import STRONGEST, beyond, main_table
 from mistray.analyses.ghosts.tables.scatter import scatter_text
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS, way_text
-from mistray.toolkit.drawings.layout import worst_paths
+from mistray.toolkit.drawings.section_layout import worst_paths
 
 INDEX, PLATE, GAP, BEFORE = 1.5, 2.0, 7.0, 3.0
 

@@ -36,7 +36,7 @@ from mistray.scatter.paint import Paint
 from mistray.scatter.scan import scan
 from mistray.settings import BATCHES
 from mistray.toolkit.drawings.baffles import baffle_figure, cassegrain_figure
-from mistray.toolkit.drawings.layout import glass_bodies, layout, meridional, section
+from mistray.toolkit.drawings.section_layout import glass_bodies, layout, meridional, section
 from mistray.toolkit.figures.figure import Figure, legend_label
 from mistray.toolkit.figures.palette import BLUE, ORANGE, VERMILION
 from mistray.toolkit.figures.plots import draw_map, image_colours

@@ -17,13 +17,13 @@ from analyses import fake_trace as fake
 import mistray
 from mistray import MistrayError, Trace, ghosts
 from mistray.analyses.ghosts.spectral import spectral_maps
-from mistray.analyses.ghosts.tables.ghosts import main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import write_csv
+from mistray.analyses.ghosts.tables.printed import main_table
 from mistray.analyses.study.page import fact_text
 from mistray.analyses.study.step import Fact
 from mistray.estimate import Estimate
 from mistray.files.parquet import unit
-from mistray.metrics.ranking import direct_image
+from mistray.metrics.ghost_ranking import direct_image
 from mistray.recorders.path_events import STRAY_KINDS
 from mistray.report import IrradianceMap, read_irradiance, write_formats, write_irradiance, write_parquet
 from mistray.toolkit.pages.formats import require_formats

@@ -21,11 +21,11 @@ from mistray.analyses.ghosts.maps.path_maps import FieldMaps, PathMap
 from mistray.analyses.ghosts.page.answer import verdict
 from mistray.analyses.ghosts.page.record import record
 from mistray.analyses.ghosts.peaks import with_peaks
-from mistray.analyses.ghosts.tables.ghosts import AIRY_TEXT, CONTESTED, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import path_table, summary_frame
+from mistray.analyses.ghosts.tables.printed import AIRY_TEXT, CONTESTED, main_table
 from mistray.analyses.ghosts.verdict import brightest_field, most_stray, remedy, shares_of_kinds, worst_of_all_fields
 from mistray.errors import Interrupted, MistrayError
-from mistray.metrics.ranking import bounds
+from mistray.metrics.ghost_ranking import bounds
 from mistray.toolkit.irradiance import log10_image, log_range, mirror_asymmetry, pixel_size, statistics
 from mistray.trace.sampled_hits import LightCone
 

@@ -19,8 +19,8 @@ import mistray
 from mistray.analyses.view.controls import NO_LIGHT, FluxScale
 from mistray.analyses.view.ray_files import read_rays, write_rays
 from mistray.toolkit.drawings.cut_open import CutPlane, clip, open_surfaces, triangulate, turned
-from mistray.toolkit.drawings.layout import CANDIDATES, layout_figure, meridional, section, write_layout
-from mistray.toolkit.drawings.path_rays import RayLine, rays_of_paths, row_name
+from mistray.toolkit.drawings.path_polylines import RayLine, rays_of_paths, row_name
+from mistray.toolkit.drawings.section_layout import CANDIDATES, layout_figure, meridional, section, write_layout
 
 view = mistray.view
 

@@ -56,7 +56,7 @@ def answer(report: GhostReport, shown: GhostReport) -> list[PagePart]:
 
 def draw_answer(report: GhostReport, worst: Sequence[WorstPath]) -> Drawing:
     """Return a drawing of the section of the system with rays of the worst paths of all fields."""
-    from mistray.toolkit.drawings.layout import layout_of_fields  # the values of this page need no pictures
+    from mistray.toolkit.drawings.section_layout import layout_of_fields  # the values of this page need no pictures
 
     return layout_of_fields(
         report, [(path.field_deg, path.path_id, f"{k} {_name(path)}") for k, path in enumerate(worst, 1)]

@@ -18,11 +18,11 @@ from mistray.analyses.ghosts.page.thumbnails import DECADES, thumbnail
 from mistray.analyses.ghosts.request import RANKS, rank_column
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.stray_levels import LEVELS
-from mistray.analyses.ghosts.tables.ghosts import AIRY_TEXT, CONTESTED_TEXT, FEW_TEXT, is_partly_reflected
 from mistray.analyses.ghosts.tables.levels import TITLES, level_table
 from mistray.analyses.ghosts.tables.path_columns import CONTESTED, FEW, NUMBERS, PathColumns, marked
+from mistray.analyses.ghosts.tables.printed import AIRY_TEXT, CONTESTED_TEXT, FEW_TEXT, is_partly_reflected
 from mistray.estimate import Estimate
-from mistray.toolkit.drawings.layout import layout
+from mistray.toolkit.drawings.section_layout import layout
 from mistray.toolkit.pages.markup import image
 from mistray.toolkit.pages.model import (
     Column,

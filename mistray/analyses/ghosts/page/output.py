@@ -22,7 +22,7 @@ from mistray.analyses.ghosts.verdict import brightest_field, most_stray
 from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.ray_sets import RaySet
 from mistray.time_budget import coarse_first, is_limited, left
-from mistray.toolkit.drawings.layout import layout
+from mistray.toolkit.drawings.section_layout import layout
 from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages.formats import pdf_name
 from mistray.toolkit.pages.model import Report

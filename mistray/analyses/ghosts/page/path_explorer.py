@@ -14,7 +14,7 @@ from mistray.analyses.ghosts.figures.ghost_images import common_range
 from mistray.analyses.ghosts.maps.path_maps import FieldMaps
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.events import INTERCEPTS, LETTERS
-from mistray.toolkit.drawings.layout import RAYS_DRAWN, meridional, worst_paths
+from mistray.toolkit.drawings.section_layout import RAYS_DRAWN, meridional, worst_paths
 from mistray.toolkit.pages.embedded import MapStore, decimals, json_script, packed, rounded, section_data
 from mistray.toolkit.pages.model import Column, Html, HtmlCell
 from mistray.toolkit.pages.render import template

@@ -12,9 +12,9 @@ from mistray.analyses.ghosts.page.optional import optional_sections
 from mistray.analyses.ghosts.request import MAIN_TABLES, GhostTables
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.stray_levels import LEVELS
-from mistray.analyses.ghosts.tables.ghosts import WORST_SHOWN, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import summary_frame, with_text_ids
 from mistray.analyses.ghosts.tables.levels import alias_text, analysis_text, filter_text, level_text
+from mistray.analyses.ghosts.tables.printed import WORST_SHOWN, main_table
 from mistray.files.json_values import plain
 from mistray.toolkit.pages.own_sections import section_record
 from mistray.trace import Energy

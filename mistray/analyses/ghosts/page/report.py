@@ -15,8 +15,8 @@ from mistray.analyses.ghosts.page.optional import optional_sections
 from mistray.analyses.ghosts.page.path_explorer import page_data
 from mistray.analyses.ghosts.page.scatter import scatter_ledger
 from mistray.analyses.ghosts.result import GhostReport
-from mistray.analyses.ghosts.tables.ghosts import more_rays, summary_table
 from mistray.analyses.ghosts.tables.ghosts_csv import summary_rows
+from mistray.analyses.ghosts.tables.printed import more_rays, summary_table
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.ranges import ByName, OfType
 from mistray.recorders.path_events import STRAY_KINDS

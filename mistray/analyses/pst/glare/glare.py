@@ -13,7 +13,7 @@ from mistray.analyses.pst.sums import quotient, weighted_sum
 from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.known_arguments import known_arguments
-from mistray.metrics.ranking import direct_image, stray_to_direct
+from mistray.metrics.ghost_ranking import direct_image, stray_to_direct
 from mistray.metrics.stray_metric import DEFINITIONS, StrayMetric
 from mistray.toolkit.irradiance import brightest
 from mistray.trace import Trace

@@ -22,7 +22,7 @@ from mistray.replace_file import replace_file
 from mistray.surfaces.surfaces import solid_shapes
 from mistray.toolkit.drawings.chains import chain
 from mistray.toolkit.drawings.cut_open import CutPlane, clip, role_of, surface_names, triangles
-from mistray.toolkit.drawings.path_rays import row_name, rows_of, traces_of
+from mistray.toolkit.drawings.path_polylines import row_name, rows_of, traces_of
 from mistray.toolkit.drawings.ray_choice import RayChoice
 from mistray.toolkit.figures.figure import Figure, legend_label
 from mistray.toolkit.figures.palette import BLACK, BLUE, BROWN, GREEN, INDIGO, PURPLE, SKY, VERMILION

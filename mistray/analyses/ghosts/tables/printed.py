@@ -22,7 +22,7 @@ from mistray.analyses.ghosts.tables.path_columns import (
 )
 from mistray.analyses.ghosts.tables.scatter import scatter_text
 from mistray.estimate import Estimate
-from mistray.metrics.ranking import SURE
+from mistray.metrics.ghost_ranking import SURE
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.toolkit.pages.model import Table, Value, columns
 from mistray.toolkit.pages.own_sections import section_texts
