@@ -218,7 +218,7 @@ class BackwardTrace(GridTrace):
         number, done, rays = part
         one = self.bands[number]
         vertices = self.light_vertices(number, (0, done), rays)
-        sky = self.make_directions(maps=True, mis=self.balance(number, vertices))
+        sky = self.make_directions(maps=True, mis=self.balance(number, rays, vertices))
         tallies = Tallies(one.table)
         self.trace_shared(number, self.start_pass(number, done, rays), vertices, tallies, sky)
         return self._read(number, sky, tallies, rays * one.share)
@@ -268,7 +268,7 @@ class BackwardTrace(GridTrace):
             for k in range(passes):
                 stream = number + SEARCHES * k
                 vertices = self.light_vertices(band, (1, stream), here)
-                balance = self.balance(band, vertices)
+                balance = self.balance(band, here, vertices)
                 assert balance is not None
                 room = SAMPLES // passes
                 recorder = DepartureSamples(self.grid, self.design_keys, balance, self.table.count, values, room)
@@ -314,19 +314,22 @@ class BackwardTrace(GridTrace):
         surfaces = any(one.scattering.any for one in self.bands) and not optics.scatters
         return surfaces and settings.max_scatters > 1 and settings.splitting == "split" and not optics.one_child
 
-    def balance(self, number: int, vertices: LightVertices | None = None, same_rays: bool = False) -> Balance | None:
+    def balance(
+        self, number: int, rays: int | None = None, vertices: LightVertices | None = None, same_rays: bool = False
+    ) -> Balance | None:
         """
         Return the MIS weights of forward rays, backward rays and connections at a wavelength; None: no forward rays.
 
-        Connections count if their light vertices are given. With `same_rays`, the additional forward rays for
-        unscattered light are left out of the weights.
+        Those of backward rays need the number of `rays` of their pass, over all wavelengths. Connections count if their
+        light vertices are given. With `same_rays`, the additional forward rays for unscattered light are left out of
+        the weights.
         """
         if not self.forward:
             return None
         balance = self._balances[number]
         if same_rays and balance.sharing.unscattered is not None:
             balance = balance.at(replace(balance.sharing, unscattered=None))
-        return balance if vertices is None else balance.beside(vertices)
+        return balance if rays is None else balance.of_pass(self._lanes(number, rays)[1], vertices)
 
     def path_class_weights(self) -> PathClassWeights | None:
         """Return MIS weights by path class, for derivatives of paths that move; None without forward rays."""
@@ -410,11 +413,18 @@ class BackwardTrace(GridTrace):
 
         `rays` counts all wavelengths; `done` is the number of earlier passes.
         """
-        one = self.bands[number]
-        lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
         seed = self.settings.seed + 0x9E3779B9 * (number + len(self.bands) * done)
-        # The rays of a wavelength are in proportion to its share; the weight corrects the rounding of their number
-        return self.starts[number].pass_rays(seed, lanes, one.share * rays / lanes, self.map_size).evaluated()
+        return self.starts[number].pass_rays(seed, *self._lanes(number, rays), self.map_size).evaluated()
+
+    def _lanes(self, number: int, rays: int) -> tuple[int, float]:
+        """
+        Return the number of start rays of one wavelength in a pass of `rays` rays, and their mean start weight.
+
+        The number is in proportion to the wavelength's share of the flux; the weight corrects its rounding.
+        """
+        share = self.bands[number].share
+        lanes = max(BATCHES, round(rays * share / BATCHES) * BATCHES)
+        return lanes, share * rays / lanes
 
     def paths(self) -> PathsByCell | None:
         """Return the paths so far with sums by cell, events in order from the detector; None if none are kept."""

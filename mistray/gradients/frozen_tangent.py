@@ -168,7 +168,7 @@ def follow(surfaces: ReplaySurfaces, rays: RecordedRays) -> Followed:
         # Compare with the record
         recorded = recorded_point(k, event.active)
         off = dr.norm(event.p - recorded) > FAR_OFF * (1 + dr.norm(recorded))
-        strayed |= event.active & (off | ~dr.isfinite(dr.squared_norm(event.p)))
+        strayed = strayed | event.active & (off | ~dr.isfinite(dr.squared_norm(event.p)))
         found.write(k, event.p, event.active)
         return event.p, (strayed,)
 

@@ -181,7 +181,7 @@ class PstRays:
         of_class = trace.path_class_weights() if moves else None
         for done, rays in enumerate(trace.pass_rays):
             vertices = None if moves else trace.light_vertices(number, (0, done), rays)
-            mis = of_class if moves else trace.balance(number, vertices, same_rays=True)
+            mis = of_class if moves else trace.balance(number, rays, vertices, same_rays=True)
             recorder.light = trace.make_directions(derivative, mis=mis)
 
             def trace_again(
@@ -206,7 +206,7 @@ class PstRays:
         assert cells is not None
         # The metric by the flux of a start ray of each cell, with MIS weights
         unit = cells.total.of_ray(cells.unit)
-        mis = trace.path_class_weights() if moves else trace.balance(number, None, same_rays=True)
+        mis = trace.path_class_weights() if moves else trace.balance(number, same_rays=True)
         assert mis is not None
         recorder.light = cells.gains(unit * derivative, mis)
         # The same rays as in the trace, round by round

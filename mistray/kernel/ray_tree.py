@@ -334,9 +334,8 @@ class _Tree:
         if table.wall_rims.some:
             at_rim = table.wall_rims.at_rim(s, it.local, first)
             loss = dr.select(at_rim, 1, loss)
-        absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
-        counted = first & contributes
-        absorbed, counts = self.limits.absorb(absorbed, counted)
+        loss, counted = dr.select(dr.abs(loss) < NO_LOSS, 0, loss), first & contributes
+        absorbed, counts = self.limits.absorb(w * loss, counted)
 
         # Record the hit, with MIS weights if it is on the detector of a forward trace
         detected = mi.Bool(False) if self.scene.backward else counted & ((it.word & DETECTOR) != 0) & counts
@@ -355,6 +354,7 @@ class _Tree:
             counted=detected,
             weight=w,
             absorbed=absorbed,
+            loss=loss,
             position=film_coordinates(table, it, s),
             code=code,
             key=extend_key(state["key"], code),

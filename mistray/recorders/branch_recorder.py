@@ -135,7 +135,7 @@ class BranchRecorder(Recorder):
         weight = mi.Float64(visit.weight)
         if self.light is not None and self.light.incident:
             weight = self.light.gain(visit)
-            chosen &= weight != 0
+            chosen = chosen & (weight != 0)
         self.write(visit, chosen & visit.counted, weight, place=visit.position)
 
     def depart(self, departure: Departure, memory: Memory) -> None:

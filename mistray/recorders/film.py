@@ -240,7 +240,8 @@ class Box(Recorder):
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Exclude hits outside the rectangle from the sums of the recorders that follow."""
         (x, y), box = visit.position, self._corners
-        visit.counted &= (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
+        # Not in place: `visit.detected` may be the same mask
+        visit.counted = visit.counted & (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
 
 
 def image_word(first: int, by_group: bool) -> int:

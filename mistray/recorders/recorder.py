@@ -52,7 +52,10 @@ class Visit:
     counted : mi.Bool
         Lanes whose hits later recorders record; a recorder may remove some.
     weight, absorbed : mi.Float
-        Throughput on arrival, and the flux that is absorbed, both in units of a start ray's flux.
+        Throughput on arrival, and the flux that is absorbed within the limits of the trace, both in units of a start
+        ray's flux.
+    loss : mi.Float
+        Fraction of the throughput that the surface absorbs, whatever the limits.
     position : tuple of mi.Float
         Point in the detector's frame, mm.
     code, key : mi.UInt32, mi.UInt64
@@ -100,6 +103,7 @@ class Visit:
     counted: mi.Bool
     weight: mi.Float
     absorbed: mi.Float
+    loss: mi.Float
     position: tuple[mi.Float, mi.Float]
     code: mi.UInt32
     key: mi.UInt64

@@ -120,7 +120,8 @@ class _StartSamples(Recorder):
 
     def _keep(self, words: tuple[mi.UInt32, ...], floats: tuple[mi.Float | None, ...], active: mi.Bool) -> None:
         place = dr.scatter_inc(self._count, mi.UInt32(0), active)
-        active &= place < self._capacity
+        # Not in place: the caller's mask also counts rays beyond the capacity
+        active = active & (place < self._capacity)
         for array, value in zip((*self._words, *self._floats), (*words, *floats), strict=True):
             dr.scatter(array, value, place, active)
 
@@ -226,7 +227,7 @@ class ArrivalSamples(_StartSamples):
         value = dr.gather(mi.Float64, self._values, start.cell, visit.active)
         self._importance.arrive(visit, value * visit.weight, memory)
         if self._scattered_only:
-            met &= (visit.state["scatters"] & COUNT_MASK) != 0
+            met = met & ((visit.state["scatters"] & COUNT_MASK) != 0)
         path_class = path_class_of(visit.event, visit.depth, start, met)
         words = start.lane, start.cell, class_of_light(visit, self._design), path_class
         mis = self._mis.forward(visit)

@@ -34,6 +34,7 @@ class AreaLight:
 
     extended: ClassVar[bool] = True
     precise: ClassVar[bool] = False
+    states_light: ClassVar[bool] = False
     differentiable: ClassVar[tuple[str, ...]] = ()
     values: ClassVar[Mapping[str, float]] = {}
     parameters: ClassVar[Mapping[str, mi.Float]] = {}
@@ -49,6 +50,14 @@ class AreaLight:
     def power(self, field_deg: float | None = None) -> float:
         """Return the emitted flux, W: π · radiance · area. The field angle has no effect."""
         return float(np.pi * self.radiance * float(np.array(self.shape.surface_area()).ravel()[0]))
+
+    def field_of(self, height_mm: float) -> float:
+        """Raise `MistrayError`: there is no object plane, in which heights would be field angles."""
+        raise MistrayError(f"shape '{self.name}': its area emitter has no object plane; leave field_mm out")
+
+    def edge_samples(self, count: int, within: float) -> np.ndarray | None:
+        """Return None: the light has no edge."""
+        return None
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
         """Return the sources of start rays of a trace, one for each wavelength."""
@@ -106,12 +115,14 @@ def _spot(params: Any, owner: str) -> dict[str, Any]:
     cutoff, beam = (float(np.array(params[key]).ravel()[0]) for key in ("cutoff_angle", "beam_width"))
     if not np.allclose(np.array(params["texture.value"]), 1.0):
         raise MistrayError(f"{owner}: it has a texture; leave it out")
-    # Mitsuba's falloff is linear in the angle from the beam width to the cutoff
+    # Mitsuba's falloff is linear in the angle from the beam width to the cutoff; the light may have a sharp edge, or fall
+    # off from its axis
+    profile = ["0:1"] + [f"{beam!r}:1"] * (beam > 0) + [f"{cutoff!r}:0"] * (cutoff > beam)
     return {
         "type": "point_source",
         "to_world": params["to_world"],
         "intensity": _value(params, "intensity", owner),
-        "profile": f"0:1, {beam!r}:1, {cutoff!r}:0",
+        "profile": ", ".join(profile),
     }
 
 

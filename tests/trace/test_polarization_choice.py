@@ -154,9 +154,18 @@ def test_the_same_light_is_tested_once(monkeypatch) -> None:
         choice(scene, [Light(**light)])
         return len(tested)
 
+    # Between 7° and 7.5°, and at angles that are tested themselves
     assert tests(field_deg=7.25)
     assert not tests(field_deg=7.25)
-    assert tests(field_deg=7.5)
+    assert not tests(field_deg=7.375)
+    for light in (
+        {"field_deg": -7.25},
+        {"field_deg": 7.25, "azimuth_deg": 90.0},
+        {"field_deg": 7.0},
+        {"field_deg": 8.0},
+    ):
+        assert tests(**light)
+        assert not tests(**light)
     assert tests(field_deg=7.25, wavelength_nm=600.0)
     parameters = mi.traverse(scene)
     for key in ("L1_front.curvature", "L1_front.bsdf.n_back_shift"):
@@ -177,6 +186,9 @@ def test_trace_and_ghosts_say_it(load_text) -> None:
     assert t.settings["polarization"] == "stokes"
     assert t.settings["polarization_change"] == pytest.approx(ghost_factor(45.0) - 1, rel=1e-5)
     assert t.settings["polarization_reason"].startswith("Stokes vectors change")
+    beside = choice(scene, [Light(47.0)], flux_threshold=0.0)  # tested at 45° and 50°
+    assert beside.change == pytest.approx(ghost_factor(50.0) - 1, rel=1e-5)
+    assert "at 50 deg" in beside.reason
     report = mistray.ghosts(scene, field_deg=[0.0, 45.0], rays=64)
     assert {t.settings["polarization"] for t in report.values()} == {"stokes"}
     assert "at 45 deg" in main_table(report)

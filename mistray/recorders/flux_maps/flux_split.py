@@ -127,7 +127,7 @@ class FluxSplit(SurfaceLight):
         # Cells in the order of `SHARES`
         cell = (place - 1) * len(SHARES)
         self.add(visit.start, cell, visit.weight, active)
-        self.add(visit.start, cell + 1, dr.maximum(visit.absorbed, 0), active)
+        self.add(visit.start, cell + 1, visit.weight * dr.maximum(visit.loss, 0), active)
         self.add(visit.start, cell + 2, visit.weight * reflected, on)
         self.add(visit.start, cell + 3, visit.weight * transmitted, on)
         if budget is not None:

@@ -108,14 +108,21 @@ class Balance:
             found.starts = DeviceMap(sharing.starts)  # uploaded only if it has changed
         return found
 
-    def beside(self, vertices: LightVertices) -> Balance:
-        """Return a copy with MIS weights for backward rays that are connected to these light vertices."""
+    def of_pass(self, mean_weight: float, vertices: LightVertices | None) -> Balance:
+        """
+        Return a copy with MIS weights for the backward rays of one pass.
+
+        `mean_weight` is the mean of their start weights, which corrects the rounding of their number: no density has
+        this factor. They are connected to the light vertices, if there are any.
+        """
         found = copy(self)
+        found._per_mean_weight = dr.opaque(mi.Float, 1 / mean_weight)
         found._vertices = vertices
         return found
 
     def _take(self, sharing: Sharing) -> None:
         self._vertices: LightVertices | None = None
+        self._per_mean_weight = dr.opaque(mi.Float, 1.0)
         self.sharing = sharing
         # Connections per étendue of a cell
         self._starts_per_connection = upload_rows(mi.Float, sharing.starts_per_connection / self.waves.etendue)
@@ -137,15 +144,15 @@ class Balance:
         place = self.waves.place(cell, p, -departure.heading, active)
         density = self.starts.density(cell, place, active)
         # MIS weight: n_i p_i/Σ n_k p_k, relative to the backward ray
-        forward = self._forward_ratio(cell, departure.scatters, density, departure.start.w, active) * _or_one(
-            departure.pdf_ratio
-        )
+        start_weight = departure.start.w * self._per_mean_weight
+        own_ratio = self._forward_ratio(cell, departure.scatters, density, start_weight, active)
+        forward = own_ratio * _or_one(departure.pdf_ratio)
         connected = self._connections(cell, density, departure.connection_ratio, active)
         own = dr.rcp(1 + forward + connected)
         start = departure.start
         assert start.normal is not None
         outward = start.normal * dr.select(dr.dot(start.normal, start.d) < 0, mi.Float(-1), 1)
-        end = [*self.start.place(start.o, start.d, outward), start.w]
+        end = [*self.start.place(start.o, start.d, outward), start_weight]
         weights = MisWeights(forward * own, own, connected * own, density, place, end)
         # A connected ray contributes only if it leaves on the path of its light vertex
         if self._vertices is not None and departure.light_vertex is not None:

@@ -111,9 +111,8 @@ class MapSamples(NamedTuple):
         few = self.after_roulette(SAMPLES_LENT, rng)
         row, column = np.divmod(few.cell, shape[1])
         parts = [self.after_roulette(SAMPLES_OF_MAP, rng)]
-        for up, on in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            if on and shape[1] == 1:
-                continue
+        around = {-1 % shape[1], 1 % shape[1]} - {0}
+        for up, on in [(-1, 0), (1, 0), *((0, on) for on in sorted(around, reverse=True))]:
             to = (row + up) * shape[1] + (column + on) % shape[1]
             there = (row + up >= 0) & (row + up < shape[0])
             there &= total[np.where(there, to, 0)] > 0

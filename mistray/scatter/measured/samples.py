@@ -377,6 +377,11 @@ def half_circle(
 
 
 def _cell(nodes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the index of the interval of ascending `nodes` that holds each x, and the place of x in it, 0 … 1."""
+    """
+    Return the index of the interval of ascending `nodes` that holds each x, and the place of x in it, 0 … 1.
+
+    A single node is both ends of the interval with the index -1, and the place in it is 0.
+    """
     low = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
-    return low, np.clip((x - nodes[low]) / (nodes[low + 1] - nodes[low]), 0, 1)
+    width = nodes[low + 1] - nodes[low]
+    return low, np.clip(np.divide(x - nodes[low], width, out=np.zeros(np.shape(x)), where=width > 0), 0, 1)

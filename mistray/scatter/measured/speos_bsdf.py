@@ -60,11 +60,11 @@ class _Lines:
             raise MistrayError(f"{self.where}: {len(words)} numbers; {count} are needed")
         return numbers(words, count, self.where)
 
-    def counts(self, count: int) -> list[int]:
-        """Return the whole numbers ≥ 0 of the next line; raise `MistrayError` unless there are `count` of them."""
+    def counts(self, count: int, least: int = 0) -> list[int]:
+        """Return the whole numbers ≥ `least` of the next line; raise `MistrayError` unless there are `count` of them."""
         values = self.values(count)
-        if any(value != int(value) or not 0 <= value <= _LONGEST for value in values):
-            raise MistrayError(f"{self.where}: {values}; whole numbers from 0 to {_LONGEST} are needed")
+        if any(value != int(value) or not least <= value <= _LONGEST for value in values):
+            raise MistrayError(f"{self.where}: {values}; whole numbers from {least} to {_LONGEST} are needed")
         return [int(value) for value in values]
 
 
@@ -100,8 +100,8 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     if lines.counts(2) != [1, 0]:
         raise MistrayError(f"{lines.where}: it holds transmission; only files with reflection alone are read")
     of_bsdf = lines.counts(1)[0] == 1
-    rotation = np.array(lines.values(lines.counts(1)[0]))
-    incidences = [lines.values(lines.counts(1)[0]) for _ in rotation]
+    rotation = np.array(lines.values(lines.counts(1, least=1)[0]))
+    incidences = [lines.values(lines.counts(1, least=1)[0]) for _ in rotation]
     if any(angles != incidences[0] for angles in incidences):
         raise MistrayError(f"{lines.where}: the rotations have other incidences each; measure all at the same")
     specular = np.array(incidences[0])
@@ -115,7 +115,7 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     grid: tuple[np.ndarray, np.ndarray] | None = None
     blocks = []
     for _ in range(len(rotation) * len(specular)):
-        polars, azimuths = lines.counts(2)
+        polars, azimuths = lines.counts(2, least=1)
         azimuth = np.array(lines.values(azimuths))
         rows = np.array([lines.values(azimuths + 1) for _ in range(polars)])
         own = (rows[:, 0], azimuth)

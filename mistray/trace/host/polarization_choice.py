@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -28,7 +29,8 @@ from mistray.light import AS_THE_SCENE, Light
 from mistray.messages import Message
 from mistray.notes import Note
 from mistray.sampling.importance_targets import remembered, signature
-from mistray.sampling.sources import source_emitters, spectrum
+from mistray.sampling.source import SceneSource
+from mistray.sampling.sources import scene_sources, source_emitters, spectrum
 from mistray.settings import Settings, polarized_sources
 from mistray.surfaces.optics import MIRROR
 from mistray.surfaces.surfaces import SurfaceTable
@@ -46,6 +48,9 @@ FEWEST = 4  # start rays of a run
 PROBED = np.linspace(0.0, 1.0, 17)[1:]  # cosines at which a coating is tested for a difference between s and p
 SAME = 1e-9  # difference of R or T between s and p that is due to rounding
 LEAST_SHARE = 0.01  # share of the direct light from which on a direct path is compared
+# Round numbers whose multiples of powers of ten are the field angles, degrees, at which a single beam is tested
+SERIES = (1, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.8, 2, 2.2, 2.5, 2.7, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10)
+SMALLEST_DEG, LARGEST_DEG = 1e-3, 80.0  # field angles beyond which each is tested itself
 
 _known: dict[str, list[Arrivals]] = {}
 
@@ -112,7 +117,8 @@ def chosen_polarization(
     settings : Settings
         Settings with `polarization` "auto"; any other mode is returned as it is.
     beams : sequence of Light
-        Light of each trace. `MOST_RUNS` of their sources and wavelengths are tested, spread over all.
+        Light of each trace. `MOST_RUNS` of their sources and wavelengths are tested, spread over all. A single one is
+        tested at the field angles of `SERIES` on both sides of its own.
     runs_of : callable, optional
         Function that prepares the runs of settings and light; by default `mistray.execute.tracer.prepare`.
     """
@@ -127,17 +133,26 @@ def chosen_polarization(
 
     # Coatings of the surfaces that a run holds
     settings, runs_of = replace(settings, polarization="unpolarized"), runs_of or partial(prepare, scene)
-    runs: list[tuple[str, Run]] = []
-    for beam in _spread(beams, MOST_RUNS):
-        field = f" at {beam.field_deg:g} deg" if len(beams) > 1 and beam.field_deg is not None else ""
-        runs += [(field, run) for run in runs_of(settings, _with_few_wavelengths(beam))]
+    lights = [_with_few_wavelengths(beam) for beam in _spread(beams, MOST_RUNS)]
+    runs = [(_at(light, len(beams) > 1), run) for light in lights for run in runs_of(settings, light)]
     tables = {id(run.table): run.table for _, run in runs}
     if not any(_polarizes(table) for table in tables.values()):
         return PolarizationChoice("unpolarized", "no surface tells s from p", 0.0)
 
+    # A single beam is tested at the angles of the series beside it, so that traces at many angles share their pilots
+    lights = _beside(lights[0]) if len(beams) == 1 else []
+    lit = [
+        (_at(light), replace(run, source=source))
+        for light in lights
+        for (_, run), source in zip(runs, _sources(scene, light), strict=True)
+    ]
+
+    def pilot() -> list[Arrivals]:
+        prepared = [(_at(light), run) for light in lights for run in runs_of(settings, light)]
+        return _pilot(_spread(prepared or runs, MOST_RUNS))
+
     # Pilot, unless the same light was tested before
-    runs = _spread(runs, MOST_RUNS)
-    rows = remembered(_known, _facts(scene, runs), lambda: _pilot(runs))
+    rows = remembered(_known, _facts(scene, _spread(lit or runs, MOST_RUNS)), pilot)
     largest = max(rows, key=lambda row: abs(row.change), default=Arrivals(name="no path"))
     if abs(largest.change) > LEAST_CHANGE:
         return PolarizationChoice("stokes", f"Stokes vectors change {largest.words}", largest.change)
@@ -229,6 +244,33 @@ def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
             for values in read_numbers(scene).values():
                 digest.update(values.tobytes())
     return digest.hexdigest()
+
+
+def _at(light: Light, several: bool = True) -> str:
+    """Return the field angle of a light for messages; it is empty for the only one, and if the source has its own."""
+    return f" at {light.field_deg:g} deg" if several and light.field_deg is not None else ""
+
+
+def _beside(light: Light) -> list[Light]:
+    """
+    Return the light at the angles of `SERIES` next below and above its field angle.
+
+    The list is empty where the angle itself is to be tested: it is in the series, or too small, too large or unknown.
+    """
+    angle = abs(light.field_deg or 0.0)
+    if not SMALLEST_DEG <= angle <= LARGEST_DEG:
+        return []
+    decade = 10.0 ** math.floor(math.log10(angle))
+    k = bisect_right(SERIES, angle / decade * (1 + SAME))
+    beside = [decade * SERIES[k - 1], decade * SERIES[min(k, len(SERIES) - 1)]]
+    if math.isclose(angle, beside[0], rel_tol=SAME):
+        return []
+    return [replace(light, field_deg=math.copysign(each, light.field_deg or 0.0)) for each in beside]
+
+
+def _sources(scene: Any, light: Light) -> list[SceneSource]:
+    """Return the sources of the scene at the field angle and wavelengths of a light, not aimed at an aperture."""
+    return scene_sources(scene, light.field_deg, light.azimuth_deg, light.wavelength_nm, light.weights)
 
 
 def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:
