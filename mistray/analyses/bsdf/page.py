@@ -114,7 +114,11 @@ def notes(found: BsdfResult) -> list[str]:
 
 
 def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
-    """Return the probability of hitting a small detector, and the rays needed, by JSON name; empty without one."""
+    """
+    Return probabilities, 0 … 1, of hitting a small detector, and rays needed: label and number by JSON name.
+
+    It is empty without such a detector.
+    """
     unaimed = found.unaimed
     if unaimed is None:
         return {}
@@ -127,7 +131,7 @@ def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
 
 
 def _totals(found: list[dict[str, Any]]) -> str:
-    """Return a table, as text, of total scatter (percent), loss of the specular beam (percent) and peak BSDF (1/sr)."""
+    """Return, as text, a table of TIS (% of the incident light), loss (% of the specular beam) and peak BSDF (1/sr)."""
     places = dict.fromkeys((row.get("rotation_deg"), row["incidence_deg"]) for row in found)
     heads, cells = ["incidence [deg]"], [[f"{angle:g}" for _, angle in places]]
     if "rotation_deg" in found[0]:

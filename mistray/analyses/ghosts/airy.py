@@ -28,7 +28,7 @@ def tight(table: pd.DataFrame) -> pd.DataFrame:
 
 def with_airy(table: pd.DataFrame, cones: Mapping[int, LightCone]) -> pd.DataFrame:
     """
-    Add the RMS irradiance that the Airy radius allows to a path table.
+    Return a path table with the RMS irradiance that the Airy radius allows.
 
     Parameters
     ----------

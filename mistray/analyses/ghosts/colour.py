@@ -196,6 +196,12 @@ class ColourPictures:
     look : Look, optional
         Settings of the pictures. Default: ``Look()``.
 
+    Raises
+    ------
+    MistrayError
+        If there are fewer than three wavelengths, one is not visible, blocks do not fill the picture, or the light of
+        the source is too saturated to be white.
+
     Attributes
     ----------
     look : Look

@@ -35,7 +35,7 @@ class FieldSummary:
     direct : DirectImage
         Direct image at this field.
     stray_W : Estimate
-        Power of all light except the direct image that the detector absorbs, W.
+        Power that the detector absorbs of all light except the direct image, W.
     direct_incident_W, stray_incident_W : Estimate
         Power of the direct image and of all other light incident on the detector, W.
     stray_of_kind_W : dict of str to Estimate

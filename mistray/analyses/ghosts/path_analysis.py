@@ -107,7 +107,7 @@ def path_analysis(
 
 def mean_lengths(trace: Trace, path_ids: Sequence[int]) -> Mapping[int, tuple[float, float]]:
     """
-    Return the mean optical path length of each path, weighted by flux, and its standard error, mm.
+    Return the mean optical path length of each path, weighted by flux, and its standard error, mm, by path id.
 
     The error is infinite for a path of a single ray.
     """

@@ -115,7 +115,11 @@ ghosts = analysis("ghosts", GhostsRequest, run, _BY_POSITION.split())
 
 
 def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float, int]:
-    """Return the new number of start rays by contested field, degrees, where it exceeds the present number."""
+    """
+    Return the new number of start rays by contested field, degrees, where it exceeds the present number.
+
+    It is `wanted`, or four times the present number if that is None.
+    """
     had = {field: int(t.settings["rays"]) for field, t in report.items() if len(report.rivals(field))}
     more = {
         field: int(min(CONTESTED_FACTOR * rays, RAYS.high) if wanted is None else wanted) for field, rays in had.items()

@@ -31,7 +31,7 @@ class Entrances:
     Attributes
     ----------
     first : str
-        Id of the first surface of the design path; "" without a design path, and all other members are 0 then.
+        Id of the first surface of the design path; "" without a design path, and all other members are 0 or empty then.
     rays : int
         Number of rays from the detector that leave on that side.
     share, share_se : float
@@ -64,15 +64,15 @@ class Entrances:
 
 def entrances(scene: mi.Scene, rays: int = MOST_RAYS, seed: int = 0) -> Entrances:
     """
-    Find through which surfaces a scene's detectors see the outside, by rays in float64 on the host without a kernel.
+    Return through which surfaces a scene's detectors see the outside, by rays in float64 on the host without a kernel.
 
     Parameters
     ----------
     scene : mi.Scene
         Loaded scene.
     rays : int
-        Largest number of rays from all detectors together, of equal flux over their hemispheres. There are fewer
-        if enough of them get out.
+        Largest number of rays from all detectors together, of equal flux over their hemispheres. They are traced in
+        passes of 1000, at least one, until enough get out.
     seed : int
         Seed of the rays.
 

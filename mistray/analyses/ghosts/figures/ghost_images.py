@@ -148,7 +148,9 @@ def _how_to_read(image: Map, cells: int, common: bool) -> str:
 
 def levels_against_field(report: GhostReport, title: str = "") -> Figure:
     """
-    Draw power (W) of the direct image and of each kind of stray light, and the worst paths, against field angle.
+    Draw power (W) of the direct image and of each kind of stray light against field angle, on the left.
+
+    On the right it draws the RMS irradiance of the ten worst paths over that of the direct image on axis.
 
     Examples
     --------

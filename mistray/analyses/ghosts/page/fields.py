@@ -123,7 +123,7 @@ def _headline(report: GhostReport, s: FieldSummary) -> str:
 
 
 def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
-    """Return the irradiance maps of the paths in a field's table; made once, by tracing its rays once more."""
+    """Return the power maps, W, of the paths in a field's table; made once, by tracing its rays once more."""
     return report.path_maps(field_deg, list(shown_paths(report, field_deg).path_id))
 
 
