@@ -154,7 +154,7 @@ def plugin_modules() -> list[str]:
 
 
 def plugins_of_others() -> dict[str, bool]:
-    """Return module names of plugins from other packages, mapped to True if the user named the module explicitly."""
+    """Return module names of plugins of other packages: True if the user named the module, False if its package did."""
     given = _given_plugins()
     return {value: value in given for value in (*(value for _, value in points_of(PLUGIN_ROOT)), *given)}
 

@@ -31,6 +31,8 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
     """
     Draw the BSDF (1/sr) of one event on two scales.
 
+    β and β0 are the direction cosines along the surface of scattered and specular light.
+
     On the left against |β - β0|, both axes logarithmic; a model that depends on |β - β0| alone is one curve there. On
     the right against the angle of scatter in degrees, the BSDF logarithmic. The legend there has the TIS, percent.
 
@@ -155,7 +157,7 @@ def _range(scans: Sequence[Scan]) -> tuple[float, float]:
 
 def particles_figure(level: float, slope: float = CLEANED_SLOPE) -> Figure:
     """
-    Draw the particles of a cleanliness level: counts by diameter in µm, and the area that levels cover.
+    Draw the particles of a cleanliness level: counts by diameter (µm), and the percentage of area that levels cover.
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ def figure(found: BsdfResult) -> Figure:
 
 
 def write_curves(found: BsdfResult, path: Path, command: str) -> None:
-    """Write the BSDF in the plane of incidence as CSV: angles in degrees, |β - β0| and BSDF in 1/sr."""
+    """Write the BSDF in the plane of incidence, 1/sr, as CSV with angles in degrees; `command` is its first line."""
     heads = ["rotation_deg"] * found.turned + ["theta_i_deg", "theta_s_deg", "distance", "bsdf"]
     lines = [f"# {command}", ",".join(heads)]
     for one in found.curves:

@@ -97,7 +97,7 @@ def budget_frame(result: Budget) -> pd.DataFrame:
     """
     Return a DataFrame of the chosen values.
 
-    The percentage of the first metric that depends on each is ``share_1_before_percent`` and ``share_1_after_percent``.
+    The percentages of metric k that depend on each value are ``share_k_before_percent`` and ``share_k_after_percent``.
     """
     shares = {
         f"share_{k}_{when}_percent": [100 * getattr(chosen, f"shares_{when}")[k - 1] for chosen in result.chosen]

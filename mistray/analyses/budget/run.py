@@ -59,7 +59,7 @@ def budget(
     ------
     MistrayError
         If the study or the scene cannot be used, or a metric exceeds its limit with all values at their best; the
-        message says by how much. If that is not known after the last iteration, `Budget.holds` is False instead.
+        message says by how much. If the iterations end before this is measured, `Budget.holds` is False instead.
 
     Examples
     --------

@@ -178,7 +178,7 @@ def _beyond(near: Guess, note: str) -> Guess:
 
 
 def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: list[Control]) -> Floats:
-    """Return the factor, (rays,), by which changed coatings and scatter scale the flux of each sampled ray."""
+    """Return the factor, (rays,), by which changed coatings, scatter and wavelength scale each sampled ray's flux."""
     found = np.ones(len(of.sample.way))
     before, now = looks.of(of.state), looks.of(state)
     nm = next((float(state[c.name]) for c in moved if c.kind == WAVELENGTH), None)
@@ -224,7 +224,7 @@ def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
 
 
 def _map(of: Traced, factor: Floats) -> Floats:
-    """Return the stray power, W, in the detector's cells, (h, w), when the power of each path changes by `factor`."""
+    """Return the stray power, W, in the detector's cells, (h, w), with each path's power times `factor`, (paths,)."""
     others = np.setdiff1d(np.flatnonzero(of.stray), of.maps.ways)
     power = np.asarray(of.ways.power_W)[others]
     rest = float((power * factor[others]).sum() / power.sum()) if power.sum() > 0 else 1.0

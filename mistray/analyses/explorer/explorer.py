@@ -403,7 +403,7 @@ class Explorer:
 
     @contextlib.contextmanager
     def _ahead(self, what: Any) -> Iterator[None]:
-        """Run a background job in a `with` block; an error is reported, and the job is not tried again."""
+        """Run a background job, known as `what`, in a `with` block; an error is reported, and it is not tried again."""
         try:
             yield
         except (MistrayError, RuntimeError) as error:

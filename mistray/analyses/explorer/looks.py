@@ -154,7 +154,7 @@ class SurfaceHits:
     Attributes
     ----------
     event : int
-        Code of the event.
+        Code of the event, see `mistray.events`.
     wavelength_nm : float
         Wavelength, nm.
     cos_i : (n,) float64
@@ -205,11 +205,11 @@ def _shares(
 @lru_cache(maxsize=1024)
 def _tables(coating: Any, wavelength_nm: float, sides: tuple[complex, complex]) -> tuple[Floats, Floats | None]:
     """
-    Return tables of R and T over the angle for refraction, and a table for total reflection.
+    Return a table of R and T by angle for refraction (`refraction_rows`), and one for total reflection (`total_rows`).
 
     `sides` are the complex indices in front and behind. The second table is None for an opaque surface and between
-    equal indices. They are those of the kernel with fewer nodes, with an error below 1e-4. The kernel's own tables take
-    ten times as long, and a slider asks for new ones at every step.
+    equal indices. Both are those of the kernel with fewer nodes, with an error below 1e-4. The kernel's own take ten
+    times as long, and a slider asks for new ones at every step.
     """
     x = np.linspace(0.0, 1.0, NODES)
     front, back = (n.real for n in sides)

@@ -109,7 +109,7 @@ class Traced:
     maps : Maps
         Stray power on cells of the detector.
     remedy : Remedy or None
-        Surface that takes part in most of the stray light, detectors aside; None without stray light.
+        Surface that takes part in most of the stray light, detectors aside; None if there is none.
     slopes : dict
         Name of a control → d(stray power)/d(value) over the stray power, where it is known. It is not a number for a
         rim that the beam just fills: there the derivatives on its two sides differ.

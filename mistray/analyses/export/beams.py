@@ -310,7 +310,7 @@ class BeamFinder:
 
 
 def _off(rim: Array, between: Array) -> float:
-    """Return the largest distance, mm, of rays half-way between rim points from the cubic spline through them."""
+    """Return the largest distance, mm, of rays `between` rim points, (n, 3), from the cubic spline through these."""
     poles, knots = _round(rim, True)
     half = (np.arange(len(rim)) + 0.5) / len(rim)
     return float(np.linalg.norm(BSpline(knots, poles, 3)(half) - between, axis=1).max())

@@ -126,7 +126,7 @@ def xyz(power: npt.ArrayLike, wavelength_nm: npt.ArrayLike) -> Array:
 
 def develop(light: Array, exposure: float, white: Array | None = None) -> Developed:
     """
-    Convert XYZ to a picture in encoded sRGB (IEC 61966-2-1), as described at the head of this module.
+    Return XYZ as a picture in encoded sRGB (IEC 61966-2-1), as described at the head of this module.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ class FieldSummary:
     stray_to_nominal : Estimate
         ``stray_W`` over the direct power on axis, dimensionless.
     brightest : int or None
-        ``path_id`` of the stray path of the highest RMS irradiance; None without stray paths.
+        ``path_id`` of the stray path that is ranked first by RMS irradiance; None without stray paths.
     brightest_normalised : Estimate
         RMS irradiance of that path over that of the direct image on axis, dimensionless; NaN without one.
     map : MapStatistics

@@ -33,7 +33,7 @@ class FieldTraces:
     arguments : mapping
         Arguments of `mistray.trace` at every field.
     progress : callable or None
-        Called with (fields done, fields to do); None: nothing is called.
+        Called with the number of fields done, parts of one included, and of all fields; None: nothing is called.
 
     Raises
     ------

@@ -72,7 +72,7 @@ def path_analysis(
     Raises
     ------
     MistrayError
-        If the key is unknown, or the share is below 0 or not below 1.
+        If the key or a path id is unknown, or the share is below 0 or not below 1.
 
     Examples
     --------

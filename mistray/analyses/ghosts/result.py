@@ -469,8 +469,8 @@ class GhostReport(
         Returns
         -------
         dict
-            Polylines (k, 3) from the source to the detector, mm, by path id; a path that is too rare to occur in the
-            sample has none.
+            Lists of polylines (k, 3) from the source to the detector in world coordinates, mm, by path id; empty for a
+            path that is too rare to occur in the sample.
         """
         path_ids = self.check_ids(field_deg, path_ids)
         missing = [path_id for path_id in path_ids if (field_deg, path_id) not in self._rays]

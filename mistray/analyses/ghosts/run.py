@@ -41,7 +41,7 @@ def run(
         Scene with one source, from `mistray.load`.
     request : GhostsRequest
     progress : callable, optional
-        Called now and then with (fields done, fields to do); the first counts parts of a field too.
+        Called now and then with the number of fields done, parts of one included, and of all fields.
     seconds : float, optional
         Time for all fields, s, in equal shares; each ends with the rays that it has, see `mistray.trace`. Fields for
         which it is too short are in `GhostReport.not_traced`; those that are traced are spread over all. Maps, which a

@@ -67,7 +67,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         Irradiance of the image of an even scene over that on the axis, dimensionless. If no light reaches the detector
         on the axis, it is over that of the first field.
     tangential_focus_mm, sagittal_focus_mm : float
-        Foci of rays close to the chief ray, mm from the detector along z.
+        Foci of rays close to the chief ray, mm from the detector along z, positive beyond it; NaN for afocal light.
 
     Examples
     --------

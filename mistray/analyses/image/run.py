@@ -42,7 +42,7 @@ Progress = Callable[[float, float], None]
 @dataclass(frozen=True)
 class _System:
     """
-    Scene prepared for image quality: design path at each wavelength, its first aperture, and aperture stop.
+    Scene prepared for image quality: design path at each wavelength, sphere about its first surface, aperture stop.
 
     `reference` is the index of the reference wavelength. `azimuth_deg` is None for that of the scene. `pupil` is the
     centre of the exit pupil on the axis, (3,), mm, None at infinity.
@@ -273,7 +273,7 @@ def _sampled(
 
 
 def _pupil_is_far(sampled: PupilSamples, curvature: float) -> bool:
-    """True if a reference sphere about the image point can pass through the exit pupil."""
+    """True if the exit pupil is so far from the blur that a reference sphere of `curvature`, 1/mm, can go through."""
     pupil = sampled.pupil
     half = 0.5 * float(np.hypot(np.ptp(pupil.alpha), np.ptp(pupil.beta)))
     blur = float(np.nanmax(np.abs(sampled.spot)))

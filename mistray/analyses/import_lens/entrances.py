@@ -35,7 +35,7 @@ class Entrances:
     rays : int
         Number of rays from the detector that leave on that side.
     share, share_se : float
-        Share of the view that enters through any other surface, and its standard error.
+        Share of the view, 0 … 1, that enters through any other surface, and its standard error.
     others : dict of str to float
         Share by other surface, the largest first; the detector itself if light meets nothing before it.
     """

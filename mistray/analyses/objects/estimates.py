@@ -48,7 +48,7 @@ class SeenObject:
 
     @classmethod
     def of(cls, hits: HitSamples) -> SeenObject:
-        """Create the object from its hits, with a k-d tree of their points."""
+        """Return the object made from its hits, with a k-d tree of their points."""
         return cls(hits, cKDTree(hits.point))
 
 
@@ -163,7 +163,8 @@ def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, c
     """
     Return sums of weights by index `place`, (count, 1 + BATCHES).
 
-    The first column is of all rays. The others leave one batch out each, and are scaled up to the number of all rays.
+    `place`, `batch` and `weight` have an entry for each ray. The first column is of all rays. The others leave one
+    batch out each, and are scaled up to the number of all rays.
     """
     by_batch = np.bincount(place * BATCHES + batch, weight, minlength=count * BATCHES).reshape(count, BATCHES)
     total = by_batch.sum(axis=1, keepdims=True)

@@ -257,9 +257,9 @@ class Places:
 
     def _limit(self, ends: _FanEnds, ray: int) -> ApertureStop | None:
         """
-        Return the aperture stop as the part that blocks the ray of index `ray`, the first one outside the beam.
+        Return the aperture stop as what ends the ray of index `ray`, the first one outside the beam.
 
-        The result is None if it just misses the detector.
+        That is the part that blocks it, or the design surface that it misses. The result is None for the detector.
         """
         assert self.path is not None
         gap, surface = int(ends.reached[ray]), int(ends.surface[ray])

@@ -202,9 +202,10 @@ def _error_bars(
     joined: bool = True,
 ) -> None:
     """
-    Draw points with error bars of one standard error on a logarithmic axis.
+    Draw points with error bars of one standard error on a logarithmic axis, in the colour of a kind of path.
 
-    Lines connect the points if `joined`. Values not above 0 are left out; if no other is left, nothing is drawn.
+    `label` is for the legend, None: no entry. Lines connect the points if `joined`. Values not above 0 are left out; if
+    no other is left, nothing is drawn.
     """
     y = np.array(values, dtype=np.float64)
     good = np.isfinite(y) & (y > 0)

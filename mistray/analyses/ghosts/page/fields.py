@@ -192,7 +192,7 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> F
 
 def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
     """
-    Return the rows of a field's path table that the report shows, ranked, worst first.
+    Return the rows of a field's path table that the report shows: direct paths, then stray ones, the worst first.
 
     They have the columns of `GhostReport.with_airy`, with powers in W and irradiances in W/mm².
     """
