@@ -33,8 +33,8 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
 
     β and β0 are the direction cosines along the surface of scattered and specular light.
 
-    On the left against |β - β0|, both axes logarithmic; a model that depends on |β - β0| alone is one curve there. On
-    the right against the angle of scatter in degrees, the BSDF logarithmic. The legend there has the TIS, percent.
+    The left panel has it against |β - β0|, both axes logarithmic; a model that depends on |β - β0| alone is one curve
+    there. The right panel has it against the angle of scatter, degrees, on a logarithmic axis, and the TIS, percent.
 
     Parameters
     ----------

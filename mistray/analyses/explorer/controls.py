@@ -175,7 +175,7 @@ def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[
 
 
 def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> dict[str, str]:
-    """Return the name of the coating that a state of the controls puts on each surface, by shape id, if it is new."""
+    """Return the names of coatings that a state of the controls puts on surfaces instead of their own, by shape id."""
     return {
         surface: str(state[name])
         for name, one in controls.items()

@@ -310,7 +310,7 @@ class Explorer:
             return self._job(quiet=False) is None and not self._busy
 
     def _stale(self) -> bool:
-        """True if the last trace is of another state than the present one, whose own trace has not failed."""
+        """True unless the last trace is of the present state, or a trace of that state has failed."""
         return (self._traced is None or self._traced.state != self.state) and _key(self.state) not in self._tried
 
     def _job(self, quiet: bool = True) -> Callable[[dict[str, VALUES]], None] | None:

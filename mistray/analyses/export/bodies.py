@@ -310,7 +310,7 @@ def _lenses(axis: Axis, found: Found) -> set[str]:
 
 def _mirror(axis: Axis, ring: Ring, thickness: float, found: Found) -> StepBody | None:
     """
-    Return a mirror as a body with a substrate behind it, mm thick as `thickness` or more; None if no volume closes.
+    Return a mirror with a substrate behind it, at least `thickness` thick, mm, as a body; None if no volume closes.
 
     If the light to the detector does not meet it, add a note to `found` and return None.
     """

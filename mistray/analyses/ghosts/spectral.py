@@ -36,7 +36,7 @@ class SpectralMaps:
 
     def block_for(self, hits: float) -> int:
         """
-        Return the side of pixel blocks of which lit ones hold at least `hits` stray rays of each wavelength on average.
+        Return the side of pixel blocks, whose lit ones hold at least `hits` stray rays of each wavelength on average.
 
         Returns
         -------

@@ -64,7 +64,7 @@ class Entrances:
 
 def entrances(scene: mi.Scene, rays: int = MOST_RAYS, seed: int = 0) -> Entrances:
     """
-    Return through which surfaces a scene's detectors see the outside, by rays in float64 on the host without a kernel.
+    Return the surfaces through which a scene's detectors see the outside, found by float64 rays on the host.
 
     Parameters
     ----------
