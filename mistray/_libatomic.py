@@ -43,7 +43,7 @@ def on_linux_x86_64() -> bool:
 @functools.cache
 def provide_libatomic() -> str | None:
     """
-    Load libatomic before Dr.Jit asks for it, or what stands in for it.
+    Load libatomic, or a stand-in for it, before Dr.Jit asks for it.
 
     Returns
     -------
@@ -120,7 +120,12 @@ def _aligned(offset: int) -> int:
 
 
 def _definition(number: int, name_at: int, name: str, to_next: int) -> bytes:
-    """Return an ELF version definition; the first defines the file itself. `name_at` and `to_next` are byte offsets."""
+    """
+    Return an ELF version definition; number 1 is that of the file itself.
+
+    `name_at` is the byte offset of the name in the string table, `to_next` that from this definition to the next, 0 for
+    the last.
+    """
     return struct.pack("<4H3I2I", 1, int(number == 1), number, 1, _hash(name), 20, to_next, name_at, 0)
 
 

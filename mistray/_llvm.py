@@ -53,7 +53,7 @@ def version_text(version: tuple[int, ...]) -> str:
 
 def find_llvm() -> Llvm:
     """
-    Find the libLLVM for Dr.Jit.
+    Return the libLLVM for Dr.Jit.
 
     ``DRJIT_LIBLLVM_PATH`` takes precedence if it is set, then the wheel of the extra ``llvm`` if it is installed.
     Otherwise the search covers the linker's cache, the distribution's folders, the conda environment and Homebrew. The
@@ -92,7 +92,7 @@ def _remedy_for_given() -> str:
 
 
 def search_llvm() -> tuple[Llvm | None, list[str]]:
-    """Return the best libLLVM of this machine, None if there is none, and a line on each rejected one."""
+    """Return the best usable libLLVM of this machine, None if there is none, and a line on each rejected one."""
     candidates = []
     rejected = []
     wheel = _wheel()
@@ -122,7 +122,9 @@ def search_llvm() -> tuple[Llvm | None, list[str]]:
 @functools.cache
 def _wheel() -> tuple[str, ...] | None:
     """
-    Return the libraries of the LLVM wheel in order of loading, libLLVM last; None if not installed, () if it has none.
+    Return the libraries of the LLVM wheel in order of loading, libLLVM last.
+
+    The result is None if the wheel is not installed, and () if one of them is missing.
 
     They are looked up in the files that pip recorded, because their folder differs among kinds of install.
     """
@@ -147,16 +149,16 @@ def _wheel() -> tuple[str, ...] | None:
 
 def _needs(path: str) -> tuple[str, ...]:
     """
-    Return the libraries to load before a libLLVM: those of the pip wheel for its own, else none.
+    Return the paths of the libraries to load before a libLLVM; () unless it is that of the pip wheel.
 
-    That of the wheel finds its own only once Python has started again after pip.
+    By itself the wheel's libLLVM finds them only once Python has started again after pip.
     """
     wheel = _wheel()
     return wheel[:-1] if wheel and os.path.realpath(path) == wheel[-1] else ()
 
 
 def _libraries() -> list[str]:
-    """Return the paths of all libLLVM files on this machine, links resolved, without duplicates."""
+    """Return the paths of libLLVM files in the linker's cache and the usual folders, links resolved, each once."""
     listed = []
     if sys.platform.startswith("linux"):
         listed = re.findall(r"=> (.*libLLVM.*)", _linker_cache())
@@ -197,7 +199,7 @@ def _named_version(path: str) -> tuple[int, ...] | None:
 
 def _loaded_version(path: str) -> tuple[int, int, int] | None:
     """
-    Load a libLLVM and return the version it reports; None below LLVM 16, which cannot report it.
+    Load a libLLVM, and what it needs, and return the version that it reports; None below LLVM 16, which reports none.
 
     Raise OSError if it does not load.
     """

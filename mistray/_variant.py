@@ -133,16 +133,16 @@ def lanes_of_threads() -> int:
 
 
 def active_variant() -> str | None:
-    """Name of the active Mitsuba variant; None if there is none. Does not import Mitsuba."""
+    """Return the name of the active Mitsuba variant, without importing Mitsuba; None if there is none."""
     mitsuba = sys.modules.get("mitsuba")
     return mitsuba.variant() if mitsuba else None
 
 
 def plugin_modules() -> list[str]:
     """
-    Full names of the modules that hold plugins: all files in the folders of `mistray.plugins`.
+    Return the full names of the modules that hold plugins: all files in the folders of `mistray.plugins`.
 
-    Without that package it raises `MistrayError`.
+    Raise `MistrayError` if that package is not installed.
     """
     try:
         root = importlib.import_module(PLUGIN_ROOT)
@@ -154,7 +154,7 @@ def plugin_modules() -> list[str]:
 
 
 def plugins_of_others() -> dict[str, bool]:
-    """Return module names of plugins from other packages, mapped to True if the user named the module explicitly."""
+    """Return module names of plugins of other packages: True if the user named the module, False if its package did."""
     given = _given_plugins()
     return {value: value in given for value in (*(value for _, value in points_of(PLUGIN_ROOT)), *given)}
 
@@ -191,7 +191,7 @@ def register_plugins() -> None:
 
 
 def warn_without_plugins() -> None:
-    """Warn if the active variant can have no plugins; those of the next variant follow by themselves."""
+    """Warn if the active variant is a scalar one, which can have no plugins; the next variant gets its own."""
     variant = active_variant() or ""
     if variant.startswith("scalar_"):
         text = f"mistray: no plugins in variant '{variant}', the ray tree needs a JIT variant"

@@ -21,7 +21,7 @@ from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, 
 LINE_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 SAME_CURVE = 0.02  # relative difference of curves that are drawn as one
 LEAST_R, MOST_LEAST_R = 1e-6, 1e-3  # bounds of the left end of the axis of |β - β0|
-FLAT = 0.9  # of the peak; the axis begins a decade before the curve falls to it
+FLAT = 0.9  # of the peak; the axis begins at a third or less of where the curve falls to it
 MOST_DECADES = 12
 LEVELS_DRAWN = (100.0, 200.0, 300.0, 400.0, 500.0, 1000.0)
 VISIBLE_PERCENT = 0.1  # rule of thumb
@@ -31,8 +31,10 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
     """
     Draw the BSDF (1/sr) of one event on two scales.
 
-    On the left against |β - β0|, both axes logarithmic; a model that depends on |β - β0| alone is one curve there. On
-    the right against the angle of scatter in degrees, the BSDF logarithmic, with the total of each angle of incidence.
+    β and β0 are the direction cosines along the surface of scattered and specular light.
+
+    The left panel has it against |β - β0|, both axes logarithmic; a model that depends on |β - β0| alone is one curve
+    there. The right panel has it against the angle of scatter, degrees, on a logarithmic axis, and the TIS, percent.
 
     Parameters
     ----------
@@ -41,7 +43,7 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
     title : str
         Title of the figure, to which the event is added.
     knee : float, optional
-        |β - β0| at which the BSDF bends, marked on the left.
+        |β - β0|, dimensionless, at which the BSDF bends, marked on the left. Default: no mark.
 
     Raises
     ------
@@ -91,8 +93,8 @@ def _against_distance(axes: Axes, scan: Scan, colour: str, label: str) -> bool:
     """
     Draw a BSDF against |β - β0|; return True if it needs two curves.
 
-    Scatter from the normal to the specular direction is solid. Scatter beyond the specular direction is dashed, and
-    drawn only where it differs by more than 2 %.
+    Scatter at angles up to the specular one, also across the normal, is solid. Scatter beyond it is dashed. It is drawn
+    only if it differs somewhere by more than 2 % from the solid curve.
     """
     inner = scan.theta_s_deg <= scan.specular_deg
     axes.plot(scan.distance[inner], _positive(scan)[inner], color=colour, lw=1.4, label=label)
@@ -125,7 +127,11 @@ def _is_one_curve(scans: Sequence[Scan]) -> bool:
 
 
 def _first_distance(scans: Sequence[Scan]) -> float:
-    """Return the left end of the axis of |β - β0|, at least half a decade below the first 10 % drop of the BSDF."""
+    """
+    Return the left end of the axis of |β - β0|, a power of ten from `LEAST_R` to `MOST_LEAST_R`.
+
+    Between these bounds it is a third or less of the place where a BSDF has first dropped by 10 %.
+    """
     falls = [scan.distance[scan.values < FLAT * scan.values[np.argmin(scan.distance)]] for scan in scans]
     nearest = min((float(np.min(part[part > 0])) for part in falls if np.any(part > 0)), default=MOST_LEAST_R)
     return float(np.clip(10.0 ** np.floor(np.log10(nearest / 3)), LEAST_R, MOST_LEAST_R))
@@ -151,16 +157,15 @@ def _range(scans: Sequence[Scan]) -> tuple[float, float]:
 
 def particles_figure(level: float, slope: float = CLEANED_SLOPE) -> Figure:
     """
-    Draw the particles of a cleanliness level: counts by diameter in µm, and the area that levels cover.
+    Draw the particles of a cleanliness level: counts by diameter (µm), and the percentage of area that levels cover.
 
     Parameters
     ----------
     level : float
         Cleanliness level, drawn thick among the levels of `LEVELS_DRAWN`.
     slope : float
-        Slope of the size distribution. Two areas are drawn: one of spheres of this distribution, which the scatter
-        models use, and one by the standard's formula. The formula is for a slope of 0.926, where it gives 7.6 % more
-        than the spheres.
+        Slope of the size distribution. The area is that of spheres of this distribution, which the scatter models use.
+        At a slope of 0.926 that of the standard's formula, 7.6 % more, is drawn as well.
     """
     figure, (left, right) = Figure.of_panels(10.4, 4.4, 1, 2)
     levels = sorted({*LEVELS_DRAWN, float(level)})

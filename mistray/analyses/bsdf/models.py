@@ -53,7 +53,11 @@ def known_models() -> str:
 
 
 def parameters(kind: str) -> dict[str, Param]:
-    """Return the parameters of a kind of model, by name, without those of the placement, such as `event`."""
+    """
+    Return the parameters that the command line takes for a kind of model, by name.
+
+    Those of the placement, such as `event`, are not among them; those from which the command computes others are.
+    """
     own = KINDS[kind].params().items()
     return {name: param for name, param in own if name not in PLACEMENT} | MADE_OF.get(kind, {})
 
@@ -76,7 +80,7 @@ def parameter_options() -> Group:
 
 
 def _default(kind: str, key: str) -> str:
-    """Return the default of a scatter model's parameter as text in parentheses; "" if it has none."""
+    """Return the default of a scatter model's parameter as text in parentheses; "" if there is none, or it is 0."""
     default = {field.name: field.default for field in fields(KINDS[kind])}.get(key)
     if not default or default is MISSING:
         return ""
@@ -84,7 +88,7 @@ def _default(kind: str, key: str) -> str:
 
 
 def _form(params: list[Param]) -> tuple[Any, str | None]:
-    """Return the option type and placeholder for a scatter parameter on the command line."""
+    """Return the type, and the placeholder or None, of the option that the parameters of one name share."""
     values = params[0].values
     if values is FLAG:
         return bool, None
@@ -113,10 +117,12 @@ def given(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """
     Return the parameters of a scatter model that the command line sets, by name.
 
+    `name` and `options` are those of `model_of`.
+
     Raises
     ------
     MistrayError
-        If one belongs to another model.
+        If no model has this name, an option belongs to another one, or a file states what an option repeats.
     """
     kind = kind_of(name)
     allowed = parameters(kind)
@@ -141,14 +147,15 @@ def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tup
     name : str
         Name of a model, a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME.
     options : mapping
-        Value by parameter, in the unit of the parameter; None where it is not given.
+        Value by parameter, in the unit of the parameter; None, or False for a flag, where it is not given.
     request : BsdfRequest
         Wavelength, reflectance and materials.
 
     Raises
     ------
     MistrayError
-        If there is none of this name, an option is missing or belongs to another model, or a parameter is out of range.
+        If there is none of this name, a file cannot be read, or a parameter is out of range. Also if an option is
+        missing, belongs to another model or excludes another one.
     """
     kind, found = kind_of(name), given(name, options)
     parts = [f"{key} = {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in found.items()]
@@ -172,7 +179,7 @@ def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tup
 
 def _roughness_sheet(found: Mapping[str, Any], request: BsdfRequest) -> AbgFromRms:
     """
-    Return A, B and g of an ABg model that follow from an rms roughness, nm, and a correlation length, µm.
+    Return A, B and g of an ABg model that follow from the rms roughness, nm, and correlation length, µm, in `found`.
 
     Raises
     ------

@@ -91,7 +91,7 @@ def figure(found: BsdfResult) -> Figure:
 
 
 def write_curves(found: BsdfResult, path: Path, command: str) -> None:
-    """Write the BSDF in the plane of incidence as CSV: angles in degrees, |β - β0| and BSDF in 1/sr."""
+    """Write the BSDF in the plane of incidence, 1/sr, as CSV with angles in degrees; `command` is its first line."""
     heads = ["rotation_deg"] * found.turned + ["theta_i_deg", "theta_s_deg", "distance", "bsdf"]
     lines = [f"# {command}", ",".join(heads)]
     for one in found.curves:
@@ -114,7 +114,11 @@ def notes(found: BsdfResult) -> list[str]:
 
 
 def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
-    """Return the probability of hitting a small detector, and the rays needed, by JSON name; empty without one."""
+    """
+    Return probabilities, 0 … 1, of hitting a small detector, and rays needed: label and number by JSON name.
+
+    It is empty without such a detector.
+    """
     unaimed = found.unaimed
     if unaimed is None:
         return {}
@@ -127,7 +131,7 @@ def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
 
 
 def _totals(found: list[dict[str, Any]]) -> str:
-    """Return a table, as text, of total scatter (percent), loss of the specular beam (percent) and peak BSDF (1/sr)."""
+    """Return, as text, a table of TIS (% of the incident light), loss (% of the specular beam) and peak BSDF (1/sr)."""
     places = dict.fromkeys((row.get("rotation_deg"), row["incidence_deg"]) for row in found)
     heads, cells = ["incidence [deg]"], [[f"{angle:g}" for _, angle in places]]
     if "rotation_deg" in found[0]:

@@ -21,7 +21,7 @@ DEFAULT_ROTATIONS = (0.0, 90.0)
 @dataclass(frozen=True)
 class BsdfResult:
     """
-    Evaluated scatter model: BSDF curves, 1/sr, and scattered fractions of the light.
+    Evaluated scatter model: BSDF curves, 1/sr, and scattered fractions of the incident light.
 
     Attributes
     ----------
@@ -38,9 +38,11 @@ class BsdfResult:
     turned : bool
         Whether the scatter depends on the azimuth of the sample.
     totals : list of dict
-        Scattered share and loss of the specular beam by event, angle and rotation; None under total reflection.
+        A row for each event, angle of incidence and rotation, degrees. ``scattered`` is the TIS, 0 … 1, ``loss`` the
+        fraction that the specular beam loses, ``peak_1_sr`` the BSDF there. They are None for transmission under total
+        reflection.
     curves : list of Scan
-        BSDF, 1/sr, of one event.
+        BSDF, 1/sr, of one event at each angle of incidence and rotation.
     unaimed : Chance or None
         Probability of hitting the detector of the request without aiming; None if it has no detector.
     """
@@ -66,7 +68,7 @@ def run_bsdf(name: str, parameters: Mapping[str, Any], request: BsdfRequest) -> 
     ------
     MistrayError
         If the model scatters nothing from the side of the light, or rotations are given for one that does not depend on
-        them.
+        them. Also if the event to be drawn has no light at an angle of incidence, or `model_of` raises.
     """
     (model, title, sheet), angles = model_of(name, parameters, request), request.angles_deg
     sides = [refractive_index(material, request.wavelength_nm) for material in (request.front, request.back)]

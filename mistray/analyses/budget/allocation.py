@@ -95,7 +95,7 @@ class StepCost(Request):
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
         """
-        Return the cost of the coarsest grade at least as good as each value, or that of the best grade.
+        Return the cost of the coarsest grade at least as good as each value, or of the best grade if none is.
 
         The cost has the shape of the values and the unit of `costs`.
         """
@@ -130,7 +130,7 @@ class ToleranceChoice:
     slope: float = CLEANED_SLOPE
 
     def ratio(self, value: np.ndarray) -> np.ndarray:
-        """Return the surface's scatter at values of the parameter divided by that at its present value."""
+        """Return, for each value of the parameter, the surface's scatter over that at its present value."""
         return relative_scatter(self.name, value, self.slope) / relative_scatter(
             self.name, np.array(self.value), self.slope
         )

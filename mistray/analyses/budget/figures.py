@@ -15,7 +15,11 @@ from mistray.toolkit.tables.text import number
 
 
 def budget_figure(result: Budget, title: str = "") -> Figure:
-    """Draw chosen values before and after, by parameter, beside their shares of the metric in percent."""
+    """
+    Draw chosen values before and after, by parameter, beside the percentage of a metric that depends on each.
+
+    Of several metrics it is the one with the largest share.
+    """
     kinds = list(dict.fromkeys(chosen.parameter for chosen in result.chosen))
     counts = [sum(chosen.parameter == kind for chosen in result.chosen) for kind in kinds]
     height, ratios = 1.4 + 0.6 * len(kinds) + 0.24 * sum(counts), [count + 2 for count in counts]

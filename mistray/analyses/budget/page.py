@@ -94,7 +94,11 @@ def _numbers(result: Budget, after: Table, shares: Table) -> Table:
 
 
 def budget_frame(result: Budget) -> pd.DataFrame:
-    """Return a DataFrame of the chosen values, with the percentages of metrics as ``share_1_before_percent``, …."""
+    """
+    Return a DataFrame of the chosen values.
+
+    The percentages of metric k that depend on each value are ``share_k_before_percent`` and ``share_k_after_percent``.
+    """
     shares = {
         f"share_{k}_{when}_percent": [100 * getattr(chosen, f"shares_{when}")[k - 1] for chosen in result.chosen]
         for k in range(1, len(result.requirements) + 1)

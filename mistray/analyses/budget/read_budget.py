@@ -61,7 +61,7 @@ class BudgetStudy(Request):
     """
     Requirements that a budget shall meet, and the means to do so.
 
-    `name` is that of the file, for messages; the other fields are sections and keys of the file.
+    `name` is that of the file, or "budget" without one, for messages; the other fields are its sections and keys.
     """
 
     name: str

@@ -58,7 +58,8 @@ def budget(
     Raises
     ------
     MistrayError
-        If the study or the scene cannot be used, or the limits cannot be met; the message says by how much.
+        If the study or the scene cannot be used, or a metric exceeds its limit with all values at their best; the
+        message says by how much. If the iterations end before this is measured, `Budget.holds` is False instead.
 
     Examples
     --------
@@ -133,14 +134,14 @@ class _Search:
 
     def run(self) -> tuple[tuple[Chosen, ...], int]:
         """
-        Choose component values until they stop changing or iterations run out.
+        Choose values of the parameters until they change by less than 2 % or iterations run out.
 
         Return the choices and the number of gradients of each metric.
 
         Raises
         ------
         MistrayError
-            If no light reaches the detector, or the limits cannot be met.
+            If a metric is 0 at the start, or exceeds its limit with all values at their best.
         """
         numbers, first, gradients = self.start, np.zeros(0), 0
         while True:

@@ -186,7 +186,11 @@ def surfaces_figure(
 
 
 def _lines(axes: Axes, x: np.ndarray, values: CoatingSpectrum, part: Any, colour: str, label: str) -> None:
-    """Draw R, percent, against wavelengths or angles `x`: mean of s and p polarisation, and each alone if unlike."""
+    """
+    Draw R, percent, against `x`, wavelengths or angles: the mean of s and p, and each alone if they differ.
+
+    `part` indexes the spectrum by wavelength and angle.
+    """
     axes.plot(x, 100 * values.mean()[part], color=colour, lw=1.4, label=label)
     s, p = values.R[..., 0][part], values.R[..., 1][part]
     if np.max(np.abs(s - p)) > 1e-9:

@@ -67,7 +67,7 @@ def figure(found: CoatingResult | SurfacesResult) -> Figure:
 
 def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
     """
-    Return rows for the layers of a stack: material, thickness, nm, n, k, and optical thickness in waves.
+    Return rows for the layers of a stack: material, thickness (nm), n, k, and optical thickness (waves).
 
     Indices and waves are those at the design wavelength. There are no rows for other coatings.
     """

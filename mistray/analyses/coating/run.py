@@ -30,7 +30,7 @@ class CoatingResult:
     coating : CoatingModel
         Coating that was evaluated.
     values : CoatingSpectrum
-        R, T and A by wavelength (nm), angle (degrees) and polarisation.
+        R, T and A, 0 … 1, by wavelength (nm), angle (degrees) and polarisation.
     """
 
     request: CoatingRequest
@@ -48,8 +48,8 @@ class SurfacesResult:
     request : CoatingRequest
         Request with its wavelengths filled in.
     means : list of tuple of CoatedSurfaces and list of float
-        Reflectance by surface and angle, mean over the wavelengths and over s and p, light from the side of lower
-        index.
+        Groups of surfaces, each with its reflectances, 0 … 1, one for each angle of the request: means over the
+        wavelengths and over s and p. The light comes from the side of lower index.
     """
 
     request: CoatingRequest
@@ -57,7 +57,7 @@ class SurfacesResult:
 
 
 def run_coating(request: CoatingRequest) -> CoatingResult:
-    """Return R, T and A of a coating by wavelength and angle; for an infrared preset by default on germanium."""
+    """Return R, T and A, 0 … 1, of a coating by wavelength and angle; by default an infrared preset is on germanium."""
     coating, design = coating_from_text(request.coating, request.design_nm), PRESETS.get(request.coating)
     design_nm, body, band = request.design_nm, "N-BK7", VISIBLE_NM
     if design is not None and design.design_nm > VISIBLE_TO_NM:
@@ -70,7 +70,11 @@ def run_coating(request: CoatingRequest) -> CoatingResult:
 
 
 def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
-    """Return mean reflectances of a scene's coatings, by default from 400 to 700 nm or over an infrared band."""
+    """
+    Return mean reflectances of a scene's coatings, 0 … 1.
+
+    By default the mean is from 400 to 700 nm, or over the light of the first source if all of it is beyond 780 nm.
+    """
     light = next((getattr(emitter, "wavelengths_nm", ()) for emitter in scene.emitters()), ())
     invisible = len(light) > 1 and min(light) > VISIBLE_TO_NM
     full, means = _lit(request, (min(light), max(light)) if invisible else VISIBLE_NM), []
@@ -89,7 +93,7 @@ def _lit(request: CoatingRequest, band: tuple[float, float]) -> CoatingRequest:
 
 
 def is_scene(text: str) -> bool:
-    """True if a text names a scene: an XML file, a folder with one, or a shipped scene."""
+    """True if a text names a scene: an XML file, a folder with one (without blanks in its name), or a shipped scene."""
     if " " in text or text in PRESETS or text == "bare" or ".csv" in text.lower() or ".dat" in text.lower():
         return text.lower().endswith(".xml")
     from mistray._variant import ensure_variant

@@ -48,17 +48,17 @@ class Control:
     kind : {"coating", "layers", "number", "field", "wavelength"}
         Kind of quantity that it sets.
     start : str or float
-        Value in the scene.
+        Value in the scene; "as it is" for a coating, 100 % for layers.
     label, unit : str
         Label on the page and unit of the value.
     choices : tuple of str
-        Choices of a coating.
+        Choices of a coating; empty for a slider.
     low, high : float
-        Ends of a slider, in `unit`.
+        Ends of a slider, in `unit`; 0 for a coating.
     log : bool
         Whether a slider is logarithmic.
     surfaces : tuple of str
-        Ids of the shapes that the control acts on.
+        Ids of the shapes that the control acts on; empty for field and wavelength.
     bodies : tuple of str
         For a coating: the material of the body that each surface bounds.
     parameter : Parameter or None
@@ -82,7 +82,11 @@ class Control:
     keys: tuple[str, ...] = ()
 
     def coatings(self, choice: str) -> dict[str, CoatingModel]:
-        """Return the coating that a choice means for each surface, by shape id, fitted to the material of its body."""
+        """
+        Return the coating that a choice other than "as it is" means for each surface, by shape id.
+
+        A preset is fitted to the material of the body that the surface bounds.
+        """
         on = {body: _coating(choice, body) for body in set(self.bodies)}
         return {surface: on[body] for surface, body in zip(self.surfaces, self.bodies, strict=True)}
 
@@ -140,12 +144,14 @@ def controls_of(
     wavelength_nm : sequence of float
         Wavelengths of the light, nm; several make no control.
     patterns : iterable of str, optional
-        Keys or patterns of parameters, see docs/parameters.md, instead of the default selection.
+        Keys or patterns of parameters, see docs/parameters.md, instead of the default selection. Those of several
+        values make no control.
 
     Raises
     ------
     MistrayError
-        If a pattern matches no parameter with respect to which a trace can be differentiated.
+        If a pattern matches no parameter with respect to which a trace can be differentiated, or a number has no room
+        to move.
     """
     found = [*_coatings(path, scene), *_numbers(scene, patterns)]
     if len(field_deg) > 1:
@@ -169,7 +175,7 @@ def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[
 
 
 def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> dict[str, str]:
-    """Return the coatings that a state of the controls puts on surfaces, by shape id; unchanged ones are left out."""
+    """Return the names of coatings that a state of the controls puts on surfaces instead of their own, by shape id."""
     return {
         surface: str(state[name])
         for name, one in controls.items()
@@ -211,7 +217,12 @@ def _coatings(path: Path, scene: Any) -> list[Control]:
 
 
 def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
-    """Return the names of coatings offered for a part: as it is, bare, and presets whose band and material suit it."""
+    """
+    Return the names of coatings offered for a part: as it is, bare, and presets that suit it.
+
+    A preset suits it if its band is near the light, wavelengths in nm, and it reduces the reflectance of all `bodies`,
+    materials, enough. Without wavelengths all bands suit it.
+    """
     found = [AS_IT_IS, BARE]
     for name, design in PRESETS.items():
         middle = (min(light) + max(light)) / 2 if light else design.design_nm
@@ -256,7 +267,7 @@ def _apertures(known: Iterable[Parameter]) -> list[Control]:
 
 
 def _is_offered(one: Parameter) -> bool:
-    """True if a parameter gets a slider by default: R of a detector or a nonzero amount of scatter."""
+    """True if a parameter gets a slider by default: R of an opaque detector or an amount of scatter, each nonzero."""
     if one.value.size > 1 or not one.value[0]:
         return False
     if one.kind == "share":

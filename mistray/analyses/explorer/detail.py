@@ -54,9 +54,9 @@ def path_detail(
     dict
         ``events``: surface, event in words, and whether the light turns there, of each event. ``rays``: polylines z, y,
         z, y, …, mm. ``power_W``: power of the path. ``turns``: surfaces that reflect or scatter the path, each with the
-        percentage of all stray light that turns there. ``remedies``: for each part with such a surface, the coating
-        that leaves the least stray light, the best part first. Each has the power of the path and of all stray light
-        left, W.
+        percentage of all stray light that turns there. ``remedies``: for each part with a choice of coatings and such a
+        surface, the coating that leaves the least stray light, the best part first. Each has the power of the path and
+        of all stray light left, W. Powers are those at the field of the trace.
 
     Raises
     ------
@@ -100,9 +100,9 @@ def _remedies(
     row: int,
 ) -> list[dict[str, Any]]:
     """
-    Return, for each part at which a path turns, the coating that leaves the least stray light.
+    Return, for each part with one of the surfaces `turns`, the coating that leaves the least stray light.
 
-    The best part is first. Each has the power of the path and of all stray light that is left, W.
+    The best part is first. Each has the power of the path in row `row` and of all stray light that is left, W.
     """
     here = {**state, **({"field": of.state["field"]} if "field" in state else {})}
     found = []

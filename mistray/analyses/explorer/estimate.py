@@ -37,8 +37,8 @@ class Guess:
     ways : DataFrame
         `COLUMNS` of each path of the light, see `mistray.trace.path_row.PathRow`.
     stray_W, direct_W, ratio : Estimate
-        Stray and direct power, W, and their ratio. The errors are those of the trace, in proportion, and of the sample
-        of rays.
+        Stray and direct power, W, and stray over direct. In `guess` the errors are those of the trace, in proportion;
+        that of `stray_W` includes the sample of rays and the derivatives.
     map_W : (h, w) float64
         Stray power on the cells of `Traced.maps`, W.
     extent : tuple of float
@@ -58,11 +58,11 @@ class Guess:
 
 def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> Guess:
     """
-    Estimate the light for changed control values from a trace.
+    Return an estimate of the light for changed control values, from a trace.
 
     Each sampled ray is multiplied, at its own angles of incidence, by a ratio for each of its surfaces: the fraction of
     light that goes its way now over that in the trace. A path is multiplied by the mean over its rays. Paths without
-    rays in the sample follow those of their kind.
+    rays in the sample follow those of their kind. Controls of first order change the stray power alone.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def at_field(
     state: Mapping[str, VALUES],
 ) -> Guess:
     """
-    Estimate the light at a field angle from traces at others: powers interpolated linearly between the nearest two.
+    Return an estimate of the light at a field angle, with powers interpolated linearly between the nearest two traces.
 
     The light of a path may rise anywhere between two traced fields a and b. At the share s of the way from a to b, 2 s
     (1 - s) |P(b) - P(a)| is therefore added to the error of each path. In the middle this is half the difference,
@@ -178,7 +178,7 @@ def _beyond(near: Guess, note: str) -> Guess:
 
 
 def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: list[Control]) -> Floats:
-    """Return the factor, (rays,), by which changed coatings and scatter scale the flux of each sampled ray."""
+    """Return the factor, (rays,), by which changed coatings, scatter and wavelength scale each sampled ray's flux."""
     found = np.ones(len(of.sample.way))
     before, now = looks.of(of.state), looks.of(state)
     nm = next((float(state[c.name]) for c in moved if c.kind == WAVELENGTH), None)
@@ -224,7 +224,7 @@ def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
 
 
 def _map(of: Traced, factor: Floats) -> Floats:
-    """Return the stray power, W, in the detector's cells, (h, w), when the power of each path changes by `factor`."""
+    """Return the stray power, W, in the detector's cells, (h, w), with each path's power times `factor`, (paths,)."""
     others = np.setdiff1d(np.flatnonzero(of.stray), of.maps.ways)
     power = np.asarray(of.ways.power_W)[others]
     rest = float((power * factor[others]).sum() / power.sum()) if power.sum() > 0 else 1.0

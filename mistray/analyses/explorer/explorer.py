@@ -150,7 +150,7 @@ class Explorer:
     # -- what answers at once --------------------------------------------------------------------------------------
 
     def page(self) -> dict[str, Any]:
-        """Return the page's constant data as JSON values: title, number of rays, fields, controls, section."""
+        """Return the page's constant data as JSON values: title, rays, fields (degrees), controls, section."""
         name = self.path.parent.name if self.path.name == "scene.xml" else self.path.stem
         return {
             "title": name,
@@ -161,7 +161,11 @@ class Explorer:
         }
 
     def view(self) -> dict[str, Any]:
-        """Return the present state as JSON-serialisable values: powers (W), paths and map, estimated or traced."""
+        """
+        Return the present state as JSON-serialisable values: powers (W), paths and map, estimated or traced.
+
+        They are absent until the first trace has ended.
+        """
         with self._changed:
             return self._view()
 
@@ -177,12 +181,12 @@ class Explorer:
         Returns
         -------
         dict
-            View, see `view`: an estimate, unless this very state was traced.
+            View, see `view`: an estimate, unless the last trace is of this very state.
 
         Raises
         ------
         MistrayError
-            If the control is unknown, or cannot have the value; no control is changed then.
+            If a control is unknown or cannot have its value, or a model does not hold there; nothing changes then.
         """
         wanted = checked(self.controls, values)
         with self._changed:
@@ -266,7 +270,7 @@ class Explorer:
         Returns
         -------
         bool
-            Whether a job was done.
+            Whether there was a job, even if it has failed.
         """
         with self._changed:
             job = self._job()
@@ -285,7 +289,7 @@ class Explorer:
         return True
 
     def settle(self) -> dict[str, Any]:
-        """Trace the present state, without field grid and derivatives, and return the view."""
+        """Trace the present state, unless the last trace is of it, and return the view; no grid and no derivatives."""
         while self._stale():
             self._trace_now(dict(self.state))
         return self.view()
@@ -301,12 +305,12 @@ class Explorer:
 
     @property
     def idle(self) -> bool:
-        """True if the present state is traced and no background job is left."""
+        """True if the present state is traced, or could not be, and no background job is left."""
         with self._changed:
             return self._job(quiet=False) is None and not self._busy
 
     def _stale(self) -> bool:
-        """True if the present state has not been traced yet."""
+        """True unless the last trace is of the present state, or a trace of that state has failed."""
         return (self._traced is None or self._traced.state != self.state) and _key(self.state) not in self._tried
 
     def _job(self, quiet: bool = True) -> Callable[[dict[str, VALUES]], None] | None:
@@ -341,9 +345,9 @@ class Explorer:
 
     def _compared(self, before: Traced, found: Traced) -> dict[str, Any] | None:
         """
-        Return estimated and traced stray power of a traced state, W, and their difference in percent.
+        Return estimated and traced stray power of a traced state, W, and estimate over trace less 1, percent.
 
-        None if it has no stray light.
+        The estimate is from the trace `before`. The result is None if the state has no stray light.
         """
         made = self._guessed(before, found.state)
         stray = found.stray_W
@@ -399,7 +403,7 @@ class Explorer:
 
     @contextlib.contextmanager
     def _ahead(self, what: Any) -> Iterator[None]:
-        """Run a background job in a `with` block; an error is reported, and the job is not tried again."""
+        """Run a background job, known as `what`, in a `with` block; an error is reported, and it is not tried again."""
         try:
             yield
         except (MistrayError, RuntimeError) as error:
@@ -432,7 +436,7 @@ class Explorer:
             return trace(scene, rays=rays, field_deg=field, **light)
 
     def _chosen_rays(self) -> int:
-        """Return the number of start rays, 1000 to 20 000, that a trace finishes in about 0.8 s."""
+        """Return the number of start rays that a trace finishes in about 0.8 s, clipped to 1000 … 20 000."""
         for _ in range(2):  # the first one waits for the compiler
             began = time.monotonic()
             self._traced_rays(self._loaded(self.state), self.state, PILOT_RAYS)
@@ -449,7 +453,9 @@ class Explorer:
 
     def _fields(self, given: Sequence[float] | None) -> list[float]:
         """
-        Return the field angles that the scene's light can have, degrees; empty if it has no field.
+        Return the field angles to trace, degrees: those given, else the scene's own and `FIELD_DEG`.
+
+        The list is empty if none are given and the scene's light has no field, or several.
 
         Raises
         ------
@@ -513,9 +519,9 @@ class Explorer:
 
     def _fields_missing(self) -> list[float]:
         """
-        Return the field angles, degrees, of the estimate's grid that have not been traced yet.
+        Return the field angles of the estimate's grid, degrees, that are neither traced yet nor impossible to trace.
 
-        None without a field control.
+        The list is empty without a field control.
         """
         if "field" not in self.controls:
             return []
@@ -553,7 +559,7 @@ def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES
     """
     Return control states with different kernels, to be compiled ahead: a bare part, a layered part, and both.
 
-    There are none without a control of coatings.
+    They name coatings alone. There are none without a control of coatings.
     """
     names = [name for name, one in controls.items() if one.kind == COATING]
     if not names:

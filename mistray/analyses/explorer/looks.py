@@ -96,7 +96,7 @@ class Looks:
         """
         Return a surface's coating and scatter models after its control takes a new value.
 
-        Only R or T of ideal coatings and scatter amounts change.
+        Only R or T of ideal coatings and parameters of scatter models change.
         """
         one = control.parameter
         assert one is not None
@@ -113,7 +113,9 @@ class Looks:
 
     def factor(self, surface: str, look: SurfaceLook, hits: SurfaceHits) -> Floats:
         """
-        Return the reflected, transmitted or absorbed fraction of flux at each hit, or the BSDF (1/sr) of scatter, (n,).
+        Return the fraction of flux that goes the way of each hit's event, or the BSDF (1/sr) of scatter, (n,).
+
+        The fraction is that which the coating reflects, transmits or absorbs, whatever part of it is then scattered.
 
         Parameters
         ----------
@@ -152,7 +154,7 @@ class SurfaceHits:
     Attributes
     ----------
     event : int
-        Code of the event.
+        Code of the event, see `mistray.events`.
     wavelength_nm : float
         Wavelength, nm.
     cos_i : (n,) float64
@@ -182,7 +184,8 @@ def _shares(
     """
     Return R and T, (n,) each, 0 … 1, at cosines of incidence, (n,): means of s and p.
 
-    Light comes from the front if `from_front`, else from the back. Under total reflection T is 0.
+    `sides` are the complex indices in front and behind. Light comes from the front if `from_front`, else from the back.
+    Under total reflection T is 0.
     """
     refraction, total = _tables(coating, wavelength_nm, sides)
     n_in, n_out = (n.real for n in (sides if from_front else sides[::-1]))
@@ -202,11 +205,11 @@ def _shares(
 @lru_cache(maxsize=1024)
 def _tables(coating: Any, wavelength_nm: float, sides: tuple[complex, complex]) -> tuple[Floats, Floats | None]:
     """
-    Return tables of R and T over the angle for refraction, and a table for total reflection.
+    Return a table of R and T by angle for refraction (`refraction_rows`), and one for total reflection (`total_rows`).
 
-    The second is None for an opaque surface and between equal indices. They are those of the kernel with fewer nodes,
-    with an error below 1e-4. The kernel's own tables take ten times as long, and a slider asks for new ones at every
-    step.
+    `sides` are the complex indices in front and behind. The second table is None for an opaque surface and between
+    equal indices. Both are those of the kernel with fewer nodes, with an error below 1e-4. The kernel's own take ten
+    times as long, and a slider asks for new ones at every step.
     """
     x = np.linspace(0.0, 1.0, NODES)
     front, back = (n.real for n in sides)
@@ -233,7 +236,9 @@ def _scattered(
     """
     Return the sum of the BSDFs of all scatter models of a surface, (n,), 1/sr.
 
-    Light comes from the front if `from_front`, else from the back.
+    `indices` are those on the side of incidence and beyond; light comes from the front if `from_front`, else from the
+    back. `directions` are cosines of incidence and scattered directions as in `SurfaceHits`. `event` is "reflection" or
+    "transmission" and the coating's R or T, (n,).
     """
     total = np.zeros(len(directions[0]))
     for model, amount in look.models:

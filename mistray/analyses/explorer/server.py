@@ -52,7 +52,7 @@ class PageServer(ThreadingHTTPServer):
     Raises
     ------
     MistrayError
-        If the port is taken.
+        If the port cannot be used, as when it is taken.
     """
 
     daemon_threads = True

@@ -83,7 +83,7 @@ class Maps:
     power_W : (m + 1, h, w) float64
         Maps of these ways, and one of all other stray light, W; row 0 is at the smallest y.
     extent : tuple of float
-        x0, x1, y0, y1 of the cells, mm.
+        x0, x1, y0, y1 of the cells in the plane of the detector, mm; the last cells may extend past it.
     """
 
     ways: Whole
@@ -109,12 +109,12 @@ class Traced:
     maps : Maps
         Stray power on cells of the detector.
     remedy : Remedy or None
-        Surface that takes part in most of the stray light, detectors aside; None without stray light.
+        Surface that takes part in most of the stray light, detectors aside; None if there is none.
     slopes : dict
         Name of a control → d(stray power)/d(value) over the stray power, where it is known. It is not a number for a
         rim that the beam just fills: there the derivatives on its two sides differ.
     factors : dict
-        Index of a `HitGroup` → factors of its hits on the flux in `state`.
+        Index of a `HitGroup` in the sample → factors of its hits, (n,), in `state`, see `Looks.factor`.
     """
 
     state: Mapping[str, VALUES]
@@ -136,7 +136,7 @@ class Traced:
 
 def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
     """
-    Extract from a trace the data for estimates; its rays are traced again for the maps and for a sample.
+    Return the data for estimates from a trace; its rays are traced again for the maps and for a sample.
 
     Parameters
     ----------
@@ -193,7 +193,11 @@ def _sample(t: Trace, ways: pd.DataFrame) -> Sample:
 
 
 def _groups(hits: SampledHits, before: int) -> list[HitGroup]:
-    """Return the surface hits of sampled rays, grouped by surface and event; hits within media are left out."""
+    """
+    Return the surface hits of sampled rays, grouped by surface and event; hits within media are left out.
+
+    `before` is the number of rays in the sample ahead of these.
+    """
     cosine = np.einsum("rki,rki->rk", hits.arrival, hits.normal)
     groups = []
     for number in np.unique(hits.surface[hits.surface >= 0]):
@@ -216,7 +220,11 @@ def _groups(hits: SampledHits, before: int) -> list[HitGroup]:
 
 
 def _scattered(hits: SampledHits, event: int, ray: Whole, place: Whole) -> Floats:
-    """Return unit directions of scattered light, (n, 3), in the local frame of `mistray.scatter.evaluate.bsdf`."""
+    """
+    Return unit directions of scattered light, (n, 3), in the local frame of `mistray.scatter.evaluate.bsdf`.
+
+    The hits are those with this event at the indices `ray` and `place`, (n,) each, of `hits`.
+    """
     arrival, leaving = hits.arrival[ray, place], hits.arrival[ray, place + 1]
     normal = hits.normal[ray, place]
     along = np.sum(arrival * normal, axis=1, keepdims=True)

@@ -50,14 +50,15 @@ class FieldBeam:
     places : list of str
         Places along its rays: "start", the surfaces that they meet, and "focus" where the light comes together.
     middle : (p, 3) float64
-        Points of the middle ray at these places, mm.
+        Points of the middle ray at these places in world coordinates, mm.
     caps : (p, n, CAP, 3) float64
-        Points on each surface from the middle ray to the n rays at the rim, mm; one point for all rays at a focus.
+        World points on each surface from the middle ray to the n rays at the rim, mm; all equal where the beam comes to
+        a point.
     smooth : bool
         Whether a smooth curve follows the rim; else it is a polygon, because the rim has corners.
     rim_error_mm : float
-        Largest distance of this curve from rays at the rim between those that it goes through, at the start,
-        or at the first surface for light from a point.
+        Largest distance of this curve from rays at the rim between those that it goes through, mm. It is measured at
+        the start, or at the first surface for light from a point.
     """
 
     field_deg: float
@@ -99,7 +100,8 @@ class FieldBeam:
         """
         Add the end face of a beam section at place `k` to the file, and return its entity number.
 
-        `end` is 0 where the section begins and 1 where it ends; `outwards`: whether the rim's normal leaves the solid.
+        `end` is 0 where the section begins and 1 where it ends; `outwards`: whether the normal about which the rim runs
+        counter-clockwise points into the solid.
         """
         rings = self.caps[k]
         normal = polygon_normal(rings[:, -1])
@@ -266,8 +268,8 @@ class BeamFinder:
         """
         Return points, mm, of the middle ray and the rim rays at angles `turns`, and of the rim rays at `between`.
 
-        Angles are in rad about the middle of the entrance. Shapes are (p, 1 + n, 3) and (p, m, 3), with p places along
-        the rays.
+        Angles are in rad about the middle of the lit part of the entrance. Shapes are (p, 1 + n, 3) and (p, m, 3), with
+        p places along the rays.
         """
         others = outermost.at(between)
         rim = outermost.at(turns)
@@ -308,7 +310,7 @@ class BeamFinder:
 
 
 def _off(rim: Array, between: Array) -> float:
-    """Return the largest distance, mm, of rays half-way between rim points from the cubic spline through them."""
+    """Return the largest distance, mm, of rays `between` rim points, (n, 3), from the cubic spline through these."""
     poles, knots = _round(rim, True)
     half = (np.arange(len(rim)) + 0.5) / len(rim)
     return float(np.linalg.norm(BSpline(knots, poles, 3)(half) - between, axis=1).max())
@@ -373,7 +375,7 @@ class _Rim:
         return np.asarray(self._middle + reach[:, None] * along)
 
     def refined(self, turns: Array) -> tuple[Array, Array]:
-        """Insert directions, rad, where the rim bends; return all directions and those half-way between neighbours."""
+        """Return directions, rad, with more of them where the rim bends, and those half-way between neighbours."""
         for _ in range(ROUNDS):
             between = turns + 0.5 * np.diff(turns, append=turns[0] + 2 * np.pi)
             middles = self.at(between)
@@ -412,7 +414,7 @@ def _unit(turns: Array) -> Array:
 
 def _aside(points: Array, corners: Array) -> Array:
     """
-    Return the distance of each point, (n, d), from the polygon side that begins at the corner of its index, (n,).
+    Return the distance, (n,), of each point, (n, d), from the polygon side that begins at the corner of the same index.
 
     It is in the unit of the coordinates: mm, or slopes for rays of a near object.
     """

@@ -33,8 +33,9 @@ class Ring:
     """
     Surface of revolution about an axis, in the axis's frame.
 
-    `minus` and `plus` are the materials on the sides of lower and higher z. `mirror_side` is the side that light comes
-    from, -1 or 1, and 0 if no light to the detector meets the surface.
+    `minus` and `plus` are the materials on the sides of lower and higher z. `refracts` is True for a transparent sag
+    surface of glass or a detector. `mirror_side` is the side of a mirror that light comes from, -1 that of lower z and
+    1 that of higher; it is 0 for other surfaces, and if no light to the detector meets the mirror.
     """
 
     name: str
@@ -67,7 +68,7 @@ class StepBody:
     solid : bool
         Whether its faces close a volume.
     turned : list of (matrix, list of Profile)
-        Profiles about an axis, with the transform of its frame; for a solid one closed chain.
+        Profiles about an axis, mm, with the transform of its frame to the world, (4, 4); for a solid one closed chain.
     patches : list of Patch
         Sags within outlines; for a solid its flat polygons.
     ring : bool
@@ -100,9 +101,9 @@ class StepBody:
     @property
     def error_mm(self) -> float:
         """
-        Return the largest distance of its B-splines from the surfaces, mm, once its faces are made.
+        Largest distance of its B-splines from the surfaces, mm, once its faces are made.
 
-        It is 0 if the body has none.
+        It is 0 if the body has no B-spline.
         """
         profiles = [profile.error_mm for _, own in self.turned for profile in own]
         return max([*profiles, *(patch.error_mm for patch in self.patches)], default=0.0)
@@ -211,7 +212,11 @@ def _turned(name: str, shape: Any) -> tuple[Array, Profile] | None:
 
 
 def _patch(name: str, shape: Any, tolerance: float) -> Patch | str:
-    """Return a non-rotational surface within an outline as a patch, or the reason why it cannot be written."""
+    """
+    Return a non-rotational surface within an outline as a patch, or the reason why it cannot be written.
+
+    `tolerance` is that of `Patch`, mm.
+    """
     if getattr(shape, "rectangular", False):
         outline = rectangle(shape.values["half_width"], shape.values["half_height"])
         return Patch(name, lambda x, y: shape.sag(np.hypot(x, y)), outline.figures, shape.matrix, tolerance)
@@ -230,7 +235,11 @@ def _patch(name: str, shape: Any, tolerance: float) -> Patch | str:
 def _add(
     axes: list[Axis], name: str, part: str, role: str, shape: Any, matrix: Array, profile: Profile, lit: int
 ) -> None:
-    """Add a surface of revolution to the list of surfaces about its axis, or start a list for a new axis."""
+    """
+    Add a surface of revolution to the list of surfaces about its axis, or start a list for a new axis.
+
+    `matrix` and `profile` are those of `_turned`. `lit` is the side of a mirror as in `bodies_of`, 0 for none.
+    """
     size = float(np.abs(profile.poles).max())
     front, back = shape.bsdf().front, shape.bsdf().back
     for axis in axes:
@@ -301,7 +310,7 @@ def _lenses(axis: Axis, found: Found) -> set[str]:
 
 def _mirror(axis: Axis, ring: Ring, thickness: float, found: Found) -> StepBody | None:
     """
-    Return a mirror as a body with a substrate of given thickness, mm, behind it; None if no volume closes.
+    Return a mirror with a substrate behind it, at least `thickness` thick, mm, as a body; None if no volume closes.
 
     If the light to the detector does not meet it, add a note to `found` and return None.
     """
@@ -369,9 +378,10 @@ def _in_turn(
     chain: list[int], numbers: npt.NDArray[np.int_], profiles: list[Profile], free: list[int]
 ) -> list[Profile]:
     """
-    Return connected profiles in sequence, reversed where needed.
+    Return the profiles of the indices `chain`, which are connected, in sequence, reversed where needed.
 
-    It begins at the first free end, of the point indices `free`, or at the first profile if there is none.
+    They begin at the first free end, of the point indices `free`, or with the first profile if there is none. `numbers`
+    are those of `_components`.
     """
     left = list(chain)
     here = free[0] if free else int(numbers[chain[0], 0])

@@ -21,7 +21,9 @@ from mistray.trace import Settings, trace
 
 def run(scene: mi.Scene, request: CriticalRaysRequest) -> pd.DataFrame:
     """
-    Find the ray nearest to the centre of the image-forming light, and the outermost rays around it, node by node.
+    Return the ray nearest to the centre of the image-forming light, and the outermost rays around it, node by node.
+
+    What is nearest or outermost is decided by the points at which the rays start, seen along the light.
 
     Parameters
     ----------
@@ -32,9 +34,10 @@ def run(scene: mi.Scene, request: CriticalRaysRequest) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        field_deg (degrees), name ("centre", "rim 0°", … counted about the beam from the scene's x axis towards y), and
-        the columns of `mistray.trace.RayHistory.to_pandas`; positions in float64, mm. There are rim + 1 rays per field
-        and wavelength, fewer if one ray is the outermost in two directions.
+        field_deg (degrees), name ("centre", "rim 0°", …), and the columns of `mistray.trace.RayHistory.to_pandas`;
+        positions in float64, mm. Rims count about the direction of the light, from the scene's x axis; for light along
+        +z towards y. There are rim + 1 rays per field, source and wavelength, fewer if one ray is the outermost in two
+        directions.
 
     Raises
     ------
@@ -81,7 +84,7 @@ def _outermost(starts: np.ndarray, along: np.ndarray, rim: int) -> dict[str, int
     Return the index of the ray nearest the beam's centre, and indices of rays at its rim, by name.
 
     The rays start at `starts`, (n, 3), mm, along the vector `along`, (3,). The rim has `rim` directions; a ray that is
-    outermost in several has the name of the first.
+    outermost in several has the name of the first. Names are those of `run`.
     """
     along = along / np.linalg.norm(along)
     across = np.array([1.0, 0.0, 0.0]) - along[0] * along

@@ -140,7 +140,7 @@ def polyhedron(polygons: Sequence[Array]) -> list[list[int]] | None:
     -------
     list of list of int, or None
         Corner indices of each polygon, counted over all polygons; equal corners have the index of the first. The order
-        is counter-clockwise from outside. None if they enclose no volume.
+        is counter-clockwise from outside. None unless each side belongs to just two polygons and all are connected.
     """
     points = np.concatenate(polygons)
     near = 1e-6 * float(np.ptp(points, axis=0).max())
@@ -240,7 +240,7 @@ class Patch:
 
     @property
     def polygon(self) -> Array | None:
-        """Return its corners in world coordinates, (n, 3), mm, if it is a flat polygon without holes; else None."""
+        """Corners in world coordinates, (n, 3), mm, if the patch is a flat polygon without holes; else None."""
         if not self.flat or len(self.figures) > 1 or self.figures[0].kind not in ("polygon", "rectangle"):
             return None
         return self.world(self._lift(corners_of(self.figures[0])))
@@ -252,12 +252,12 @@ class Patch:
 
     def face(self, file: StepFile) -> int:
         """
-        Add the patch as a face with the normal of its frame, and return its entity number.
+        Add the patch as a face with its normal on the side of +z of its frame, and return its entity number.
 
         Raises
         ------
         MistrayError
-            If no B-spline of reasonable size meets the tolerance.
+            If no B-spline of reasonable size meets the tolerance, or the sag ends within the box around the outline.
         """
         if self.flat:
             corner, across = self.world(self._lift(np.array([[0.0, 0.0], [1.0, 0.0]])))

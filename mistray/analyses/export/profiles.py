@@ -65,12 +65,12 @@ class Profile:
 
     @property
     def start(self) -> Array:
-        """Return the first end point (r, z), (2,), mm."""
+        """First end point (r, z), (2,), mm."""
         return np.asarray(self.poles[0])
 
     @property
     def end(self) -> Array:
-        """Return the last end point (r, z), (2,), mm."""
+        """Last end point (r, z), (2,), mm."""
         return np.asarray(self.poles[-1])
 
     def reversed(self) -> Profile:
@@ -144,7 +144,7 @@ def _even(shape: Any, piece: SagSurface, count: int) -> Array:
     """
     Return `count` points (r, z), mm, along an asphere.
 
-    They are at even angles about the centre if its base conic is an ellipse, else at even steps of r.
+    They are at even eccentric angles if its base conic is an ellipse, else at even steps of r.
     """
     product = (1 + piece.conic) * piece.curvature**2
     if product > 0:

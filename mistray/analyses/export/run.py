@@ -101,7 +101,7 @@ def run(scene: mi.Scene, request: StepRequest, *, path: str | Path, name: str = 
     ------
     MistrayError
         If a value is out of range, a field has no light on the detector, no surface can be written in STEP, or the file
-        cannot be written.
+        cannot be written. Also if mirrors shall have a thickness and no light of the source reaches the detector.
 
     Examples
     --------

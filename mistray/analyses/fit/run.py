@@ -182,9 +182,9 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
     @property
     def standard_error(self) -> np.ndarray:
         """
-        Standard errors, (k,), in the parameters' units, bounds ignored; infinite at 0 if `power` exceeds 1.
+        Standard errors, (k,), in the parameters' units, bounds ignored.
 
-        They are infinite or NaN for parameters that the data do not determine.
+        At the value 0 they are infinite for a `power` above 1, 0 below 1; infinite or NaN for undetermined parameters.
         """
         with np.errstate(divide="ignore"):
             return np.asarray(np.sqrt(np.diag(self.covariance)) / _stretch(self.value, self.power))
@@ -198,7 +198,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     @property
     def untold(self) -> dict[str, tuple[str, ...]]:
-        """Parameters that the data do not determine, each with the parameters whose effect on the data is similar."""
+        """Parameters that the data do not determine, each with those that can make up for its change, also jointly."""
         blind = np.abs(self._blind())
         return {
             name: tuple(other for other, part in zip(self.names, row, strict=True) if part > PART**2 and other != name)
@@ -236,7 +236,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
         Raises
         ------
         MistrayError
-            If a value is missing or out of its bounds.
+            If a value is missing, not finite or out of its bounds.
         """
         VALUES.check("values", values)
         missing = [name for name in self.names if name not in values]
@@ -327,7 +327,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
 
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
-        Find how well the data determine directions in the parameters.
+        Return how well the data determine directions in the parameters.
 
         Returns
         -------
@@ -349,7 +349,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
         return np.asarray(directions[:, weights <= ALIKE] @ directions[:, weights <= ALIKE].T)
 
     def _room(self) -> np.ndarray:
-        """Return the distances of the estimate to the lower and upper bounds, (2, k), in the parameters' scales."""
+        """Return the steps from the estimate to the lower (≤ 0) and upper (≥ 0) bounds, (2, k), in their scales."""
         return np.stack([_scaled(end, self.power) for end in (self.low, self.high)]) - _scaled(self.value, self.power)
 
 
@@ -369,7 +369,7 @@ def fit(
 
     Levenberg and Marquardt's method (D. W. Marquardt, J. SIAM 11, 1963) in scales in which the model is nearly linear.
     The weights are the inverse of the covariance of the data plus that of the model's own Monte Carlo noise, renewed at
-    every step. It ends with the first step that is shorter than a standard deviation, or than `Evaluations.settled`,
+    every step. It ends with the first step shorter than `Evaluations.settled`, by default one standard deviation,
     without another evaluation. The noise of the model is then that of one evaluation, which counts in the likelihood.
 
     A parameter stays where it is if the data change by less than `LEAST_EFFECT` standard errors as it takes all values
@@ -404,7 +404,7 @@ def fit(
     Raises
     ------
     MistrayError
-        If shapes or values do not agree, the model is not finite, or the fit does not settle.
+        If shapes or values do not agree, data are too few, the model is not finite, or the fit does not settle.
 
     Examples
     --------
@@ -517,7 +517,7 @@ def _of_each(name: str, given: Any, count: int) -> np.ndarray:
 
 
 def _numbers(name: str, given: Any) -> np.ndarray:
-    """Return an argument as an array of float64; raise `MistrayError` if it is none."""
+    """Return an argument as an array of float64; raise `MistrayError` if it does not consist of numbers."""
     try:
         return np.asarray(list(given) if isinstance(given, Iterator | Set) else given, dtype=np.float64)
     except (TypeError, ValueError):
@@ -526,10 +526,10 @@ def _numbers(name: str, given: Any) -> np.ndarray:
 
 def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray:
     """
-    Return the largest allowed steps down and up, (2, k), in the parameters' scales.
+    Return the largest allowed steps down (≤ 0) and up (≥ 0), (2, k), in scales with the curvature `scale`, (k,).
 
-    They end half a standard error before a bound. A logarithm changes by at most ln 3, and a parameter with a lower
-    bound to at most ten times its distance from it.
+    They end half a standard error before a bound, `room`, (2, k), away. A logarithm changes by at most ln 3. A distance
+    from a lower bound becomes at most ten times as long, or ten standard errors if it is 0.
     """
     error = 1 / np.sqrt(np.where(scale > 0, scale, np.inf))  # what no datum depends on does not move
     low, high = np.minimum(room[0] + OFF_BOUND * error, 0.0), np.maximum(room[1] - OFF_BOUND * error, 0.0)

@@ -28,7 +28,7 @@ def tight(table: pd.DataFrame) -> pd.DataFrame:
 
 def with_airy(table: pd.DataFrame, cones: Mapping[int, LightCone]) -> pd.DataFrame:
     """
-    Add the RMS irradiance that the Airy radius allows to a path table.
+    Return a path table with the RMS irradiance that the Airy radius allows.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ def with_airy(table: pd.DataFrame, cones: Mapping[int, LightCone]) -> pd.DataFra
     Returns
     -------
     DataFrame
-        Table with two more columns: ``airy_radius_mm``, 1.22 λN with the wavelength λ and the F-number N of the cone,
-        and ``airy_irradiance_W_mm2``, the power over π times its square, each with its ``_se``. Both are NaN where the
-        RMS radius is not below the Airy radius or no cone is known.
+        Table with more columns: ``airy_radius_mm``, 1.22 λN with the wavelength λ and the F-number N of the cone, and
+        ``airy_irradiance_W_mm2``, the power over π times its square, each with its standard error (``_se``). They are
+        NaN where the RMS radius is not below the Airy radius or no cone is known.
     """
     found = [cones.get(path_id) for path_id in table.path_id]
     known = [(cone.aperture, cone.aperture_se) if cone and cone.known else (np.nan, np.nan) for cone in found]

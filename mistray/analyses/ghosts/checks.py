@@ -14,7 +14,12 @@ from mistray.trace.photometry import check_light
 
 
 def check_tables(scene: mi.Scene, request: GhostsRequest, shown: GhostTables) -> None:
-    """Raise `MistrayError` if requested tables name surfaces, filters or wavelengths that the scene lacks."""
+    """
+    Raise `MistrayError` if a requested table cannot be made of the scene.
+
+    That is if a filter or place names what the scene lacks, a filter needs a column that is known on the detector
+    alone, or the wavelengths do not suffice for photometric values or colours.
+    """
     selections = [shown.filter] if shown.filter else []
     check_paths(scene, [*selections, *(shown.maps or ())])
     if shown.rays_at:

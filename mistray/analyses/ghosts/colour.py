@@ -126,7 +126,7 @@ def xyz(power: npt.ArrayLike, wavelength_nm: npt.ArrayLike) -> Array:
 
 def develop(light: Array, exposure: float, white: Array | None = None) -> Developed:
     """
-    Convert XYZ to a picture in encoded sRGB (IEC 61966-2-1), as described at the head of this module.
+    Return XYZ as a picture in encoded sRGB (IEC 61966-2-1), as described at the head of this module.
 
     Parameters
     ----------
@@ -195,6 +195,12 @@ class ColourPictures:
         Report with at least three wavelengths, all of them visible.
     look : Look, optional
         Settings of the pictures. Default: ``Look()``.
+
+    Raises
+    ------
+    MistrayError
+        If there are fewer than three wavelengths, one is not visible, blocks do not fill the picture, or the light of
+        the source is too saturated to be white.
 
     Attributes
     ----------

@@ -10,7 +10,7 @@ from mistray.trace.paths import PathTable
 
 def by_path(table: pd.DataFrame, paths: PathTable) -> pd.DataFrame:
     """
-    Combine rows of a path table with the same source and events at all wavelengths, strongest path first.
+    Return a path table with one row for all wavelengths of the same source and events, strongest path first.
 
     Parameters
     ----------

@@ -165,7 +165,7 @@ def _refuse(options: Options) -> None:
     """
     Raise `MistrayError` for options given without another one that they need, or output without a destination.
 
-    So it does for an alias that stands for all surfaces next to another one.
+    An alias that stands for all surfaces raises it, too, if there is another alias.
     """
     from mistray.analyses.ghosts.request import ALL_SURFACES
 
@@ -226,9 +226,9 @@ def _write(report: GhostReport, shown: GhostTables, options: Options) -> list[Pa
 
 def _write_unfinished(error: UnfinishedError, shown: GhostTables, options: Options) -> None:
     """
-    After an interrupt, write a report of the finished fields, and of the unfinished one with the rays it has.
+    Write a report of the finished fields, and of the unfinished one with the rays that it has, and name it in `error`.
 
-    Do nothing without --out, or if no field has rays.
+    Do nothing without --out, or if too little is finished for a report.
     """
     from mistray.analyses.ghosts.page.output import page
     from mistray.analyses.ghosts.request import GhostTables

@@ -35,7 +35,7 @@ class FieldSummary:
     direct : DirectImage
         Direct image at this field.
     stray_W : Estimate
-        Power of all light except the direct image that the detector absorbs, W.
+        Power that the detector absorbs of all light except the direct image, W.
     direct_incident_W, stray_incident_W : Estimate
         Power of the direct image and of all other light incident on the detector, W.
     stray_of_kind_W : dict of str to Estimate
@@ -45,7 +45,7 @@ class FieldSummary:
     stray_to_nominal : Estimate
         ``stray_W`` over the direct power on axis, dimensionless.
     brightest : int or None
-        ``path_id`` of the stray path of the highest RMS irradiance; None without stray paths.
+        ``path_id`` of the stray path that is ranked first by RMS irradiance; None without stray paths.
     brightest_normalised : Estimate
         RMS irradiance of that path over that of the direct image on axis, dimensionless; NaN without one.
     map : MapStatistics

@@ -33,7 +33,7 @@ class FieldTraces:
     arguments : mapping
         Arguments of `mistray.trace` at every field.
     progress : callable or None
-        Called with (fields done, fields to do); None: nothing is called.
+        Called with the number of fields done, parts of one included, and of all fields; None: nothing is called.
 
     Raises
     ------
@@ -75,8 +75,8 @@ class FieldTraces:
         wanted : sequence of float or None
             Field angles, degrees; None: that of the scene's source.
         finish : callable
-            Called with the angle of each traced field to use the rest of its share of a time budget; not called without
-            one.
+            Called with the angle of each traced field, degrees, to use the rest of its share of a time budget. It is
+            not called without a budget, nor before the field on axis is traced.
         """
         count = len(wanted)
         ordered = coarse_first(wanted) if is_limited() else wanted
@@ -136,7 +136,11 @@ class FieldTraces:
 
 
 def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> PolarizationChoice:
-    """Return one polarisation mode for the traces of several fields, see `mistray.trace.host.polarization_choice`."""
+    """
+    Return one polarisation mode for the traces of several fields, see `mistray.trace.host.polarization_choice`.
+
+    `wanted` are the fields of `FieldTraces.trace`, and `arguments` those of `FieldTraces`.
+    """
     given = arguments.get("polarization")
     if isinstance(given, PolarizationChoice):
         return given
@@ -147,7 +151,11 @@ def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: M
 
 
 def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return trace arguments with fewer wavelengths if the time is too short for all; else an empty dict."""
+    """
+    Return trace arguments with fewer wavelengths, nm, if the time is too short for all; else an empty dict.
+
+    `wanted` are the fields of `FieldTraces.trace`, and `arguments` those of `FieldTraces`.
+    """
 
     def timed(**few: Any) -> None:
         _ = trace(scene, field_deg=wanted[0], **{**arguments, **few}).irradiance  # the sum of an image of each
@@ -160,7 +168,7 @@ def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, i
     """
     Return a progress callback for one trace, which reports it as part of the progress of all fields.
 
-    None without `progress`.
+    `done` of `fields` fields are finished before it. The result is None without `progress`.
     """
     if progress is None:
         return None

@@ -72,7 +72,7 @@ def path_analysis(
     Raises
     ------
     MistrayError
-        If the key is unknown, or the share is below 0 or not below 1.
+        If the key or a path id is unknown, or the share is below 0 or not below 1.
 
     Examples
     --------
@@ -107,7 +107,7 @@ def path_analysis(
 
 def mean_lengths(trace: Trace, path_ids: Sequence[int]) -> Mapping[int, tuple[float, float]]:
     """
-    Return the mean optical path length of each path, weighted by flux, and its standard error, mm.
+    Return the mean optical path length of each path, weighted by flux, and its standard error, mm, by path id.
 
     The error is infinite for a path of a single ray.
     """

@@ -56,7 +56,11 @@ class SortedPath:
 
     @property
     def intercepts(self) -> str:
-        """Return the types of a path's events with counts, in order of first occurrence: "(4 SpecTran)(2 SpecRefl)"."""
+        """
+        Types of the events between start and end with counts, in order of first occurrence: "(4 SpecTran)(2 SpecRefl)".
+
+        It is "(none)" without such events.
+        """
         counts = Counter(kind for kind, _, _ in self.events if kind not in ENDS)
         return "".join(f"({count} {kind})" for kind, count in counts.items()) or "(none)"
 
@@ -130,7 +134,7 @@ def path_sort_text(trace: Trace, count: int | None = None) -> str:
 
 def parse_path_sort(text: str) -> list[SortedPath]:
     """
-    Parse the text of a path-sort file into its paths.
+    Return the paths in the text of a path-sort file.
 
     Raises
     ------

@@ -22,7 +22,7 @@ Floats = npt.NDArray[np.float64]
 
 def with_peaks(table: pd.DataFrame, trace: Trace) -> pd.DataFrame:
     """
-    Add the brightest pixel of each path to a path table, by tracing the same rays again.
+    Return a path table with the brightest pixel of each path, found by tracing the same rays again.
 
     Each run maps as many paths as memory allows, the strongest ones first. It also maps the others together. None
     of them can be brighter than that map, so the runs end as soon as it is darker than the `SURE` brightest paths.

@@ -127,7 +127,7 @@ class Alias(Demand):
     _pair = Pairs("not an alias; give PATTERN=NAME, part or space")
 
     def __call__(self, text: str) -> str | tuple[str, str]:
-        """Parse an alias from the command line: a word, or a pair of pattern and name."""
+        """Return the alias that a text of the command line stands for: a word, or a pair of pattern and name."""
         return text if text in ALL_SURFACES else self._pair(text)
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:

@@ -78,6 +78,10 @@ class GhostReport(
         Field angles that were traced again with more rays, degrees, see `ghosts`.
     not_traced : tuple of float
         Field angles requested but not traced for lack of time, degrees, see `ghosts`.
+    light_maps : dict
+        Field angle, degrees → list of `LightMap`; empty before `map_light` is called.
+    photometric : bool
+        Whether pages and files also have photometric units.
 
     Examples
     --------
@@ -182,9 +186,9 @@ class GhostReport(
 
     def rivals(self, field_deg: float) -> pd.DataFrame:
         """
-        Return the rows of `table` that may be the brightest path within two errors, by upper bound of irradiance.
+        Return the rows of `table` that may be the brightest path within two standard errors, though not ranked first.
 
-        Powers are in W and irradiances in W/mm².
+        The highest upper bound of the RMS irradiance is first. Powers are in W and irradiances in W/mm².
         """
         table = self.table(field_deg)
         table = table[table.contested]
@@ -265,7 +269,7 @@ class GhostReport(
 
     def top(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
         """
-        Return the worst stray paths of one field.
+        Return the rows of the worst stray paths of one field, the worst first, with the columns of `table`.
 
         Parameters
         ----------
@@ -294,9 +298,8 @@ class GhostReport(
         """
         Return rows of a field's table with the RMS irradiance at the Airy radius, see `mistray.analyses.ghosts.airy`.
 
-        For paths with so small a radius that it matters, some rays are traced again to find their light cones.
-
-        The new columns are in mm and W/mm².
+        For paths with so small a radius that it matters, some rays are traced again to find their light cones. The new
+        columns are in mm and W/mm².
         """
         known, wanted = self._cones.setdefault(field_deg, {}), set(tight(rows).path_id)
         if wanted - known.keys():
@@ -428,7 +431,7 @@ class GhostReport(
         )
 
     def peak_to_nominal(self, field_deg: float) -> Estimate:
-        """Return the peak irradiance of a field's stray light over that of the direct image on axis."""
+        """Return the peak irradiance of a field's stray light over that of the direct image on axis, dimensionless."""
         stray, nominal = self._images(field_deg).stray, self._nominal_map()
         found = brightest(stray).over(brightest(nominal))
         return Estimate(float(found.value), float(found.se))
@@ -466,8 +469,8 @@ class GhostReport(
         Returns
         -------
         dict
-            Polylines (k, 3) from the source to the detector, mm, by path id; a path that is too rare to occur in the
-            sample has none.
+            Lists of polylines (k, 3) from the source to the detector in world coordinates, mm, by path id; empty for a
+            path that is too rare to occur in the sample.
         """
         path_ids = self.check_ids(field_deg, path_ids)
         missing = [path_id for path_id in path_ids if (field_deg, path_id) not in self._rays]

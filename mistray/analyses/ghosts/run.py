@@ -41,7 +41,7 @@ def run(
         Scene with one source, from `mistray.load`.
     request : GhostsRequest
     progress : callable, optional
-        Called now and then with (fields done, fields to do); the first counts parts of a field too.
+        Called now and then with the number of fields done, parts of one included, and of all fields.
     seconds : float, optional
         Time for all fields, s, in equal shares; each ends with the rays that it has, see `mistray.trace`. Fields for
         which it is too short are in `GhostReport.not_traced`; those that are traced are spread over all. Maps, which a
@@ -115,7 +115,11 @@ ghosts = analysis("ghosts", GhostsRequest, run, _BY_POSITION.split())
 
 
 def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float, int]:
-    """Return the new number of start rays by contested field, degrees, where it exceeds the present number."""
+    """
+    Return the new number of start rays by contested field, degrees, where it exceeds the present number.
+
+    It is `wanted`, or four times the present number if that is None.
+    """
     had = {field: int(t.settings["rays"]) for field, t in report.items() if len(report.rivals(field))}
     more = {
         field: int(min(CONTESTED_FACTOR * rays, RAYS.high) if wanted is None else wanted) for field, rays in had.items()

@@ -21,7 +21,7 @@ class SpectralMaps:
     wavelengths_nm : (n,) float
         Wavelengths, nm, ascending.
     launched_W : (n,) float
-        Flux of the sources, W.
+        Flux of the sources at each wavelength, W.
     direct, stray : (n, H, W) float
         Irradiance of the direct paths and of all others, W/mm² in each line or band; not divided by its width.
     stray_hits : (n,) float
@@ -36,7 +36,7 @@ class SpectralMaps:
 
     def block_for(self, hits: float) -> int:
         """
-        Return the side of pixel blocks that hold at least `hits` stray rays of each wavelength on average.
+        Return the side of pixel blocks, whose lit ones hold at least `hits` stray rays of each wavelength on average.
 
         Returns
         -------

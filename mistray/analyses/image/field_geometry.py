@@ -32,13 +32,13 @@ class ChiefRay:
         Coordinates of the ray, see `PointBundle`.
     point, direction, normal : (3,) float64
         Point on the detector, mm, unit direction there, and the detector's unit normal on the side that light heads
-        for.
+        for, all in world coordinates.
     by_field : (2, 3) float64
         Derivatives of the point with respect to the field, in its direction and across it: mm per unit of the tangent
         of a field angle, or per mm of object height.
     pupil_distance : float
-        Distance from the exit pupil to the detector along the ray, mm; ``inf`` if chief rays of neighbouring fields are
-        parallel to it.
+        Distance from the exit pupil to the detector along the ray, mm, negative if the pupil lies behind the detector;
+        ``inf`` if chief rays of neighbouring fields are parallel to it.
     """
 
     coordinates: Array
@@ -135,10 +135,10 @@ def foci_beside(
     path: DesignPath, bundle: PointBundle, chief: ChiefRay, axes: Array, size: float
 ) -> tuple[float, float]:
     """
-    Return tangential and sagittal foci of rays near the chief ray, mm from the detector along its normal.
+    Return tangential and sagittal foci of rays near the chief ray, mm from the detector along z, positive beyond it.
 
-    They are Coddington's foci, computed from differences of real rays; NaN if the light is afocal. `axes` are the
-    columns of `image_axes`, and `size` is the extent of the light in coordinates of the bundle.
+    They are Coddington's foci, computed from differences of real rays; NaN if the light is afocal. `axes` are those of
+    `image_axes`, and `size` is the extent of the light in coordinates of the bundle.
     """
     h = PUPIL_STEP * size
     shifts = h * np.concatenate([np.eye(2), -np.eye(2)])

@@ -125,7 +125,7 @@ class LineImage(Result):
 
     def zernikes(self, kind: str = "noll", terms: int = 37) -> ZernikeFit:
         """
-        Fit Zernike coefficients of the OPD, waves, over the stop by least squares over the lit points.
+        Return Zernike coefficients of the OPD, waves, over the stop, fitted to the lit points by least squares.
 
         Parameters
         ----------

@@ -67,7 +67,7 @@ def quality_table(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> T
 
 
 def field_image_table(image: FieldImage) -> Table:
-    """Return the table of one field, a row per wavelength: weight, spot, wavefront and Strehl ratio."""
+    """Return the table of one field, a row per wavelength (nm): weight, RMS and PV OPD (waves), and Strehl ratio."""
     rows: list[list[Value]] = [
         [f"{line.wavelength_nm:g}", f"{line.weight:.3g}", f"{line.rms_waves():.4f}", f"{line.pv_waves():.4f}",
          _number(line.strehl, "{:.4f}")]
@@ -95,7 +95,7 @@ def zernike_frame(found: ImageQuality) -> pd.DataFrame:
 
 
 def curve_frame(found: ImageQuality) -> pd.DataFrame:
-    """Return a DataFrame of the MTF of each field at 101 frequencies, 1/mm, up to its cut-off."""
+    """Return a DataFrame of each field's MTF and its diffraction limit at 101 frequencies, 1/mm, to the cut-off."""
     parts = []
     for image in found:
         last = max(image.cut_off_per_mm("tangential"), image.cut_off_per_mm("sagittal"))
@@ -186,8 +186,8 @@ def write_quality(
     """
     Write tables, pictures, image_quality.json and report.html into a directory, see `write_report`.
 
-    `frequencies`, 1/mm, are those of the MTF in the tables; by default three below the cut-off. Returns the files
-    written.
+    `frequencies`, 1/mm, are those of the MTF in the tables; by default three below the cut-off. `title`, the name of
+    the optical system, and `command`, the command line, appear in the report. The files written are returned.
 
     Examples
     --------

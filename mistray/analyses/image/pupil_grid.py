@@ -96,7 +96,7 @@ def sample_pupil(
     path: DesignPath, bundle: PointBundle, region: Region, frame: ImageFrame, stop: PupilStop, chief: Array, grid: int
 ) -> PupilSamples | None:
     """
-    Sample the light of a field on an even grid of direction cosines.
+    Return the light of a field sampled on an even grid of direction cosines.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def _near(wanted: Array, known: Array, margin: float) -> npt.NDArray[np.bool_]:
     """
     Return a mask of points (n, 2) inside the convex hull of known points or within `margin` of it, (n,) bool.
 
-    If the known points have no hull, all are marked.
+    All of them are direction cosines. If the known points have no hull, all are marked.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -199,12 +199,15 @@ def _rays_to(
     cell: float,
 ) -> tuple[Array, Array]:
     """
-    Find rays with given direction cosines by Newton's method.
+    Return rays with the direction cosines `wanted`, (n, 2), found by Newton's method.
+
+    `known` are the coordinates of some rays in the bundle and their direction cosines, (m, 2) each. `size` is the
+    extent of the light in those coordinates, and `cell` the step of the grid in direction cosines.
 
     Returns
     -------
     x : (n, 2) float64
-        Coordinates of the rays; NaN if none is found.
+        Coordinates of the rays in the bundle; NaN if none is found.
     slopes : (n, 2, 2) float64
         Derivatives of the cosines with respect to the coordinates; NaN where they are degenerate.
     """
@@ -235,7 +238,7 @@ def _rays_to(
 
 
 def _guess(wanted: Array, points: Array, known: Array) -> Array:
-    """Return first guesses of entrance coordinates, (n, 2), of rays with the `wanted` direction cosines."""
+    """Return guesses of coordinates, (n, 2), of rays with cosines `wanted`, from `points` with cosines `known`."""
     middle = 0.5 * (known.min(axis=0) + known.max(axis=0))
     scale = max(0.5 * float(np.ptp(known, axis=0).max()), 1e-300)
     order = next(n for n in ORDERS if n == ORDERS[-1] or len(points) >= RAYS_PER_TERM * (n + 1) * (n + 2) // 2)
@@ -251,11 +254,12 @@ def _shares(
     path: DesignPath, bundle: PointBundle, x: Array, slopes: Array, lit: npt.NDArray[np.bool_], step: float
 ) -> tuple[Array, Array]:
     """
-    Return the lit fraction of each pupil cell, (n,), and the offset of its lit part from the centre, (n, 2).
+    Return the lit fraction of each pupil cell, (cells,), and the offset of its lit part from the centre, (cells, 2).
 
-    Offsets are in coordinates of the bundle. A few rays test every cell, because a vane narrower than a cell may lie
-    between the middles. Cells that are cut, and their neighbours, are divided further, so that a vane found in one cell
-    is followed to its end.
+    `x`, (cells, 2), and `slopes` are those of `_rays_to`; `lit`, (n, n), marks cells whose middle ray passes. `step` is
+    their width in direction cosines. Offsets are in coordinates of the bundle. A few rays test every cell, because a
+    vane narrower than a cell may lie between the middles. Cells that are cut, and their neighbours, are divided
+    further, so that a vane found in one cell is followed to its end.
     """
     n = len(lit)
     known = np.isfinite(slopes).all(axis=(1, 2))

@@ -56,17 +56,18 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
     axes : (3, 3) float64
         Unit vectors as columns: x (sagittal) and y (tangential) on the detector, and z along the light.
     pupil_distance_mm : float
-        Radius of the reference sphere, mm: by default from the exit pupil on the axis to the image point; ``inf`` if
-        telecentric.
+        Radius of the reference sphere, mm: by default from the exit pupil on the axis to the image point, negative if
+        the pupil lies behind it. It is ``inf`` for a plane, as with a pupil at infinity or within the blur.
     chief_angle_deg : float
         Angle between the chief ray and the normal of the detector, degrees.
     distortion_percent, calibrated_distortion_percent : float
         Relative deviation of the image height from f tan θ, or from the magnification of a near object, percent. The
         scale is that on the axis, or the one that leaves the least distortion in all fields. NaN on the axis.
     relative_illumination : float
-        Irradiance of the image of an even scene over that on the axis, dimensionless.
+        Irradiance of the image of an even scene over that on the axis, dimensionless. If no light reaches the detector
+        on the axis, it is over that of the first field.
     tangential_focus_mm, sagittal_focus_mm : float
-        Foci of rays close to the chief ray, mm from the detector along z.
+        Foci of rays close to the chief ray, mm from the detector along z, positive beyond it; NaN for afocal light.
 
     Examples
     --------
@@ -270,7 +271,7 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         Raises
         ------
         MistrayError
-            If a radius is below 0 or beyond the computed image.
+            If a radius is below 0 or beyond the computed image, or `about` is another word.
         """
         if about not in MIDDLES:
             raise MistrayError(f"about is '{about}'; give 'centroid', 'chief' or 'peak'")
@@ -418,7 +419,7 @@ class ImageQuality(OfFields[FieldImage], Result, table=".page:quality_table", fi
         return not math.isnan(self.magnification)
 
     def default_frequencies(self) -> list[float]:
-        """Return three default frequencies, 1/mm: an eighth, a quarter and half of the first field's cut-off."""
+        """Return three default frequencies, 1/mm: 1/8, 1/4 and 1/2 of the sagittal cut-off of the first field."""
         cut = self.fields[0].cut_off_per_mm("sagittal")
         return [float(f"{share * cut:.2g}") for share in (0.125, 0.25, 0.5)]
 

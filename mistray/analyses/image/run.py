@@ -41,7 +41,12 @@ Progress = Callable[[float, float], None]
 
 @dataclass(frozen=True)
 class _System:
-    """Scene prepared for image quality: design path at each wavelength, aperture stop, on-axis exit pupil, (3,), mm."""
+    """
+    Scene prepared for image quality: design path at each wavelength, sphere about its first surface, aperture stop.
+
+    `reference` is the index of the reference wavelength. `azimuth_deg` is None for that of the scene. `pupil` is the
+    centre of the exit pupil on the axis, (3,), mm, None at infinity.
+    """
 
     scene: Any
     paths: list[DesignPath]
@@ -176,7 +181,7 @@ image_quality = analysis("image_quality", ImageRequest, run)
 
 @dataclass(frozen=True)
 class _Field:
-    """Results of one field before they are related to the axis; `foci` are tangential and sagittal, mm."""
+    """Results of one field before they are related to the axis; `angle` is in degrees, `foci` see `foci_beside`."""
 
     angle: float
     bundle: PointBundle
@@ -230,7 +235,11 @@ def _sampled(
     grid: int | None, radius: float | None, name: str, notes: list[str],
 ) -> PupilSamples:  # fmt: skip
     """
-    Return the light of a field at one wavelength on a grid that resolves the wavefront, up to 512 cells across.
+    Return the light of a field at one wavelength on a grid of `grid` cells across.
+
+    None stands for as many cells, up to 512, as the wavefront requires. `name` names the field in messages. With no
+    `radius` of the reference sphere, mm, a plane takes its place where the pupil lies in the blur. This and a wavefront
+    that is not resolved are added to `notes`.
 
     Raises
     ------
@@ -264,7 +273,7 @@ def _sampled(
 
 
 def _pupil_is_far(sampled: PupilSamples, curvature: float) -> bool:
-    """True if a reference sphere about the image point can pass through the exit pupil."""
+    """True if the exit pupil is so far from the blur that a reference sphere of `curvature`, 1/mm, can go through."""
     pupil = sampled.pupil
     half = 0.5 * float(np.hypot(np.ptp(pupil.alpha), np.ptp(pupil.beta)))
     blur = float(np.nanmax(np.abs(sampled.spot)))
@@ -276,7 +285,12 @@ def _image(
     f: _Field, system: _System, base: _Field, place: float, height: float, scales: tuple[float, float],
     azimuth_deg: float | None,
 ) -> FieldImage:  # fmt: skip
-    """Return the image of a field, with distortion and illumination relative to the on-axis field `base`."""
+    """
+    Return the image of a field, with its illumination relative to that of the field `base`.
+
+    Distortion compares the image height `place`, mm, with each of the scales times the field's height, see `_height`.
+    The two scales are that on the axis and the calibrated one, mm per unit of the field's height.
+    """
     source = scene_sources(system.scene, field_deg=f.angle, azimuth_deg=azimuth_deg)[0]
     azimuth = source.emitter.azimuth_deg if azimuth_deg is None else azimuth_deg
     distortion = [100 * (place / (scale * height) - 1) if height and scale else np.nan for scale in scales]

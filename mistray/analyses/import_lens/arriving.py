@@ -53,7 +53,7 @@ class Arriving:
 
 
 def arriving(scene_file: Path) -> Arriving:
-    """Trace the beam of a scene, and rays from its detector outwards; return what arrives."""
+    """Return the share of a scene's beam that arrives at its detector, and the entrances of light, by tracing both."""
     from mistray.analyses.import_lens.entrances import entrances
     from mistray.scene import load
     from mistray.trace import Settings, trace

@@ -31,11 +31,11 @@ class Entrances:
     Attributes
     ----------
     first : str
-        Id of the first surface of the design path; "" without a design path, and all other members are 0 then.
+        Id of the first surface of the design path; "" without a design path, and all other members are 0 or empty then.
     rays : int
         Number of rays from the detector that leave on that side.
     share, share_se : float
-        Share of the view that enters through any other surface, and its standard error.
+        Share of the view, 0 … 1, that enters through any other surface, and its standard error.
     others : dict of str to float
         Share by other surface, the largest first; the detector itself if light meets nothing before it.
     """
@@ -64,15 +64,15 @@ class Entrances:
 
 def entrances(scene: mi.Scene, rays: int = MOST_RAYS, seed: int = 0) -> Entrances:
     """
-    Find through which surfaces a scene's detectors see the outside, by rays in float64 on the host without a kernel.
+    Return the surfaces through which a scene's detectors see the outside, found by float64 rays on the host.
 
     Parameters
     ----------
     scene : mi.Scene
         Loaded scene.
     rays : int
-        Largest number of rays from all detectors together, of equal flux over their hemispheres. There are fewer
-        if enough of them get out.
+        Largest number of rays from all detectors together, of equal flux over their hemispheres. They are traced in
+        passes of 1000, at least one, until enough get out.
     seed : int
         Seed of the rays.
 

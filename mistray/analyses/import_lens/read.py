@@ -136,7 +136,7 @@ def kind_of(path: Path) -> str | None:
 
 def read_lens(request: LensRequest) -> Imported:
     """
-    Read the lens file of a request, set its light, and return the lens.
+    Return the lens read from the file of a request, of a type known to `kind_of`, with its light set.
 
     Raises
     ------

@@ -48,7 +48,7 @@ class SeenObject:
 
     @classmethod
     def of(cls, hits: HitSamples) -> SeenObject:
-        """Create the object from its hits, with a k-d tree of their points."""
+        """Return the object made from its hits, with a k-d tree of their points."""
         return cls(hits, cKDTree(hits.point))
 
 
@@ -60,7 +60,7 @@ def product_estimates(
     objects: Mapping[int, CommonObject],
 ) -> list[ScatterEstimate]:
     """
-    Estimate the light that each object sends to the detector by one scatter event, at every source angle.
+    Return estimates of the light that each object sends to the detector by one scatter event, at every source angle.
 
     Parameters
     ----------
@@ -133,7 +133,8 @@ def estimate(
     """
     Return BSDF (1/sr), geometric configuration factor and product estimate of an object, W for 1 W/mm² across the beam.
 
-    All are 0 unless the object is both lit and seen.
+    `area` is that of the detector, mm², and `number` the index of the object in `illuminated`. All are 0 unless the
+    object is seen where it is lit.
     """
     lit, seen = illuminated.samples(number), view.hits
     if not lit.weight.sum() > 0 or not seen.weight.sum() > 0:
@@ -162,7 +163,8 @@ def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, c
     """
     Return sums of weights by index `place`, (count, 1 + BATCHES).
 
-    The first column is of all rays. The others leave one batch out each, and are scaled up to the number of all rays.
+    `place`, `batch` and `weight` have an entry for each ray. The first column is of all rays. The others leave one
+    batch out each, and are scaled up to the number of all rays.
     """
     by_batch = np.bincount(place * BATCHES + batch, weight, minlength=count * BATCHES).reshape(count, BATCHES)
     total = by_batch.sum(axis=1, keepdims=True)
@@ -215,7 +217,7 @@ class _Pairs:
 
 
 def _pairs(table: SurfaceTable, surface: int, lit: HitSamples, view: SeenObject, chance: np.ndarray) -> _Pairs:
-    """Return pairs of a ray that lights a surface, drawn in proportion to `chance`, and nearby rays that see it."""
+    """Return pairs of rays that light a surface, drawn in proportion to `chance`, (n,), and rays that see it nearby."""
     rng, seen = np.random.default_rng(surface), view.hits
     sums = np.cumsum(chance)
     chosen = np.searchsorted(sums, (np.arange(LIT) + rng.random()) / LIT * sums[-1], side="right")

@@ -115,7 +115,8 @@ def _names(
     """
     Label objects side by side above the system, each with a thin line to the upper end of its object.
 
-    Objects that lie in the lower half of the drawing have no label.
+    `low` and `high` are the corners of the system in z and y, mm, and `room` is the height above it, mm. Objects that
+    lie in the lower half of the drawing have no label.
     """
     anchors: dict[str, Polyline] = {}
     for name in labels:
@@ -136,7 +137,7 @@ def spread(wanted: Sequence[float], low: float, high: float, most: int) -> list[
     """
     Return label positions close to the ascending `wanted` ones, from `low` to `high`.
 
-    Neighbours are at least 1/`most` of that range apart. More than `most` of them begin below `low`.
+    Neighbours are at least 1/`most` of that range apart. More than `most` + 1 of them begin below `low`.
     """
     apart = (high - low) / most
     places: list[float] = []

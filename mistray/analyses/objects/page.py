@@ -115,7 +115,7 @@ def heading(found: Objects) -> str:
 
 
 def text(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> str:
-    """Return the text that `mistray objects` prints, with at most as many rows in each table as `shown` says."""
+    """Return the text that `mistray objects` prints; each list of objects has at most as many rows as `shown` says."""
     most = shown.rows
     parts = [
         heading(found),
@@ -241,7 +241,7 @@ def write_objects(
 
 def objects_text(found: Objects, estimates: pd.DataFrame, count: int = DEFAULT_TABLES.rows) -> str:
     """
-    Return the printed text with at most `count` rows in each table; `estimates` is ignored.
+    Return the printed text with at most `count` rows in each list of objects; `estimates` is ignored.
 
     Examples
     --------

@@ -35,9 +35,9 @@ class Patches:
     @classmethod
     def of(cls, table: SurfaceTable, surface: int, hits: int) -> Patches:
         """
-        Divide a surface into at most 256 patches with at least 8 hits each on average.
+        Return the division of a surface into at most 256 patches with at least 8 of `hits` each on average.
 
-        A Mitsuba shape is one patch.
+        A Mitsuba shape is one patch, and so is a surface with fewer hits.
         """
         count = 1 if surface >= len(table.pieces) else int(np.clip(hits // HITS_PER_PATCH, 1, MOST_PATCHES))
         first = max(1, int(np.sqrt(count)))

@@ -111,7 +111,7 @@ class Places:
 
     @property
     def gaps(self) -> int:
-        """Number of gaps along the design path, before, between and after its surfaces; 1 if there is no such path."""
+        """Number of gaps along the design path, one before each surface and the detector; 1 without such a path."""
         return len(self.path.steps) if self.path is not None else 1
 
     # ---- the gap of a ray
@@ -231,7 +231,7 @@ class Places:
 
     def _find_stop(self, tracer: ChainTracer) -> ApertureStop | None:
         """
-        Find the aperture stop by fans of rays parallel to the base ray, of which the outermost just arrives.
+        Return the aperture stop, found by fans of rays parallel to the base ray, of which the outermost just arrives.
 
         The stop is whatever ends the next ray outside it: a surface in the way, or the rim of a design surface that the
         ray misses. The fan whose beam is narrowest decides. The result is None if in every fan no ray arrives or the
@@ -257,9 +257,9 @@ class Places:
 
     def _limit(self, ends: _FanEnds, ray: int) -> ApertureStop | None:
         """
-        Return the aperture stop as the part that blocks the ray of index `ray`, the first one outside the beam.
+        Return the aperture stop as what ends the ray of index `ray`, the first one outside the beam.
 
-        The result is None if it just misses the detector.
+        That is the part that blocks it, or the design surface that it misses. The result is None for the detector.
         """
         assert self.path is not None
         gap, surface = int(ends.reached[ray]), int(ends.surface[ray])
@@ -279,7 +279,7 @@ class Places:
         return ApertureStop(self.table.parts[surface], gap, float(self.along(np.array([gap]), point)[0]))
 
     def _fan(self, tracer: ChainTracer, out: np.ndarray, heights: np.ndarray) -> _FanEnds:
-        """Return where rays parallel to the base ray, at `heights` (mm) along `out`, leave the design path."""
+        """Return where rays parallel to the base ray, at `heights`, (n,), mm along `out`, (n, 3), leave the path."""
         assert self.path is not None
         steps, n = self.path.steps, len(out)
         o = steps[0].point + heights[:, None] * out - 4 * self._size() * steps[0].before

@@ -50,7 +50,7 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
     seen : RayView
         Objects that rays from the detector meet, and their flux.
     lit : list of RayView
-        Objects that rays from each source meet, and their flux.
+        Objects that rays from each source angle, or from the cone or disc, meet, and their flux.
     field_deg : tuple of float
         Source angles, degrees; empty where the source is a cone or a disc.
     facts : dict
@@ -83,12 +83,16 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
 
     @functools.cached_property
     def critical(self) -> list[SceneObject]:
-        """Critical objects: surfaces that the detector sees, without the optics, the strongest first."""
+        """Critical objects: surfaces that the detector sees above the threshold, without optics, strongest first."""
         return self._strongest(0)
 
     @functools.cached_property
     def illuminated(self) -> list[SceneObject]:
-        """Illuminated objects, without optics: surfaces that light from outside reaches, by mean over source angles."""
+        """
+        Illuminated objects: surfaces that light from outside reaches above the threshold, without optics.
+
+        They are in the order of their mean flux over the source angles, the strongest first.
+        """
         return self._strongest(1)
 
     def _strongest(self, which: int) -> list[SceneObject]:
@@ -241,9 +245,9 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
     @functools.cached_property
     def products(self) -> list[ScatterEstimate]:
         """
-        Estimated flux on the detector, W, by one scatter event at each common object and optic.
+        Estimated flux on the detector, W for 1 W/mm² across the beam, by one scatter event at each common object.
 
-        Strongest first at each angle.
+        Optics other than the detector are included. The strongest is first at each angle.
         """
         wanted = [*self.common, *(row for row in self.optics if row.id != self.facts["detector"])]
         seen = {self.numbers[row.id, row.side]: row for row in wanted}

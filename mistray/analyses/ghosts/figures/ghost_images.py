@@ -148,7 +148,9 @@ def _how_to_read(image: Map, cells: int, common: bool) -> str:
 
 def levels_against_field(report: GhostReport, title: str = "") -> Figure:
     """
-    Draw power (W) of the direct image and of each kind of stray light, and the worst paths, against field angle.
+    Draw power (W) of the direct image and of each kind of stray light against field angle, on the left.
+
+    On the right it draws the RMS irradiance of the ten worst paths over that of the direct image on axis.
 
     Examples
     --------
@@ -200,9 +202,10 @@ def _error_bars(
     joined: bool = True,
 ) -> None:
     """
-    Draw points with error bars of one standard error on a logarithmic axis.
+    Draw points with error bars of one standard error on a logarithmic axis, in the colour of a kind of path.
 
-    Lines connect the points if `joined`. Values not above 0 are left out; if no other is left, nothing is drawn.
+    `label` is for the legend, None: no entry. Lines connect the points if `joined`. Values not above 0 are left out; if
+    no other is left, nothing is drawn.
     """
     y = np.array(values, dtype=np.float64)
     good = np.isfinite(y) & (y > 0)

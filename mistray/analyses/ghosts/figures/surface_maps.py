@@ -19,7 +19,7 @@ LABELS = {"azimuth": "azimuth [deg]", "x": "x [mm]", "z": "z [mm]", "radius": "r
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Irradiance map to draw, W/mm², (rows, columns), with names of axes and borders of cells, mm or degrees."""
+    """Irradiance map to draw, W/mm², (rows, columns): axes are keys of `LABELS`, borders of cells in mm or degrees."""
 
     title: str
     irradiance: np.ndarray

@@ -97,7 +97,7 @@ def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
 
 def _apart(groups: Sequence[np.ndarray]) -> list[list[int]]:
     """
-    Return the groups of path ids that one trace maps together, as lists of their indices.
+    Return, for each trace to be made, the indices of the groups of path ids that it maps together.
 
     No trace has a path twice, and there are few traces.
     """

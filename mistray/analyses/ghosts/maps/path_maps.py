@@ -114,13 +114,13 @@ class FieldMaps:
 
     @property
     def grid(self) -> int:
-        """Return the largest cell size, in pixels. Sums over rectangles of such cells are exact for all paths."""
+        """Largest cell size of `paths` and `rest`, pixels. Sums over rectangles of such cells are exact for these."""
         return max(found.pixels for found in (self.rest, *self.paths.values()))
 
 
 @dataclass(frozen=True)
 class ImagesOfField:
-    """Irradiance images at one field, W/mm²: direct image, stray light, and each worst path by path id."""
+    """Images of irradiance, W/mm², and of its standard error at a field: direct, stray, and worst paths by path id."""
 
     direct: Pixels
     stray: Pixels
@@ -218,9 +218,9 @@ def images_of_field(trace: Trace, table: pd.DataFrame, worst: Sequence[int]) -> 
 
 def without(light: Pixels, direct: Pixels, value: Map) -> Pixels:
     """
-    Return the irradiance map of stray light, W/mm², with its noise.
+    Return the irradiance map of stray light, W/mm², with its noise: that of all light less that of the direct image.
 
-    Its noise is that of all light less that of the direct image.
+    `value` is the map of stray light without noise, (H, W), W/mm².
     """
     noise = np.where(value[..., None] > 0, light.apart - direct.apart, 0.0)
     return Pixels(value, noise, np.maximum(light.weights - direct.weights, 0.0))

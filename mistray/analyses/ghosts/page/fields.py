@@ -123,7 +123,7 @@ def _headline(report: GhostReport, s: FieldSummary) -> str:
 
 
 def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
-    """Return the irradiance maps of the paths in a field's table; made once, by tracing its rays once more."""
+    """Return the power maps, W, of the paths in a field's table; made once, by tracing its rays once more."""
     return report.path_maps(field_deg, list(shown_paths(report, field_deg).path_id))
 
 
@@ -192,7 +192,7 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> F
 
 def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
     """
-    Return the rows of a field's path table that the report shows, ranked, worst first.
+    Return the rows of a field's path table that the report shows: direct paths, then stray ones, the worst first.
 
     They have the columns of `GhostReport.with_airy`, with powers in W and irradiances in W/mm².
     """

@@ -85,7 +85,7 @@ def _surfaces(name: str, report: GhostReport, per_wavelength: bool) -> Table:
 
 
 def coatings(report: GhostReport) -> list[PagePart]:
-    """Return R, T, absorption and scatter of surfaces at each wavelength, like ones together, as page parts."""
+    """Return R, T, absorption and scatter of surfaces in percent, by wavelength, like ones together, as page parts."""
     parts: list[PagePart] = [NotePart(COATINGS)]
     for k, table in enumerate(report.nominal_trace.tables):
         surfaces, treatments, _ = surface_optics(table, find_design_path(table, report.scene))

@@ -178,9 +178,10 @@ def write_all(
 
 def page(report: GhostReport, shown: GhostTables = MAIN_TABLES, title: str = "scene", command: str = "") -> Report:
     """
-    Return the report with its tables, pictures and path-sort files; arguments as in `write_all`.
+    Return the report with its tables, pictures and path-sort files; `shown` names the optional ones of them.
 
-    Within a time budget, see `draw`, it shows as many fields as time allows.
+    The other arguments are those of `write_all`. Within a time budget, see `draw`, it shows as many fields as time
+    allows.
     """
     tables = csv_tables(report, shown.per_wavelength) | further_tables(report, shown)
     pictures, drawn = draw(report, shown.developed)

@@ -165,7 +165,7 @@ def ghosts_report(
 
 
 def _traced(report: GhostReport) -> str:
-    """Describe fields, wavelengths, rays and limits of the trace in one sentence."""
+    """Return a sentence on the fields (degrees), wavelengths (nm), rays and limits of the trace."""
     settings = report.settings
     fields = ", ".join(f"{field:g}" for field in report)
     lines = f"{', '.join(f'{wavelength:g}' for wavelength in report.wavelengths_nm)} nm"
@@ -242,7 +242,7 @@ def _levels(report: GhostReport) -> FigurePart:
 
 
 def polarization_words(settings: Mapping[str, Any]) -> str:
-    """Describe the polarisation of a trace's light, from its settings."""
+    """Return a phrase on the polarisation of a trace's light, from its settings."""
     if settings["polarization"] != "stokes":
         return f"{UNPOLARIZED}: {settings['polarization_reason']}"
     states = settings.get("source_stokes") or {}

@@ -36,8 +36,8 @@ def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFr
     """
     Return the energy ledger of all fields as a DataFrame: entry, name, power_W, power_se_W, share of the launch.
 
-    An error of NaN means that the power is exact or its error unknown. With `per_wavelength` each wavelength (column
-    wavelength_nm) has a ledger.
+    The launched power is exact, with an error of 0; NaN stands for unknown errors, of cut light and of the closure.
+    With `per_wavelength` each wavelength (column wavelength_nm) has a ledger.
     """
     ledgers = _by_wavelength(report, per_wavelength, lambda t: t.energy, lambda t, line: t.energy_at(line))
     rows = []
@@ -163,7 +163,8 @@ def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool =
     """
     Write summary.csv, paths.csv, energy.csv, surfaces.csv and stray_levels.csv, each over all fields.
 
-    If light is scattered to the detector, scatter.csv is written too, and aiming.csv if rays were aimed.
+    If light is scattered to the detector, scatter.csv is written too, and aiming.csv if rays were aimed. Optional
+    sections of the report have tables of their own.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ TITLES = {
 
 def level_rows(report: GhostReport, field_deg: float, by: str) -> tuple[list[str], list[list[str]]]:
     """
-    Return the stray power absorbed in one field by critical surface and level, W, as text.
+    Return the stray power absorbed in one field by critical surface and level, W, as text; for `by` see `stray_levels`.
 
     Returns
     -------

@@ -106,7 +106,7 @@ def is_partly_reflected(paths: pd.DataFrame) -> bool:
 
 def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
     """
-    Return the `count` worst stray paths of every field as text, W and W/mm².
+    Return the `count` worst stray paths of every field, and the strongest, as a text table: W, mm and W/mm².
 
     With `per_wavelength` each is followed by its values at each of its wavelengths.
     """
@@ -134,13 +134,13 @@ def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: b
 
 
 def listed_paths(report: GhostReport, count: int) -> pd.DataFrame:
-    """Return the worst stray paths of all fields, `count` of each, with the columns of `GhostReport.with_airy`."""
+    """Return the rows of `GhostReport.listed` of all fields, `count` as there, with the columns of `with_airy`."""
     return pd.concat([report.with_airy(field, report.listed(field, count)) for field in report])
 
 
 def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
     """
-    Return the table of a field's stray paths without the `count` worst ones.
+    Return the rows of a field's stray paths that `GhostReport.listed` leaves out for this `count`.
 
     Columns are those of `GhostReport.table`.
     """
@@ -167,7 +167,7 @@ def ledger_table(report: GhostReport) -> str:
 
 def main_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
     r"""
-    Return the text that `mistray ghosts` prints: the main table, the worst ghosts of each field and the energy closure.
+    Return the text that `mistray ghosts` prints: main table, worst stray paths of each field, energy closure, notes.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ def surface_text(report: GhostReport) -> str:
 
 
 def sampling_table(checks: Mapping[float, SamplingCheck]) -> Table:
-    """Return the table of hits per start ray, effective hits, and largest share of one hit (percent) by field."""
+    """Return the table of hits per start ray, effective hits, and largest hit (% of scattered light), by field."""
     heads = columns("field [deg]", "hits [per start ray]", "effective hits [(Σ flux)²/Σ flux²]",
                     "largest hit [% of scattered light]")  # fmt: skip
     rows = [
