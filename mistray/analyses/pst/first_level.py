@@ -98,7 +98,7 @@ def run(
     progress : callable, optional
         Called with the name of a set and the progress that `mistray.pst` reports.
     seconds : float, optional
-        Time of each PST, see `mistray.pst`.
+        Time limit of each PST, s, see `mistray.pst`.
 
     Raises
     ------

@@ -56,7 +56,7 @@ DETECTOR = "Irradiance on the detector from a distant source of 1 W/mm² across 
 
 def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ()) -> dict[str, bytes]:
     """
-    Draw all pictures of a PST as PNG bytes, by file name.
+    Return all pictures of a PST as PNG bytes, by file name.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ DENOMINATOR = "%: share of the stray light at that angle, which is all light but
 
 
 def shown_classes(pst: Pst) -> tuple[str, ...]:
-    """Return the classes of light that a printed table shows; rare ones only if they have light."""
+    """Return the classes of light that a printed table shows; those in `RARE` only if they have light."""
     return tuple(group for group in CLASSES if group not in RARE or np.any(pst.curve(group)[0]))
 
 
@@ -254,9 +254,9 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
     Returns
     -------
     dict
-        convention, definition, method, facts, grid, field_edge_deg, curve (rows of `curve_frame`, each with its
-        ``paths`` and ``causes``), cells (rows of `cell_frame`, if there are several azimuths), breaks, next_orders and
-        warnings.
+        convention, definition, method, facts, grid, field_edge_deg, percent_of_stray (its definition), curve (rows of
+        `curve_frame`, with ``paths`` and ``causes`` if the PST has paths), breaks, next_orders, warnings, and cells
+        (rows of `cell_frame`) if there are several azimuths.
     """
     curve = curve_frame(pst).drop(columns=["convention", "method"]).to_dict("records")
     if pst.path_rows is not None:

@@ -67,7 +67,7 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
 @dataclass(frozen=True)
 class TracedChange:
     """
-    Traced effect of new parameter values on metric and image, from traces before and after.
+    Effect of new parameter values on metric and image, from traces before and after.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def traced_change(
     metric: Metric, params: Mapping[str, Any], values: Mapping[str, np.ndarray], advance: Steps
 ) -> TracedChange | None:
     """
-    Trace the effect of new values of parameters, before and after with the same rays, on seeds of their own.
+    Return the effect of new values of parameters, traced before and after with the same rays, on seeds of their own.
 
     Parameters
     ----------
@@ -105,8 +105,8 @@ def traced_change(
     values : mapping of str to (entries,) float
         New values by key.
     advance : Steps
-        Called 2 `SEEDS` times, after each trace of the metric, or fewer times if the time ends. It is called at least
-        four times if it is known after the first seed that there is enough.
+        Called after each trace of the metric: 2 `SEEDS` times, or fewer if the time ends. No seed but the first
+        is begun without time for it.
 
     Returns
     -------

@@ -34,7 +34,7 @@ def images_with_stray_light(
     progress: Callable[[int, int], None],
 ) -> Transfer | str:
     """
-    Compute the images of points at those fields of a ghost analysis whose direct image meets the detector.
+    Return the images of points at those fields of a ghost analysis whose direct image meets the detector.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ SPACED = {"field_deg": FIELD_DEG, "wavelength_nm": WAVELENGTH_NM}
 
 def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
     """
-    Return the trace settings of a term at given keys of a section, checked as far as for any kind of term.
+    Return the trace settings at the given keys of a section, after the checks that hold for all kinds of terms.
 
     Raises
     ------

@@ -42,9 +42,9 @@ class ExtendedSource(Protocol):
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
         """
-        Return the integral of radiance over azimuths, rad, within `half` of `centre`, W rad/(mm² sr), (q,).
+        Return the radiance integrated over azimuths from `centre` - `half` to `centre` + `half`, W rad/(mm² sr), (q,).
 
-        Field angles `theta` are in rad, (q,).
+        `theta` are the field angles, (q,). All angles are in rad.
         """
 
 
@@ -75,7 +75,7 @@ class SkyRadiance:
             _check_radiance("sky", self.radiance)
 
     def breaks(self) -> tuple[float, ...]:
-        """Return the field angles between which the sky lies, radians."""
+        """Return the two field angles between which the sky lies, radians."""
         return np.radians(self.from_deg), np.radians(self.to_deg)
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
@@ -190,7 +190,7 @@ def sun(
     Raises
     ------
     MistrayError
-        If the diameter is not between 0 and 180 degrees.
+        If the diameter is not between 0 and 180 degrees, or the irradiance or the direction is impossible.
     """
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"sun: diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
@@ -211,11 +211,11 @@ class Cover:
     Attributes
     ----------
     coefficients : (n, m) float64
-        Factors on the PST_normal of each cell, whose sum is the irradiance on the detector, W/mm².
+        Factor of the PST_normal of each cell, W/mm². The sum of all products is the irradiance on the detector, W/mm².
     total : float
         Integral of the radiance over the whole source, W/mm².
     covered, interpolated : float
-        Shares of it within cells, and between them.
+        Fractions of `total` within cells, and between cells where the PST is interpolated.
     """
 
     coefficients: np.ndarray
@@ -345,12 +345,12 @@ def source_irradiance(
     Returns
     -------
     StrayMetric
-        Irradiance, W/mm², with the shares of the source within cells and between them.
+        Irradiance, W/mm², with the fractions of the source within cells and between them.
 
     Raises
     ------
     MistrayError
-        If no cell contains any of the source.
+        If no cell contains any of the source, the source is dark, or the interpolation or a class is unknown.
     """
     normal = pst.to("normal")
     curve = normal.map(classes)[0] if interpolation == "log" else None

@@ -45,7 +45,7 @@ def rejection_ratio(
     Raises
     ------
     MistrayError
-        If no cell contains the reference angle, or no light comes from there.
+        If no cell contains the reference angle, no light comes from there, or `reference` is 0.
     """
     if reference is None:
         row, _ = pst.grid.nearest(reference_deg, float(pst.grid.azimuths_deg[0]))
@@ -254,7 +254,7 @@ def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> 
 
 def contrast_factor(stray_to_signal_ratio: Estimate) -> StrayMetric:
     """
-    Return the share of the contrast of the image that stray light spread evenly leaves: 1 / (1 + E_stray / E_signal).
+    Return the fraction of the image contrast that is left under evenly spread stray light: 1/(1 + E_stray/E_signal).
 
     Parameters
     ----------
@@ -325,7 +325,8 @@ def _of_source(
     """
     Return a stray-light metric of an extended source, in `unit`.
 
-    `over` computes it from the PST and the factor on each of its cells.
+    `over` computes it from PST_normal and the factors of its cells, (n, m), see `Cover`. For `quantity`, `words` and
+    `facts` see `StrayMetric.of`.
 
     Raises
     ------

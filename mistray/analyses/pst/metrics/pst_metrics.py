@@ -51,7 +51,7 @@ class PstMetric(Metric):
 
     @property
     def views(self) -> list[TraceView]:
-        """Return the computations that the metric needs: a list with one PST."""
+        """Computations that the metric needs: a list with one PST."""
         return [PstView(self.settings or {}, self.plans)]
 
 
@@ -172,7 +172,9 @@ def pst_mask(
     **traced: Any,
 ) -> PstMetric:
     """
-    Return the metric "smooth maximum of PST / limit over field angles", dimensionless; at most 1 if the mask is met.
+    Return the metric "smooth maximum of PST / limit over field angles", dimensionless; with at most 1 the mask is met.
+
+    The smooth maximum is at least the maximum, so that a mask that is just met may give more than 1.
 
     Parameters
     ----------
