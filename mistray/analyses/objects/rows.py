@@ -28,7 +28,7 @@ class _Placed:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneObject(_Placed):
-    """Surface or one side of it, with the rays that reach it from the detector or from outside, and their flux, W/W."""
+    """Surface or one side of it, with the rays that reach it from the detector or outside; flux in W per W started."""
 
     rays: int = column("Rays that meet it")
     power: float = column("Their flux, W for each W that starts", head=f"power [{POWER_UNIT}]")

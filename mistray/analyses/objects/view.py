@@ -299,17 +299,17 @@ class RayView:
     # ---- results
 
     def power(self, number: int) -> tuple[float, float]:
-        """Return the flux on an object and its standard error, as fractions of the started flux."""
+        """Return the flux on the object of index `number` and its standard error, as fractions of the started flux."""
         return self._share(self.flux[number])
 
     def area(self, number: int) -> tuple[float, float]:
-        """Return the flux on an object and its standard error, W, for a source outside of 1 W/mm² across the beam."""
+        """Return flux and standard error, W, on the object of index `number`, for a beam from outside of 1 W/mm²."""
         value, se = self.power(number)
         scale = self.started / float(self.rays.sum())
         return value * scale, se * scale
 
     def samples(self, number: int) -> HitSamples:
-        """Return the stored sample of hits of an object."""
+        """Return the stored sample of hits of the object of index `number`; empty if it was not met."""
         kept = self._kept[number]
         joined = {
             name: np.concatenate([empty, *(part[name] for part in kept.parts)]) for name, empty in NO_HITS.items()

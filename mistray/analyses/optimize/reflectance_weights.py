@@ -57,7 +57,7 @@ class ReflectanceWeights:
         surfaces : sequence of str
             Ids of surfaces with layers.
         stack : Stack
-            Materials of the layers; first is "outside".
+            Materials of the layers, of which the first lies outside.
 
         Returns
         -------
@@ -144,7 +144,7 @@ def _spread(by_node: np.ndarray) -> np.ndarray:
     """
     Return derivatives with respect to R at `COSINES`, from those at more cosines, evenly spaced from 0 to 1.
 
-    Each is shared linearly between the two nearest of `COSINES`.
+    Each derivative is shared linearly between the two nearest of `COSINES`.
     """
     place = np.linspace(0.0, 1.0, len(by_node)) * (len(COSINES) - 1)
     low = np.minimum(place.astype(int), len(COSINES) - 2)

@@ -91,7 +91,7 @@ def seeds_text(result: Optimization) -> str:
 
 
 def opened_lines(result: Optimization) -> list[str]:
-    """Return lines on side effects of the result: gaps between surfaces, and light that enters by new ones."""
+    """Return lines on side effects of the result: gaps between surfaces, and light that newly meets a surface first."""
     return [*([gaps_text(result.gaps)] if result.gaps else []), *entering_lines(result.comparison.entering)]
 
 

@@ -103,7 +103,7 @@ def run(
     Raises
     ------
     MistrayError
-        If a limit is empty or unknown, or `mistray.pst` raises it.
+        If the limits are empty or one is unknown, or `mistray.pst` raises it.
 
     Examples
     --------

@@ -289,7 +289,9 @@ class Pilot:
         shared: np.ndarray | None = None,
     ) -> np.ndarray:
         """
-        Return the inverse bounds of the weight windows of one direction, upper and lower, from the latest rounds.
+        Return the inverse bounds of the weight windows of one direction, upper and lower, (2, n, WAYS).
+
+        They come from the latest rounds.
 
         Let F be the contribution of a ray per unit of throughput at a surface, and F₀ that of a start ray. The inverse
         upper bound is the larger of √(E[F²]/E[F₀²]) (A. Rath et al., EARS: efficiency-aware Russian roulette and

@@ -47,9 +47,8 @@ def curve_frame(pst: Pst) -> pd.DataFrame:
     """
     Return the curve with full precision as a frame, one row for each field angle.
 
-    Columns angle_deg, angle_from_deg, angle_to_deg, convention and method. Then the mean PST over azimuths and its
-    standard error, for all light, stray light and each class. largest_share is the share of the strongest single ray in
-    the scattered light, the largest of the azimuths.
+    Columns are angle_deg, angle_from_deg, angle_to_deg, convention and method; the mean PST over azimuths and its
+    standard error, for all light, stray light and each class; and largest_share, see the function of this name.
     """
     columns: dict[str, Any] = {
         "angle_deg": pst.field_deg,
@@ -72,7 +71,7 @@ def cell_frame(pst: Pst) -> pd.DataFrame:
 
 
 def largest_share(pst: Pst) -> np.ndarray:
-    """Return the share of the strongest ray in the scattered light, maximum over azimuths, (n,); NaN if unknown."""
+    """Return the fraction of scattered light in its strongest ray, largest over azimuths, (n,); NaN: unknown."""
     if pst.largest_share is None:
         return np.full(len(pst.field_deg), np.nan)
     return np.asarray(pst.largest_share.max(axis=1))

@@ -112,8 +112,8 @@ def draw_systems(
 
     Their standard deviation is the tolerance, and they are clipped to the physical range.
 
-    All are traced with the same rays, so that differences are due to the parameters alone. If R + T of an
-    ideal coating would exceed 1 both are scaled down. A system in which optical surfaces cross, on their axis and
+    All are traced with the same rays, so that differences are due to the parameters alone. If R + T of an ideal coating
+    would exceed 1, what is drawn of them is reduced. A system in which optical surfaces cross, on their axis and
     without tilts, cannot be put together and is drawn again.
 
     Parameters

@@ -60,8 +60,8 @@ def propagate(
     Return the variance of ln(metric), the sum of (s_i tol_i)² over independent parameters, and the share of each.
 
     Here s_i is d ln(metric)/d value, and tol_i the tolerance. Parameters that vary together count as one, with the sum
-    of their s_i tol_i. The errors come from the batches of
-    start rays, so that they include common noise of the derivatives, and of the metric by which all are divided.
+    of their s_i tol_i. The errors come from the batches of start rays, so that they include common noise of the
+    derivatives, and of the metric by which all are divided.
 
     Parameters
     ----------

@@ -38,8 +38,8 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
     """
     Return the keys of parameters that can be changed without redesigning the lens.
 
-    These are coatings and ideal R except of mirrors, scatter, and the shape, rims and position of surfaces that are
-    neither optics nor the detector: stops, vanes, tubes. An ideal T, glasses and the shapes of optics are not among
+    These are scatter; coatings and ideal R, but not those of mirrors; and the shape, rims and position of surfaces that
+    are neither optics nor the detector: stops, vanes, tubes. An ideal T, glasses and the shapes of optics are not among
     them.
 
     Parameters

@@ -35,8 +35,8 @@ class Line:
     Attributes
     ----------
     label : str
-        The key, with the index of the entry if there are several, ``AR.thickness_nm[1]``; ``index of N-BK7``;
-        ``barrel.z``.
+        Key of a single parameter, such as ``AR.thickness_nm[1]``, with the index of the entry if there are several. Of
+        parameters that change together a name such as ``index of N-BK7`` or ``barrel.z``.
     parameter : Parameter
         First parameter, whose kind, unit, value and range are those of all.
     entry : int

@@ -65,9 +65,9 @@ def run(
     resume : bool
         Continue from `state`, perhaps with more perturbed systems. The result is that of one uninterrupted run.
     seconds : float, optional
-        Time for the whole run, s. A gradient that would take longer, or more than half with perturbed systems, uses
-        fewer rays of the metric. All that is compared is traced with the same rays. `Sensitivity.not_traced` lists what
-        is left out. Not available with workers.
+        Time for the whole run, s. A gradient that would take longer, or more than half of it if perturbed systems are
+        requested, uses fewer rays of the metric. All that is compared is traced with the same rays.
+        `Sensitivity.not_traced` lists what is left out. Not available with workers.
     progress : callable, optional
         Called with the work done so far and the total work.
 
@@ -79,7 +79,7 @@ def run(
     ------
     MistrayError
         If a key is unknown, no parameter has a derivative, an argument is out of range, the state is of another run, or
-        the metric is not finite and greater than 0. Also if a beam just fills a rim that one of `keys` or of `together`
+        the metric is 0, negative or not finite. Also if a beam just fills a rim that one of `keys` or of `together`
         moves; without `keys` such parameters are left out.
 
     Examples

@@ -241,7 +241,7 @@ def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame
 
 def worst_ghosts(report: GhostReport, design: Sequence[str] = (), count: int = TOP_PATHS) -> pd.DataFrame:
     """
-    Return a DataFrame of the `count` worst paths of each field by RMS irradiance, and of the strongest one.
+    Return a DataFrame of the `count` worst paths of each field by RMS irradiance, and the strongest one by power.
 
     Columns: field_deg, rank, path, kind, rays, and with standard errors power_W, rms_radius_mm, rms_irradiance_W_mm2
     and normalised (dimensionless).

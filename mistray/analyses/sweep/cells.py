@@ -25,7 +25,7 @@ OWN = ("mistray", "mitsuba", "drjit")
 @dataclass(frozen=True, eq=False)
 class Cell:
     """
-    Key of a row of a sweep: configuration, wavelength, nm, and field angle, degrees.
+    Key of a row of a sweep: configuration, wavelength (nm) and field angle (degrees).
 
     Attributes
     ----------

@@ -331,7 +331,7 @@ def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
 
 
 def _lines(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Sequence[str]) -> list[Line]:
-    """Return the lines of a sensitivity table for the chosen parameters; parts with optics move as a whole."""
+    """Return the lines of a sensitivity table for the chosen parameters; `bodies`, optics too, move as a whole."""
     whole = {key: line for body in bodies(known).values() for line in motion_lines(body, known) for key in line.keys}
     moved = {whole[key].label: whole[key] for key in chosen if key in whole}
     return [*moved.values(), *lines_of(scene, params, known, [key for key in chosen if key not in whole])]

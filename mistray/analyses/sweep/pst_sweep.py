@@ -160,8 +160,8 @@ class PstSweep(Result, table=".edit_tables:pst_sweep_table", figure=".edit_figur
         """
         Warnings on the reliability of the PSTs.
 
-        They name gaps that a configuration opens, light that enters by them, angles at which no light was seen, and
-        changes that Stokes vectors would make.
+        They name gaps that a configuration opens, light that enters by new first surfaces, angles at which no stray
+        light was seen, and changes that Stokes vectors would make.
         """
         found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
         dark: dict[str, list[str]] = {}

@@ -55,7 +55,7 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
     cache_folder : Path or None
         Folder of the cache; None if it was neither read nor written.
     warnings : tuple of str
-        Problems with the cache, one line each.
+        Problems with the cache, and rows without rays or with fewer rays for lack of time, one line each.
     arguments : dict
         Arguments of `mistray.trace` in every row, as given.
     gaps : mapping of str to tuple of Gap

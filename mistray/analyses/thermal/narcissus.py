@@ -131,7 +131,8 @@ def returns(
         Surface id → irradiance that the detector lacks because this surface is colder than the housing, W/mm², for an
         emission of 1; 0 for other surfaces.
     per_kelvin : float
-        Derivative of the scene's irradiance with respect to its temperature, W/(mm² K), for a share of 1.
+        Derivative of the scene's irradiance with respect to its temperature, W/(mm² K), if all rays from the detector
+        reach the scene.
     """
     table = SurfaceTable(scene, 1e3 * wavelength_um, detector)
     path = find_design_path(table, scene)

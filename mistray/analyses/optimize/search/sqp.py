@@ -29,7 +29,11 @@ ROUNDS = 30  # of finding out which one-sided penalties count
 
 
 def sqp(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
-    """Minimise a merit given by its pieces, see `Search`; `step_size` limits each coordinate in the first trial."""
+    """
+    Minimise a merit given by its pieces; for the arguments and the result see `Search`.
+
+    `step_size` limits the move of each coordinate in the first trial.
+    """
     y, here = y0, function(y0)
     size = optimizer.step_size
     pieces = _pieces(here)

@@ -111,7 +111,7 @@ class Levels(Result, table="..tables:levels_table", figure="..figures:levels_fig
         return self.values[ComparisonCell(term)]
 
     def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
-        """Return a copy with further terms whose exact values are given; they are equal for all seeds."""
+        """Return a copy with further terms, whose exact values and units are given by name; all seeds have the same."""
         for name, given in (("numbers", numbers), ("units", units)):
             ByName(ANYTHING, "{'weight': 1.0}").check(name, given)
         exact = {ComparisonCell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
@@ -272,7 +272,7 @@ def measure(
 
 def try_terms(study: DesignStudy, scene: Any) -> None:
     """
-    Trace each term that is a user's function once, at its last field and wavelength, as `measure` does.
+    Trace each term that is a user's function once, at its last field and wavelength alone.
 
     Raises
     ------

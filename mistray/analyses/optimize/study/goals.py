@@ -42,7 +42,7 @@ def holds(term: Term, value: float, start: float) -> bool:
 
 
 def residual(term: Term, start: float) -> tuple[float, float]:
-    """Return the value of a term at which its residual r is 0, in its unit, and dr/dv; not for the goal "minimise"."""
+    """Return the value v of a term, in its unit, at which its residual r is 0, and dr/dv; not for "minimise"."""
     limit = limit_of(term, start)
     if limit is None:
         return start, 1 / (term.tolerance * abs(start))
@@ -134,7 +134,7 @@ def pieces(
 
 def check(terms: Sequence[Term], values: Mapping[str, float], start: Mapping[str, float], where: str, at: str) -> None:
     """
-    Raise `MistrayError` if the terms' values give no merit, as they are not finite or do not suit their goals.
+    Raise `MistrayError` if the terms' values give no merit: they are not finite or do not suit their goals.
 
     Parameters
     ----------

@@ -215,7 +215,7 @@ class Merit:
             self.edge_widths[name] = found.edge_width
 
     def pieces(self, at: Evaluation) -> Pieces | None:
-        """Return the smooth part and the penalties of the merit; None if the terms were differentiated together."""
+        """Return smooth part and penalties of an evaluated merit; None if the terms were differentiated together."""
         if not at.slopes:
             return None
         return pieces(self.study.terms, at.terms, at.slopes, self.start or at.terms)
@@ -227,9 +227,10 @@ class Merit:
 
     def _checked(self, every: Mapping[str, Any], x: np.ndarray) -> dict[str, float]:
         """
-        Return the values of a study's terms, each in its unit, at variables `x`, after a check.
+        Return the values of a study's terms, by name, each in its unit, after a check.
 
-        Raise `MistrayError` if they give no merit.
+        `every` has them as Dr.Jit or Python numbers; `x` are the variables, (n,). Raise `MistrayError` if they give no
+        merit.
         """
         values = {t.name: float(dr.detach(mi.Float64(every[t.name]))[0]) for t in self.study.terms}
         check(self.study.terms, values, self.start or values, f"study '{self.study.name}'", self._point(x))

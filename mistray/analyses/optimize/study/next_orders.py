@@ -65,7 +65,7 @@ def with_next_orders(
 
 def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
     """
-    Return, for each term that has the limit `limit` on events, that limit raised by one.
+    Return, by name of the term, the limit on events called `limit`, raised by one.
 
     Terms without such a limit are left out.
     """

@@ -69,7 +69,7 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
     thickness_keys : dict of str to str
         Name of a coating of the study → key of its thicknesses.
     starts : tuple of Start
-        The first is the given design.
+        Starts of the searches; the first is the given design.
     steps : tuple of Step
         All steps of all searches.
     ended : dict

@@ -126,7 +126,7 @@ def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int 
     """
     Return the trace settings that restrict a term to one field, degrees, and to the wavelength of index `line`.
 
-    None stands for all fields or all wavelengths. A single wavelength gets its share of the rays.
+    None stands for all fields or all wavelengths. A single wavelength gets a share of the rays by its weight.
     """
     changes: dict[str, Any] = {} if field_deg is None else {"field_deg": (field_deg,)}
     if line is not None:

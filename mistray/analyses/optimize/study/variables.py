@@ -91,7 +91,7 @@ class Variable:
     low, high : float
         Bounds of x, in `unit`.
     scale : {"linear", "log"}
-        Scale of the steps of x.
+        Scale on which x moves its places, see above.
     places : tuple of VariablePlace
         Entries of parameters that move.
     motions : tuple of Motion
@@ -283,7 +283,8 @@ def find_variables(
     ------
     MistrayError
         If a key does not exist, a start lies outside its bounds, bounds exceed the range of the parameter, two
-        variables have one name or move the same parameter, or there is no variable.
+        variables have one name or move the same parameter, or there is no variable. Also for the reasons of `_of_group`
+        and `_check_indices`.
     """
     found: list[Variable] = []
     for group in study.coatings:
@@ -384,6 +385,8 @@ def _variable(
     """
     Return one variable that changes the given entries and bodies together, within the bounds of its section.
 
+    `where` is the beginning of messages.
+
     Raises
     ------
     MistrayError
@@ -405,7 +408,7 @@ def _variable(
 
 
 def _motion(moved: Moved, rigid: Mapping[str, Body], where: str) -> Motion | None:
-    """Return the displacement or tilt that a name such as "L6.tilt_x" stands for; None for other names."""
+    """Return the motion that a key such as "L6.tilt_x" names, or None; for `rigid` and `where` see `_of_group`."""
     part, _, name = moved.key.rpartition(".")
     if part not in rigid or name not in POSE:
         return None
@@ -435,7 +438,9 @@ def _bounds(
     members: Sequence[tuple[VariablePlace, Parameter]], group: VariableGroup, where: str
 ) -> tuple[float, float]:
     """
-    Return the bounds of x at which each parameter, divided by its factor, stays within the group's bounds.
+    Return the bounds of x between which each parameter, divided by its factor, stays within the group's bounds.
+
+    `where` is the beginning of messages.
 
     Raises
     ------

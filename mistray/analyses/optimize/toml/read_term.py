@@ -110,7 +110,7 @@ def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
 
 
 def check_coatings(terms: tuple[Term, ...], names: list[str], section: TomlSection) -> None:
-    """Raise `MistrayError` if a term on layers names a coating that the study lacks, or the study has none."""
+    """Raise `MistrayError` if a term on layers names a coating that is not in `names`, or there is no coating."""
     for number, term in enumerate(terms, start=1):
         if not of_layers(term):
             continue

@@ -119,8 +119,8 @@ class Disc:
     radiance : float
         Radiance, W/(mm² sr).
     field_deg, azimuth_deg : float
-        Direction of its centre, degrees. The field angle is 0 … 180, so that the disc may reach into the field from
-        behind.
+        Direction of its centre, degrees, as for `mistray.pst`. The field angle is 0 … 180, so that the disc may reach
+        into the field from behind.
     name : str
         Name for messages.
     """
@@ -308,10 +308,10 @@ def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndar
 
 def _quadrature(breaks: tuple[float, ...], more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return field angles, rad, and weights for integrals over solid angle about the axis; weights include sin θ.
+    Return field angles, rad, and weights, (q,) each, for integrals over solid angle; the weights include sin θ.
 
-    Panels end at the breaks of the source and at `more`. Gauss-Legendre in t, θ = a + (b - a)(1 - cos t)/2, which
-    removes the square roots at the limb of a disc.
+    Panels end at the breaks of the source and at `more`, rad. In each the rule is that of Gauss and Legendre in t with
+    θ = a + (b - a)(1 - cos t)/2, which removes the square roots at the limb of a disc.
     """
     cuts = np.unique(np.concatenate([breaks, more[(more > breaks[0]) & (more < breaks[-1])]]))
     parts = np.maximum(np.ceil(np.degrees(np.diff(cuts)) / PANEL_DEG).astype(int), 1)

@@ -171,7 +171,8 @@ def _at_pixel(
     """
     Return E_black / E_white at one detector pixel, and by name the position of that pixel, mm.
 
-    `black` and `white` are factors of the PST's cells. The ratio is NaN if no white light meets the pixel.
+    `black` and `white`, (n, m), are factors of the PST's cells; for the others see `veiling_glare_index`. The ratio is
+    NaN if no white light meets the pixel.
 
     Raises
     ------
@@ -214,7 +215,9 @@ def _at_pixel(
 @dataclass(frozen=True, eq=False)
 class GlareSpread:
     """
-    Glare spread function over the detector: stray irradiance over the flux of the direct image.
+    Glare spread function over the detector: irradiance over the flux of the direct image.
+
+    The irradiance is that of stray light (of a trace) or of all light (of a PST), as `definition` says.
 
     Attributes
     ----------

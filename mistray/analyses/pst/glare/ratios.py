@@ -82,7 +82,7 @@ def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", cl
     Raises
     ------
     MistrayError
-        If the name is another one.
+        If the name or the plane is another one.
     """
     if name not in ("ndi", "psnit"):
         raise MistrayError(f"name is '{name}'; use 'ndi' or 'psnit'")

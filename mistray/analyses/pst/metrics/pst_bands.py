@@ -100,7 +100,7 @@ class PstBands:
         Bounds of the parameters, in their units. A parameter without a lower limit has bounds about its value in the
         scene: a length within the size of the scene, others within ten thousand times the tolerance.
     power : (k,) float64
-        Powers of the parameters in proportion to which the light grows; for `fit`.
+        Exponent p of each parameter: light grows as its p-th power; for `fit`.
     bands : list of tuple
         (azimuth or None, low, high) of each value, degrees, the azimuths of the first band first.
 

@@ -46,7 +46,7 @@ class PstMetric(Metric):
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def with_rays_times(self, times: float) -> PstMetric:
-        """Return a copy of the metric that is computed with `times` as many rays."""
+        """Return a copy of the metric that is computed with `times` the rays of its settings."""
         return replace(self, times=times, plans={})
 
     @property
