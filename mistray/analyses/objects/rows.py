@@ -28,7 +28,7 @@ class _Placed:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneObject(_Placed):
-    """Surface or one side of it, with the rays and flux (W per W launched) that reach it from detector or outside."""
+    """Surface or one side of it, with the rays that reach it from the detector or outside; flux in W per W started."""
 
     rays: int = column("Rays that meet it")
     power: float = column("Their flux, W for each W that starts", head=f"power [{POWER_UNIT}]")
@@ -37,7 +37,7 @@ class SceneObject(_Placed):
 
 @dataclass(frozen=True, kw_only=True)
 class CommonObject(_Placed):
-    """Object that is critical and illuminated, with the rays and the flux of both views, see `SceneObject`."""
+    """Object with the rays and flux that reach it from the detector and from outside, see `SceneObject`."""
 
     critical_rays: int = column("Rays from the detector that meet it", head="rays")
     critical_power: float = column("Their flux", head=f"critical [{POWER_UNIT}]")
@@ -48,7 +48,7 @@ class CommonObject(_Placed):
 
     @classmethod
     def of(cls, seen: SceneObject, lit: SceneObject) -> CommonObject:
-        """Return the row of an object that combines its rays and flux from the detector and from outside."""
+        """Return one row for an object from its row as `seen` by the detector and its row as `lit` from outside."""
         place = {f.name: getattr(seen, f.name) for f in fields(_Placed)}
         views = {
             f"{view}_{name}": getattr(one, name)
@@ -70,7 +70,7 @@ LISTS = {
 @dataclass(frozen=True, kw_only=True)
 class StraightShot:
     """
-    Path from outside to the detector that is not the design path and has neither reflection nor scatter.
+    Path from outside to the detector, other than the design path, without scatter and reflected by mirrors at most.
 
     Attributes
     ----------

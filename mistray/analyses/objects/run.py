@@ -53,12 +53,14 @@ def run(
         Loaded scene.
     request : ObjectsRequest
     source : DiskSource, optional
-        Lambertian disc as the source, at any place, with optional holes in disc and cone.
+        Lambertian disc as the source, at any place, with optional holes in disc and cone; None: the source of
+        `request`.
     progress : callable, optional
-        Called from time to time with (parts done, parts in all).
+        Called from time to time with (parts done, parts in all). A part is the rays from the detector, or those of one
+        source.
     seconds : float, optional
-        Time limit, s, shared equally by the rays from the detector and those at each angle; a warning reports
-        the number of rays traced.
+        Time limit, s, shared equally by the rays from the detector and those of each source. A part of it is kept for
+        the scatter estimates. A warning reports the number of rays traced.
 
     Returns
     -------
@@ -94,7 +96,7 @@ def run(
         )
 
     def marginal(mirrors: np.ndarray) -> ChainTracer:
-        """Return the tracer for finding the stop, in which surfaces only transmit or reflect specularly."""
+        """Return the tracer that finds the stop: surfaces only transmit, but those in `mirrors`, (s,) bool, reflect."""
         return tracer(mirrors, allowed=RAY_CONTROLS["transmit_specular"])
 
     axes = field_axes(scene)

@@ -39,15 +39,16 @@ class HitSamples:
     point, direction, normal : (m, 3) float64
         Points, mm, unit directions of arrival, and unit normals on the side that the rays head for.
     weight : (m,) float64
-        Flux that each ray carries, relative to others.
+        Weight of each ray: mm² for a source outside, see `mistray.trace.host.ray_sources`; from the detector
+        relative to a mean of 1.
     index : (m,) float64
         Refractive index of the medium at the hit over that at the start of the ray.
     from_front : (m,) bool
         Whether the ray arrives from the front.
     batch : (m,) int
-        Batch of each ray.
+        Index of the batch of each ray.
     rays : int
-        Number of start rays that the sample stands for.
+        Number of start rays that were traced while these hits were kept.
     """
 
     point: np.ndarray
@@ -149,7 +150,7 @@ class RayView:
     source : RaySource
         Source of the start rays.
     rays : int
-        Number of start rays.
+        Number of start rays; fewer are traced if a time budget ends.
     seed : int
         Seed of the random numbers.
     backward : bool
@@ -166,9 +167,9 @@ class RayView:
     rays : (BATCHES,) int
         Number of rays started in each batch.
     started : float
-        Sum of their weights.
+        Sum of their weights, in the unit of `HitSamples.weight`.
     flux : (objects, BATCHES) float64
-        Weight of the rays that meet each object.
+        Sum of the weights of the rays that meet each object, in the same unit.
     hits : (objects,) int
         Number of hits of each object.
     in_gap : (objects, gaps) int
@@ -176,7 +177,7 @@ class RayView:
     along : (objects,) float64
         Mean position along the base ray of the hits in the gap of the stop, mm; NaN without any.
     lost : float
-        Share of the flux that met a surface from a material that does not border on it.
+        Fraction of the started flux that met a surface from a material that does not border on it.
     """
 
     def __init__(
@@ -275,7 +276,11 @@ class RayView:
                 fresh.setdefault(k, []).append(found | {"batch": batch[part]})
 
     def _leave(self, out: Escape, trail: np.ndarray, total: np.ndarray, batch: np.ndarray) -> None:
-        """Record rays that leave the scene, grouped by the sequence of surfaces that they have met."""
+        """
+        Record rays that leave the scene, grouped by the sequence of surfaces that they have met.
+
+        `trail` (see `Trails`), `total` (total reflection on the way) and `batch` have an entry for each start ray.
+        """
         cosine = np.clip(-(out.direction @ self._axis), -1, 1)
         angle = np.degrees(np.arccos(cosine))
         ways = 2 * trail[out.lane] + total[out.lane]
@@ -294,17 +299,17 @@ class RayView:
     # ---- results
 
     def power(self, number: int) -> tuple[float, float]:
-        """Return the flux on an object and its standard error, as fractions of the started flux."""
+        """Return the flux on the object of index `number` and its standard error, as fractions of the started flux."""
         return self._share(self.flux[number])
 
     def area(self, number: int) -> tuple[float, float]:
-        """Return the flux on an object and its standard error, W, for 1 W/mm² across the beam."""
+        """Return flux and standard error, W, on the object of index `number`, for a beam from outside of 1 W/mm²."""
         value, se = self.power(number)
         scale = self.started / float(self.rays.sum())
         return value * scale, se * scale
 
     def samples(self, number: int) -> HitSamples:
-        """Return the stored sample of hits of an object."""
+        """Return the stored sample of hits of the object of index `number`; empty if it was not met."""
         kept = self._kept[number]
         joined = {
             name: np.concatenate([empty, *(part[name] for part in kept.parts)]) for name, empty in NO_HITS.items()
@@ -312,7 +317,7 @@ class RayView:
         return HitSamples(**joined, rays=kept.rays)
 
     def ways_out(self) -> list[WayOut]:
-        """Return the exits of rays from the scene by the surfaces met before, the strongest first."""
+        """Return the exits of rays by the surfaces met before, the strongest first; empty unless rays run backward."""
         found = []
         for (surfaces, total), way in self._ways.items():
             share, se = self._share(way["flux"])

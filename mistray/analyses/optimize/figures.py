@@ -33,7 +33,7 @@ MARGIN = 0.08  # of the band, drawn on either side of it
 
 
 def search_figure(result: Optimization, title: str = "") -> Figure:
-    """Draw the merit of all searches, and terms and gradient norm of the best one, over merit evaluations."""
+    """Draw merit and gradient norm of all searches, and terms of the best one relative to the start, by evaluation."""
     figure, (left, middle, right) = Figure.of_panels(13.2, 4.0, 1, 3, dpi=110)
     for number, start in enumerate(result.starts):
         steps = [step for step in result.steps if step.start == number]
@@ -69,7 +69,7 @@ def search_figure(result: Optimization, title: str = "") -> Figure:
 
 
 def comparison_figure(found: Comparison, title: str = "") -> Figure:
-    """Draw the ratio of each term before to after as a bar with its standard error."""
+    """Draw each term, over all its fields and wavelengths, before over after as a bar with its standard error."""
     ratios = {row.term: Estimate(row.ratio, row.ratio_se) for row in found.rows if row.whole}
     return bars(ratios, [BLUE] * len(ratios), "before / after [1]").headed(title, f"on {len(found.seeds)} seeds")
 
@@ -104,7 +104,7 @@ def variables_figure(result: Optimization) -> Figure:
 
 
 def reflectance_figure(result: Optimization) -> Figure:
-    """Draw R(λ) of every coating before and after, at 0° and 30° from the rarer medium, a panel per glass."""
+    """Draw R(λ) of every coating before and after, at 0° and 30° in the rarer medium, a panel per pair of materials."""
     panels = [(item, glass) for item in result.placed for glass in _glasses(item)]
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
@@ -165,7 +165,7 @@ def _glasses(item: PlacedDesign) -> list[tuple[str, str]]:
 
 
 def _drawn_wavelengths(result: Optimization) -> np.ndarray:
-    """Return the wavelengths to draw, nm: the band widened by 8 % at each end, as far as material data reach."""
+    """Return the wavelengths to draw, nm: the band, with each end moved out by 8 % if all materials have data there."""
     materials = {name for item in result.placed for pair in item.glasses for name in pair}
     materials |= {layer.material for item in result.placed for layer in item.group.start.layers}
     ends = []

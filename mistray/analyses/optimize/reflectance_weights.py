@@ -37,7 +37,8 @@ class ReflectanceWeights:
     wavelength_nm : (w,) float64
         Wavelengths, nm.
     weights : dict of str to (w, len(COSINES)) float64
-        Id of a surface with layers → d metric/d R at the cosines in the rarer of its materials, T being 1 - R.
+        Id of a surface with layers → d metric/d R at the cosines in the rarer of its materials, with T = 1 - R, in the
+        unit of the metric.
     glasses : dict of str to (str, str)
         Id → the rarer and the denser material.
     """
@@ -56,7 +57,7 @@ class ReflectanceWeights:
         surfaces : sequence of str
             Ids of surfaces with layers.
         stack : Stack
-            Materials of the layers; first is "outside".
+            Materials of the layers, of which the first lies outside.
 
         Returns
         -------
@@ -101,12 +102,12 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
     """
     Return the derivatives of a metric with respect to the reflectances of surfaces with layers.
 
-    They come from one trace in reverse mode.
+    They come from one reverse-mode run for each observation of the metric.
 
     Raises
     ------
     MistrayError
-        If light meets no surface with layers.
+        If the scene has no surface with layers.
     """
     observations = metric.observe()
     value, _ = metric.differentiate(observations)
@@ -141,9 +142,9 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
 
 def _spread(by_node: np.ndarray) -> np.ndarray:
     """
-    Return derivatives with respect to R at the cosines `COSINES`, from those at more cosines, even from 0 to 1.
+    Return derivatives with respect to R at `COSINES`, from those at more cosines, evenly spaced from 0 to 1.
 
-    Each is shared linearly between the two nearest of `COSINES`.
+    Each derivative is shared linearly between the two nearest of `COSINES`.
     """
     place = np.linspace(0.0, 1.0, len(by_node)) * (len(COSINES) - 1)
     low = np.minimum(place.astype(int), len(COSINES) - 2)
@@ -160,7 +161,7 @@ def best_thicknesses(
     Parameters
     ----------
     cost : callable
-        Cost function made by `ReflectanceWeights.cost`.
+        Cost function made by `ReflectanceWeights.cost`, greater than 0.
     low, high : (L,) float
         Bounds, nm.
     given : sequence of (L,) float64

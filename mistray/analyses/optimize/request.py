@@ -14,7 +14,7 @@ STEPS = Range(0, 10_000, whole=True)
 
 @dataclass(frozen=True)
 class DesignRequest(Request):
-    """Number of steps of an optimisation, and the random seeds and further events of its verification."""
+    """Request for an optimisation: number of steps, and random seeds and further events of its verification."""
 
     _: KW_ONLY
     steps: int | None = field(STEPS, None, "most steps of each search, instead of those of the study")

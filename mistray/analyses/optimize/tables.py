@@ -84,14 +84,14 @@ def worse_lines(result: Optimization) -> list[str]:
 
 
 def seeds_text(result: Optimization) -> str:
-    """Describe the seeds on which the terms were compared, with a warning if only the seed of the search was used."""
+    """Return a line on the seeds on which the terms were compared: a warning if it was that of the search only."""
     if result.unverified:
         return f"warning: measured with the seed of the search only; the comparison failed: {result.unverified}"
     return f"{len(result.comparison.seeds)} seeds not used in the search"
 
 
 def opened_lines(result: Optimization) -> list[str]:
-    """Return lines on side effects of the result: gaps between surfaces, and light that enters by new ones."""
+    """Return lines on side effects of the result: gaps between surfaces, and light that newly meets a surface first."""
     return [*([gaps_text(result.gaps)] if result.gaps else []), *entering_lines(result.comparison.entering)]
 
 
@@ -187,7 +187,7 @@ def report_text(result: Optimization) -> str:
 
 
 def step_text(step: Step, start: Start) -> str:
-    """Return a step as one line: merit, terms, "(!)" after those over their limit, gradient norm and time in s."""
+    """Return a step as one line: merit, terms with "(!)" after those in `Step.broken`, gradient norm and time in s."""
     terms = ", ".join(
         f"{name} {value:.4g}{' (!)' if name in step.broken else ''}" for name, value in step.terms.items()
     )
@@ -199,9 +199,9 @@ def step_text(step: Step, start: Start) -> str:
 
 def edge_lines(result: Optimization) -> list[str]:
     """
-    Return a line on the widths of smoothing zones at rims, as fractions of their radii.
+    Return a list with one line on the widths of smoothing zones at rims, as fractions of their radii.
 
-    The result is empty if light met no rim.
+    It is empty if light met no rim.
     """
     if not result.edge_widths:
         return []
@@ -242,8 +242,8 @@ def variables_frame(result: Optimization) -> pd.DataFrame:
     """
     Return a DataFrame with a row for each parameter that a variable moves: its value before and after.
 
-    Column ``unit`` holds the unit of the variable; the other columns are variable, parameter, low, high, before and
-    after.
+    Columns variable, parameter, unit (of both), low and high (bounds of the variable), before and after (values of the
+    parameter; a displacement or tilt is 0 before).
     """
     rows = []
     for v, x in zip(result.variables.variables, result.best.x, strict=True):

@@ -28,7 +28,7 @@ def thickness_minima(
     Parameters
     ----------
     cost : callable
-        Function of thicknesses, nm, (n, L), that returns costs, (n,).
+        Function of thicknesses, nm, (n, L), that returns costs, (n,), greater than 0; less counts as `FLOOR`.
     bounds_nm : sequence of (low, high)
         Bounds of the thickness of each layer, nm.
     given : sequence of (L,) float64

@@ -54,10 +54,10 @@ class BackwardRun:
     points : (p, 3) float64
         Hull of the illuminated volume, mm.
     method : {"joined", "adjoint"}
-        Whether forward and backward rays share the light by multiple importance sampling, or there are
+        "joined": forward and backward rays share the light by multiple importance sampling. "adjoint": there are
         backward rays alone.
     state : Path, optional
-        File of the state.
+        File of the state; None: it is not saved.
     resume : bool
         Whether to continue the run of `state`.
 
@@ -122,8 +122,8 @@ class BackwardRun:
         up_to_deg : float or None
             Largest field angle at which it is required, degrees; None: all.
         earlier : Pilot, optional
-            Pilot from which that of this run goes on. An error needs variances of its own, and cells that were dark
-            need rounds of their own, so that this run then has a whole pilot.
+            Earlier pilot that the pilot of this run continues; None: it starts anew. It does so too if an error is
+            requested, because that needs variances of its own, or if the earlier pilot left cells dark.
         """
         self._needed = needed, up_to_deg
         if self._plan is not None or self._method != "joined":
@@ -166,7 +166,7 @@ class BackwardRun:
 
     def go_on(self, plan: Plan | None, progress: Progress | None) -> None:
         """
-        Trace pass after pass until all rays are traced or the time is up.
+        Trace pass after pass until all rays are traced, the requested error is reached or the time is up.
 
         An interrupt waits for the end of a pass, so that nothing is lost, but not for long.
 
@@ -226,17 +226,22 @@ class BackwardRun:
                 raise KeyboardInterrupt
 
     def _longer(self, rays: int, over: float) -> int:
-        """Return how many backward rays the requested error needs, if after `rays` it is `over` times too large."""
+        """
+        Return the new number of backward rays of the run, if after `rays` the error is `over` times too large.
+
+        It grows with the square of `over`, but at most by `MOST_LONGER` and up to the number in the settings. It stays
+        if the error is small enough, or infinite because there is no light.
+        """
         if not 1 < over < math.inf:
             return rays
         return min(math.ceil(rays * min(over**2, MOST_LONGER)), self._trace.settings.rays)
 
     def _own_size(self, most: int) -> int | None:
         """
-        Return the rays of the next pass if they differ from the usual size, in a run of `most` rays; else None.
+        Return the number of rays of the next pass, in a run of `most` rays, if it is below `FIRST_PASS`; else None.
 
-        Only a first pass has a special size, and the passes of a run shorter than that, so that a run may be continued
-        at any time.
+        Only the first pass, or any pass of a run of fewer rays than that, is so short. All others have the usual size,
+        so that a run may be continued at any time.
         """
         missing = math.ceil(most - float(self._trace.rays.sum()))  # at least 1
         begun = self._trace.sums.passes > 0
@@ -245,10 +250,11 @@ class BackwardRun:
 
     def _budget(self, plan: Plan, needed: float | None) -> int:
         """
-        Return the number of backward rays of the run, from those that the plan found necessary.
+        Return the number of backward rays of the run: those that the plan found necessary; all if `needed` is None.
 
         They are at least as many as those of the pilot, since fewer might miss the paths that made its variance. If it
-        finds no light in a cell, they are at least `DARK_AFTER`, after which the cell counts as dark.
+        found no light in a cell, they are at least `DARK_AFTER`, after which the cell counts as dark. They never exceed
+        the number in the settings.
         """
         most = self._trace.settings.rays
         if needed is None:
@@ -274,7 +280,7 @@ class BackwardRun:
 
     def _worst(self, up_to_deg: float | None) -> float:
         """
-        Return the largest relative standard error of the PST over lit cells up to a field angle, degrees.
+        Return the largest relative standard error of the PST over lit cells up to a field angle, degrees; None: all.
 
         The result is infinite if none is lit.
         """

@@ -38,6 +38,11 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
     DataFrame
         Columns of `Pst.paths`. The errors of several azimuths are added in quadrature, as if their rays were
         independent.
+
+    Raises
+    ------
+    MistrayError
+        If the PST was computed without paths, or no cell contains the field angle.
     """
     azimuths = pst.grid.azimuths_deg
     parts = [pst.paths(field_deg, azimuth) for azimuth in azimuths]
@@ -71,8 +76,8 @@ def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
     Return rows of `stray_paths` with the column ``cause``, the name of the cause of each path's stray light.
 
     The cause of scattered light is the surface that scatters it first. That of light which is only reflected is
-    "ghosts" or, where structure alone reflects it, the name of the first surface that does so. Light that is neither
-    scattered nor reflected is a straight shot.
+    "ghosts" or, where structure alone reflects it, the name of the first surface that does so, with `REFLECTS`. Light
+    that is neither scattered nor reflected has the cause "straight shots".
     """
     by_structure = (rows.structure_bounces > 0) & (rows.order == 0)
     reflected = np.where(by_structure, rows.ghost_1 + REFLECTS, GHOSTS)
@@ -84,8 +89,9 @@ def cause_frame(pst: Pst) -> pd.DataFrame:
     """
     Return the percentage of the stray light that is due to each cause at each field angle.
 
-    Rows are field angles, degrees (index). Columns are causes, the one with the largest percentage first. There are
-    none without a table of paths or without stray paths.
+    Rows are field angles, degrees (index). Columns are causes, the one with the largest percentage at any angle first.
+    There are no columns without a table of paths or without stray paths. Paths that the table lacks count nowhere, so
+    that a row may add up to less than 100 %.
     """
     listed = pst.path_rows
     if listed is None or (listed.kind == DIRECT).all():
@@ -152,7 +158,8 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
     Return the breaks of a PST, field angles at which the slope of log10 PST changes abruptly, in ascending order.
 
     A break is an angle at which the slope changes by at least `LEAST_CHANGE` and `SURE` standard errors, and by no less
-    than at the angles next to it. Its error is that of the combination of the three points, from the batches.
+    than at the angles next to it. Points with errors above `LARGEST_ERROR` are left out. The error of a change comes
+    from the batches of start rays; where each cell has rays of its own, those of the three points are independent.
 
     Parameters
     ----------
@@ -192,7 +199,7 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
 
 
 def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
-    """Return standard errors of the slope change of log10 PST at each angle, decades per degree, (n,)."""
+    """Return standard errors of the slope change of log10 PST at each angle, decades/degree, (n,); NaN at both ends."""
     step = np.diff(pst.field_deg)
     # Coefficients of three neighbouring points: slope after less slope before
     factors = np.zeros((len(value), 3))
@@ -234,6 +241,8 @@ class MainCause:
     """
     Strongest cause of the stray light on the detector under a uniform sky, over the field angles of a PST.
 
+    All numbers are those of the paths in the table of the PST.
+
     Attributes
     ----------
     cause : str
@@ -244,7 +253,7 @@ class MainCause:
     field_deg : float
         Field angle from which this cause contributes most light under this sky, degrees.
     stray, left : Estimate
-        PST of all stray light at this angle, and of the part from all other causes.
+        PST, in its convention, of the stray paths at this angle, and of those with another cause.
     """
 
     cause: str
@@ -291,7 +300,7 @@ def main_cause(pst: Pst) -> MainCause | None:
 
 def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]:
     """
-    Return the ranges of field angle over which one and the same cause contributes most of the stray light.
+    Return the ranges of field angle over which one cause contributes more stray light than any other.
 
     Parameters
     ----------

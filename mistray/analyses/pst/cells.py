@@ -11,7 +11,9 @@ from mistray.recorders.directions import DirectionGrid
 
 def grid_of(request: PstRequest, axes: np.ndarray | None = None) -> DirectionGrid:
     """
-    Return the cells of field angle and azimuth of a request; columns of `axes` are the axes of their frame.
+    Return the cells of field angle and azimuth of a request; columns of `axes`, (3, 3), are the axes of their frame.
+
+    Without `axes` they are those of the world.
 
     Raises
     ------

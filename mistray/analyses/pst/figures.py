@@ -223,7 +223,7 @@ def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
     """
     Draw the PST curve of light class `group` with its band of one standard error, with gaps where it has no light.
 
-    Nothing is drawn if it has none at all.
+    Nothing is drawn if it has none at all. `floor` is the lower limit of the axis.
     """
     value, se = pst.curve(group)
     if not (value > 0).any():
@@ -243,7 +243,7 @@ def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
 
 
 def _errors(axes: Axes, pst: Pst) -> None:
-    """Draw, in percent, the relative standard errors of the PST, the requested one, and the strongest ray's share."""
+    """Draw, in %, relative standard errors of the PST, the requested one, and the largest ray's share of scatter."""
     for group, style in (("total", "-"), ("stray", ":")):
         value, se = pst.curve(group)
         lit = value > 0

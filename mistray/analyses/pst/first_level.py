@@ -98,12 +98,12 @@ def run(
     progress : callable, optional
         Called with the name of a set and the progress that `mistray.pst` reports.
     seconds : float, optional
-        Time of each PST, see `mistray.pst`.
+        Time limit of each PST, s, see `mistray.pst`.
 
     Raises
     ------
     MistrayError
-        If a limit is empty or unknown, or `mistray.pst` raises it.
+        If the limits are empty or one is unknown, or `mistray.pst` raises it.
 
     Examples
     --------

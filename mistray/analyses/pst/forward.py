@@ -59,13 +59,13 @@ def forward_pst(
         Light, detector, paths and maps, and the requested error. With `relative_error` the rays of a cell are doubled
         until the standard error of all light together over its value is at most this. A cell in which no light is
         found has `DARK_RAYS` at most, and cells of field angles beyond `error_up_to_deg` end with the first
-        `FIRST_RAYS` rays. The angles are those of `grid`.
+        `FIRST_RAYS` rays. The angles are those of `grid`. Default: no error requested, with all other defaults.
     entrance : Entrance, optional
-        Disc through which alone light is traced.
+        Disc through which alone light is traced; None: light covers the whole scene.
     points : (p, 3) float64, optional
         Hull of the illuminated volume, mm, see `mistray.sampling.plane_wave.hull_points`. Default: that of the scene.
     progress : callable, optional
-        Called after each pass.
+        Called with a `PstProgress` after each pass.
     settings : Settings, optional
         Settings with the start rays of a cell, or their largest number if an error is requested. Default: those of
         `request` and the scene.
@@ -211,16 +211,16 @@ class CellRounds:
             self._open &= ~(self._counts & (self._error <= self._requested))
 
     def _after_pass(self, rays: int) -> None:
-        """Report progress after a pass of `rays` rays, once first errors have fixed the number of passes."""
+        """Report progress after a pass of `rays` rays; with a requested error only once the first errors are known."""
         self._in_round = min(self._in_round + rays, self._of_round)
         if self._requested is None or np.isfinite(self._error).any():
             self._report()
 
     def _report(self) -> None:
         """
-        Call `progress` with the rays traced, the largest relative error of a cell and the time left, s.
+        Call `progress`, if there is one, with the rays traced, the largest relative error and the time left, s.
 
-        Do nothing without `progress`.
+        The error is that of the cells in which one is requested; 0 if none is.
         """
         if self.progress is None:
             return

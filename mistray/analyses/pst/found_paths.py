@@ -24,7 +24,7 @@ FEWEST_HITS = 8  # least number of hits of such a path
 
 def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return event lists of backward rays in forward order, the absorption in the detector appended, and their lengths.
+    Return event lists of backward rays in forward order, with absorption in the detector at the end, and their lengths.
 
     `events`, (w, k) uint32, and `lengths`, (w,), become (w, k + 1), padded with 0, and (w,). `detector` is the surface
     index of the detector.
@@ -51,7 +51,7 @@ class FoundPaths:
     path, cell : (p,) int
         Pairs of a path and a cell of directions.
     hits : (2, p) float64
-        Forward and backward rays that found them.
+        Numbers of forward and of backward rays that found them.
     value, variance : (p,) float64
         PST_normal of each pair and its variance.
     """
@@ -75,8 +75,8 @@ class FoundPaths:
         trace : GridTrace
             Either of their traces.
         along, against : tuple or None
-            Path table of forward and of backward rays, PST_normal of the flux of one start ray of each cell, and start
-            rays of each cell; None: there are none.
+            Result of `found` of `AllCells` and of `CellSums`: path table of forward and of backward rays, PST_normal
+            per unit weight of a start ray, (c,), and start rays, (c,), by cell; None: there are no such rays.
         """
         tables: list[tuple[int, dict[str, np.ndarray], np.ndarray, np.ndarray]] = []
         if along is not None and along[0]:
@@ -113,8 +113,8 @@ class FoundPaths:
         """
         Return the strongest paths found by rays of one direction only, forward or backward, one dict each.
 
-        There are at most `ONE_SIDED_LISTED`, each with several rays and more than 0.1 % of the light of its cell. Keys:
-        angle_deg, azimuth_deg, events, seen ("forward" or "backward"), rays, pst_normal.
+        There are at most `ONE_SIDED_LISTED`, each with at least `FEWEST_HITS` rays and more than 0.1 % of the light of
+        its cell. Keys: angle_deg, azimuth_deg, events, seen ("forward" or "backward"), rays, pst_normal.
         """
         grid = self.trace.grid
         light = np.bincount(self.cell, self.value, int(np.prod(grid.shape)))
@@ -135,7 +135,7 @@ class FoundPaths:
         return [dict(zip(columns, row, strict=True)) for row in rows]
 
     def rows(self) -> pd.DataFrame:
-        """Return the strongest paths of each cell, a table with the columns of `Pst.path_rows`."""
+        """Return the strongest paths of each cell, at most `PATHS_LISTED`, with the columns of `Pst.path_rows`."""
         import pandas as pd
 
         m = self.trace.grid.shape[1]

@@ -19,7 +19,7 @@ LEAST_SHARE = 0.4  # fraction of the time of the first measurement that another 
 
 def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Callable[..., Pst]) -> Pst:
     """
-    Compute a PST again with one more scatter event, and with one more reflection; return the PST to be used.
+    Return the PST to be used, after computing it again with one more scatter event, and with one more reflection.
 
     Both have the seed of the first and together as many rays as it had, whatever the time: equal seeds give equal
     results. Within a time budget they also have together as much time, except that a pass is never interrupted. The
@@ -40,7 +40,7 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     Returns
     -------
     Pst
-        The PST with more events if they matter, of two such the one that changes more; else `first`. All have
+        The PST with the further event whose change matters, or changes most of two such; else `first`. It has
         `next_orders`.
     """
     facts = first.facts

@@ -56,7 +56,7 @@ DETECTOR = "Irradiance on the detector from a distant source of 1 W/mm² across 
 
 def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ()) -> dict[str, bytes]:
     """
-    Draw all pictures of a PST as PNG bytes, by file name.
+    Return all pictures of a PST as PNG bytes, by file name.
 
     Parameters
     ----------
@@ -89,7 +89,11 @@ def map_name(pst: Pst, field_deg: float, azimuth_deg: float) -> str:
 
 
 def irradiance_maps(pst: Pst, maps_at: Sequence[tuple[float, float]], command: str) -> dict[str, IrradianceMap]:
-    """Return irradiance maps of the detector, W/mm² for 1 W/mm² across the beam, by file name without suffix."""
+    """
+    Return irradiance maps of the detector, W/mm² for 1 W/mm² across the beam, by file name without suffix.
+
+    `maps_at` are field angles and azimuths, degrees; `command` is a command line to be kept with them.
+    """
     return {
         map_name(pst, *at): IrradianceMap(
             *pst.irradiance(*at),

@@ -128,12 +128,12 @@ class Pilot:
 
     @property
     def rays(self) -> float:
-        """Number of backward rays traced so far."""
+        """Number of backward rays that this pilot has traced so far."""
         return float(self._rays[1])
 
     @property
     def lit(self) -> bool:
-        """True if the last pilot round found light in every cell whose error is requested."""
+        """True if the last pilot round found light in every cell of `counts`."""
         return bool(np.all(self._light[self._counts] > 0))
 
     def seconds_for(self, plan: Plan, rays: float) -> float:
@@ -144,8 +144,8 @@ class Pilot:
         """
         Run rounds until at least `rays` backward rays are traced, and return the resulting plan.
 
-        There are at least `LEAST_ROUNDS` rounds, or `ROUNDS_TO_AN_ERROR` if an error is requested. A time budget ends
-        the search after any round.
+        There are at least `LEAST_ROUNDS` rounds; `ROUNDS_TO_AN_ERROR` if an error is requested, else `ROUNDS_AFTER` if
+        it continues an earlier pilot. A time budget ends the search after any round.
         """
         while self._plan is None or (not time_is_up() and (self._rounds < self._least_rounds or self.rays < rays)):
             self._plan = self._round(self._first_round << self._rounds)
@@ -248,7 +248,7 @@ class Pilot:
         """
         Return the cost of forward rays, (2, c), in ray segments: for scattered light and for unscattered light.
 
-        The second row is 0 if all forward rays serve both kinds of light.
+        `forward` are the samples of a round. The second row is 0 if all forward rays serve both kinds of light.
         """
         if self._sharing.unscattered is None:
             return np.array([np.sum([one.segments for one in forward], axis=0), np.zeros(len(self._light))])
@@ -260,7 +260,8 @@ class Pilot:
         Return the number of extra rays for unscattered light per other forward ray, (c,), for the next round.
 
         The result is None if there are no such rays. With m rays for scattered light, n extra ones and their relative
-        cost c, the variance is a/m + b/n. At a given cost m + c n it is least for n/m = √(b/(a c)).
+        cost c, the variance is a/m + b/n. At a given cost m + c n it is least for n/m = √(b/(a c)). `light` is the
+        PST_normal of each cell, (c,); for `costs` see `_costs_forward`.
         """
         now = self._sharing.unscattered
         if now is None:
@@ -288,7 +289,9 @@ class Pilot:
         shared: np.ndarray | None = None,
     ) -> np.ndarray:
         """
-        Return the inverse bounds of the weight windows of one direction, upper and lower, from the latest rounds.
+        Return the inverse bounds of the weight windows of one direction, upper and lower, (2, n, WAYS).
+
+        They come from the latest rounds.
 
         Let F be the contribution of a ray per unit of throughput at a surface, and F₀ that of a start ray. The inverse
         upper bound is the larger of √(E[F²]/E[F₀²]) (A. Rath et al., EARS: efficiency-aware Russian roulette and
@@ -335,7 +338,8 @@ class Pilot:
         """
         Return the value of a unit of throughput of forward rays by cell, (c,), relative to the cell's light.
 
-        Cells without light so far are as valuable as the most valuable one.
+        `rays` are the forward rays of each cell per backward ray, (c,), and `light` is its PST_normal, (c,). Cells
+        without light so far are as valuable as the most valuable one.
         """
         lit = self._counts & (light > 0) & (rays > 0)
         if not lit.any():
@@ -354,7 +358,11 @@ class Pilot:
         self._seen = [*self._seen, (cell, kind, samples.path_class, samples.weight, odds)][-REMEMBERED:]
 
     def _starts_per_connection(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
-        """Return forward start rays per path connected to a source, by cell; 0 if connections do not pay."""
+        """
+        Return the number of forward start rays per path connected to a source, by cell, (c,); 0 if none pay.
+
+        For the arguments see the results of `_relative_variances`.
+        """
         starts_per_connection, counts = self._sharing.starts_per_connection, self._counts & (light > 0)
         if self._rounds == 1:  # one light vertex for each connection
             return starts_per_connection / max(self._trace.vertices_per_ray, 1e-3)
@@ -370,7 +378,12 @@ class Pilot:
         return starts_per_connection if gained > COST_OF_CONNECTIONS else np.zeros_like(starts_per_connection)
 
     def _remember(self, samples: Samples, light: np.ndarray, rays: int) -> None:
-        """Store samples of a round for the map of ray starts, at most as many per cell as it needs."""
+        """
+        Store samples of a round of `rays` backward rays for the maps of forward and of backward ray starts.
+
+        `light` is PST_normal by cell, (c,). At most `SAMPLES_OF_CELL` forward starts per cell are kept, and `ENDS_KEPT`
+        backward ones.
+        """
         rng = np.random.default_rng(self._rounds)
         cell, kind, weights = samples.cell, samples.kind, samples.weight
         # Weak classes of light get more weight, so that their errors are reliable, too
@@ -394,7 +407,7 @@ class Pilot:
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
-    """Round values to 8 significant bits, so that the order of sums in parallel threads does not change them."""
+    """Return values rounded to 8 significant bits, so that the order of sums in parallel threads does not matter."""
     mantissa, exponent = np.frexp(values)
     return np.asarray(np.ldexp(np.round(256 * mantissa) / 256, exponent))
 
@@ -411,7 +424,7 @@ def _together(parts: Sequence[Samples]) -> Samples:
 
 
 def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Return sums of `values` grouped by the index `place`, (count,) float64."""
+    """Return sums of `values` grouped by the indices `place`, (count,) float64."""
     return np.bincount(place, values, count).astype(np.float64)
 
 
@@ -419,7 +432,7 @@ def _relative_variances(
     pair: Sequence[Samples], both: Samples, cells: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Estimate the light of the cells and its relative variance.
+    Return the light of the cells, its relative variance, and what connections gain.
 
     With the light f along a path and the density q of all rays, the variance is ∫ f²/q. Each sample yields f/q, and the
     weight s of forward rays in its path. With a factor k of the forward rays q becomes q (1 - s + k s). Samples of one

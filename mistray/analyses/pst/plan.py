@@ -49,7 +49,7 @@ class Plan:
         """
         Return the number of backward rays that reach a relative error, together with their forward rays.
 
-        It is 0 if no cell that counts has light.
+        It is larger by `RESERVE` than the variances require, and 0 if no cell that counts has light.
 
         Parameters
         ----------
@@ -92,7 +92,7 @@ class Plan:
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, np.ndarray]) -> Plan:
-        """Return the plan restored from the named arrays of `arrays`."""
+        """Return the plan restored from arrays by name, which the method `arrays` has made."""
         starts = StartMap(**{f.name: arrays[f"starts_{f.name}"] for f in fields(StartMap)})
         own: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
         samples = MapSamples(*(arrays[f"samples_{name}"] for name in MapSamples._fields))
@@ -174,9 +174,9 @@ def factors_of_equal_errors(
     factors : (k,) float64
         Ascending factors of the forward rays.
     cost_backward : float
-        Cost of the backward rays.
+        Cost of the backward rays, in ray segments.
     cost_forward : (c,) float64
-        Cost of the forward rays of each cell, at a factor of 1.
+        Cost of the forward rays of each cell at a factor of 1, in ray segments.
 
     Returns
     -------
@@ -211,8 +211,9 @@ def factors_of_least_variance(
 
     The value λ of time decides how much is spent. Each cell has the factor of the least ln(variance) + λ · cost, with
     costs in units of that of the backward rays. The forward rays count as no cheaper than the backward ones, because a
-    pilot's variances are unreliable where one direction finds little. With `even`, λ is the one at which both
-    directions cost the same. A cell whose variance does not fall takes no rays from others.
+    pilot's variances are unreliable where one direction finds little, and cost at most `MOST_UNEVEN` times as much.
+    With `even`, λ is the one at which both directions cost the same. A cell whose variance does not fall takes no rays
+    from others.
 
     Other parameters and the result are those of `factors_of_equal_errors`.
     """

@@ -34,7 +34,7 @@ CONVENTIONS = ("normal", "projected")
 
 @dataclass(frozen=True)
 class PstRequest(Request):
-    """Directions, light and rays of a point source transmittance (PST)."""
+    """Request for a point source transmittance (PST): directions, light and rays."""
 
     field_deg: tuple[float, ...] = field(
         Each(PST_FIELD_DEG),

@@ -84,7 +84,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
     extent_mm : tuple of four float
         Bounds x0, x1, y0, y1 of the detector, in its own frame, mm.
     source : PstRays, optional
-        Rays of the computation, for derivatives; a pickle has none.
+        Rays of the computation, for derivatives; None with the method "forward", and after pickling.
     plan : Plan, optional
         Plan of its pilot, if forward and backward rays share the light (multiple importance sampling).
     techniques : dict of str to (c, n, m, b) float64
@@ -220,7 +220,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         return [Estimate(float(value), float(se)) for value, se in zip(*self.curve(classes), strict=True)]
 
     def columns(self, found: Callable[[str], tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Return columns by name, PST and standard error from `found`, for total, stray and each class of light."""
+        """Return columns pst_<light> and pst_<light>_se for each name in `LIGHT`; `found` gives both for a name."""
         parts = ((name, end, part) for name in LIGHT for end, part in zip(("", "_se"), found(name), strict=True))
         return {f"pst_{name}{end}": part.ravel() for name, end, part in parts}
 
@@ -281,7 +281,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         Parameters
         ----------
         field_deg, azimuth_deg : float
-            Angles, degrees; the nearest cell is used.
+            Angles, degrees; the cell that contains them is used.
         n : int, optional
             Number of paths; by default all.
 
@@ -338,7 +338,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
         Parameters
         ----------
         field_deg, azimuth_deg : float
-            Angles, degrees; the nearest cell is used.
+            Angles, degrees; the cell that contains them is used.
         classes : str or sequence of str
             See `samples`.
 
@@ -366,6 +366,8 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
     def irradiance(self, field_deg: float, azimuth_deg: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the irradiance map of the detector for a source of 1 W/mm² across the beam, and its standard error.
+
+        The source is at a field angle and azimuth, degrees; the map is that of the cell that contains them.
 
         Returns
         -------
@@ -469,7 +471,7 @@ def _numbers(classes: str | Sequence[str]) -> list[int]:
 
 def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
     """
-    Return notes on field angles without light, and on those where a single ray carries much scattered light.
+    Return notes on field angles with cells without light, or where a single ray carries much of the scattered light.
 
     Parameters
     ----------

@@ -61,15 +61,15 @@ def run(
         source does not matter: the light covers the whole scene.
     request : PstRequest
     state : str or Path, optional
-        File with the finished part of the run, updated during the run (not forward).
+        File with the finished part of the run, updated during the run; not with the method "forward".
     resume : bool
         Whether to continue the run of `state`.
     progress : callable, optional
         Called with a `PstProgress` after every pass.
     seconds : float, optional
-        Time, s, after which the run ends with the rays traced so far; forward the cells share it. A note reports their
-        number. The current pass is completed first. A run from the detector without a number of rays, or a relative
-        error, takes all of the time.
+        Time, s, after which the run ends with the rays traced so far, once the current pass is complete; a note reports
+        their number. With the method "forward" the cells share the time. The other methods take all of it if neither a
+        number of rays nor a relative error is given.
 
     Returns
     -------
@@ -147,7 +147,8 @@ def pst_of_each(
         `Pst.plan` of an earlier PST, of a scene much like these: it replaces the pilot, and rays start as they did. A
         plan that does not fit is not used.
     pilots : list of Pilot, optional
-        Pilot of an earlier PST of the one scene, from which this one goes on; if the list is empty, its pilot is added.
+        List whose first entry is the pilot of an earlier PST of the one scene, which the pilot of this one continues.
+        An empty list gets the pilot of this one.
 
     Yields
     ------

@@ -1,4 +1,4 @@
-"""Progress of a PST run, and its state in a file, which is replaced as a whole after passes for later continuation."""
+"""Progress of a PST run, which is reported after each pass."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ class PstProgress:
         Start rays so far, including those of the saved run that it continues, and their largest number. 0 rays done:
         the pilot is done, and `seconds_left` is its estimate.
     worst_error : float
-        Largest relative standard error of the PST at the relevant angles; infinite if an angle has no light yet.
+        Largest relative standard error of the PST in the cells that count; infinite before light is found. Rays from
+        the detector leave out cells without light. With the method "forward" it is 0 unless an error is requested.
     requested_error : float or None
-        Requested error: the run ends when the worst error is below it. None: it traces all planned rays.
+        Requested error: the run ends once the worst error is no larger. None: it traces all planned rays.
     seconds : float
         Time since this run began or was continued, s.
     seconds_left : float
-        Estimate of the remaining time, s; NaN before the first pass.
+        Estimate of the remaining time, s; NaN if it is unknown.
     """
 
     rays_done: int

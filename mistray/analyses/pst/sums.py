@@ -20,7 +20,7 @@ Light = str | Sequence[str]
 
 def weighted_sum(pst: Pst, coefficients: np.ndarray, classes: Light = "total") -> Estimate:
     """
-    Return the sum over the cells of coefficients times PST, with its standard error.
+    Return the sum over the cells of coefficients times PST, in the unit of the coefficients, with its standard error.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def quotient(
     above, below : tuple of (n, m) float and str
         Coefficients and light of the two sums.
     floor : float
-        Lower limit of the lower sum, at or below which the quotient is unknown (NaN).
+        Limit of the lower sum, at or below which the quotient is `UNKNOWN` (NaN); so it is if a cell is NaN.
     """
     upper, lower = (k[..., None] * pst.samples(light) for k, light in (above, below))
     base = _summed(lower, pst.weight).value

@@ -34,7 +34,7 @@ DENOMINATOR = "%: share of the stray light at that angle, which is all light but
 
 
 def shown_classes(pst: Pst) -> tuple[str, ...]:
-    """Return the classes of light that a printed table shows; rare ones only if they have light."""
+    """Return the classes of light that a printed table shows; those in `RARE` only if they have light."""
     return tuple(group for group in CLASSES if group not in RARE or np.any(pst.curve(group)[0]))
 
 
@@ -47,9 +47,8 @@ def curve_frame(pst: Pst) -> pd.DataFrame:
     """
     Return the curve with full precision as a frame, one row for each field angle.
 
-    Columns angle_deg, angle_from_deg, angle_to_deg, convention and method. Then the mean PST over azimuths and its
-    standard error, for all light, stray light and each class. largest_share is the share of the strongest single ray in
-    the scattered light, the largest of the azimuths.
+    Columns are angle_deg, angle_from_deg, angle_to_deg, convention and method; the mean PST over azimuths and its
+    standard error, for all light, stray light and each class; and largest_share, see the function of this name.
     """
     columns: dict[str, Any] = {
         "angle_deg": pst.field_deg,
@@ -72,7 +71,7 @@ def cell_frame(pst: Pst) -> pd.DataFrame:
 
 
 def largest_share(pst: Pst) -> np.ndarray:
-    """Return the share of the strongest ray in the scattered light, maximum over azimuths, (n,); NaN if unknown."""
+    """Return the fraction of scattered light in its strongest ray, largest over azimuths, (n,); NaN: unknown."""
     if pst.largest_share is None:
         return np.full(len(pst.field_deg), np.nan)
     return np.asarray(pst.largest_share.max(axis=1))
@@ -254,9 +253,9 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
     Returns
     -------
     dict
-        convention, definition, method, facts, grid, field_edge_deg, curve (rows of `curve_frame`, each with its
-        ``paths`` and ``causes``), cells (rows of `cell_frame`, if there are several azimuths), breaks, next_orders and
-        warnings.
+        convention, definition, method, facts, grid, field_edge_deg, percent_of_stray (its definition), curve (rows of
+        `curve_frame`, with ``paths`` and ``causes`` if the PST has paths), breaks, next_orders, warnings, and cells
+        (rows of `cell_frame`) if there are several azimuths.
     """
     curve = curve_frame(pst).drop(columns=["convention", "method"]).to_dict("records")
     if pst.path_rows is not None:

@@ -23,11 +23,12 @@ class ParameterChange:
     number : int
         Index of the parameter.
     value : float
-        New value, in the unit of the parameter; a bound if the factor cannot be reached.
+        New value, in the unit of the parameter: a bound if the factor cannot be reached, and the present value if the
+        derivative does not differ significantly from 0.
     factor : float
         Factor by which the model lowers the metric; 1 if the derivative does not differ significantly from 0.
     reached : bool
-        Whether that is the factor requested.
+        Whether the requested factor is reached, by this change alone or by all that are proposed together.
     """
 
     number: int
@@ -48,7 +49,7 @@ class Ranges:
     tolerance : float64
         Tolerance, the measure of a change, greater than 0.
     slope, slope_se : float64
-        d ln(metric) / d value and its standard error.
+        d ln(metric) / d value and its standard error, per unit of the parameter.
     """
 
     value: np.ndarray
@@ -62,7 +63,7 @@ class Ranges:
         """
         Return the value of the parameter of index `number`, in its unit, that lowers ln(metric) by `gain`.
 
-        If no value in the range does, return the bound at which the metric is lower.
+        `gain` is greater than 0. If no value in the range does, return the bound at which the metric is lower.
         """
         slope, most = float(self.slope[number]), -float(self.gain[number])
         if gain >= most * (1 - ROUNDING):
@@ -99,7 +100,7 @@ def single_changes(ranges: Ranges, factor: float) -> tuple[ParameterChange, ...]
 
 def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[ParameterChange, ...]:
     """
-    Return the few parameters that together lower the metric by `factor` with the least effort, and their new values.
+    Return new values of at most `count` parameters that together lower the metric by `factor` with the least effort.
 
     The effort is Σ (Δ/tolerance)². If no combination reaches the factor, the result is the one that lowers the metric
     most, at bounds. All combinations of `CANDIDATES` parameters are tried: half of them have the largest change per
@@ -147,7 +148,7 @@ def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Parame
 
 def least_effort(weight: np.ndarray, most: np.ndarray, goal: float) -> np.ndarray:
     """
-    Return reductions x of ln(metric), (n,), with Σ x = goal and 0 ≤ x ≤ most, that minimise Σ (x/weight)².
+    Return reductions x of ln(metric), (n,), with Σ x = `goal` and 0 ≤ x ≤ `most`, that minimise Σ (x/`weight`)².
 
     Without bounds x is proportional to weight² (Lagrange). A part at its bound stays there and the others share the
     rest. If the bounds do not allow the goal, they are the result.

@@ -108,10 +108,12 @@ def draw_systems(
     finished: Finished,
 ) -> Draws | None:
     """
-    Trace systems whose parameters are drawn from normal distributions, σ the tolerance, clipped to the physical range.
+    Return the metrics of traced systems whose parameters are drawn from normal distributions.
 
-    All are traced with the same rays, so that differences are due to the parameters alone. If R + T of an
-    ideal coating would exceed 1 both are scaled down. A system in which optical surfaces cross, on their axis and
+    Their standard deviation is the tolerance, and they are clipped to the physical range.
+
+    All are traced with the same rays, so that differences are due to the parameters alone. If R + T of an ideal coating
+    would exceed 1, what is drawn of them is reduced. A system in which optical surfaces cross, on their axis and
     without tilts, cannot be put together and is drawn again.
 
     Parameters
@@ -141,7 +143,7 @@ def draw_systems(
     Raises
     ------
     MistrayError
-        If a system is impossible or has no light; the message names it.
+        If a system is impossible or has no light, which the message names, or too many have surfaces that cross.
     """
     lines = [row.line for row in rows]
     generator = np.random.default_rng(seed)
@@ -211,7 +213,7 @@ def _timed(trace: Callable[[], float]) -> tuple[float, float]:
 
 
 def _checked(number: int, trace: Callable[[], float]) -> float:
-    """Return the metric of system `number` by a trace; raise `MistrayError` if it has no light."""
+    """Return the metric of system `number` by a trace; raise `MistrayError` unless it is finite and greater than 0."""
     with errors_of(f"perturbed system {number + 1}"):
         traced = trace()
     if not (math.isfinite(traced) and traced > 0):
@@ -228,7 +230,7 @@ class _SystemsTask:
     systems: Sequence[Mapping[str, np.ndarray]]
 
     def make(self) -> Any:
-        """Return the scene parameters that the perturbed systems change."""
+        """Return the parameters of the scene, ``mi.traverse(scene)``, some of which the perturbed systems change."""
         return mi.traverse(self.metric.scene)
 
     def do(self, made: Any, part: int) -> float:
@@ -241,7 +243,7 @@ class _SystemsTask:
 
 
 def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
-    """Set parameters in a scene, off-axis displacements last; return False if optical surfaces cross on the axis."""
+    """Set parameters in a scene, off-axis displacements and tilts last; return False if surfaces cross before these."""
     aside = {key: value for key, value in values.items() if key.rsplit(".", 1)[-1] in OFF_AXIS}
     assign(params, {**values, **{key: np.zeros_like(value) for key, value in aside.items()}})
     try:

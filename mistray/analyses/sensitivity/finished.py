@@ -64,7 +64,7 @@ class Finished:
             self.save()
 
     def add(self, value: float) -> None:
-        """Store the metric of one more perturbed system; write the file if that was last done 5 s ago."""
+        """Store the metric of one more perturbed system; write the file if that was done more than 5 s ago."""
         self.systems.append(value)
         if time.perf_counter() - self._saved > SAVED_S:
             self.save()
@@ -159,7 +159,7 @@ def _check(saved: Mapping[str, Any]) -> TracedChange:
 
 
 def _require_value(path: str | Path, was: float, value: float) -> None:
-    """Raise `MistrayError` if a metric traced again differs from the saved one by more than 1e-6."""
+    """Raise `MistrayError` if a metric traced again differs from the saved one by more than 1e-6 of it."""
     if not math.isclose(value, was, rel_tol=SAME):
         raise MistrayError(
             f"state '{path}' belongs to another run: the metric was {was:.6g} and is {value:.6g}; use another "

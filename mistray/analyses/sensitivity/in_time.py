@@ -56,7 +56,7 @@ def gradient_in_time(
     before: Taken | None,
 ) -> Taken:
     """
-    Compute a gradient from all rays of a metric, or from fewer if time is short, but always from some.
+    Return a gradient from all rays of a metric, or from fewer if time is short, but always from some.
 
     A few rays are traced first, and their time determines how many more are possible. Traces are never ended early,
     because later results compared with this gradient must use the same rays.
@@ -68,9 +68,9 @@ def gradient_in_time(
     steps : Steps
         Counter of steps that has the time left.
     part : float
-        Share of that time for the gradient and the traces that follow.
+        Fraction of that time for the gradient and the traces that follow.
     looks : int
-        Number of further traces of the metric.
+        Number of traces of the metric that follow.
     before : Taken or None
         Gradient of a saved run, which is kept if there is no time for many more rays; None for a new run.
 

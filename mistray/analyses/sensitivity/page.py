@@ -39,7 +39,7 @@ PERTURBED = "Metrics of perturbed systems, all traced with the same rays, and wh
 
 def text(result: Sensitivity, count: int = 20) -> str:
     """
-    Return the text that `mistray sensitivity` prints: ranked table, best three changes, propagation and omissions.
+    Return the text that `mistray sensitivity` prints: ranking, best changes, propagation, perturbed systems and notes.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from mistray.toolkit.rows import column
 
 @dataclass(frozen=True)
 class Contribution:
-    """Fraction of the variance of ln(metric) due to one parameter, or to several that vary together."""
+    """Contribution of one parameter, or of several that vary together, to the variance of ln(metric)."""
 
     name: str = column("label of the parameter, or the pattern that the group was asked for by")
     members: tuple[str, ...] = column("labels of the parameters")
@@ -57,10 +57,11 @@ def propagate(
     groups: Sequence[tuple[str, Sequence[int]]] = (),
 ) -> MetricSpread:
     """
-    Return the variance of ln(metric) = Σ (s_i tol_i)² over independent parameters, and the share of each.
+    Return the variance of ln(metric), the sum of (s_i tol_i)² over independent parameters, and the share of each.
 
-    Parameters that vary together count as one: (Σ s_i tol_i)² with their signs. The errors come from the batches of
-    start rays, so that they include common noise of the derivatives, and of the metric by which all are divided.
+    Here s_i is d ln(metric)/d value, and tol_i the tolerance. Parameters that vary together count as one, with the sum
+    of their s_i tol_i. The errors come from the batches of start rays, so that they include common noise of the
+    derivatives, and of the metric by which all are divided.
 
     Parameters
     ----------

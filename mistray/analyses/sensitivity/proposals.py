@@ -38,8 +38,8 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
     """
     Return the keys of parameters that can be changed without redesigning the lens.
 
-    These are coatings and ideal R except of mirrors, scatter, and the shape, rims and position of surfaces that are
-    neither optics nor the detector: stops, vanes, tubes. An ideal T, glasses and the shapes of optics are not among
+    These are scatter; coatings and ideal R, but not those of mirrors; and the shape, rims and position of surfaces that
+    are neither optics nor the detector: stops, vanes, tubes. An ideal T, glasses and the shapes of optics are not among
     them.
 
     Parameters
@@ -67,7 +67,7 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
 @dataclass(frozen=True)
 class TracedChange:
     """
-    Traced effect of new parameter values on metric and image, from traces before and after.
+    Effect of new parameter values on metric and image, from traces before and after.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def traced_change(
     metric: Metric, params: Mapping[str, Any], values: Mapping[str, np.ndarray], advance: Steps
 ) -> TracedChange | None:
     """
-    Trace the effect of new values of parameters, before and after with the same rays, on seeds of their own.
+    Return the effect of new values of parameters, traced before and after with the same rays, on seeds of their own.
 
     Parameters
     ----------
@@ -105,8 +105,8 @@ def traced_change(
     values : mapping of str to (entries,) float
         New values by key.
     advance : Steps
-        Called 2 `SEEDS` times, after each trace of the metric, or fewer times if the time ends. It is called at least
-        four times if it is known after the first seed that there is enough.
+        Called after each trace of the metric: 2 `SEEDS` times, or fewer if the time ends. No seed but the first
+        is begun without time for it.
 
     Returns
     -------

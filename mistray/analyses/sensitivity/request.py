@@ -47,7 +47,7 @@ KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", 
 
 @dataclass(frozen=True)
 class MetricRequest(Request):
-    """Choice of a metric: its name, arguments and light."""
+    """Request for a metric: its name, arguments and light."""
 
     metric: str = field(Words(tuple(METRICS)), "path_power", ", ".join(METRICS), metavar="NAME")
     paths: str | None = field(
@@ -94,7 +94,7 @@ class MetricRequest(Request):
 
 @dataclass(frozen=True)
 class SensitivityRequest(Request):
-    """Parameters, tolerances and changes of a sensitivity analysis."""
+    """Request for a sensitivity analysis: parameters, tolerances and changes."""
 
     keys: tuple[str, ...] | None = field(
         Several(TEXT, least=0),

@@ -33,7 +33,7 @@ class Together:
     factor : float
         Factor by which the metric is smaller, by the model, dimensionless.
     reached : bool
-        Whether that is the factor requested.
+        Whether `factor` is the factor requested.
     traced : Estimate or None
         The factor from traces of the changed scene with other seeds; None if they were not requested, or there was no
         time for them.
@@ -78,7 +78,7 @@ class Sensitivity(Result, table=".page:ranking_table", figure=".figures:ranking_
     factor : float
         Requested factor by which the changes shall lower the metric, dimensionless.
     together : Together
-        The best three changes.
+        The best combination of at most three changes.
     draws : Draws or None
         Monte Carlo of perturbed systems; None if not requested, or if there was no time for two.
     not_traced : tuple of str

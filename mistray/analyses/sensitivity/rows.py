@@ -35,8 +35,8 @@ class Line:
     Attributes
     ----------
     label : str
-        The key, with the index of the entry if there are several, ``AR.thickness_nm[1]``; ``index of N-BK7``;
-        ``barrel.z``.
+        Key of a single parameter, such as ``AR.thickness_nm[1]``, with the index of the entry if there are several. Of
+        parameters that change together a name such as ``index of N-BK7`` or ``barrel.z``.
     parameter : Parameter
         First parameter, whose kind, unit, value and range are those of all.
     entry : int
@@ -46,8 +46,8 @@ class Line:
     silent : tuple of str
         Keys that change along but have no derivative: indices next to opaque surfaces.
     slopes : mapping of str to float
-        For a body that is displaced or tilted: change of each parameter of its surfaces per change of the line, to
-        first order. Empty if all of `keys` change by the same amount.
+        For a body that is displaced or tilted: change of each parameter of its surfaces, by key, over that of the line,
+        to first order. Empty if all of `keys` change by the same amount.
     """
 
     label: str
@@ -141,7 +141,7 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
 
 
 def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
-    """Return the table line that covers each position parameter of mechanical parts, by parameter key."""
+    """Return table lines that move mechanical surfaces together, by the key of each position or tilt in them."""
     rigid = structure(scene)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     optics = {getattr(shape, "part", None) for shape in shapes.values() if shape.id() not in rigid}
@@ -176,7 +176,7 @@ def motion_lines(body: Body, known: Mapping[str, Parameter]) -> list[Line]:
 
 
 def _material(params: Any, key: str) -> str | None:
-    """Return the material that an index shift belongs to; None for other keys."""
+    """Return the material of the side to which the index shift with a key belongs; None for other keys."""
     owner, name = params.properties[key][2], key.rsplit(".", 1)[-1]
     if name not in SHIFTS or not hasattr(owner, "coating"):
         return None
@@ -305,7 +305,7 @@ class LineNumbers:
 
         A bound of one parameter may be refused because of others, such as a reflectance of 0 for a paint that has no
         other scatter. The wavelength may rule it out as well, such as that of a roughness. The range then ends before
-        the bound: at the first of `SHARES` of the way that is accepted.
+        the bound: at the first of `SHARES` of the way that is accepted, or at the present value if none is.
 
         Parameters
         ----------
@@ -330,7 +330,11 @@ class LineNumbers:
         return replace(ranges, low=low, high=high)
 
     def rows(self, free: set[str], reachable: Ranges, factor: float) -> list[SensitivityRow]:
-        """Return a table row per line, in order, each with the value that alone would lower the metric by `factor`."""
+        """
+        Return a table row per line, in order, each with the value that alone would lower the metric by `factor`.
+
+        `free` are the keys that may be changed; that value lies within the ranges of `reachable`.
+        """
         r = self.ranges
         change, change_se = r.slope * r.tolerance, r.slope_se * r.tolerance
         alone = single_changes(reachable, factor)

@@ -65,9 +65,9 @@ def run(
     resume : bool
         Continue from `state`, perhaps with more perturbed systems. The result is that of one uninterrupted run.
     seconds : float, optional
-        Time for the whole run, s. A gradient that would take longer, or more than half with perturbed systems, uses
-        fewer rays of the metric. All that is compared is traced with the same rays. `Sensitivity.not_traced` lists what
-        is left out. Not available with workers.
+        Time for the whole run, s. A gradient that would take longer, or more than half of it if perturbed systems are
+        requested, uses fewer rays of the metric. All that is compared is traced with the same rays.
+        `Sensitivity.not_traced` lists what is left out. Not available with workers.
     progress : callable, optional
         Called with the work done so far and the total work.
 
@@ -79,8 +79,8 @@ def run(
     ------
     MistrayError
         If a key is unknown, no parameter has a derivative, an argument is out of range, the state is of another run, or
-        the metric is 0 or not finite. Also if a beam just fills a rim that one of `keys` or of `together` moves.
-        Without `keys` such parameters are left out.
+        the metric is 0, negative or not finite. Also if a beam just fills a rim that one of `keys` or of `together`
+        moves; without `keys` such parameters are left out.
 
     Examples
     --------
@@ -184,9 +184,9 @@ def _checked(
     proposal: Together, metric: Metric, params: Mapping[str, Any], advance: Steps, finished: Finished
 ) -> tuple[Together, int]:
     """
-    Trace proposed changes as far as time allows; return them with their traced effect, and the number of seeds.
+    Return proposed changes with their traced effect, and the number of seeds on which it was traced.
 
-    Without time for two seeds they are returned as they are, with 0 seeds.
+    Without time for two seeds they are returned as they are, with 0 seeds. A check in `finished` is not traced again.
     """
     lines = [row.line for row, _ in proposal.changes]
     values = shifted_values(whole_values(params, lines), lines, [change.value for _, change in proposal.changes])
@@ -228,7 +228,7 @@ def _require_light(found: Gradient) -> None:
 
 
 def _tolerances(known: Mapping[str, Parameter], given: Mapping[str, float]) -> dict[str, float]:
-    """Return the tolerance of every parameter by key, in its unit."""
+    """Return the tolerance of every parameter by key, in its unit: the usual one, or that `given` by key or pattern."""
     limits = {key: parameter.tolerance for key, parameter in known.items()}
     for pattern, value in given.items():
         limits |= dict.fromkeys(match(known, [pattern]), float(value))

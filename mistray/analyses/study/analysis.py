@@ -38,7 +38,7 @@ def stray_light_analysis(
     images: Transfer | str = "",
 ) -> StudyStep:
     """
-    Make step 8 from a ghost analysis, a PST with paths, and images of points with their stray light.
+    Return step 8 from a ghost analysis, a PST with paths, and images of points with their stray light.
 
     Parameters
     ----------
@@ -147,11 +147,12 @@ def top_paths(pst: Pst, count: int = TOP_PATHS) -> pd.DataFrame:
 
 def zero_order(pst: Pst, first: FirstOrder | None, design: Sequence[str] = ()) -> pd.DataFrame:
     """
-    Return zero-order light: neither scattered nor reflected except at mirrors, but not forming the image.
+    Return a DataFrame of zero-order paths: without scatter or reflection but at mirrors and in total reflection.
 
-    It is light past the optics or through an edge or bevel ("straight shot"), totally reflected light, and light of
-    the design path from beyond the field. Columns angle_deg, kind, way (difference from the design path), path (the
-    surfaces), rays, pst, pst_se, percent_of_all.
+    It has the light that does not form the image: past the optics or through an edge or bevel ("straight shot"),
+    totally reflected ("TIR"), and of the design path from beyond the field, if `first` is given. A row is a path at one
+    angle and azimuth. Columns angle_deg, kind, way (difference from the design path), path (the surfaces), rays, pst,
+    pst_se, percent_of_all.
     """
     edge = first.field_deg["diagonal"] if first is not None and math.isfinite(first.focal_length_mm) else math.nan
     columns = ["kind", "way", "path", "rays", "pst", "pst_se", "percent_of_all"]
@@ -175,7 +176,7 @@ def _surfaces(events: str) -> list[str]:
 
 
 def _ghost_words(row: Any, design: Sequence[str]) -> str:
-    """Return a ghost path in words; one without reflection is described by its difference from the design path."""
+    """Return a ghost path in words; a straight shot or "TIR" is told by its difference from the design path."""
     if row.kind not in ("straight shot", "TIR"):
         return str(row.label)
     return f"{row.kind}, {_instead(_surfaces(row.events), design)}"
@@ -240,7 +241,7 @@ def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame
 
 def worst_ghosts(report: GhostReport, design: Sequence[str] = (), count: int = TOP_PATHS) -> pd.DataFrame:
     """
-    Return a DataFrame of the `count` worst paths of each field by RMS irradiance, and of the strongest one.
+    Return a DataFrame of the `count` worst paths of each field by RMS irradiance, and the strongest one by power.
 
     Columns: field_deg, rank, path, kind, rays, and with standard errors power_W, rms_radius_mm, rms_irradiance_W_mm2
     and normalised (dimensionless).

@@ -212,7 +212,7 @@ def _field(scene: Any, path: DesignPath) -> dict[str, float]:
     """
     Return the field angles, degrees, whose base rays meet the detector's edges "x" and "y" and its corner "diagonal".
 
-    NaN for each that no field below 89° meets.
+    Each is NaN if no field below 89° meets it.
     """
     detector = outline(path.table.shapes[path.table.detector])
     half = np.stack([detector.u, detector.v], axis=1)

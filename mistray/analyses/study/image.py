@@ -34,7 +34,7 @@ def images_with_stray_light(
     progress: Callable[[int, int], None],
 ) -> Transfer | str:
     """
-    Compute the images of points at those fields of a ghost analysis whose direct image meets the detector.
+    Return the images of points at those fields of a ghost analysis whose direct image meets the detector.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def transfer_tables(found: Transfer) -> dict[str, pd.DataFrame]:
 
 
 def transfer_facts(found: Transfer) -> list[Fact]:
-    """Return the veiling floor of each field, 0 … 1, as a fact."""
+    """Return as facts the veiling floor of each field: contrast of fine detail over that without stray light, 0 … 1."""
     return [Fact(f"veiling floor at {one.name}", one.veiling_floor) for one in found]
 
 

@@ -95,9 +95,10 @@ def path_surfaces(path: DesignPath) -> pd.DataFrame:
     """
     Return a DataFrame of the surfaces of a design path in the order of the light.
 
-    Columns: number (from 1), surface, part, does ("refracts", "reflects", "detects"), z_mm of the vertex, radius_mm of
-    curvature (inf: flat), conic, asphere (highest power of r, 0: none), semi_diameter_mm (NaN: a rectangle),
-    distance_mm to the next surface along the base ray, material and index behind it.
+    Columns: number (from 1), surface, part, does ("refracts", "reflects", "detects"), z_mm of the vertex in the world,
+    radius_mm of curvature (inf: flat), conic, asphere (highest power of r, 0: none), semi_diameter_mm (NaN: a
+    rectangle), distance_mm to the next surface along the base ray, material and index on the way there, and aperture
+    ("mesh" or "") if a surface is a mesh.
     """
     table = path.table
     rows = []

@@ -71,7 +71,7 @@ _GHOST_TERMS = ("RMS radius", "RMS irradiance", "normalised", "stray light", "st
 
 
 def fact_text(fact: Fact) -> str:
-    """Return the value of a fact as text, followed by its unit if it has a value and a unit."""
+    """Return the value of a fact as text, followed by its unit if it has both."""
     text = value_text(fact.value)
     apart = "" if fact.unit == "°" else " "
     return f"{text}{apart}{fact.unit}" if fact.unit and text != ABSENT else text
@@ -159,7 +159,7 @@ def curve_of_study(study: Study, title: str = "") -> Drawing:
 
 
 def draw_study(study: Study) -> dict[str, bytes]:
-    """Draw a study's pictures as PNG bytes by file name, see `CAPTIONS`; within a time budget as many as possible."""
+    """Return a study's pictures as PNG bytes by file name, see `CAPTIONS`; within a time budget as many as possible."""
     from mistray.analyses.ghosts.figures.ghost_images import levels_against_field, montage
     from mistray.analyses.objects.figures import objects_layout
     from mistray.toolkit.drawings.section_layout import layout

@@ -14,7 +14,7 @@ from mistray.toolkit.fields import FieldSubset, Request, field
 
 @dataclass(frozen=True)
 class StudyRequest(Request):
-    """Angles, light and rays of a stray-light study."""
+    """Request for a stray-light study: angles, light and rays."""
 
     pst_field_deg: tuple[float, ...] = field(
         Each(PST_FIELD_DEG), range(0, 81, 2), "field angles of the PST, numbers and ranges first:last:step, degrees"

@@ -41,7 +41,7 @@ class Study(Mapping[str, StudyStep], Result, table=".page:findings_table", figur
     pst : Pst
         The point source transmittance of step 8.
     images : Transfer or None
-        Images of points with their stray light of step 8; None if the scene forms none.
+        Images of points with their stray light of step 8; None if there are none, for a reason that the step states.
 
     Examples
     --------
@@ -88,7 +88,7 @@ class Study(Mapping[str, StudyStep], Result, table=".page:findings_table", figur
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings to heed before trusting the study, one line each; empty if all is well."""
+        """Warnings of the steps, one line each; the notes of the ghost analysis and the PST are not among them."""
         return [f"step {step.number}: {text}" for step in self.steps for text in step.warnings]
 
     def write(self, directory: str | Path, command: str = "") -> list[Path]:

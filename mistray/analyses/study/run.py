@@ -81,9 +81,10 @@ def run(
     progress : callable, optional
         See `Progress`.
     seconds : float, optional
-        Time for all steps, s. A quarter is for the objects, and a third of the rest for the ghosts. Then a fifth of the
-        rest is for images of points with stray light (wavefronts take extra time), and all that remains for the PST.
-        Each ends with the rays that it has, and a warning reports their number.
+        Time for all steps, s. A quarter is for the objects, a tenth of the rest for the check of the sampling, and a
+        third of the rest for the ghosts. Then a fifth of the rest is for images of points with stray light (wavefronts
+        take extra time), and all that remains for the PST. Each ends with the rays that it has, and a warning reports
+        their number.
 
     Raises
     ------

@@ -149,8 +149,8 @@ def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float
     """
     Return distance, half width, half height (mm) and half angle (degrees) of a ray target seen from a vertex.
 
-    The distance is negative for a virtual target and ``inf`` for a far one, which has no half sizes. Only the half
-    angle of a cone is known; NaN stands for the rest.
+    The distance is negative for a virtual target, and ``inf`` beyond `far_away`, mm, where the half sizes are NaN. Of a
+    cone only the half angle is known; NaN stands for the rest.
     """
     if isinstance(target, TargetCone):
         return math.nan, math.nan, math.nan, math.degrees(target.half_angle)
@@ -166,7 +166,7 @@ def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame
     """
     Return paraxial images of the detector seen from surfaces of the path, beside the traced targets, as DataFrame.
 
-    It has no rows without a design path.
+    It has no rows without a design path. `traced` is the table of `importance_sampling`; for `far_away` see `_seen`.
 
     Distances and half sizes are in mm, and half angles in degrees.
     """
@@ -190,7 +190,7 @@ def _sampling_facts(check: SamplingCheck, probe: Trace) -> tuple[Fact, ...]:
 
 
 def _aimed(check: SamplingCheck) -> pd.DataFrame:
-    """Return the number of aimed rays by surface and the percentage that arrives, as DataFrame, most rays first."""
+    """Return a DataFrame of aimed rays by surface, most rays first: number, percentage that arrives, and `low`."""
     rows = [(row.surface, row.aimed, 100 * row.share_landed, row.low) for row in check.rows]
     frame = pd.DataFrame(rows, columns=["surface", "aimed", "landed_percent", "low"])
     return frame.sort_values("aimed", ascending=False, kind="stable", ignore_index=True)

@@ -25,7 +25,7 @@ OWN = ("mistray", "mitsuba", "drjit")
 @dataclass(frozen=True, eq=False)
 class Cell:
     """
-    Key of a row of a sweep: configuration, wavelength, nm, and field angle, degrees.
+    Key of a row of a sweep: configuration, wavelength (nm) and field angle (degrees).
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Cell:
 
     @property
     def name(self) -> tuple[str, float, float]:
-        """Return configuration name, field angle (degrees) and wavelength (nm): the key of a row."""
+        """Configuration name, field angle (degrees) and wavelength (nm): the key of a row."""
         return self.configuration.name, self.field_deg, self.wavelength_nm
 
     def __str__(self) -> str:
@@ -137,7 +137,7 @@ def traced_facts(contents: SceneContents, settings: Settings, azimuth_deg: float
     settings : Settings
         Settings as they hold, those of the scene's own integrator included.
     azimuth_deg : float, optional
-        Azimuth instead of the source's own.
+        Azimuth of the field, degrees; None: that of the source.
 
     Returns
     -------

@@ -133,7 +133,7 @@ def run(options: Options) -> int:
 
 
 def _run_pst(options: Options) -> int:
-    """Compute and print the effect of the configurations on the PST, write its files, and return the exit code."""
+    """Compute and print the effect of configurations or edits on the PST, write its files, and return the exit code."""
     from mistray.analyses.sweep.request import EditsRequest, RankingRequest
 
     options.refuse(OF_FIELDS, " is for traces of fields; leave it out with --pst-field-deg")

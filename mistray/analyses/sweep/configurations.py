@@ -100,12 +100,12 @@ def as_configurations(given: Given) -> list[Configuration]:
     Parameters
     ----------
     given : mapping of str to mapping, Configuration, sequence of Configuration, or None
-        Name → values; None stands for one configuration without changes.
+        Configurations, or name → values; None stands for one configuration without changes.
 
     Raises
     ------
     MistrayError
-        If there is none, or two have the same name.
+        If there is none, an entry is no configuration, a name is impossible, or two have the same name.
     """
     if given is None:
         return [Configuration(AS_IT_IS, {})]
@@ -128,7 +128,7 @@ def as_configurations(given: Given) -> list[Configuration]:
 
 def resolve(scene: Any, params: Any, given: Sequence[Configuration]) -> list[Resolved]:
     """
-    Resolve the parameter names in configurations to keys of a scene.
+    Return configurations with their parameter names resolved to keys of a scene.
 
     Parameters
     ----------

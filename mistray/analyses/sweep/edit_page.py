@@ -63,7 +63,8 @@ def page(
     Returns
     -------
     Report
-        Page, with pst_sweep.csv, pst_sweep.json and pst_sweep.png, edit_ranking.csv and edit_ranking.json.
+        Page, with pst_sweep.csv, pst_sweep.json and pst_sweep.png of configurations, and edit_ranking.csv and
+        edit_ranking.json of a ranking.
     """
     sections: list[Section] = []
     facts: dict[str, Any] = {}

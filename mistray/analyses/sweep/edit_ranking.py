@@ -109,8 +109,8 @@ class EditRanking(Result, table=".edit_tables:edit_ranking_table", figure=".edit
     pst : tuple of Estimate
         PST of the original scene, dimensionless, at each field angle.
     edits : tuple of Edit
-        Edits, the largest change at any field angle first, less two standard errors; edits that open a gap come
-        after the others.
+        Edits, the largest change at any field angle, less two standard errors, first. Of the edits with such a change,
+        those that open a gap come after the others; then follow edits whose change is within two standard errors.
     left_out : tuple of str
         Effects that the derivatives do not contain, and changes of more than 1 % that Stokes vectors would make.
     edge_width : tuple of float or None
@@ -189,8 +189,8 @@ def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Prog
     coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
     ====== ========================================================================================================
 
-    Steps are in the unit of the parameter, or text in percent of its value, ``"2 %"``. A step by key overrides one by
-    kind, and a later one overrides an earlier one.
+    Steps are in the unit of the parameter, or text in percent of its value, ``"2 %"``; of a list, such as the layers of
+    a coating, in percent of its largest entry. A step by key overrides one by kind, and a later one an earlier one.
 
     Parameters
     ----------
@@ -278,12 +278,12 @@ rank_edits = analysis("rank_edits", RankingRequest, run)
 
 
 def _certain(change: Estimate) -> float:
-    """Return how far the size of a change exceeds `CERTAIN` standard errors, in the unit of the change; at least 0."""
+    """Return by how much the size of a change exceeds `CERTAIN` standard errors, in the unit of the change; else 0."""
     return max(abs(change.value) - CERTAIN * change.se, 0.0)
 
 
 def _order(edit: Edit) -> tuple[bool, bool, float, float]:
-    """Return the key to sort edits by: certain ones first, without gaps first, then by certain change and by size."""
+    """Return the key to sort edits by, in the order of `EditRanking.edits`; of equals the larger change comes first."""
     certain = max(map(_certain, edit.change))
     return certain == 0, bool(edit.gaps), -certain, -max(abs(change.value) for change in edit.change)
 
@@ -292,7 +292,8 @@ def _with_gaps(scene: Any, params: Any, known: Mapping[str, Parameter], edits: S
     """
     Return the edits with the gaps between surfaces that one step of each opens.
 
-    The step is taken in the direction that lowers the PST. Only moves and blocks can open a gap.
+    The step is taken in the direction that lowers the PST at the angle of the largest change. Only moves and blocks can
+    open a gap. A step that is impossible has none.
     """
     contacts = Contacts(scene)
     found = []
@@ -330,7 +331,7 @@ def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
 
 
 def _lines(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Sequence[str]) -> list[Line]:
-    """Return the lines of a sensitivity table for the chosen parameters; parts with optics move as a whole."""
+    """Return the lines of a sensitivity table for the chosen parameters; `bodies`, optics too, move as a whole."""
     whole = {key: line for body in bodies(known).values() for line in motion_lines(body, known) for key in line.keys}
     moved = {whole[key].label: whole[key] for key in chosen if key in whole}
     return [*moved.values(), *lines_of(scene, params, known, [key for key in chosen if key not in whole])]
@@ -353,7 +354,7 @@ def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping
 
 def _step(parameter: Parameter, step: float | str) -> float:
     """
-    Return a step in the unit of a parameter, from a number or a percentage such as "5 %".
+    Return a step in the unit of a parameter, from a number or a percentage of its largest entry such as "5 %".
 
     Raises
     ------

@@ -53,10 +53,10 @@ def numbers_of(t: Trace) -> Numbers:
         image) and the power of every kind of `KIND_COLUMNS`; ``ghost_to_signal`` (stray_W over direct_W; NaN out of
         field), ``direct_rms_radius_mm``, ``direct_rms_irradiance_W_mm2``; ``worst_path``, the stray path of the highest
         RMS irradiance in words (None without stray paths), with its ``worst_events``, ``worst_power_W``,
-        ``worst_rms_radius_mm`` and ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. All but the launched
-        power, the cut power and the closure have a standard error, ``_se`` before the unit. ``polarization``,
-        ``polarization_reason`` and ``polarization_change`` (NaN if it was not measured) are those of the trace.
-        ``first_light`` is the light of each first surface, see `FirstLight`.
+        ``worst_rms_radius_mm`` and ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. Radii, irradiances, the
+        ratio, and powers but the launched and the cut one have a standard error, ``_se`` before the unit.
+        ``polarization``, ``polarization_reason`` and ``polarization_change`` (NaN if it was not measured) are those of
+        the trace. ``first_light`` is the light of each first surface, see `FirstLight`.
     """
     rows = t.paths.by_way()
     kinds, path_ids = rows.kind.to_numpy(object), rows.path_ids.to_numpy(object)
@@ -108,7 +108,7 @@ def read_numbers(content: bytes) -> Numbers:
 
 
 def entering_columns(found: Sequence[Entering]) -> dict[str, Any]:
-    """Return table columns for light that enters by new first surfaces: their names and the percentage of the light."""
+    """Return table columns on light that enters by new first surfaces: their names, and its percentage of the light."""
     percent = Estimate(*(100 * number for number in together(found)))
     return flat({"entering": " ".join(one.surface for one in found), "entering_percent": percent})
 

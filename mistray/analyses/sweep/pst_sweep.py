@@ -61,7 +61,7 @@ class Changed:
 
     @property
     def gain(self) -> bool:
-        """True if stray light decreases, and at most 1 % of it enters by surfaces that admitted none before."""
+        """True if the light decreases, and new first surfaces do not spoil this: `entering` is small, see `spoils`."""
         return self.ratio < 1 and not spoils(self.entering)
 
 
@@ -160,8 +160,8 @@ class PstSweep(Result, table=".edit_tables:pst_sweep_table", figure=".edit_figur
         """
         Warnings on the reliability of the PSTs.
 
-        They name gaps that a configuration opens, light that enters by them, angles at which no light was seen, and
-        changes that Stokes vectors would make.
+        They name gaps that a configuration opens, light that enters by new first surfaces, angles at which no stray
+        light was seen, and changes that Stokes vectors would make.
         """
         found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
         dark: dict[str, list[str]] = {}
@@ -209,7 +209,7 @@ def run(
     scene: str | Path | mi.Scene, request: EditsRequest, *, configurations: Given, progress: Progress | None = None
 ) -> PstSweep:
     """
-    Compute the PST of a scene as it is and in each configuration, with common random numbers.
+    Return the PST of a scene as it is and in each configuration, with common random numbers.
 
     All runs use the same method, directions and numbers of rays, and forward rays cover the surfaces of all
     configurations. So light that an edit does not touch is the same in all, ray by ray.

@@ -12,7 +12,7 @@ from mistray.toolkit.toml_section import TomlSection
 
 def read_configurations(source: str | Path) -> list[Configuration]:
     r"""
-    Read configurations from a TOML file.
+    Return configurations read from a TOML file.
 
     Parameters
     ----------

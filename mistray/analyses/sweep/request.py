@@ -40,7 +40,7 @@ class Step(Demand):
 
 @dataclass(frozen=True)
 class SweepRequest(Request):
-    """Field angles and light of the traces of a sweep."""
+    """Request for a sweep: field angles and light of its traces, and their settings."""
 
     field_deg: tuple[float, ...] | None = field(
         Each(FIELD_DEG), None, "field angles, degrees; without them that of the scene's source"

@@ -55,14 +55,14 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
     cache_folder : Path or None
         Folder of the cache; None if it was neither read nor written.
     warnings : tuple of str
-        Problems with the cache, one line each.
+        Problems with the cache, and rows without rays or with fewer rays for lack of time, one line each.
     arguments : dict
         Arguments of `mistray.trace` in every row, as given.
     gaps : mapping of str to tuple of Gap
         Surfaces that meet in the original scene and are apart in a configuration, by configuration, see
         `mistray.metrics.changes.gaps`.
     not_traced : tuple of (str, float, float)
-        Entries of `CELL` for rows that were not traced for lack of time.
+        Configuration, field angle (degrees) and wavelength (nm) of each row that was not traced for lack of time.
 
     Examples
     --------
@@ -121,7 +121,7 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
 
     @property
     def base(self) -> str | None:
-        """Name of the configuration without changes, with which the others are compared; None if there is no other."""
+        """Name of the configuration without changes, the standard of the others; None without it or without others."""
         if len(self.configurations) < 2:
             return None
         return next((one.name for one in self.configurations if not one.values), None)
@@ -145,7 +145,7 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
 
     @property
     def opened(self) -> list[str]:
-        """Descriptions, one line each, of gaps that configurations open and of light that enters by them."""
+        """Lines of text on gaps that configurations open, and on light that newly meets a surface first."""
         found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
         for row in self.rows:
             cell = tuple(row[key] for key in CELL)
@@ -159,7 +159,7 @@ class Sweep(Result, table=".page:rows_table", figure=".figures:sweep_figure"):
         return found
 
     def values(self) -> pd.DataFrame:
-        """Return the parameter values set: configuration, key, entry, unit (empty where unknown), value."""
+        """Return a DataFrame of the values set: configuration, key, entry (from 0), unit (empty if unknown), value."""
         import pandas as pd
 
         rows = [

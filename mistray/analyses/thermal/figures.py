@@ -19,7 +19,7 @@ COLD_COLOUR = ORANGE
 
 def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
     """
-    Draw the irradiance, W/mm², by surface and medium as bars, with lines for the total and the imaged scene.
+    Draw the irradiance on the detector, W/mm², by emitter as bars, with lines for the total and the imaged scene.
 
     Up to 12 emitters are shown, without those below 1e-8 of the largest.
     """

@@ -113,7 +113,7 @@ def returns(
     per_kelvin: float,
 ) -> Returned:
     """
-    Trace the light that the detector receives from itself and cold objects by one reflection, zone by zone.
+    Return the light that the detector receives from itself and cold objects by one reflection, zone by zone.
 
     Parameters
     ----------
@@ -124,13 +124,15 @@ def returns(
     wavelength_um : float
         Wavelength, µm.
     rays, seed : int
-        Number and seed of the start rays.
+        Number of start rays, of which whole batches are traced, and their seed.
     settings : Settings
         Settings of the trace; only `max_events` is used.
     missing : mapping of str to float
-        Surface id → irradiance that is missing because it is colder than the housing, W/mm², for an emission of 1.
+        Surface id → irradiance that the detector lacks because this surface is colder than the housing, W/mm², for an
+        emission of 1; 0 for other surfaces.
     per_kelvin : float
-        Derivative of the scene's irradiance with respect to its temperature, W/(mm² K), for a share of 1.
+        Derivative of the scene's irradiance with respect to its temperature, W/(mm² K), if all rays from the detector
+        reach the scene.
     """
     table = SurfaceTable(scene, 1e3 * wavelength_um, detector)
     path = find_design_path(table, scene)
@@ -177,8 +179,8 @@ def _follow(
     Add the light that the detector and cold surfaces absorb to sums by reflecting surface, zone and batch.
 
     Row `table.count` is for no reflection; there the second sums have the detector alone. Their last row is for light
-    that leaves the scene without a reflection. A ray that has not been reflected has two children at each surface; one
-    that has been reflected has only the transmitted one.
+    that leaves the scene without a reflection. A ray that has not been reflected may go on both ways at a surface; one
+    that has been reflected is only transmitted. Mirrors and total reflection reflect every ray, and do not count.
 
     Parameters
     ----------
@@ -249,7 +251,7 @@ def _follow(
 
 
 def mean_returns(runs: Sequence[dict[str, Estimate]], weights: np.ndarray) -> dict[str, Estimate]:
-    """Return emission by surface id as the weighted sum over wavelengths, with its standard error."""
+    """Return emission by surface id, with its error: the sum over wavelengths, a run each, with `weights`, (runs,)."""
     names = dict.fromkeys(name for run in runs for name in run)
     zero = Estimate(0.0, 0.0)
     return {

@@ -16,9 +16,10 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 
 def adam(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
-    Lower a merit by steps of about the same length, see `Search`; a step beyond a bound ends at it.
+    Lower a merit by steps whose length hardly depends on that of the gradient; see `Search`.
 
-    The merit may have noise. `step_size` is α of the first step; every further one is `decay` times the one before.
+    The merit may have noise. `step_size` is α of the first step, and each further α is `decay` times the one before. A
+    step beyond a bound ends at it.
     """
     y = y0
     first, second = np.zeros_like(y0), np.zeros_like(y0)

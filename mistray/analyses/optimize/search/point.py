@@ -17,6 +17,8 @@ class Pieces:
     """
     Merit split into a smooth part and penalties, which are weighted squares of residuals of the limits.
 
+    All numbers are dimensionless. Gradients are with respect to the n scaled variables, see `Point`.
+
     Attributes
     ----------
     slope : (n,) float64
@@ -44,7 +46,7 @@ class Pieces:
 
     @property
     def multipliers(self) -> np.ndarray:
-        """Return the derivatives of the penalties with respect to the residuals of the limits, (m,), dimensionless."""
+        """Derivatives of the penalties with respect to the residuals of the limits, (m,), dimensionless."""
         counted = np.where(self.one_sided, np.maximum(self.residuals, 0.0), self.residuals)
         return np.asarray(2 * self.weights * counted)
 
@@ -52,7 +54,7 @@ class Pieces:
 @dataclass(frozen=True)
 class Point:
     """
-    Merit and its gradient at one point of the unit cube of scaled variables.
+    Merit and its gradient at one point of the unit cube: variables as fractions of the way between their bounds.
 
     Attributes
     ----------
@@ -61,7 +63,7 @@ class Point:
     slope : (n,) float64
         Gradient of the merit with respect to the point.
     pieces : Pieces or None
-        Smooth part and penalties; None unless the terms were differentiated one by one.
+        Smooth part and penalties of the merit; None unless the terms were differentiated one by one.
     """
 
     merit: float

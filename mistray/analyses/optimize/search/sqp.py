@@ -29,7 +29,11 @@ ROUNDS = 30  # of finding out which one-sided penalties count
 
 
 def sqp(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
-    """Minimise a merit given by its pieces, see `Search`; `step_size` is the largest move in the first trial."""
+    """
+    Minimise a merit given by its pieces; for the arguments and the result see `Search`.
+
+    `step_size` limits the move of each coordinate in the first trial.
+    """
     y, here = y0, function(y0)
     size = optimizer.step_size
     pieces = _pieces(here)
@@ -76,7 +80,7 @@ def _change(pieces: Pieces, curvature: np.ndarray, step: np.ndarray) -> float:
 
 
 def _lowest(pieces: Pieces, curvature: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the step, (n,), within a box that minimises the quadratic model with its active penalties."""
+    """Return the step, (n,), from `low` to `high`, (n,), that minimises the quadratic model; 0 if none lowers it."""
     free = high > low
     values, axes = np.linalg.eigh(curvature)
     roots = np.sqrt(np.maximum(values, FAINT * values[-1]))

@@ -18,7 +18,7 @@ def stop_reason(merits: Sequence[float], tolerance: float, patience: int, noisy:
     tolerance : float
         Least decrease of the merit over `patience` steps, dimensionless; with 0 no search is ever over.
     patience : int
-        Number of steps, at least 1.
+        Number of steps over which the decrease is judged, at least 1.
     noisy : bool
         False: the least merit so far counts. True: the mean over `patience` steps against the mean over those before,
         because every merit has its own noise.
@@ -26,7 +26,7 @@ def stop_reason(merits: Sequence[float], tolerance: float, patience: int, noisy:
     Returns
     -------
     str or None
-        Reason for the end.
+        Reason for the end; None: the search goes on.
     """
     if tolerance == 0:
         return None

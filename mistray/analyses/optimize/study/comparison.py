@@ -111,7 +111,7 @@ class Levels(Result, table="..tables:levels_table", figure="..figures:levels_fig
         return self.values[ComparisonCell(term)]
 
     def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
-        """Return a copy with further terms whose exact values are given; they are equal for all seeds."""
+        """Return a copy with further terms, whose exact values and units are given by name; all seeds have the same."""
         for name, given in (("numbers", numbers), ("units", units)):
             ByName(ANYTHING, "{'weight': 1.0}").check(name, given)
         exact = {ComparisonCell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
@@ -184,7 +184,7 @@ class Comparison(Result, table="..tables:rows_table", figure="..figures:comparis
 
     @property
     def total(self) -> ComparisonRow:
-        """Return the row of the first term over all its fields and wavelengths."""
+        """Row of the first term over all its fields and wavelengths."""
         return self.rows[0]
 
     def of(self, term: str) -> ComparisonRow:
@@ -207,7 +207,9 @@ def measure(
     seconds: float = math.inf,
 ) -> Levels:
     """
-    Measure the traced terms of a study on seeds that the search does not use: those that follow the study's own.
+    Return the traced terms of a study, measured on seeds that the search does not use: those after the study's own.
+
+    Terms on coating layers are not among them.
 
     Parameters
     ----------
@@ -225,6 +227,11 @@ def measure(
         Number of seeds that are traced whatever the time, at least 2.
     seconds : float
         Time limit, s: no further seed is begun if it would not end within it.
+
+    Returns
+    -------
+    Levels
+        Values of the seeds that were traced; NaN for a term that raises `MistrayError`, as without light.
 
     Examples
     --------
@@ -265,7 +272,7 @@ def measure(
 
 def try_terms(study: DesignStudy, scene: Any) -> None:
     """
-    Trace each term that is a user's function once, at its last field and wavelength, as the comparison will.
+    Trace each term that is a user's function once, at its last field and wavelength alone.
 
     Raises
     ------
@@ -289,7 +296,7 @@ def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
     """
     Return the comparison of two steps of a search, from its own seed, before verification.
 
-    Standard errors are NaN, and units are empty.
+    It has one row per term. Standard errors are NaN, and so is a ratio to 0; units are empty.
     """
     rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:
@@ -303,9 +310,10 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
     """
     Return the single fields, wavelengths and pairs of both at which a term has become worse, the worst first.
 
-    A term to be minimised has grown there by more than 1 %, or a limit that held before is broken at this field or
-    wavelength. Each of the n rows is tested by Student's t on the seeds, at the level 1 % / n. If nothing has changed,
-    the list is empty with a probability of at least 99 % (Bonferroni).
+    A term to be minimised has grown there by more than 1 %, a term to be kept has left its tolerance, or a limit that
+    held before is broken. Each of the n rows is tested by Student's t on the seeds, at the level 1 % / n. If nothing
+    has changed, the list is empty with a probability of at least 99 % (Bonferroni). Rows without a finite ratio, such
+    as those of a term that is 0 after, are left out.
 
     Parameters
     ----------
@@ -347,7 +355,11 @@ def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
 
 
 def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
-    """Return the metrics of a term as a whole, for each field, for each wavelength, and for each pair of both."""
+    """
+    Return the metrics of a term as a whole, for each field, for each wavelength, and for each pair of both.
+
+    A PST, or a single field or wavelength, is not split.
+    """
     fields = list(term.traced.get("field_deg") or ())
     lines = list(term.traced.get("wavelength_nm") or ())
     fields, lines = ([] if of_pst(term) or len(v) < 2 else v for v in (fields, lines))
@@ -362,7 +374,7 @@ def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
 
 def compare(before: Levels, after: Levels) -> Comparison:
     """
-    Compare two designs measured with the same study and seeds: mean, ratio and standard error of each value.
+    Return the comparison of two designs measured with the same study and seeds: means, ratios, standard errors.
 
     Raises
     ------

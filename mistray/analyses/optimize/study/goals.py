@@ -26,7 +26,7 @@ from mistray.errors import MistrayError
 
 
 def limit_of(term: Term, start: float) -> float | None:
-    """Return the limit of a term, in its unit; `start` is its value at the start; None if there is no limit."""
+    """Return the limit of a term, in its unit, or None if it has none; `start` is the term's value at the start."""
     return term.limit if term.limit_of_start is None else term.limit_of_start * start
 
 
@@ -42,7 +42,7 @@ def holds(term: Term, value: float, start: float) -> bool:
 
 
 def residual(term: Term, start: float) -> tuple[float, float]:
-    """Return the value of a term at which its residual r is 0, in its unit, and dr/dv; not for the goal "minimise"."""
+    """Return the value v of a term, in its unit, at which its residual r is 0, and dr/dv; not for "minimise"."""
     limit = limit_of(term, start)
     if limit is None:
         return start, 1 / (term.tolerance * abs(start))
@@ -90,7 +90,7 @@ def by_value(term: Term, value: float, start: float) -> float:
 
 
 def least_merit(terms: Sequence[Term]) -> float:
-    """Return the least possible merit: the terms to be minimised are 0 and all limits are met."""
+    """Return the least possible merit, dimensionless: all terms to be minimised are 0, and no limit adds a penalty."""
     floors = ((term.weight, term.floor_of_start) for term in terms if term.goal == "minimise")
     return sum((weight * math.log(floor / (1 + floor)) for weight, floor in floors), 0.0)
 
@@ -134,7 +134,7 @@ def pieces(
 
 def check(terms: Sequence[Term], values: Mapping[str, float], start: Mapping[str, float], where: str, at: str) -> None:
     """
-    Raise `MistrayError` if the terms' values give no merit, as they are not finite or do not suit their goals.
+    Raise `MistrayError` if the terms' values give no merit: they are not finite or do not suit their goals.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ class Merit:
     variables : Variables
         Variables of the study in this scene.
     thickness_keys : mapping of str to str
-        Name of a coating of the study → key of its thicknesses.
+        Name of a coating of the study → key of its thicknesses; None: the study has no coatings.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Merit:
 
     @property
     def least(self) -> float:
-        """Return the least possible value of the merit; 0 if the study has limits only."""
+        """Least possible value of the merit, dimensionless; 0 if the study has limits only."""
         return least_merit(self.study.terms)
 
     def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
@@ -97,7 +97,8 @@ class Merit:
         Raises
         ------
         MistrayError
-            If a term to be minimised is 0 at the start, a value is not finite, or there is nothing to improve.
+            If the values give no merit, see `goals.check`, the gradient is not finite, or the first point has the least
+            possible merit.
         """
         x = self.variables.values(y)
         self.variables.apply(self.params, x)
@@ -133,7 +134,12 @@ class Merit:
     def _together(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """Return merit and gradient from one reverse-mode differentiation of all terms together, at variables `x`."""
+        """
+        Return the dictionary of `evaluate` from one reverse-mode differentiation of all terms together.
+
+        `layers` are the results of `layer_value` by term. The slope is that with respect to the variables `x`, (n,), in
+        their units.
+        """
         leaves = {name: dr.opaque(mi.Float64, value) for name, (value, _) in layers.items()}
         dr.enable_grad(leaves)
         values: dict[str, float] = {}
@@ -168,7 +174,7 @@ class Merit:
     def _one_by_one(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """Return merit and the gradient of each term, with one reverse-mode pass per term, at variables `x`."""
+        """Return the dictionary of `evaluate` by one reverse-mode pass per term; see `_together` for the arguments."""
         whole = combine(metrics, lambda traced: mi.Float64(0.0))
         observations = whole.observe()
         chosen = chosen_parameters(self.scene, self.params, self.variables.keys)
@@ -209,21 +215,22 @@ class Merit:
             self.edge_widths[name] = found.edge_width
 
     def pieces(self, at: Evaluation) -> Pieces | None:
-        """Return the smooth part and the penalties of the merit; None if the terms were differentiated together."""
+        """Return smooth part and penalties of an evaluated merit; None if the terms were differentiated together."""
         if not at.slopes:
             return None
         return pieces(self.study.terms, at.terms, at.slopes, self.start or at.terms)
 
     def broken(self, values: Mapping[str, float]) -> tuple[str, ...]:
-        """Return the names of the terms whose values violate their limits."""
+        """Return the names of the terms whose values violate their limits, or the tolerance of the goal "keep"."""
         start = self.start or values
         return tuple(t.name for t in self.study.terms if not holds(t, values[t.name], start[t.name]))
 
     def _checked(self, every: Mapping[str, Any], x: np.ndarray) -> dict[str, float]:
         """
-        Return the values of a study's terms, each in its unit, at variables `x`, after a check.
+        Return the values of a study's terms, by name, each in its unit, after a check.
 
-        Raise `MistrayError` if they give no merit.
+        `every` has them as Dr.Jit or Python numbers; `x` are the variables, (n,). Raise `MistrayError` if they give no
+        merit.
         """
         values = {t.name: float(dr.detach(mi.Float64(every[t.name]))[0]) for t in self.study.terms}
         check(self.study.terms, values, self.start or values, f"study '{self.study.name}'", self._point(x))

@@ -341,9 +341,9 @@ class DesignStudy:
     @property
     def fingerprint(self) -> str:
         """
-        Return a hash of all settings that must agree to resume a search.
+        Hash (SHA-256, hexadecimal) of all settings that must agree to resume a search.
 
-        Name and length of the search may differ.
+        The name of the study, and steps, searches, tolerance and patience of the optimizer may differ.
         """
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))

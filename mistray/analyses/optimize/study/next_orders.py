@@ -27,7 +27,7 @@ def with_next_orders(
     study: DesignStudy, scene: Any, first: tuple[Levels, Levels], seconds: float, measure: Measure
 ) -> tuple[Comparison, tuple[NextOrder, ...]]:
     """
-    Compare two designs with one more scatter event on each path and, separately, with one more reflection.
+    Return the comparison of two designs after measuring both with one more scatter event, and with one more reflection.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ def with_next_orders(
     Returns
     -------
     (Comparison, tuple of NextOrder)
-        Comparison by the study, with the further event that changes a term of the result most, if one does; and the
-        change of the result with each further event.
+        Comparison of the designs, and the change of the result by each further event. The comparison includes the event
+        that changes a term of the result most, if that change matters (see `NextOrder.matters`).
     """
     limits = [limit for limit in LIMITS if _raised(study, scene, limit)]
     found: list[tuple[tuple[Levels, ...], NextOrder]] = []
@@ -65,7 +65,7 @@ def with_next_orders(
 
 def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
     """
-    Return, for each term that has the limit `limit` on events, that limit raised by one.
+    Return, by name of the term, the limit on events called `limit`, raised by one.
 
     Terms without such a limit are left out.
     """
@@ -91,7 +91,7 @@ def _takes(term: Term, limit: str) -> bool:
 
 
 def _compared(first: Levels, more: Levels, limit: str, of_term: dict[str, int]) -> NextOrder:
-    """Return the change of the terms from one measurement to another, over common seeds with equal rays."""
+    """Return the change of the terms in `of_term`, see `_raised`, from one measurement to another on common seeds."""
     count = len(more.seeds)
     before = np.stack([first.of(name) for name in of_term])
     after = np.stack([more.of(name) for name in of_term])

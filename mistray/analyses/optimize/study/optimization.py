@@ -69,7 +69,7 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
     thickness_keys : dict of str to str
         Name of a coating of the study → key of its thicknesses.
     starts : tuple of Start
-        The first is the given design.
+        Starts of the searches; the first is the given design.
     steps : tuple of Step
         All steps of all searches.
     ended : dict
@@ -80,7 +80,7 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
         The given design and the result on independent seeds, with the further event on each path that matters; on the
         seeds of the search if `unverified`.
     next_orders : tuple of NextOrder
-        The terms of the result compared with those with one more event on each path, where that was measured.
+        Change of the result's terms by one more scatter event, and by one more reflection; empty if not measured.
     unverified : str
         The error that ended the comparison; empty if there was none.
     gaps : tuple of Gap
@@ -133,12 +133,12 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
 
     @property
     def before(self) -> dict[str, float]:
-        """Return the start value of each variable, in its unit, by name."""
+        """Start value of each variable, in its unit, by name."""
         return dict(zip(self.variables.names, self.variables.start.tolist(), strict=True))
 
     @property
     def after(self) -> dict[str, float]:
-        """Return the optimised value of each variable, in its unit, by name."""
+        """Optimised value of each variable, in its unit, by name."""
         return dict(zip(self.variables.names, self.best.x, strict=True))
 
     def thickness_nm(self, coating: str, step: Step | None = None) -> np.ndarray:
@@ -159,12 +159,12 @@ class Optimization(Result, table="..tables:all_terms_table", figure="..figures:s
 
     @property
     def coatings(self) -> list[SharedCoating]:
-        """Return the optimised coatings of the study, in the form that `mistray.scene.recoat` takes."""
+        """Optimised coatings, in the form that `mistray.scene.recoat` takes; changes of n and k are in `parameters`."""
         return [item.shared(self.thickness_nm(item.group.name)) for item in self.placed]
 
     @property
     def parameters(self) -> dict[str, np.ndarray]:
-        """Return the optimised values, (entries,), of all moved parameters but layer thicknesses, by key."""
+        """Optimised values, (entries,), of all moved parameters but layer thicknesses, by key, in their units."""
         moved = self.variables.parameters(self.best.x)
         return {key: value for key, value in moved.items() if key not in self.thickness_keys.values()}
 
@@ -193,9 +193,9 @@ def run(
         Scene XML file or name of a shipped scene.
     request : DesignRequest
     study : str, Path, mapping or DesignStudy
-        See docs/optimization.md.
+        Study, or its TOML file, or the content of one as a mapping; see docs/optimization.md.
     checkpoint : str or Path, optional
-        File that holds the state after every evaluation.
+        File that holds the state after every evaluation; None: the state is not kept.
     resume : bool
         Go on from the checkpoint; the result is the same as without interruption.
     progress : callable, optional
@@ -211,10 +211,9 @@ def run(
     Raises
     ------
     MistrayError
-        If the study or the scene cannot be used, or the checkpoint belongs to something else. If a minimised term is 0,
-        or any value not finite, at the start. If the function of a term fails in a trial before the search. A search
-        that comes to a point without a merit ends there and keeps its steps. An error after the search is reported in
-        the result.
+        If the study or the scene cannot be used, `resume` lacks a checkpoint or has that of something else, a minimised
+        term is 0 or any value is not finite at the start, or the function of a term fails in a trial before the search.
+        A later point without a merit only ends its search. An error after the search is reported in the result.
 
     Examples
     --------

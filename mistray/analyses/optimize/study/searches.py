@@ -32,20 +32,20 @@ class Problem(Protocol):
 
     @property
     def least(self) -> float:
-        """Return the least possible value of the merit."""
+        """Least possible value of the merit, dimensionless."""
 
     def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
         """
-        Return merit and gradient at a point of the unit cube: variables as fractions between their bounds.
+        Return merit and gradient at a point, (n,): variables as fractions of the way from the low to the high bound.
 
-        `number` counts the evaluations.
+        `number` is the index of the evaluation in its search, from 0. For the dictionary see `Merit.evaluate`.
         """
 
     def pieces(self, at: Evaluation) -> Pieces | None:
-        """Return the smooth part and the penalties of an evaluated merit; None if the method needs only the merit."""
+        """Return the smooth part and the penalties of an evaluated merit; None if the method does not need them."""
 
     def broken(self, values: dict[str, float]) -> tuple[str, ...]:
-        """Return the names of the terms whose values break their limits."""
+        """Return the names of the terms whose values, in their units, break their limits; see `Merit.broken`."""
 
 
 class Ended(Exception):
@@ -64,17 +64,19 @@ class Searches:
     problem : Problem
         Merit that is minimised.
     shares, values : callable
-        Functions that convert values of the variables to shares of the way from bound to bound, and back.
+        Functions that convert values of the variables, (n,), in their units to fractions of the way from the low to the
+        high bound, and back.
     optimizer : Optimizer
         Settings of the search.
     state : State
         State with its starts.
     file : Checkpoint, optional
-        File in which the state is kept.
+        File in which the state is kept; None: it is not kept.
     progress : callable, optional
         Called after each step with the step and the start of its search.
     seconds : float, optional
-        Time for all searches, s. The first start is always evaluated; after it nothing begins that would end too late.
+        Time for all searches, s; None: no limit. The first start is always evaluated; after it nothing begins that
+        would end too late.
 
     Attributes
     ----------
@@ -125,7 +127,7 @@ class Searches:
     @property
     def best(self) -> Step:
         """
-        Return the step that is the result of the optimisation.
+        Step that is the result of the optimisation.
 
         With fixed seeds, or before any search has ended, it is the step of the least merit. With fresh seeds the least
         merit is the luckiest. The result is then the last step of the search with the least mean over its last
@@ -142,12 +144,15 @@ class Searches:
 
     def _at(self, start: int, number: int, y: np.ndarray) -> Evaluation:
         """
-        Return evaluation `number` of the search from a start: a saved one if it exists, else a new one.
+        Return evaluation `number` of the search from the start of index `start`: a saved one, or else a new one.
+
+        The saved one must be at the point `y`, see `Problem.evaluate`; otherwise `MistrayError` is raised.
 
         Raises
         ------
         Ended
-            If a point other than the start has no merit. An error at the start itself is raised unchanged.
+            If a point other than the start has no merit. An error at the start itself, or an `UnfinishedError`, is
+            raised unchanged.
         """
         kept = self.state.evaluations[start]
         if number < len(kept):
@@ -175,22 +180,22 @@ class Searches:
         return kept[-1]
 
     def _is_time_used(self) -> bool:
-        """True if another evaluation would end after the time limit."""
+        """True if another evaluation of mean duration would end after the time limit; False without a limit."""
         return self._seconds is not None and time.perf_counter() - self._started + self.each > self._seconds
 
     @property
     def each(self) -> float:
         """
-        Return the mean time of an evaluation, s, slightly overestimated because the first ones compile kernels.
+        Mean time of an evaluation, s, slightly overestimated because the first ones compile kernels.
 
-        Before the first evaluation of this run it is that of the continued one, or 0.
+        Before the first evaluation of this run it is that of the continued run, or 0 for a new one.
         """
         if self._made:
             return (time.perf_counter() - self._started) / self._made
         return self.state.seconds / max(sum(map(len, self.state.evaluations)), 1)
 
     def _note(self, start: int, step: int, at: Evaluation, new: bool) -> None:
-        """Store a step, and report it to `progress` if it is `new`, not one made before an interruption."""
+        """Store step number `step` of a search, and report it if it is `new`, not one made before an interruption."""
         self.steps.append(
             Step(
                 start=start,

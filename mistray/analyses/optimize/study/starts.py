@@ -33,11 +33,11 @@ class Proxy:
     Attributes
     ----------
     layers : list of (L, w, 1) complex128
-        Complex indices of the layers in the order from the rarer medium, for each glass.
+        Complex indices of the layers in the order from the rarer medium, for each pair of adjacent media.
     media : list of ((w, 1) complex128, (w, 1) complex128)
-        Complex indices of the rarer and the denser medium, for each glass.
+        Complex indices of the rarer and the denser medium, for each pair.
     orders : list of (L,) int
-        Indices of the layers in the design, in that order, for each glass.
+        Indices of the layers in the design, in that order, for each pair.
     wavelength_nm, weights : (w, 1) float64
         Wavelengths, nm, and weights that sum to 1.
     """
@@ -50,7 +50,7 @@ class Proxy:
 
     @classmethod
     def of(cls, placed: PlacedDesign, wavelength_nm: Sequence[float], weights: Sequence[float]) -> Proxy:
-        """Make the proxy of one coating of a study for a band of wavelengths, nm, and their weights."""
+        """Return the proxy of one coating of a study for wavelengths, nm, and their weights, which sum to 1."""
         start = placed.group.start
         layers, media, orders = [], [], []
         for front, back in placed.glasses:
@@ -80,7 +80,7 @@ class Proxy:
 
 def minima(proxy: Proxy, bounds_nm: Sequence[tuple[float, float]], given: np.ndarray, seed: int) -> list[np.ndarray]:
     """
-    Return the local minima of the proxy within bounds, the deepest first; minima within 1 nm of each other are one.
+    Return local minima of the proxy within bounds, the deepest first; minima within 1 nm in every layer are one.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def starts(
     placed : sequence of PlacedDesign
         Coatings of the study on their surfaces.
     wavelength_nm, weights : sequence of float
-        Wavelengths of the band, nm, and their weights; not used without coatings.
+        Wavelengths of the band, nm, and their weights, which sum to 1; not used without coatings.
     count : int
         Largest number of starts.
     seed : int

@@ -46,7 +46,8 @@ class Evaluation:
     terms : dict
         Name of a term → its value, in its unit.
     slopes : dict
-        Name of a term → (variables,) float64, d value/dy; empty unless the method works with them.
+        Name of a term → (variables,) float64, d value/dy, in the unit of the term; empty unless the method works with
+        them.
     seconds : float
         Time since the beginning of the optimisation, s, without interruptions.
     traced_seconds : float
@@ -67,7 +68,7 @@ class Evaluation:
 
     @property
     def free_slope(self) -> np.ndarray:
-        """Return d merit/d y, (variables,), dimensionless, with 0 for the variables that are held by a bound."""
+        """Gradient d merit/d y, (variables,), dimensionless, with 0 for the variables that are held by a bound."""
         held = ((self.y <= 0) & (self.slope > 0)) | ((self.y >= 1) & (self.slope < 0))
         return np.where(held, 0.0, self.slope)
 
@@ -86,11 +87,11 @@ class Step:
     evaluations : int
         Evaluations of the merit so far, all searches together.
     merit, merit_se : float
-        The merit and its standard error, dimensionless; 0 at the first start but for limits that it breaks.
+        The merit and its standard error, dimensionless; the merit is 0 at the first start but for penalties of limits.
     terms : dict
         Name of a term → its value, in its unit.
     broken : tuple of str
-        Names of the terms that break their limit.
+        Names of the terms that break their limit, or with the goal "keep" their tolerance.
     gradient_norm : float
         Root of the sum of squares of d merit/d y, y being the share of the way from bound to bound, over the variables
         that are free to move.
@@ -147,12 +148,12 @@ class State:
 
     @property
     def seconds(self) -> float:
-        """Return the time of the searches so far, s, without interruptions."""
+        """Time of the searches so far, s, without interruptions."""
         return max((e.seconds for evaluations in self.evaluations for e in evaluations), default=0.0)
 
     @property
     def edge_widths(self) -> dict[str, float]:
-        """Return the width of boundary zones at rims, relative to their radii, by name of the differentiated term."""
+        """Width of the zones at rims, relative to their radii, by the names of `Merit.edge_widths`."""
         found: dict[str, float] = {}
         for evaluations in self.evaluations:
             for evaluation in evaluations:
@@ -161,5 +162,5 @@ class State:
 
     @property
     def traced_seconds(self) -> float:
-        """Return the time of the traces and of their derivatives so far, s."""
+        """Time of the traces and of their derivatives so far, s."""
         return sum(e.traced_seconds for evaluations in self.evaluations for e in evaluations)

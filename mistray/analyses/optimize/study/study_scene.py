@@ -37,7 +37,7 @@ class PlacedDesign:
     surfaces : tuple of str
         Ids of shapes.
     glasses : tuple of (str, str)
-        Materials in front and behind, each pair once.
+        Materials in front of and behind these surfaces, each pair once.
     """
 
     group: CoatingGroup
@@ -60,7 +60,7 @@ class PlacedDesign:
 
 def band(scene: Any, study: DesignStudy) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
-    Return the wavelengths for which coatings are made, nm ascending, and their shares of the flux.
+    Return the wavelengths for which coatings are made, nm, ascending, and their fractions of the flux.
 
     They are the wavelengths of the first traced term that is to be minimised, or else of the first traced term. If it
     names none, they are those of the scene's sources.
@@ -80,8 +80,8 @@ def place(scene: Any, study: DesignStudy) -> tuple[PlacedDesign, ...]:
     Raises
     ------
     MistrayError
-        If a surface does not exist, is opaque or is in two groups, "all" finds none, or a material of a layer is not
-        known at all wavelengths.
+        If a surface does not exist, is opaque, a mirror or a metal, or is in two groups, if "all" finds none, or if a
+        material of a layer is not known at all wavelengths.
     """
     if not study.coatings:
         return ()
@@ -124,7 +124,7 @@ def _is_clear(bsdf: Any, wavelength_nm: float) -> bool:
 
 
 def _meets_air(shape: Any, wavelength_nm: float) -> bool:
-    """True if a shape is an optical surface between air and a denser medium, not an edge or a bevel."""
+    """True if a shape lies between air and a denser medium at a wavelength, nm, and is not an edge or a bevel."""
     low, high = sorted(shape.bsdf().indices(wavelength_nm))
     return not getattr(shape, "mechanics", False) and low < THIN < high
 
@@ -155,9 +155,9 @@ class StudyScene:
 @contextlib.contextmanager
 def open_scene(source: Path, placed: Sequence[PlacedDesign]) -> Iterator[StudyScene]:
     """
-    Load a scene file and put the start designs of coatings on it.
+    Yield the scene of a file with the start designs of coatings on it.
 
-    Use the scene only within the block: with coatings it comes from a file in a temporary folder, and it may load the
+    It can be used only within the block: with coatings it comes from a file in a temporary folder, and it may load the
     files of its materials later.
     """
     with tempfile.TemporaryDirectory() as folder:

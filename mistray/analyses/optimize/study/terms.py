@@ -36,14 +36,16 @@ def layer_minimum(
     thicknesses: Thicknesses, materials: Mapping[str, Sequence[str]]
 ) -> tuple[float, dict[str, np.ndarray]]:
     """
-    Return the smooth minimum of the layer thicknesses, nm: -s ln Σ exp(-d/s), at most s ln(layers) below the least.
+    Return the smooth minimum of the layer thicknesses, nm, and its derivatives.
+
+    It is -s ln Σ exp(-d/s) over the thicknesses d, with s = `SOFT_NM`: at most s ln(layers) below the least of them.
 
     Parameters
     ----------
     thicknesses : mapping
         Name of the coating → (layers,) float64, nm.
     materials : mapping
-        Name of the coating → materials of its layers.
+        Name of the coating → materials of its layers; not used.
 
     Returns
     -------
@@ -59,7 +61,7 @@ def layer_minimum(
 def total_thickness(
     thicknesses: Thicknesses, materials: Mapping[str, Sequence[str]]
 ) -> tuple[float, dict[str, np.ndarray]]:
-    """Return the total thickness of all layers, nm, each coating once, and its derivatives; see `layer_minimum`."""
+    """Return the total thickness of all layers, nm, each coating once, and its derivatives, as `layer_minimum` does."""
     return sum(float(np.sum(d)) for d in thicknesses.values()), {n: np.ones_like(d) for n, d in thicknesses.items()}
 
 
@@ -67,9 +69,10 @@ def material_count(
     thicknesses: Thicknesses, materials: Mapping[str, Sequence[str]]
 ) -> tuple[float, dict[str, np.ndarray]]:
     """
-    Return the smooth number of materials, Σ (1 - exp(-t/5 nm)) over total thicknesses t, and its derivatives.
+    Return the smooth number of materials and its derivatives, 1/nm.
 
-    A material whose layers have shrunk to nothing does not count. For the arguments see `layer_minimum`.
+    It is Σ (1 - exp(-t/5 nm)) over the total thickness t of each material, so that one whose layers have shrunk to
+    nothing does not count. For the arguments see `layer_minimum`.
     """
     totals: dict[str, float] = {}
     for name, d in thicknesses.items():
@@ -100,7 +103,7 @@ def of_pst(term: Term) -> bool:
 
 
 def own_arguments(kind: Any) -> dict[str, bool]:
-    """Return the arguments of a kind of term that are not trace settings, mapped to True if required."""
+    """Return the arguments of a kind of term other than trace settings, by name; True: the argument is required."""
     if kind in OF_LAYERS:
         return {"coatings": False}
     return arguments_of_metric(kind if callable(kind) else FACTORIES[kind])
@@ -123,7 +126,7 @@ def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int 
     """
     Return the trace settings that restrict a term to one field, degrees, and to the wavelength of index `line`.
 
-    None stands for all fields or all wavelengths. A single wavelength gets its share of the rays.
+    None stands for all fields or all wavelengths. A single wavelength gets a share of the rays by its weight.
     """
     changes: dict[str, Any] = {} if field_deg is None else {"field_deg": (field_deg,)}
     if line is not None:
@@ -136,7 +139,11 @@ def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int 
 
 
 def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
-    """Return the metric of a term, at its worst field or wavelength if it asks for that; `changes` replace settings."""
+    """
+    Return the metric of a term, or a smooth extreme over fields and wavelengths if `Term.worst` asks for the worst.
+
+    `seed` is that of the traces; `changes` replace their settings.
+    """
     traced = {**term.traced, **changes}
     fields, lines = (
         range(len(values)) if term.worst in (over, "both") and isinstance(values, Sequence) else (None,)
@@ -181,7 +188,7 @@ def layer_value(
     keys : mapping of str to str
         Name of a coating → key of its thicknesses.
     parameters : mapping of str to (layers,) float64
-        Thicknesses by that key, nm.
+        Thicknesses by that key, nm; other keys are ignored.
 
     Returns
     -------
@@ -197,7 +204,7 @@ def layer_value(
 
 
 def check_worst(term: Term) -> None:
-    """Raise `MistrayError` if `worst` of a term suits neither its kind nor its numbers of fields and wavelengths."""
+    """Raise `MistrayError` if `worst` of a term does not suit its kind, or its number of fields or wavelengths."""
     for over, key in (("field", "field_deg"), ("wavelength", "wavelength_nm")):
         if term.worst not in (over, "both"):
             continue

@@ -32,7 +32,7 @@ class VariablePlace:
     entry : int
         Index of the entry.
     factor : float
-        Change of the entry per change of the variable.
+        Change of the entry over that of the variable; not used with the scale "log".
     start : float
         Value of the entry at the start, in the unit of the parameter.
     """
@@ -44,7 +44,7 @@ class VariablePlace:
 
     @property
     def label(self) -> str:
-        """Return the key with the index of the entry, such as "key[0]"."""
+        """Key with the index of the entry, such as "key[0]"."""
         return f"{self.key}[{self.entry}]"
 
 
@@ -69,7 +69,7 @@ class Motion:
 
     @property
     def label(self) -> str:
-        """Return the name of the displacement or tilt in a study, such as "L6.tilt_x"."""
+        """Name of the displacement or tilt in a study, such as "L6.tilt_x"."""
         return f"{self.body.part}.{self.name}"
 
 
@@ -91,7 +91,7 @@ class Variable:
     low, high : float
         Bounds of x, in `unit`.
     scale : {"linear", "log"}
-        Scale of the steps of x.
+        Scale on which x moves its places, see above.
     places : tuple of VariablePlace
         Entries of parameters that move.
     motions : tuple of Motion
@@ -108,12 +108,12 @@ class Variable:
 
     @property
     def start(self) -> float:
-        """Return the value of the variable at the start, in its unit; 0 if only bodies move."""
+        """Value of the variable at the start, in its unit; 0 if only bodies move."""
         return self.places[0].start / self.places[0].factor if self.places else 0.0
 
     @property
     def targets(self) -> tuple[VariablePlace | Motion, ...]:
-        """Return all that the variable changes: entries of parameters, then displacements and tilts of bodies."""
+        """All that the variable changes: entries of parameters, then displacements and tilts of bodies."""
         return (*self.places, *self.motions)
 
     def value(self, y: float) -> float:
@@ -123,7 +123,7 @@ class Variable:
         return min(max(x, self.low), self.high)
 
     def share(self, x: float) -> float:
-        """Return the fraction of the way from low to high bound at which the value x lies, 0 … 1."""
+        """Return the fraction of the way from low to high bound at which the value x lies; it is clipped to 0 … 1."""
         if self.scale == "log":
             share = math.log(x / self.low) / math.log(self.high / self.low)
         else:
@@ -131,11 +131,11 @@ class Variable:
         return min(max(share, 0.0), 1.0)
 
     def stretch(self, x: float) -> float:
-        """Return dx/dy at a value x, in `unit`; y is the fraction of the way from low to high bound."""
+        """Return dx/dy at a value x, both in `unit`; y is the fraction of the way from low to high bound."""
         return x * math.log(self.high / self.low) if self.scale == "log" else self.high - self.low
 
     def moved(self, x: float) -> Iterator[tuple[VariablePlace, float, float]]:
-        """Yield each parameter entry with its value at x, and the derivative of that value with respect to x."""
+        """Yield each parameter entry with its value at x, in its unit, and the derivative of this with respect to x."""
         for place in self.places:
             if self.scale == "log":
                 yield place, place.start * x / self.start, place.start / self.start
@@ -177,7 +177,7 @@ class Variables:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the variables, in the order of their values."""
+        """Names of the variables, in the order of their values."""
         return tuple(v.name for v in self.variables)
 
     def values(self, y: np.ndarray) -> np.ndarray:
@@ -190,9 +190,9 @@ class Variables:
 
     def parameters(self, x: Sequence[float] | np.ndarray) -> dict[str, np.ndarray]:
         """
-        Return the values of the changed parameters, (entries,) float64, by key.
+        Return the values of the changed parameters, (entries,) float64, by key, from the variables `x`, (n,).
 
-        Other entries are as in the scene.
+        Entries that no variable moves are as in the scene.
         """
         result = {key: value.copy() for key, value in self._given.items()}
         for variable, value in zip(self.variables, x, strict=True):
@@ -258,7 +258,7 @@ class Variables:
         return result
 
     def stretch(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Return dx/dy, (n,), at values x; y are the fractions of the way from low to high bound."""
+        """Return dx/dy, (n,), at values x, (n,); y are the fractions of the way from low to high bound."""
         return np.array([v.stretch(float(value)) for v, value in zip(self.variables, x, strict=True)])
 
 
@@ -266,7 +266,7 @@ def find_variables(
     study: DesignStudy, params: Any, known: Mapping[str, Parameter], coatings: Mapping[str, str]
 ) -> Variables:
     """
-    Return the variables of a study: every layer of its coatings, and those of the sections ``[[variable]]``.
+    Return the variables of a study: every layer of its coatings, then those of the sections ``[[variable]]``.
 
     Parameters
     ----------
@@ -283,7 +283,8 @@ def find_variables(
     ------
     MistrayError
         If a key does not exist, a start lies outside its bounds, bounds exceed the range of the parameter, two
-        variables have one name or move the same parameter, or there is no variable.
+        variables have one name or move the same parameter, or there is no variable. Also for the reasons of `_of_group`
+        and `_check_indices`.
     """
     found: list[Variable] = []
     for group in study.coatings:
@@ -320,7 +321,11 @@ def find_variables(
 def _check_indices(
     variables: Sequence[Variable], known: Mapping[str, Parameter], together: Mapping[str, list[str]], where: str
 ) -> None:
-    """Raise `MistrayError` if a variable changes a material's index on some sides only; light would stop there."""
+    """
+    Raise `MistrayError` if a variable changes a material's index on some sides only, because light would stop there.
+
+    For the arguments see `_of_group`.
+    """
     for variable in variables:
         moved = {place.key for place in variable.places}
         for name, keys in together.items():
@@ -341,6 +346,9 @@ def _of_group(
 ) -> list[Variable]:
     """
     Return the variables of one section ``[[variable]]``: one, or one for each parameter.
+
+    `known` are the parameters by key, `together` the keys of each of `groups`, `rigid` the bodies by part, and `where`
+    is the beginning of messages.
 
     Raises
     ------
@@ -377,6 +385,8 @@ def _variable(
     """
     Return one variable that changes the given entries and bodies together, within the bounds of its section.
 
+    `where` is the beginning of messages.
+
     Raises
     ------
     MistrayError
@@ -398,7 +408,7 @@ def _variable(
 
 
 def _motion(moved: Moved, rigid: Mapping[str, Body], where: str) -> Motion | None:
-    """Return the displacement or tilt that a name such as "L6.tilt_x" stands for; None for other names."""
+    """Return the motion that a key such as "L6.tilt_x" names, or None; for `rigid` and `where` see `_of_group`."""
     part, _, name = moved.key.rpartition(".")
     if part not in rigid or name not in POSE:
         return None
@@ -428,7 +438,9 @@ def _bounds(
     members: Sequence[tuple[VariablePlace, Parameter]], group: VariableGroup, where: str
 ) -> tuple[float, float]:
     """
-    Return the bounds of x at which each parameter, divided by its factor, stays within the group's bounds.
+    Return the bounds of x between which each parameter, divided by its factor, stays within the group's bounds.
+
+    `where` is the beginning of messages.
 
     Raises
     ------

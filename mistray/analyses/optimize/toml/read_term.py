@@ -28,7 +28,7 @@ SPACED = {"field_deg": FIELD_DEG, "wavelength_nm": WAVELENGTH_NM}
 
 def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
     """
-    Return the trace settings of a term at given keys of a section, checked as far as for any kind of term.
+    Return the trace settings at the given keys of a section, after the checks that hold for all kinds of terms.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
 
 
 def check_coatings(terms: tuple[Term, ...], names: list[str], section: TomlSection) -> None:
-    """Raise `MistrayError` if a term on layers names a coating that the study lacks, or the study has none."""
+    """Raise `MistrayError` if a term on layers names a coating that is not in `names`, or there is no coating."""
     for number, term in enumerate(terms, start=1):
         if not of_layers(term):
             continue

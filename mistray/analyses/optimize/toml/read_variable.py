@@ -14,7 +14,7 @@ ENTRY = re.compile(r"(?P<key>.*)\[(?P<entry>\d+)\]")
 
 def read_variable(section: TomlSection) -> VariableGroup:
     """
-    Return the variables in a section ``[[variable]]``: one, or one for each of its parameters.
+    Return the section ``[[variable]]``: parameters that move together or each by itself, and bounds of their value.
 
     Raises
     ------

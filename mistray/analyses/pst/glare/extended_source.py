@@ -42,9 +42,9 @@ class ExtendedSource(Protocol):
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
         """
-        Return the integral of radiance over azimuths, rad, within `half` of `centre`, W rad/(mm² sr), (q,).
+        Return the radiance integrated over azimuths from `centre` - `half` to `centre` + `half`, W rad/(mm² sr), (q,).
 
-        Field angles `theta` are in rad, (q,).
+        `theta` are the field angles, (q,). All angles are in rad.
         """
 
 
@@ -75,7 +75,7 @@ class SkyRadiance:
             _check_radiance("sky", self.radiance)
 
     def breaks(self) -> tuple[float, ...]:
-        """Return the field angles between which the sky lies, radians."""
+        """Return the two field angles between which the sky lies, radians."""
         return np.radians(self.from_deg), np.radians(self.to_deg)
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
@@ -119,8 +119,8 @@ class Disc:
     radiance : float
         Radiance, W/(mm² sr).
     field_deg, azimuth_deg : float
-        Direction of its centre, degrees. The field angle is 0 … 180, so that the disc may reach into the field from
-        behind.
+        Direction of its centre, degrees, as for `mistray.pst`. The field angle is 0 … 180, so that the disc may reach
+        into the field from behind.
     name : str
         Name for messages.
     """
@@ -190,7 +190,7 @@ def sun(
     Raises
     ------
     MistrayError
-        If the diameter is not between 0 and 180 degrees.
+        If the diameter is not between 0 and 180 degrees, or the irradiance or the direction is impossible.
     """
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"sun: diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
@@ -211,11 +211,11 @@ class Cover:
     Attributes
     ----------
     coefficients : (n, m) float64
-        Factors on the PST_normal of each cell, whose sum is the irradiance on the detector, W/mm².
+        Factor of the PST_normal of each cell, W/mm². The sum of all products is the irradiance on the detector, W/mm².
     total : float
         Integral of the radiance over the whole source, W/mm².
     covered, interpolated : float
-        Shares of it within cells, and between them.
+        Fractions of `total` within cells, and between cells where the PST is interpolated.
     """
 
     coefficients: np.ndarray
@@ -308,10 +308,10 @@ def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndar
 
 def _quadrature(breaks: tuple[float, ...], more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return field angles, rad, and weights for integrals over solid angle about the axis; weights include sin θ.
+    Return field angles, rad, and weights, (q,) each, for integrals over solid angle; the weights include sin θ.
 
-    Panels end at the breaks of the source and at `more`. Gauss-Legendre in t, θ = a + (b - a)(1 - cos t)/2, which
-    removes the square roots at the limb of a disc.
+    Panels end at the breaks of the source and at `more`, rad. In each the rule is that of Gauss and Legendre in t with
+    θ = a + (b - a)(1 - cos t)/2, which removes the square roots at the limb of a disc.
     """
     cuts = np.unique(np.concatenate([breaks, more[(more > breaks[0]) & (more < breaks[-1])]]))
     parts = np.maximum(np.ceil(np.degrees(np.diff(cuts)) / PANEL_DEG).astype(int), 1)
@@ -345,12 +345,12 @@ def source_irradiance(
     Returns
     -------
     StrayMetric
-        Irradiance, W/mm², with the shares of the source within cells and between them.
+        Irradiance, W/mm², with the fractions of the source within cells and between them.
 
     Raises
     ------
     MistrayError
-        If no cell contains any of the source.
+        If no cell contains any of the source, the source is dark, or the interpolation or a class is unknown.
     """
     normal = pst.to("normal")
     curve = normal.map(classes)[0] if interpolation == "log" else None

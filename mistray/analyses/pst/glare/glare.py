@@ -62,14 +62,15 @@ def veiling_glare_index(
     Returns
     -------
     StrayMetric
-        Unit "%"; `covered` is the share of the white source in cells of the PST. The maps of a PST have no batches: of
-        "map" the errors of the cells are taken as independent.
+        Unit "%"; `covered` is the fraction of the white source in cells of the PST. The maps of a PST have no batches,
+        so that with "map" the errors of the cells are taken as independent.
 
     Raises
     ------
     MistrayError
-        If the patch is not within the source, no cell contains any of it, or the PST has no maps for "map". Also if it
-        is off the axis while one cell covers all azimuths and the detector is a point or a pixel.
+        If the place is unknown, the patch is not within the source, no cell contains any of it, the PST has no maps for
+        "map", or `at_mm` is off the detector. Also if the patch is off the axis while one cell covers all azimuths,
+        except for "mean", or if no light from its middle meets the detector, which would tell the pixel.
     """
     place = place or ("mean" if pst.maps is None else "map")
     if place == "map" and pst.maps is None:
@@ -170,7 +171,8 @@ def _at_pixel(
     """
     Return E_black / E_white at one detector pixel, and by name the position of that pixel, mm.
 
-    `black` and `white` are factors of the PST's cells. The ratio is NaN if no white light meets the pixel.
+    `black` and `white`, (n, m), are factors of the PST's cells; for the others see `veiling_glare_index`. The ratio is
+    NaN if no white light meets the pixel.
 
     Raises
     ------
@@ -213,12 +215,15 @@ def _at_pixel(
 @dataclass(frozen=True, eq=False)
 class GlareSpread:
     """
-    Glare spread function over the detector: stray irradiance over the flux of the direct image.
+    Glare spread function over the detector: irradiance over the flux of the direct image.
+
+    The irradiance is that of stray light (of a trace) or of all light (of a PST), as `definition` says.
 
     Attributes
     ----------
     value, se : (h, w) float64
-        Irradiance over the flux of the direct image, 1/mm², row 0 at the smallest y, and its standard error.
+        Irradiance over the flux of the direct image, 1/mm², row 0 at the smallest y, and its standard error; of a trace
+        NaN where only few rays arrive.
     extent_mm : tuple of float
         x0, x1, y0, y1 of the detector, mm.
     definition : str
@@ -282,7 +287,7 @@ def glare_spread(
 
 def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[StrayMetric, StrayMetric]:
     """
-    Return the ghost-to-signal ratio of a trace: all stray light over the direct image.
+    Return the ghost-to-signal ratio of a trace, all stray light over the direct image: of fluxes and of peaks.
 
     Parameters
     ----------

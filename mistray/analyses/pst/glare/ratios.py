@@ -45,7 +45,7 @@ def rejection_ratio(
     Raises
     ------
     MistrayError
-        If no cell contains the reference angle, or no light comes from there.
+        If no cell contains the reference angle, no light comes from there, or `reference` is 0.
     """
     if reference is None:
         row, _ = pst.grid.nearest(reference_deg, float(pst.grid.azimuths_deg[0]))
@@ -82,7 +82,7 @@ def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", cl
     Raises
     ------
     MistrayError
-        If the name is another one.
+        If the name or the plane is another one.
     """
     if name not in ("ndi", "psnit"):
         raise MistrayError(f"name is '{name}'; use 'ndi' or 'psnit'")
@@ -94,17 +94,18 @@ def image_throughput(pst: Pst) -> StrayMetric:
     """
     Return the irradiance of the direct image per radiance of a uniform scene, sr: ∫ PST_n dΩ of direct light.
 
-    For an ideal system of transmittance T and F-number F it is T π / (4 F² + 1). It is the mean over the detector, so
-    that it includes vignetting.
+    For an ideal system of transmittance T it is T π sin² u, with the half angle u of the cone of light on the detector.
+    It is the mean over the detector, so that it includes vignetting.
     """
     return StrayMetric.of("throughput", weighted_sum(pst.to("normal"), _solid_angles(pst), "direct"), "sr")
 
 
 def ideal_throughput(f_number: float, transmittance: float = 1.0) -> float:
     """
-    Return T π / (4 F² + 1), sr: on-axis irradiance per scene radiance, for an aplanatic lens in air.
+    Return T π / (4 F² + 1), sr: on-axis irradiance per scene radiance of an ideal lens in air.
 
-    F is the F-number, and T the transmittance, 0 … 1.
+    T is the transmittance, 0 … 1. F is the F-number 1/(2 tan u), u being the half angle of the cone of light on the
+    detector; the working F-number 1/(2 sin u) differs for fast lenses.
 
     Raises
     ------
@@ -137,8 +138,8 @@ def equivalent_stray_radiance(
     source : ExtendedSource
         Source of the stray light, see `mistray.analyses.pst.glare.extended_source`.
     f_number, transmittance : float, optional
-        With an F-number, E_stray is divided by T π / (4 F² + 1). Without one, it is divided by the integral of the
-        direct PST_n over the cells (`image_throughput`), which must cover the field of view.
+        With an F-number, E_stray is divided by T π / (4 F² + 1), see `ideal_throughput`. Without one, it is divided by
+        the integral of the direct PST_n over the cells (`image_throughput`), which must cover the field of view.
     interpolation : {"cells", "linear", "log"}
         Interpolation of the stray PST, see `mistray.analyses.pst.glare.extended_source.cover`.
 
@@ -254,7 +255,7 @@ def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> 
 
 def contrast_factor(stray_to_signal_ratio: Estimate) -> StrayMetric:
     """
-    Return the share of the contrast of the image that stray light spread evenly leaves: 1 / (1 + E_stray / E_signal).
+    Return the fraction of the image contrast that is left under evenly spread stray light: 1/(1 + E_stray/E_signal).
 
     Parameters
     ----------
@@ -325,7 +326,8 @@ def _of_source(
     """
     Return a stray-light metric of an extended source, in `unit`.
 
-    `over` computes it from the PST and the factor on each of its cells.
+    `over` computes it from PST_normal and the factors of its cells, (n, m), see `Cover`. For `quantity`, `words` and
+    `facts` see `StrayMetric.of`.
 
     Raises
     ------

@@ -52,6 +52,6 @@ SETTINGS[PST_FIELD] = SETTINGS.pop("field_deg")
 
 
 def own_arguments(factory: Callable[..., Metric]) -> dict[str, bool]:
-    """Return, by name, which arguments of a metric are required (True), apart from settings of its traces."""
+    """Return the arguments of a metric other than settings of its traces, by name; True: the argument is required."""
     named = inspect.signature(factory).parameters.values()
     return {p.name: p.default is p.empty for p in list(named)[1:] if p.kind != p.VAR_KEYWORD}

@@ -11,7 +11,7 @@ from mistray.recorders.path_events import DIRECT
 
 
 def first_light(pst: Pst, field: int) -> FirstLight:
-    """Return the light at a field angle, given by index, sorted by the first surface met; empty without paths."""
+    """Return PST_normal at the field angle of index `field` by first surface of the light; empty without paths."""
     if pst.path_rows is None:
         return FirstLight({}, {}, {}, {})
     rows = pst.path_rows[pst.path_rows.cell == field]

@@ -53,9 +53,10 @@ class Modelled:
 
 def _ends(scene: Any, chosen: Sequence[Parameter], value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return lower and upper bounds of scene parameters, (k,) each, in their own units; all are finite.
+    Return lower and upper bounds of scene parameters, (k,) each, in their own units, from their values, (k,).
 
-    Parameters of either sign get finite ones, see `PstBands`.
+    Parameters without a lower limit get bounds near their values, see `PstBands`. The upper one of others may be
+    infinite.
     """
     box = scene.bbox()
     size = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
@@ -96,10 +97,10 @@ class PstBands:
     start : (k,) float64
         Values of the parameters in the scene, in their units.
     low, high : (k,) float64
-        Bounds of the parameters, in their units. Those of either sign without a range are near their values in the
-        scene: lengths within the size of the scene, others within ten thousand times their tolerances.
+        Bounds of the parameters, in their units. A parameter without a lower limit has bounds about its value in the
+        scene: a length within the size of the scene, others within ten thousand times the tolerance.
     power : (k,) float64
-        Powers of the parameters in proportion to which the light grows; for `fit`.
+        Exponent p of each parameter: light grows as its p-th power; for `fit`.
     bands : list of tuple
         (azimuth or None, low, high) of each value, degrees, the azimuths of the first band first.
 

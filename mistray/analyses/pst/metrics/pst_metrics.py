@@ -46,12 +46,12 @@ class PstMetric(Metric):
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def with_rays_times(self, times: float) -> PstMetric:
-        """Return a copy of the metric that is computed with `times` as many rays."""
+        """Return a copy of the metric that is computed with `times` the rays of its settings."""
         return replace(self, times=times, plans={})
 
     @property
     def views(self) -> list[TraceView]:
-        """Return the computations that the metric needs: a list with one PST."""
+        """Computations that the metric needs: a list with one PST."""
         return [PstView(self.settings or {}, self.plans)]
 
 
@@ -172,7 +172,9 @@ def pst_mask(
     **traced: Any,
 ) -> PstMetric:
     """
-    Return the metric "smooth maximum of PST / limit over field angles", dimensionless; at most 1 if the mask is met.
+    Return the metric "smooth maximum of PST / limit over field angles", dimensionless; with at most 1 the mask is met.
+
+    The smooth maximum is at least the maximum, so that a mask that is just met may give more than 1.
 
     Parameters
     ----------

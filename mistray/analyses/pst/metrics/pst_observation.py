@@ -105,7 +105,7 @@ class PstObservation:
         Parameters
         ----------
         field_deg : float
-            Field angle, degrees.
+            Field angle, degrees; a negative one is at the opposite azimuth.
         light : str or sequence of str
             Classes of light.
         azimuth_deg : float, optional

@@ -41,9 +41,9 @@ class PstView(TraceView):
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
         """
-        Compute the PST of a scene with `times` the number of rays.
+        Return the PST of a scene, computed with `times` the number of rays.
 
-        `changes` replace its arguments; with ``paths`` it keeps the paths.
+        `changes` replace `arguments`; with ``paths`` the PST keeps its paths.
         """
         look = sorted_arguments(
             {name: value for name, value in changes.items() if name not in ("rays", "seed", "paths")}
