@@ -345,7 +345,7 @@ def _run_python(
 
 
 def _reason(run: subprocess.CompletedProcess[str]) -> str:
-    """Describe in a line why a process failed: the signal or exit code, and its first error message."""
+    """Return a line that says why a process failed: the signal or exit code, and its first error message."""
     lines = [line.strip() for line in run.stderr.splitlines() if line.strip()]
     telling = [line for line in lines if "rror" in line or "LLVM" in line] or lines[-1:]
     ended = signal.Signals(-run.returncode).name if run.returncode < 0 else f"exit code {run.returncode}"

@@ -53,7 +53,7 @@ class Response:
 
 class CoatingModel(Protocol):
     """
-    Interface of every coating; the kernel, the plots and the export use nothing else.
+    Coating of an interface between two media: the properties and the method that every kind of coating has.
 
     A coating is hashable, because its tables are cached.
 
@@ -97,7 +97,7 @@ class CoatingModel(Protocol):
         Raises
         ------
         MistrayError
-            If a material is unknown at the wavelength.
+            If a material is unknown at the wavelength, or a cosine is out of range.
         """
         ...
 

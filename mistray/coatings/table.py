@@ -69,7 +69,7 @@ class CoatingTable:
     @classmethod
     def read(cls, path: str | Path) -> CoatingTable:
         """
-        Read a coating table from a CSV file.
+        Return the coating table in a CSV file.
 
         The columns wavelength_nm and angle_deg are required, with R and T, or R_s, R_p, T_s, T_p. R_back, or R_back_s
         and R_back_p, are optional, for a coating that absorbs. The phases phase_r_deg, phase_t_deg and phase_r_back_deg
@@ -79,7 +79,7 @@ class CoatingTable:
         ------
         MistrayError
             If the file or a column is missing, a column is unknown, a cell is not a number, the rows are not a full
-            grid, an angle or a wavelength is out of range, or R + T exceeds 1.
+            grid, an angle or a wavelength is out of range, a fraction is negative, or R + T exceeds 1.
         """
         what = f"coating table '{path}'"
         (_, head), *below = read_cells(path, "coating table") or [(0, [])]

@@ -154,6 +154,8 @@ def filled(
     """
     Return a ledger of at least `least` slots that holds given paths with zero sums, and the slot of each, (p,).
 
+    The paths have keys, (p,) uint64, event codes, (p, e) uint32, and lengths, (p,), their numbers of events.
+
     Raises
     ------
     MistrayError
@@ -205,7 +207,8 @@ def execute_by_parts(
     """
     Let workers trace some runs, and return the runs with the sums that `Run.execute` would find.
 
-    ``seconds`` of a run is the time of its parts in all workers together, s.
+    ``seconds`` of a run is the time of its parts in all workers together, s. `progress` is called with the numbers of
+    rays done and of all rays.
 
     Raises
     ------

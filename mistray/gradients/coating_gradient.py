@@ -47,7 +47,11 @@ def table_rows(optics: Optics, surface: int) -> slice:
 
 
 def layered_surfaces(optics: Optics, is_chosen: Callable[[Any, str], bool]) -> Iterator[tuple[int, list[str]]]:
-    """Yield the index of each surface with a layered coating that has requested layer parameters, and their names."""
+    """
+    Yield the index of each surface whose layered coating has requested layer parameters, and the names of these.
+
+    `is_chosen` is that of `layer_gradient`.
+    """
     for i, bsdf in enumerate(optics.bsdfs):
         names = [name for name in LAYER_PARAMETERS if bsdf.film is not None and is_chosen(bsdf.film, name)]
         if names and int(optics.host_words[i]) & 3 == TABLED:
@@ -280,8 +284,8 @@ def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
     """
     Return the derivatives of a coating's R and T at table nodes with respect to a real index beside it.
 
-    `side` is 0 for the index in front, 1 for the one behind.
-    The nodes are held fixed: they are cosines in the rarer material, or, between equal indices, cosines of incidence.
+    `side` is 0 for the index in front, 1 for the one behind. The nodes are held fixed: they are cosines in the rarer
+    material, or, between equal indices, cosines of incidence.
 
     Returns
     -------

@@ -115,8 +115,8 @@ class RimRecorder(Recorder):
         from the critical angle; ``scale``, see `mistray.gradients.grazing.Grazing.find`; ``copies``, the factor 1/p of
         a hit whose zone was chosen with probability p: 1, or 2 for each choice between two zones; ``gain``, the
         contribution to the metric, in its unit, of the hit and all events after it.
-    axis : (capacity, 3) mi.Float
-        Normal at the hit, on the side of transmission.
+    axis : (3 · capacity,) mi.Float
+        Unit normal at each hit in the world, on the side of transmission: x, y and z in turn.
     before : dict
         Fields of `StartRays` → (capacity,) state of the ray before the hit.
     """
@@ -197,9 +197,10 @@ class RimRecorder(Recorder):
 
     def _nearest(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Float, mi.Bool, mi.Bool]:
         """
-        Return the rim whose zone each hit lies in, its distance, mm, and masks: hits in a zone, hits in two zones.
+        Return the rim whose zone each hit lies in, the distance from it, mm, and masks of hits in a zone, in two zones.
 
-        In two zones the last bit of a coordinate chooses the rim.
+        `q` are the hits in the frames of their surfaces `s`, mm. In two zones the last bit of a coordinate chooses the
+        rim.
         """
         bounds = dr.gather(mi.Vector4f, self._bounds, s, active)
         kind = dr.gather(mi.UInt32, self._kinds, s, active)

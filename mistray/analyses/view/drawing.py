@@ -182,9 +182,9 @@ def path_lines(go: Any, groups: Sequence[RayGroup]) -> list[Any]:
 
 def legend_text(name: str) -> str:
     """
-    Return the name of a path as the text that plotly shows in a legend: three lines, with "…" for what is between.
+    Return the name of a path as the text that plotly shows in a legend: at most three lines of `LEGEND_LETTERS`.
 
-    A line has at most `LEGEND_LETTERS`.
+    Of a longer name the beginning and, after "…", the end are kept.
     """
     lines = textwrap.wrap(name, LEGEND_LETTERS, break_on_hyphens=False)
     if len(lines) > 3:

@@ -9,7 +9,7 @@ from mistray.physics.mie import spheres
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function by which mistray computes a Mie efficiency of a row's sphere."""
+    """Return the function by which mistray computes a Mie efficiency of a row's sphere; it needs no parameter."""
 
     def number(row: DeclaredRow) -> Estimate:
         found = spheres([row.argument("x")], complex(row.argument("n"), row.argument("k")))

@@ -42,7 +42,7 @@ class BothPrograms:
 
     @functools.cached_property
     def shared(self) -> list[Names]:
-        """Paths with two reflections that batoid finds stronger than `FAINTEST`, the strongest first."""
+        """Paths with two reflections in which batoid finds more than `FAINTEST` of the star, the strongest first."""
         star = next((one.flux for one in self.theirs.values() if one.order == 0), 0.0)
         found = [names for names, one in self.theirs.items() if one.order == 2 and one.flux > FAINTEST * star]
         return sorted(found, key=lambda names: -self.theirs[names].flux)
