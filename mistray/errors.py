@@ -58,7 +58,7 @@ class MistrayWarning(UserWarning):
 
 class Interrupted(KeyboardInterrupt):
     """
-    Exception for Ctrl-C that was pressed after a part of the work was finished.
+    Exception for Ctrl-C or SIGTERM that came after a part of the work was finished.
 
     Attributes
     ----------

@@ -193,7 +193,7 @@ class Options(argparse.Namespace):
 
     def bar(self, form: str, what: str, total: float = 1.0) -> contextlib.AbstractContextManager[Any | None]:
         """
-        Return a context with a progress bar, `form` being its format of tqdm; see `terminal_bar`.
+        Return a context with a progress bar; `form`, `what` and `total` are parameters of `terminal_bar`.
 
         It yields the bar, or None with --quiet or if stderr is not a terminal.
         """

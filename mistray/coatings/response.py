@@ -152,6 +152,6 @@ def cosines(given: npt.ArrayLike) -> np.ndarray:
 
 
 def total_reflection(n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool) -> np.ndarray:
-    """Return a mask of cosines of incidence, (m,), at or beyond the critical angle from one medium to the other."""
+    """Return a mask of cosines of incidence, (m,), at or beyond the critical angle for light from one side."""
     n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
     return np.asarray((n_1 / n_2) ** 2 * (1 - np.square(cos_incident)) >= 1)

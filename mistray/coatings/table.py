@@ -157,12 +157,12 @@ class CoatingTable:
         """
         Return R, T and phases for light from one side, see `CoatingModel.response`.
 
-        Beyond the critical angle R is the table's R + T at grazing incidence.
+        Beyond the critical angle R is the table's R + T at its greatest angle.
 
         Raises
         ------
         MistrayError
-            If the wavelength is outside the table.
+            If the wavelength is outside a table of several, or a cosine is out of range.
         """
         cosine = cosines(cos_incident)
         n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)

@@ -141,8 +141,10 @@ class AllCells:
 
         Parameters
         ----------
-        rays, number
-            See `samples`.
+        rays : (c,) int
+            Number of start rays of each cell. Multiples of `BATCHES` are traced; start weights make up for rounding.
+        number : int
+            Index of the round, which selects its random numbers.
 
         Returns
         -------

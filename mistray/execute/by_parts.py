@@ -132,7 +132,7 @@ class TracedRuns:
 
 
 def split(runs: Sequence[Run], workers: int) -> list[RunPart]:
-    """Divide runs into parts for workers, several per worker, with parts of different runs alternating."""
+    """Return the parts into which runs are divided for workers, several per worker, those of all runs alternating."""
     requested = max(LEAST_RAYS, sum(run.rays for run in runs) / (PARTS_PER_WORKER * workers))
     placed = []
     for number, run in enumerate(runs):

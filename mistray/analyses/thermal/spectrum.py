@@ -105,11 +105,10 @@ def traced_wavelengths(
     """
     Return the given wavelengths, µm, or as many as determine the integral over the band to 1 %, with its error.
 
-    At most `MOST_WAVELENGTHS` are chosen. If the optics are not known over the whole band, these are three.
-
     The middle of the band suffices if nothing depends on the wavelength. Otherwise its ends and middle are taken,
     and then, one by one, nodes of the tables of materials and coatings and an even grid between them. The next lies
-    where an absorbed, reflected or transmitted share is farthest from the line between its neighbours.
+    where an absorbed, reflected or transmitted share is farthest from the line between its neighbours. There are at
+    most `MOST_WAVELENGTHS`, and three if the optics are not known over the whole band.
 
     The integrals are those with the spectra of blackbodies at `temperatures_K`.
 
@@ -159,7 +158,7 @@ def traced_wavelengths(
     whole = np.maximum(weights @ shares, least)
 
     def errors(at: np.ndarray) -> np.ndarray:
-        """Return the relative error from each node with wavelengths `at`, µm, (temperatures, nodes, shares)."""
+        """Return each node's part of the relative error with wavelengths `at`, µm, (temperatures, nodes, shares)."""
         lines = np.stack([np.interp(nodes, at, np.interp(at, nodes, column)) for column in shares.T], axis=1)
         return np.asarray(weights[:, :, None] * np.abs(shares - lines) / whole[:, None])
 
@@ -204,7 +203,7 @@ def _lengths(scene: mi.Scene, wavelength_nm: float) -> dict[str, np.ndarray]:
 
 def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Compute the shares of light at a surface and in its bodies, and for each the least value to which errors refer.
+    Return the shares of light at a surface and in its bodies, and for each the least value to which errors refer.
 
     Parameters
     ----------

@@ -138,7 +138,7 @@ class ImageSpread(PassingLight):
 
     def rings(self, kind: int, wavelength_nm: float | None = None) -> Sampled:
         """
-        Return the flux of a light class, `kind` in `CLASSES`, in the innermost disc and each ring, W, (n,).
+        Return the flux of the class at index `kind` of `CLASSES` in the innermost disc and each ring, W, (n,).
 
         It is that at `wavelength_nm`, or by default the sum over wavelengths.
         """
@@ -146,7 +146,7 @@ class ImageSpread(PassingLight):
 
     def waves(self, kind: int, wavelength_nm: float | None = None) -> tuple[Sampled, Sampled]:
         """
-        Return real and imaginary part of the Fourier sums of a light class, `kind` in `CLASSES`, W, (m,) each.
+        Return real and imaginary part of the Fourier sums of the class at index `kind` of `CLASSES`, W, (m,) each.
 
         They are those at `wavelength_nm`, or by default the sums over wavelengths.
         """

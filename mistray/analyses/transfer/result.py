@@ -35,7 +35,7 @@ it already."""
 
 
 class TransferCurve(NamedTuple):
-    """Values over frequency or radius with their standard errors, (m,) float64 each; the source names their unit."""
+    """Values over frequency or radius with their standard errors, (m,) float64; dimensionless unless stated there."""
 
     value: Array
     se: Array
@@ -314,7 +314,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
             Radii of the circles, mm, from 0 to the last of `edges_mm`. Between two edges the irradiance of ghosts and
             scatter counts as constant.
         stray : bool
-            Whether to include stray light; without it the fraction is one of the direct image.
+            Whether to include stray light; without it the fraction is that of the direct image alone.
 
         Raises
         ------

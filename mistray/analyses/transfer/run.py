@@ -62,7 +62,8 @@ def run(
         Scene with one source, as for `mistray.image_quality`.
     request : TransferRequest
     quality : ImageQuality, optional
-        Image quality of the same scene, if known already; it then sets fields, wavelengths and detector.
+        Image quality of the same scene, if known already; it then sets fields and wavelengths. The scene must have one
+        detector then.
     progress : callable, optional
         Called with (fields done, fields in all).
     seconds : float, optional
@@ -75,9 +76,9 @@ def run(
     Raises
     ------
     MistrayError
-        If `mistray.image_quality` or `mistray.trace` raises it, the direct image of a field misses the detector, the
-        scene has several sources or, without a chosen one, several detectors. Also if the table of the detector ends
-        too early, or the request has fields or light beside `quality`.
+        If `mistray.image_quality` or `mistray.trace` raises it, the direct image of a field misses the detector, or the
+        detector's table ends too early. Also if the scene has several sources, or several detectors of which none is
+        chosen, or the request has fields or light beside `quality`.
 
     Examples
     --------

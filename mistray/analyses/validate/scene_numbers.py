@@ -194,7 +194,7 @@ def _without(names: list[str], design: list[str]) -> list[str]:
 
 def extent(hits: np.ndarray) -> Estimate:
     """
-    Return the distance of the outermost hits of light with an edge, and a bound of its standard error.
+    Return the distance between the outermost hits of light with an edge, and a bound of its standard error.
 
     The outermost of n hits lie short of the edge by c / n^p on average, and scatter by about as much. p is 1 where the
     light, projected, ends at its full density, 2/3 for a disc, and 1/2 for a corner, the slowest. The extents of 16

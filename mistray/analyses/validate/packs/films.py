@@ -16,7 +16,7 @@ def _complex(value: Any) -> complex:
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function by which mistray computes R or T, 0 … 1, of a row's film stack; it needs no parameter."""
+    """Return the function by which mistray computes R or T, 0 … 1, of a row's film stack; the parameters are unused."""
 
     def number(row: DeclaredRow) -> Estimate:
         layers = [_complex(n) for n in row.argument("n")]

@@ -51,8 +51,8 @@ class BothPrograms:
         """
         Return a quantity of one program, without error, as both trace the same rays; None if it has no such light.
 
-        It is the RMS spot radius of the image, µm, the number of shared ghosts, their flux in ‰ of the image, or the
-        RMS radius of the sharpest ghost, mm.
+        Quantities are "spot_um", the RMS radius of the image, µm; "ghosts", the number of shared ghosts;
+        "ghost_permille", their flux, ‰ of the image; any other: the RMS radius of batoid's sharpest ghost, mm.
         """
         ghosts = {names: bundles[names] for names in self.shared if names in bundles}
         image = next((one for one in bundles.values() if one.order == 0), None)
@@ -70,7 +70,11 @@ class BothPrograms:
 
 
 class TelescopeNumbers:
-    """Numbers of the rows of one file; rows with the same light share one trace in mistray and in batoid."""
+    """
+    Numbers of the rows of one file; rows with the same light share one trace in mistray and in batoid.
+
+    Parameters are those of `SceneNumbers`.
+    """
 
     def __init__(self, file: ReferenceFile, rays: int | None, seed: int) -> None:
         self._rays = rays or file.rays
