@@ -107,7 +107,7 @@ def refuse_unknown(given: Iterable[str], known: Iterable[str], owner: str = "") 
 
 @contextmanager
 def errors_of(owner: str) -> Iterator[None]:
-    """Put a prefix, such as "lens 'L', line 3", in front of every `MistrayError` that is raised in a block."""
+    """Put `owner`, such as "lens 'L', line 3", in front of every `MistrayError` that is raised in a block."""
     try:
         yield
     except MistrayError as error:

@@ -333,7 +333,8 @@ def _run_python(
     """
     Run Python code in its own process, which first loads the libraries at paths `before`; return its outcome.
 
-    A process that gives no answer within `PROBE_TIMEOUT_S` is ended, and counts as ended by SIGTERM.
+    The code finds `argument` in ``sys.argv[1]``. A process that gives no answer within `PROBE_TIMEOUT_S` is ended, and
+    counts as ended by SIGTERM.
     """
     command = [sys.executable, "-c", _PRELOAD + code, argument, *before]
     try:

@@ -210,7 +210,7 @@ def _header(names: Sequence[str], what: str) -> list[str]:
     """
     Return the column names of a coating table's CSV file.
 
-    Raise `MistrayError` if a column is unknown, missing, or there twice.
+    Raise `MistrayError` if a column is unknown, missing, or there twice; `what` is the start of its message.
     """
     given = list(names)
     unknown = [name for name in given if name not in COLUMNS]

@@ -45,7 +45,7 @@ def read_healpix(file: str, owner: str) -> tuple[np.ndarray, bool]:
     Returns
     -------
     values : (n,) float64
-        Values of the pixels, ≥ 0.
+        Values of the pixels, ≥ 0, in the unit of the file.
     nested : bool
         Whether the indices of pixels follow the nested scheme; else they count along rings.
 

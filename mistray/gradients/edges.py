@@ -347,7 +347,7 @@ class Edges:
 
     def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents | None:
         """
-        Trace rays that just miss the rims, to compare them with the recorded hits.
+        Trace rays that just miss the rims, to compare them with the recorded hits, `hits` in number.
 
         Return the hits that change the metric, with their coefficients in the derivative; None if there is no such hit.
         """
@@ -384,9 +384,9 @@ class Edges:
         """
         Return start data of rays that just miss the rims; `jump` holds rim or kind of jump, distance and scale.
 
-        `classed` says whether the metric asks for the path classes of rays. With the start come the rim's place in
-        tables of (surfaces, rims), the factor of the coefficient, see `mistray.gradients.edge_contacts.Corner`, and
-        `EdgeEvents.joined`.
+        `row` are the rows of the recorded hits, and `classed` says whether the metric asks for the path classes of
+        rays. With the start come the rim's place in tables of (surfaces, rims), the factor of the coefficient, see
+        `mistray.gradients.edge_contacts.Corner`, and `EdgeEvents.joined`.
         """
         near, jumps = self._near, jump[0] >= SILHOUETTE
         rim = dr.select(jumps, 0, jump[0])
@@ -431,7 +431,8 @@ class Edges:
         """
         Return start data of rays past a jump: origin (mm), direction, surface that is left, surface that is met.
 
-        Lanes without a jump keep those in `others`.
+        Lanes without a jump keep those in `others`. `p` are the recorded hits, mm, and `s` their surfaces; `row` and
+        `jump` are those of `_past`.
         """
         (kind, delta, scale), (o, d, left, at) = jump, others
         grazes, critical = kind == SILHOUETTE, kind > SILHOUETTE

@@ -77,7 +77,7 @@ def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
 
 
 def _sums(report: ThermalReport, digits: int) -> list[list[Value]]:
-    """Return table rows of sums over the system: text, unit, and value with its error, or with `digits` if unknown."""
+    """Return table rows of sums over the system: text, unit, and value with its error, else to `digits` digits."""
     rows = [
         ("self-emission", "W/mm²", report.total_W_mm2),
         (f"image of a blackbody scene at {report.scene_K:g} K", "W/mm²", report.image_W_mm2),

@@ -131,7 +131,11 @@ def colour_axes(scales: Mapping[str, LogScale], by: str) -> dict[str, dict[str, 
 
 
 def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
-    """Return one invisible plotly mark per scale, since plotly draws a colour bar only for an axis with a mark."""
+    """
+    Return one invisible plotly mark per scale, since plotly draws a colour bar only for an axis with a mark.
+
+    The marks are in the middle of `box`, from `shown_box`. `go` is `plotly.graph_objects`.
+    """
     centre = (box[0] + box[1]) / 2
     return [
         go.Scatter3d(

@@ -108,9 +108,9 @@ def asked(row: DeclaredRow, ours: Finder) -> Estimate | None:
 
 def _traced(file: str, wavelength_nm: float, field_deg: float, rays: int, seed: int) -> BothPrograms:
     """
-    Trace a telescope at a wavelength, nm, and a field angle, degrees, with mistray and batoid from the same start rays.
+    Return the light on the detector by path, from mistray and from batoid, which trace the same start rays.
 
-    Return the light on the detector by path, from both.
+    `file` is a telescope file of batoid, `rays` the number of start rays, and `seed` that of their random numbers.
     """
     with others():
         import batoid
