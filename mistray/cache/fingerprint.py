@@ -51,7 +51,7 @@ def file_fingerprint(path: Path) -> str:
 @lru_cache(maxsize=1)
 def code_fingerprint() -> str:
     """
-    Return a hash of mistray's code and data but `ONLY_SHOW`, and of the versions of the packages that compute.
+    Return a hash of mistray's code and data, except the parts `ONLY_SHOW`, and of the versions of `PACKAGES`.
 
     It has 64 hexadecimal digits (SHA-256). The version of mistray alone is not enough, because it does not change while
     the code is being edited.

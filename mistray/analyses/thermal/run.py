@@ -192,7 +192,11 @@ def _check_names(scene: mi.Scene, rules: Mapping[str, float]) -> None:
 
 
 def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, float]) -> dict[Key, float]:
-    """Return the temperature, K, of every emitter, by kind and name; `rules` map name patterns to K, the last holds."""
+    """
+    Return the temperature, K, of every emitter, by kind and name.
+
+    `rules` map name patterns to K; the last that fits holds.
+    """
     names: dict[Key, tuple[str, ...]] = {("surface", row.id): (row.id, row.part) for row in seen[0].rows}
     names.setdefault(("surface", seen[0].detector), (seen[0].detector,))
     names |= {("medium", material): (material,) for one in seen for material in one.media}

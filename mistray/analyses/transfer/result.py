@@ -35,7 +35,7 @@ it already."""
 
 
 class TransferCurve(NamedTuple):
-    """Values over frequency or radius with their standard errors, (m,) float64; dimensionless unless stated there."""
+    """Values over frequency or radius with their standard errors, (m,) each; dimensionless unless stated otherwise."""
 
     value: Array
     se: Array
