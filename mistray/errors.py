@@ -11,7 +11,7 @@ TOO_LONG = 500  # letters
 
 
 class MistrayError(ValueError):
-    """Bad input or a missing part; the message names the object, the value and the remedy in one line.
+    """Error for bad input or a missing part; its message names the object, the value and the remedy in one line.
 
     The command line prints it without a traceback and exits with code 2.
 
@@ -26,7 +26,7 @@ class MistrayError(ValueError):
 
 
 class UnknownKeyError(MistrayError, KeyError):
-    """Raised for a missing key of a mapping; as it is also a KeyError, ``in`` gives False and ``get`` its default."""
+    """Error for a missing key of a mapping; as it is also a KeyError, ``in`` gives False and ``get`` its default."""
 
     __str__ = Exception.__str__  # KeyError puts its message in quotes
 
@@ -58,7 +58,7 @@ class MistrayWarning(UserWarning):
 
 class Interrupted(KeyboardInterrupt):
     """
-    Exception for Ctrl-C that was pressed after a part of the work was finished.
+    Exception for Ctrl-C or SIGTERM that came after a part of the work was finished.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ def refuse_unknown(given: Iterable[str], known: Iterable[str], owner: str = "") 
 
 @contextmanager
 def errors_of(owner: str) -> Iterator[None]:
-    """Put a prefix, such as "lens 'L', line 3", in front of every `MistrayError` that is raised in a block."""
+    """Put `owner`, such as "lens 'L', line 3", in front of every `MistrayError` that is raised in a block."""
     try:
         yield
     except MistrayError as error:
@@ -131,7 +131,7 @@ def foreign_errors(owner: str, remedy: str) -> Iterator[None]:
 
 
 def in_words(error: Exception) -> str:
-    """Format an error as one line; an error that is not from mistray begins with its type."""
+    """Return the text of an error as one line; unless it is a `MistrayError`, it begins with the error's type."""
     text = " ".join(str(error).split())
     return text if isinstance(error, MistrayError) else f"{type(error).__name__}: {text}"
 
@@ -143,9 +143,10 @@ def printable(text: str) -> str:
 
 def one_line(message: object) -> str:
     """
-    Format a message as one line for a terminal.
+    Return a message as one line for a terminal.
 
-    Words of more than 300 letters are cut; in a line that is still too long, shorter ones are, too.
+    Words of more than 300 letters are cut. If the line is still longer than `TOO_LONG`, words of more than 100 letters
+    are cut, and then those of more than 30.
     """
     words, line = str(message).split(), ""
     for most in LONGEST_WORDS:

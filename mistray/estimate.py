@@ -35,10 +35,10 @@ class Estimate(NamedTuple):
 
     def over(self, other: Estimate) -> Estimate:
         """
-        Return the quotient of two estimates; relative errors add in quadrature.
+        Return the quotient of two estimates; NaN if ``other`` is 0 or not finite.
 
-        It is NaN if ``other`` is 0 or not finite. This holds for independent runs. It is an approximation for numbers
-        of one run, which share start rays.
+        Relative errors add in quadrature. This holds for independent runs, and is an approximation for numbers of one
+        run, which share start rays.
         """
         if other.value == 0 or not math.isfinite(other.value):
             return UNKNOWN

@@ -53,7 +53,7 @@ def kind_of(event: Any) -> Any:
 
 
 def stays(event: Any) -> Any:
-    """True where light stays on the side of incidence: reflected, totally reflected or scattered back."""
+    """True where light does not pass to the other side: it is reflected, scattered back, or absorbed."""
     what = kind_of(event)
     specular = (what < FIRST_SCATTERED) & (what != TRANSMITTED)
     return specular | ((what >= FIRST_SCATTERED) & ((what & 1) != 0))

@@ -51,9 +51,10 @@ def file_fingerprint(path: Path) -> str:
 @lru_cache(maxsize=1)
 def code_fingerprint() -> str:
     """
-    Return a hash of everything that computes: mistray's code and data, and the versions of the packages it uses.
+    Return a hash of mistray's code and data, except the parts `ONLY_SHOW`, and of the versions of `PACKAGES`.
 
-    The version of mistray alone is not enough, because it does not change while the code is being edited.
+    It has 64 hexadecimal digits (SHA-256). The version of mistray alone is not enough, because it does not change while
+    the code is being edited.
     """
     digest = hashlib.sha256()
     for package in PACKAGES:

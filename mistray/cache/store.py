@@ -146,7 +146,7 @@ class Cache:
 
     def contents(self) -> Contents:
         """
-        Return the number of entries in the folder and their size.
+        Return the number of entries in the folder, and the size of entries and drafts.
 
         Raises
         ------
@@ -208,9 +208,9 @@ class Cache:
 
     def _make_room(self, newest: Path) -> None:
         """
-        Remove abandoned drafts, and the least recently read entries until the folder is below its limit.
+        Remove abandoned drafts, and above the limit the least recently read entries down to `KEPT` of it.
 
-        A folder that cannot be read is reported and left as it is.
+        The entry `newest` stays. A folder that cannot be read is reported and left as it is.
         """
         try:
             files = sorted(self._files(), key=lambda file: file.used)
@@ -246,7 +246,7 @@ class _File:
 
     @property
     def abandoned(self) -> bool:
-        """True if the file is a draft of a process that was killed."""
+        """True if the file is a draft older than `OLD_DRAFT_SECONDS`, of a process that was killed."""
         return self.path.suffix == DRAFT_ENDING and self.used < time.time() - OLD_DRAFT_SECONDS
 
 

@@ -1,5 +1,5 @@
 """
-Checks of the files that a command writes: none that it reads, and existing ones only with --force or --resume.
+Checks of the files that a command writes: never one that it reads, and existing ones only with --force or --resume.
 
 The files are checked before the command reads anything, and again when a scene is loaded.
 """
@@ -23,7 +23,11 @@ def guard_of(options: argparse.Namespace) -> Guard:
 
 
 def claim_files(options: argparse.Namespace, *paths: Path | None) -> None:
-    """Raise `MistrayError` if a file to write exists, was read or is named twice, before anything is computed."""
+    """
+    Raise `MistrayError` if a file to write was read, is named twice, or exists and the command may not replace it.
+
+    Paths that are None are skipped.
+    """
     wanted = [path for path in paths if path is not None]
     names = [os.path.realpath(path) for path in wanted]
     for path, name in zip(wanted, names, strict=True):
@@ -39,7 +43,7 @@ def claim_folder(options: argparse.Namespace) -> Path | None:
     Raises
     ------
     MistrayError
-        If nothing can be written there, or files that the command would write exist and --force is not given.
+        If nothing can be written there, or files that the command would write exist without --force or --resume.
     """
     if options.out is None:
         return None

@@ -333,7 +333,8 @@ def _run_python(
     """
     Run Python code in its own process, which first loads the libraries at paths `before`; return its outcome.
 
-    A process that gives no answer within `PROBE_TIMEOUT_S` is ended, and counts as ended by SIGTERM.
+    The code finds `argument` in ``sys.argv[1]``. A process that gives no answer within `PROBE_TIMEOUT_S` is ended, and
+    counts as ended by SIGTERM.
     """
     command = [sys.executable, "-c", _PRELOAD + code, argument, *before]
     try:
@@ -345,7 +346,7 @@ def _run_python(
 
 
 def _reason(run: subprocess.CompletedProcess[str]) -> str:
-    """Describe in a line why a process failed: the signal or exit code, and its first error message."""
+    """Return a line that says why a process failed: the signal or exit code, and its first error message."""
     lines = [line.strip() for line in run.stderr.splitlines() if line.strip()]
     telling = [line for line in lines if "rror" in line or "LLVM" in line] or lines[-1:]
     ended = signal.Signals(-run.returncode).name if run.returncode < 0 else f"exit code {run.returncode}"

@@ -16,8 +16,8 @@ def lens_as_scene(options: Options) -> Iterator[None]:
     """
     Convert a lens file given as a command's scene to a temporary scene file, used within a block.
 
-    The scene file exists as long as the block; notes go to stderr. For any other scene nothing is done. `mistray
-    import` has more options and writes a file.
+    The option ``scene`` then names that file, which exists as long as the block; notes go to stderr. For any other
+    scene nothing is done. `mistray import` has more options and writes a file.
 
     Raises
     ------

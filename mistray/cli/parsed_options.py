@@ -94,7 +94,12 @@ class Options(argparse.Namespace):
         return max(left - page, SECONDS.low)
 
     def check(self) -> None:
-        """Raise `MistrayError` for weights that do not fit, formats that cannot be written, or nothing to resume."""
+        """
+        Raise `MistrayError` if options do not fit each other.
+
+        These are weights without as many wavelengths, formats without --out or that cannot be written, and --resume
+        without the place of a saved run.
+        """
         if self.has("resume") and self.has("state") is None and self.out is None:
             either = "saved run; give --state FILE, or the --out DIR of that run"
             needed = either if "state" in vars(self) else "folder of the saved run; give --out"
@@ -188,7 +193,7 @@ class Options(argparse.Namespace):
 
     def bar(self, form: str, what: str, total: float = 1.0) -> contextlib.AbstractContextManager[Any | None]:
         """
-        Return a context with a progress bar, `form` being its format of tqdm; see `terminal_bar`.
+        Return a context with a progress bar; `form`, `what` and `total` are parameters of `terminal_bar`.
 
         It yields the bar, or None with --quiet or if stderr is not a terminal.
         """
@@ -253,7 +258,7 @@ class Options(argparse.Namespace):
     @contextlib.contextmanager
     def tracing(self) -> Iterator[Callable[[float, float], None] | None]:
         """
-        Trace within a block, by workers if there are any; yield the function (done, total) that advances the bar.
+        Let a block trace by the workers of --scheduler, if given; yield the function (done, total) of its progress bar.
 
         With --quiet, or if stderr is not a terminal, yield None.
         """

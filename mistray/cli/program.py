@@ -174,7 +174,7 @@ def _check_working_folder() -> None:
 
 
 def _stopped(error: BaseException | None) -> bool:
-    """True if Ctrl-C caused the error; Mitsuba at its start and Dr.Jit in a loop raise errors of their own."""
+    """True if Ctrl-C or SIGTERM caused the error; Mitsuba as it starts and Dr.Jit in a loop raise their own errors."""
     if requested():
         return True
     while error is not None:
@@ -220,7 +220,7 @@ def _fail(message: str) -> int:
 
 
 class _Version(argparse.Action):
-    """Option that prints the version. It is looked up only then, since this takes as long as all of --help."""
+    """Option that prints the version. This is looked up only when asked for, as it takes as long as all of --help."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         import importlib.metadata

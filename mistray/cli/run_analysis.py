@@ -13,7 +13,7 @@ from mistray.toolkit.field_options import request_of
 
 
 def run_analysis(command: AnalysisCommand, options: Options) -> int:
-    """Run the command of an analysis with its options; return the exit code."""
+    """Run the command of an analysis with its options; return the exit code 0."""
     names = filter(None, (command.request, command.shown))
     request, *shown = (request_of(getattr(command.requests, name), vars(options)) for name in names)
     options.start()

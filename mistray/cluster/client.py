@@ -50,7 +50,8 @@ def distribute(client: Client | str, patience_s: float = PATIENCE_S) -> Iterator
     Raises
     ------
     MistrayError
-        If ``distributed`` is not installed, there is no scheduler or no worker, or a worker has other versions.
+        If ``distributed`` is not installed, the client is asynchronous, or there is no scheduler or no worker. Within
+        the block, if a worker has other versions or several threads, or a part of the work fails.
     UnfinishedError
         Within the block, if the scheduler or all workers are lost; finished work is in ``partial``.
 

@@ -121,10 +121,10 @@ class Unpacked:
 
     def task(self, content: bytes, digest: str, scenes: Mapping[str, bytes]) -> tuple[Any, Any]:
         """
-        Return a task from its packed form, and the object that it makes.
+        Return a task from its packed form, see `Parcel`, and the object that it makes.
 
-        Its scenes are loaded and get their values. If the task is still in memory, it is returned from there. Raise as
-        loading the scenes does.
+        Its scenes are loaded and get their values. If the task is still in memory, it is returned from there. Errors of
+        loading the scenes are raised.
         """
         if digest in self._made:
             task, made, _ = self._made[digest]

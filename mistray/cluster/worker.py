@@ -51,7 +51,7 @@ def do_part(
     part : object
         Part of the task to do.
     surroundings : mapping of str to str
-        Versions and the variant of the client.
+        Versions, variant and plugins of the client, from `mistray.cluster.travel.surroundings`.
     sharing : mapping of str to int
         Number of workers on each host, which share its processor.
 

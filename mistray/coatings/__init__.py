@@ -11,8 +11,7 @@
 grid of wavelengths and angles.
 
 Each coating has `CoatingModel.response`, which returns a `Response`: fractions of the flux for s and p and the phases
-between them, in float64.
-Wavelengths are in vacuum, nm; N = n + ik with k > 0 absorbs.
+between them, rad, in float64. Wavelengths are in vacuum, nm; N = n + ik with k > 0 absorbs.
 """
 
 from mistray.coatings.files import coating_from_text, read_coating, write_table

@@ -163,9 +163,10 @@ def _index(body: str, wavelength_nm: float) -> complex:
 
 def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: np.ndarray, centre: float) -> np.ndarray:
     """
-    Return rounded layer thicknesses, (L,), nm, of the least mean R.
+    Return rounded layer thicknesses, (L,), nm, of the least mean R; 0 for a layer that is left out.
 
-    The search begins at the best of a grid and of the thicknesses `designed`, nm.
+    The search begins at the best of a grid and of the thicknesses `designed`, nm. `centre` is the design wavelength,
+    nm; the other parameters are those of `_mean_r`.
     """
     from scipy.optimize import minimize
 
@@ -176,7 +177,7 @@ def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: n
     steps = STEP * np.concatenate([np.zeros((1, len(designed))), np.eye(len(designed)), -np.eye(len(designed))])
 
     def value(waves: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the mean R in per mille, and its derivatives with respect to layer thicknesses in quarter waves."""
+        """Return the mean R in per mille, and its derivatives with respect to optical layer thicknesses in waves."""
         r = 1e3 * _mean_r((waves + steps) * quarter, index, substrate, lam)
         ahead, back = np.split(r[1:], 2)
         return float(r[0]), (ahead - back) / (2 * STEP)

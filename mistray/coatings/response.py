@@ -53,7 +53,7 @@ class Response:
 
 class CoatingModel(Protocol):
     """
-    Interface of every coating; the kernel, the plots and the export use nothing else.
+    Coating of an interface between two media: the properties and the method that every kind of coating has.
 
     A coating is hashable, because its tables are cached.
 
@@ -97,7 +97,7 @@ class CoatingModel(Protocol):
         Raises
         ------
         MistrayError
-            If a material is unknown at the wavelength.
+            If a material is unknown at the wavelength, or a cosine is out of range.
         """
         ...
 
@@ -152,6 +152,6 @@ def cosines(given: npt.ArrayLike) -> np.ndarray:
 
 
 def total_reflection(n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool) -> np.ndarray:
-    """Return a mask of cosines of incidence, (m,), at or beyond the critical angle from one medium to the other."""
+    """Return a mask of cosines of incidence, (m,), at or beyond the critical angle for light from one side."""
     n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
     return np.asarray((n_1 / n_2) ** 2 * (1 - np.square(cos_incident)) >= 1)

@@ -24,7 +24,7 @@ class CoatingSpectrum:
     wavelength_nm : (w,) float64
         Vacuum wavelengths, nm.
     angle_deg : (a,) float64
-        Angles of incidence, degrees.
+        Angles of incidence, degrees, as given to `spectrum`.
     R, T : (w, a, 2) float64
         Fractions of the flux for s and p. Light that enters a metal (k > `METAL_K`) is absorbed: T = 0.
     phase_r, phase_t : (w, a) float64

@@ -171,7 +171,7 @@ class Stack:
 
 
 def outside_first(n_front: complex, n_back: complex) -> bool:
-    """True if the outside, which is the side of lower index or not metal, is the front; also for equal sides."""
+    """True if the front is outside, as the only side that is no metal, or else of lower index; also for equal sides."""
     return (n_front.imag > METAL_K, n_front.real) <= (n_back.imag > METAL_K, n_back.real)
 
 

@@ -69,7 +69,7 @@ class CoatingTable:
     @classmethod
     def read(cls, path: str | Path) -> CoatingTable:
         """
-        Read a coating table from a CSV file.
+        Return the coating table in a CSV file.
 
         The columns wavelength_nm and angle_deg are required, with R and T, or R_s, R_p, T_s, T_p. R_back, or R_back_s
         and R_back_p, are optional, for a coating that absorbs. The phases phase_r_deg, phase_t_deg and phase_r_back_deg
@@ -79,7 +79,7 @@ class CoatingTable:
         ------
         MistrayError
             If the file or a column is missing, a column is unknown, a cell is not a number, the rows are not a full
-            grid, an angle or a wavelength is out of range, or R + T exceeds 1.
+            grid, an angle or a wavelength is out of range, a fraction is negative, or R + T exceeds 1.
         """
         what = f"coating table '{path}'"
         (_, head), *below = read_cells(path, "coating table") or [(0, [])]
@@ -157,12 +157,12 @@ class CoatingTable:
         """
         Return R, T and phases for light from one side, see `CoatingModel.response`.
 
-        Beyond the critical angle R is the table's R + T at grazing incidence.
+        Beyond the critical angle R is the table's R + T at its greatest angle.
 
         Raises
         ------
         MistrayError
-            If the wavelength is outside the table.
+            If the wavelength is outside a table of several, or a cosine is out of range.
         """
         cosine = cosines(cos_incident)
         n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
@@ -210,7 +210,7 @@ def _header(names: Sequence[str], what: str) -> list[str]:
     """
     Return the column names of a coating table's CSV file.
 
-    Raise `MistrayError` if a column is unknown, missing, or there twice.
+    Raise `MistrayError` if a column is unknown, missing, or there twice; `what` is the start of its message.
     """
     given = list(names)
     unknown = [name for name in given if name not in COLUMNS]

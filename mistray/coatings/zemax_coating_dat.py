@@ -114,7 +114,7 @@ class CoatingFile(Mapping[str, CoatingModel]):
         Raises
         ------
         MistrayError
-            If a look-up fails, or the coating has no layers.
+            If a look-up fails, or the coating is not described by layers.
         """
         section = self._find(name)
         stack = self._make(section, mirror=True)
@@ -260,7 +260,7 @@ class CoatingFile(Mapping[str, CoatingModel]):
 
 def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile:
     r"""
-    Read a Zemax coating file.
+    Return the coatings of a Zemax coating file.
 
     Parameters
     ----------
@@ -277,9 +277,9 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
     Raises
     ------
     MistrayError
-        If the file is missing, `design_nm` is not greater than 0, a head or a MATE section is malformed, a name occurs
-        twice, or a layer's material is not in the file; with the number of the line. Other errors are raised when a
-        coating is looked up.
+        If the file is missing, `design_nm` is not greater than 0, a section's first line or a MATE section is
+        malformed, a name occurs twice, or a layer's material is not in the file. Other errors are raised when a coating
+        is looked up.
 
     Examples
     --------

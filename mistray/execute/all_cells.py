@@ -91,7 +91,7 @@ class AllCells:
         number : int
             Index of this search, which selects its random numbers.
         values : (c,) float64, optional
-            Value of a unit of contribution in each cell; None: `Samples.importance` is 0.
+            Factor on the contributions of each cell in `Samples.importance`; None: that is 0.
         """
         found = []
         values = np.zeros(self.cells) if values is None else values
@@ -141,8 +141,10 @@ class AllCells:
 
         Parameters
         ----------
-        rays, number
-            See `samples`.
+        rays : (c,) int
+            Number of start rays of each cell. Multiples of `BATCHES` are traced; start weights make up for rounding.
+        number : int
+            Index of the round, which selects its random numbers.
 
         Returns
         -------
@@ -217,14 +219,19 @@ class AllCells:
         self._paths = None
 
     def gains(self, derivative: np.ndarray, mis: MisWeighting) -> ArrivalRecorder:
-        """Return a recorder whose `gain` is each ray's weight times the metric's derivative for its class and cell."""
+        """
+        Return a recorder whose `gain` is each ray's weight times the metric's derivative for its class and cell.
+
+        `derivative` and `mis` are those of `SkyRecorder`.
+        """
         return self._recorder(mis, derivative=derivative)
 
     def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int], scatter: bool = True) -> Iterator[StartRays]:
         """
-        Yield the start rays of a wavelength, pass by pass; each round and wavelength has its own random numbers.
+        Yield the start rays of the wavelength of index `band`, pass by pass.
 
-        Without `scatter` they are the additional rays for unscattered light.
+        `rays`, (c,), is their number in each cell over all wavelengths. `stream`, `SUMS` or `SAMPLES` and the number of
+        the round, selects the random numbers. Without `scatter` they are the additional rays for unscattered light.
         """
         # Rays of each cell
         trace = self._trace

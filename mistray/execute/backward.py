@@ -176,7 +176,11 @@ class BackwardTrace(GridTrace):
     def _uploaded(
         self, windows: np.ndarray | None, points: np.ndarray, values: np.ndarray | None = None
     ) -> WeightWindows:
-        """Return weight windows, (2, n, WAYS) or None, on the device; 0 stands for no bound."""
+        """
+        Return weight windows on the device, for parameters that are fields of `Sharing`.
+
+        `windows`, (2, n, WAYS), holds the inverse of upper and lower bounds, 0 where there is none; None: no bounds.
+        """
         inverse_upper, inverse_lower = np.zeros((2, self.table.count, WAYS)) if windows is None else windows
         inverse_lower = np.where(inverse_lower > 0, inverse_lower, np.inf)
         size = float(np.ptp(points, axis=0).max())
@@ -198,7 +202,11 @@ class BackwardTrace(GridTrace):
 
     @staticmethod
     def pass_size(number: int) -> int:
-        """Return the number of rays of a pass, over all wavelengths: few at first, later a quarter of all before."""
+        """
+        Return the number of rays of the pass of index `number`, over all wavelengths.
+
+        It is `FIRST_PASS` at first, later up to a quarter of all rays before, and at most `PASS_LANES`.
+        """
         return min(FIRST_PASS << max(0, number // PASSES_OF_A_SIZE - 1), PASS_LANES)
 
     def advance(self, rays: int | None = None) -> None:
@@ -230,7 +238,7 @@ class BackwardTrace(GridTrace):
         return replace(self.pass_sums(part), paths=self.paths() or PathsByCell())
 
     def _read(self, number: int, sky: DirectionRecorder, tallies: Tallies, rays: float) -> BackwardSums:
-        """Return the recorders' sums over `rays` start rays of wavelength index `number`, in units of a start ray's."""
+        """Return recorded sums of `rays` start rays of wavelength index `number`, in units of a start ray's flux."""
         table, names = self.bands[number].table, self.table.optics.media
         found = tallies.read()
         # Media are in the order of the first wavelength: another one may number them otherwise
@@ -257,7 +265,7 @@ class BackwardTrace(GridTrace):
         number : int
             Index of this search, below `SEARCHES`, which selects its random numbers.
         values : (c,) float64, optional
-            Value of a unit of contribution in each cell, see `DepartureSamples`; None: `Samples.importance` is 0.
+            Factor on the contributions of each cell in `Samples.importance`; None: that is 0.
         """
         found = []
         values = np.zeros(self.unit.size) if values is None else values
@@ -289,7 +297,7 @@ class BackwardTrace(GridTrace):
         """
         Return the kernel's scene for backward rays of the wavelength with index `number`, with weight windows.
 
-        It has none without forward rays, or if a medium scatters.
+        There are no windows without forward rays, or if a medium scatters.
         """
         band = self.bands[number]
         # Light that a medium scatters branches with the probability of the surface behind it, whose weight window does
@@ -318,11 +326,11 @@ class BackwardTrace(GridTrace):
         self, number: int, rays: int | None = None, vertices: LightVertices | None = None, same_rays: bool = False
     ) -> Balance | None:
         """
-        Return the MIS weights of forward rays, backward rays and connections at a wavelength; None: no forward rays.
+        Return the MIS weights of forward rays, backward rays and connections; None if there are no forward rays.
 
-        Those of backward rays need the number of `rays` of their pass, over all wavelengths. Connections count if their
-        light vertices are given. With `same_rays`, the additional forward rays for unscattered light are left out of
-        the weights.
+        They are for the wavelength of index `number`. Those of backward rays need the number of `rays` of their pass,
+        over all wavelengths. Connections count if their light vertices are given. With `same_rays`, the additional
+        forward rays for unscattered light are left out of the weights.
         """
         if not self.forward:
             return None
@@ -340,7 +348,12 @@ class BackwardTrace(GridTrace):
         return PathClassWeights(path_classes.mis_weights(), self.design_keys)
 
     def light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
-        """Return light vertices for a pass: hits of scattering surfaces by forward rays; None without connections."""
+        """
+        Return light vertices for a pass: hits of scattering surfaces by forward rays; None without connections.
+
+        `number` is the index of the wavelength, `rays` the number of rays of the pass over all wavelengths. `stream`
+        selects the random numbers.
+        """
         if not self.connects:
             return None
         # Forward start rays, none of which scatters: a vertex is where the first scatter event would be
@@ -365,7 +378,7 @@ class BackwardTrace(GridTrace):
         return LightVertices(*recorder.read(), starts_per_connection, lanes, self.waves.extent)
 
     def forward_scene(self, number: int) -> KernelScene:
-        """Return the kernel's scene for forward rays at a wavelength, with the competing backward trace."""
+        """Return the kernel's scene for forward rays of wavelength index `number`, with the competing backward rays."""
         band, competing = self.forward[number], self.bands[number].scattering
         return KernelScene(
             band.table,
@@ -402,7 +415,11 @@ class BackwardTrace(GridTrace):
     def make_directions(
         self, derivative: np.ndarray | None = None, maps: bool = False, mis: MisWeighting | None = None
     ) -> DirectionRecorder:
-        """Return a zeroed recorder of light by class and cell; `derivative`, of a metric, is for its `gain`."""
+        """
+        Return a zeroed recorder of light by class and cell, with `maps` also by pixel of the detector.
+
+        `derivative` and `mis` are those of `SkyRecorder`.
+        """
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
         paths = self._path_sums if derivative is None else None
         return DirectionRecorder(self.grid, self.design_keys, mis, paths, pixels, derivative)

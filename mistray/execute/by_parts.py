@@ -132,7 +132,7 @@ class TracedRuns:
 
 
 def split(runs: Sequence[Run], workers: int) -> list[RunPart]:
-    """Divide runs into parts for workers, several per worker, with parts of different runs alternating."""
+    """Return the parts into which runs are divided for workers, several per worker, those of all runs alternating."""
     requested = max(LEAST_RAYS, sum(run.rays for run in runs) / (PARTS_PER_WORKER * workers))
     placed = []
     for number, run in enumerate(runs):
@@ -153,6 +153,8 @@ def filled(
 ) -> tuple[Ledger, np.ndarray]:
     """
     Return a ledger of at least `least` slots that holds given paths with zero sums, and the slot of each, (p,).
+
+    The paths have keys, (p,) uint64, event codes, (p, e) uint32, and lengths, (p,), their numbers of events.
 
     Raises
     ------
@@ -205,7 +207,8 @@ def execute_by_parts(
     """
     Let workers trace some runs, and return the runs with the sums that `Run.execute` would find.
 
-    ``seconds`` of a run is the time of its parts in all workers together, s.
+    ``seconds`` of a run is the time of its parts in all workers together, s. `progress` is called with the numbers of
+    rays done and of all rays.
 
     Raises
     ------

@@ -85,7 +85,7 @@ def _remedy(run: Run, segments: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Format a duration in seconds as text in minutes, hours or days, such as "3 min" or "5.2 h"."""
+    """Return a duration in seconds as text in minutes, hours or days, such as "3 min" or "5.2 h"."""
     for size, unit in ((86400.0, "days"), (3600.0, "h")):
         if seconds >= size:
             return f"{seconds / size:.2g} {unit}"

@@ -42,7 +42,11 @@ def trace_whole(
     recorders: Sequence[Recorder | None],
     kind: Settings | None = None,
 ) -> Launches:
-    """Trace the ray trees of all start rays regardless of the time budget; return the `Launches` of the kernel."""
+    """
+    Trace the ray trees of all start rays regardless of the time budget; return the `Launches` of the kernel.
+
+    The other parameters are those of `launches_and_kernel`.
+    """
     launches, trace = launches_and_kernel(scene, settings, recorders, kind)
     launches.whole(start, trace)
     return launches

@@ -75,7 +75,7 @@ class Seen:
     Attributes
     ----------
     rows : list of SeenSurface
-        All surfaces, in the order of the scene; the detector itself if it sees itself.
+        All surfaces, in the order of the scene, the detector and those without hits included.
     media : dict
         Material → (emission, standard error, by batch) of absorbing media.
     escaped : tuple
@@ -84,7 +84,8 @@ class Seen:
         Share of the rays that leave by a design sequence, which is where the light of the image comes from; standard
         error, by batch. None in a scene without lenses and mirrors, and where no sequence leads to the detector.
     lost : tuple
-        Share that limits and thresholds cut, standard error, by batch.
+        Share that limits and thresholds cut, with the net loss by roulette and scatter sampling, of either sign;
+        standard error, by batch.
     detector : str
         Id of the detector.
     detector_area_mm2 : float

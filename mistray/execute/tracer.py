@@ -105,7 +105,7 @@ class Preparation:
 
     @cached_property
     def runs(self) -> list[Run]:
-        """Prepare the runs from these arguments, and return them."""
+        """Runs that `prepare` makes of these arguments, at first use."""
         return prepare(self.scene, self.settings, self.light)
 
     def __reduce__(self) -> Any:
@@ -190,7 +190,7 @@ class Run:
 
     @property
     def film(self) -> np.ndarray:
-        """Flux in each pixel of the only detector, (images, height, width), in units of a start ray's; see `Film`."""
+        """Flux in each pixel of the only detector, (images, height, width), in units of a start ray's flux."""
         return self.sums.films[self.table.detectors.index(self.table.detector)]
 
     def on(self, detector: int, table: SurfaceTable) -> Run:

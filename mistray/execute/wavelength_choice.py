@@ -85,7 +85,7 @@ def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces:
     Parameters
     ----------
     wavelengths : sequence of float
-        Requested wavelengths, nm.
+        Requested wavelengths, in the unit that `timed` takes.
     timed : callable
         Called with one of them; runs the trace that is timed, with `TIMED_RAYS`.
     traces : int

@@ -19,7 +19,7 @@ class Task(Protocol):
     """Interface of work with independent parts; its attributes can be pickled, or are scenes from `mistray.load`."""
 
     def make(self) -> Any:
-        """Return the state that all parts need; each worker calls this once."""
+        """Return the state that all parts need; each worker calls this before its first part."""
 
     def do(self, made: Any, part: Any) -> Any:
         """Compute one part and return its result, which can be pickled. `made` is the state from `make`."""

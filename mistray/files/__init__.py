@@ -1,1 +1,1 @@
-"""Readers and writers of common file formats: JSON values, Parquet, ray sets, and irradiance as FITS, EXR, NPY."""
+"""Readers and writers of files: tables, ray sets, intensities, sags, sky pictures, irradiance, saved states."""

@@ -16,7 +16,7 @@ GIB = 1 << 30
 
 def check_arrays(data: bytes, most: int) -> io.BytesIO:
     """
-    Refuse a file of arrays that would take too much memory, or that is shorter than its arrays claim.
+    Return the content of a NumPy file as a stream, if it is neither too large in memory nor shorter than it claims.
 
     A few kilobytes of an archive may unpack to gigabytes, and NumPy allocates an array before it reads it.
 

@@ -79,7 +79,7 @@ class Intensities:
 
 def read_intensities(path: str | Path) -> Intensities:
     """
-    Read an intensity distribution over directions from a file.
+    Return the intensity distribution over directions in a file.
 
     Parameters
     ----------
@@ -105,11 +105,11 @@ def read_intensities(path: str | Path) -> Intensities:
 
 def whole_circle(phi_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Complete azimuths, degrees, and values (t, p) to the whole circle by symmetry, and return both.
+    Return azimuths, (p,) degrees, and values, (t, p), completed to the whole circle by symmetry.
 
     A single azimuth means rotational symmetry. Azimuths from 0 to 90 are mirrored at the planes x = 0 and y = 0, from 0
-    to 180 at y = 0, and from 90 to 270 at x = 0. Azimuths from 0 to 360 are complete; steps that end before 360 close
-    on the first.
+    to 180 at y = 0, and from 90 to 270 at x = 0. Azimuths from 0 to 360 are complete; equal steps that end one before
+    360 close on the first.
 
     Raises
     ------

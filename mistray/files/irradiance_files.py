@@ -146,7 +146,7 @@ def write_irradiance(irradiance_map: IrradianceMap, path: str | Path) -> Path:
 
 def read_irradiance(path: str | Path) -> IrradianceMap:
     """
-    Read a map written by `write_irradiance`.
+    Return the map in a file that `write_irradiance` has written.
 
     Returns
     -------

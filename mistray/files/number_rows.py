@@ -13,7 +13,7 @@ from mistray.read_file import read_text
 
 def read_lines(path: str | Path, what: str) -> list[tuple[int, str]]:
     """
-    Return the lines of a text file with their line numbers, from 1; `what` starts the error message.
+    Return the lines of a text file with their line numbers, from 1; `what` names the kind of file in messages.
 
     Raise `MistrayError` if the file cannot be read.
     """
@@ -21,14 +21,22 @@ def read_lines(path: str | Path, what: str) -> list[tuple[int, str]]:
 
 
 def read_cells(path: str | Path, what: str) -> list[tuple[int, list[str]]]:
-    """Return the rows of cells of a CSV file with their line numbers, without empty lines and comments (#)."""
+    """
+    Return the rows of cells of a CSV file with their line numbers, from 1, without empty lines and comments (#).
+
+    `what` names the kind of file in messages. Raise `MistrayError` if the file cannot be read.
+    """
     kept = [(number, line) for number, line in read_lines(path, what) if line.strip() and line.lstrip()[0] != "#"]
     rows = csv.reader(line for _, line in kept)
     return [(number, [cell.strip() for cell in row]) for (number, _), row in zip(kept, rows, strict=True)]
 
 
 def numbers(words: Sequence[str], count: int, where: str) -> list[float]:
-    """Return the numbers in the words of a line, all finite and `count` in number; otherwise raise `MistrayError`."""
+    """
+    Return the numbers in the words of a line.
+
+    Raise `MistrayError` unless there are `count`, all finite; its message begins with `where`.
+    """
     try:
         values = [float(word) for word in words]
     except ValueError as error:

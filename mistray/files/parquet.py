@@ -76,7 +76,7 @@ def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any
 
 def read_parquet(path: str | Path, what: str = "table") -> pd.DataFrame:
     """
-    Read a table from a Parquet file.
+    Return the table in a Parquet file; `what` names it in messages.
 
     Raises
     ------

@@ -132,7 +132,7 @@ class RaySet:
         Raises
         ------
         MistrayError
-            If a column or its unit is missing, a value is not a number, or for the reasons of the class.
+            If a column or its unit is missing, a value is not a number, or the rays are not valid, see `RaySet`.
         """
         unit = next((unit for unit in UNITS if all(f"{axis}_{unit}" in table for axis in PLACES)), None)
         if unit is None:
@@ -160,7 +160,7 @@ Found = tuple[RaySet, bool]  # the rays, and whether their flux is in W
 
 def read_ray_set(path: str | Path, unit: str | None = None, power_W: float | None = None) -> RaySet:
     """
-    Read a set of rays with their flux from a file.
+    Return the set of rays in a file, with their flux.
 
     Parameters
     ----------

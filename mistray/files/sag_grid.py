@@ -23,7 +23,7 @@ Values = tuple[np.ndarray, tuple[float, float], tuple[float, float], np.ndarray]
 
 def read_sag_grid(path: str | Path) -> Values:
     """
-    Read the sag of a surface on a grid of points.
+    Return the sag of a surface on a grid of points, from a file.
 
     Parameters
     ----------
@@ -35,7 +35,8 @@ def read_sag_grid(path: str | Path) -> Values:
     Returns
     -------
     values : (ny, nx, 1) or (ny, nx, 4) float64
-        Heights (mm), rows by increasing y; also slopes and twists (1/mm) if the file has any that are not 0.
+        Heights, mm, rows by increasing y, then slopes in x and y, dimensionless, and twist, 1/mm. A text file in which
+        all slopes and twists are 0 gives heights alone.
     step, middle : (2,) float
         Distances between points, and centre of the grid, in x and y, mm.
     missing : (ny, nx) bool
@@ -55,7 +56,11 @@ def read_sag_grid(path: str | Path) -> Values:
 def sag_grid_bytes(
     corners: np.ndarray, step: tuple[float, float], middle: tuple[float, float], missing: np.ndarray
 ) -> bytes:
-    """Return the ``.npz`` file of a sag on a grid as bytes; parameters are attributes of `Grid`, lengths in mm."""
+    """
+    Return the ``.npz`` file of a sag on a grid as bytes.
+
+    `corners` are the values that `read_sag_grid` returns, (ny, nx, 4), the others as there, in mm.
+    """
     content = io.BytesIO()
     np.savez_compressed(content, corners=corners, step=np.array(step), middle=np.array(middle), missing=missing)
     return content.getvalue()

@@ -71,7 +71,7 @@ def save_state(path: str | Path, arrays: Mapping[str, np.ndarray], facts: Mappin
 
 def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """
-    Load the arrays and the facts that `save_state` saved.
+    Return the arrays and the facts that `save_state` saved.
 
     Returns
     -------

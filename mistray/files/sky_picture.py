@@ -21,7 +21,7 @@ def is_healpix(file: str) -> bool:
 
 def check_picture(file: str, owner: str) -> None:
     """
-    Check that a picture is a regular file, before Mitsuba opens it.
+    Check that a picture is a regular file, before Mitsuba opens it; `owner` names the source in messages.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def check_picture(file: str, owner: str) -> None:
 
 def read_healpix(file: str, owner: str) -> tuple[np.ndarray, bool]:
     """
-    Read a HEALPix map: the first column of the first table of a FITS file.
+    Return the pixels of a HEALPix map: the first column of the first table of a FITS file.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def read_healpix(file: str, owner: str) -> tuple[np.ndarray, bool]:
     Returns
     -------
     values : (n,) float64
-        Values of the pixels, ≥ 0.
+        Values of the pixels, ≥ 0, in the unit of the file.
     nested : bool
         Whether the indices of pixels follow the nested scheme; else they count along rings.
 

@@ -81,7 +81,7 @@ class Rays:
 
 def read_tm25(content: bytes) -> Rays:
     """
-    Read the rays of a TM-25 file.
+    Return the rays of a TM-25 file, given its content.
 
     If the header states a total, the flux of rays is scaled to it (4.7.1.4, 4.7.1.5). If rays have lumens and the
     header has both totals, each lumen is the same fraction of a watt. A ray with a spectrum table gets one wavelength

@@ -12,7 +12,7 @@ UNITS = (
 
 
 def unit_of(column: str) -> tuple[str, str]:
-    """Split the name of a column into the name without its unit, and the unit; "" if the name ends in none."""
+    """Return the name of a column without the unit at its end, and that unit; "" if the name ends in none."""
     for end, unit in UNITS:
         if column == end or column.endswith(f"_{end}"):
             return column[: -len(end)].rstrip("_"), unit

@@ -47,7 +47,11 @@ def table_rows(optics: Optics, surface: int) -> slice:
 
 
 def layered_surfaces(optics: Optics, is_chosen: Callable[[Any, str], bool]) -> Iterator[tuple[int, list[str]]]:
-    """Yield the index of each surface with a layered coating that has requested layer parameters, and their names."""
+    """
+    Yield the index of each surface whose layered coating has requested layer parameters, and the names of these.
+
+    `is_chosen` is that of `layer_gradient`.
+    """
     for i, bsdf in enumerate(optics.bsdfs):
         names = [name for name in LAYER_PARAMETERS if bsdf.film is not None and is_chosen(bsdf.film, name)]
         if names and int(optics.host_words[i]) & 3 == TABLED:
@@ -169,7 +173,8 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
     """
     Return zeros for derivatives of table rows, (names · L, u, 3), and the sides of incidence that fill them.
 
-    A side in a metal is left out, and so is the rarer side if only rows of total reflection are requested.
+    A side in a metal is left out, and so is the rarer side if only rows of total reflection are requested. `used` are
+    the requested rows, as in `layer_row_derivatives`, and `parts` places in `LAYER_PARAMETERS`.
     """
     _, last, _, total_last = (int(v) for v in optics.host_places[surface])
     refraction = last + 1
@@ -267,7 +272,8 @@ def _cosines(
     Return the cosines of incidence at the nodes of a coating table, for refraction and for total reflection.
 
     They are those in front, behind and, in total reflection, on the denser side. With `same`, for an opaque surface or
-    equal indices, light is not refracted: the first two are the nodes, and the last are 0.
+    equal indices, light is not refracted: the first two are the nodes, and the last are 0. `last` and `total_last` are
+    the indices, from 0, of the last nodes of both parts.
     """
     nodes, dense = np.linspace(0.0, 1.0, last + 1), np.linspace(0.0, 1.0, total_last + 1)
     if same:
@@ -280,8 +286,8 @@ def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
     """
     Return the derivatives of a coating's R and T at table nodes with respect to a real index beside it.
 
-    `side` is 0 for the index in front, 1 for the one behind.
-    The nodes are held fixed: they are cosines in the rarer material, or, between equal indices, cosines of incidence.
+    `side` is 0 for the index in front, 1 for the one behind. The nodes are held fixed: they are cosines in the rarer
+    material, or, between equal indices, cosines of incidence.
 
     Returns
     -------

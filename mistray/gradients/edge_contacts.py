@@ -46,7 +46,7 @@ CORNERS = 8  # of a polygon around a circle
 @dataclass
 class Edge:
     """
-    Points on rims near hits, one per lane, with unit vectors along and across the rim.
+    Points on rims near hits, one per lane, with unit vectors along and across the rim, all in the world.
 
     Attributes
     ----------

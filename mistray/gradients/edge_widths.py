@@ -77,8 +77,8 @@ class WidthErrors:
     check, check_se : (w - 1, n) float64
         Derivative with the next narrower width less that with this one, and the standard error of this difference.
     bias : (w - 1, n) float64
-        Bias of the width, with its probable sign: `REMAINING` times `check`. Its magnitude is no less than the noise of
-        `check`, nor than the differences from still narrower zones less `CERTAIN` standard errors.
+        Bias of the width, with its probable sign: -`REMAINING` times `check`. Its magnitude is no less than the noise
+        of `check`, nor than the differences from still narrower zones less `CERTAIN` standard errors.
     """
 
     noise: np.ndarray

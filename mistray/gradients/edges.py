@@ -115,8 +115,8 @@ class RimRecorder(Recorder):
         from the critical angle; ``scale``, see `mistray.gradients.grazing.Grazing.find`; ``copies``, the factor 1/p of
         a hit whose zone was chosen with probability p: 1, or 2 for each choice between two zones; ``gain``, the
         contribution to the metric, in its unit, of the hit and all events after it.
-    axis : (capacity, 3) mi.Float
-        Normal at the hit, on the side of transmission.
+    axis : (3 · capacity,) mi.Float
+        Unit normal at each hit in the world, on the side of transmission: x, y and z in turn.
     before : dict
         Fields of `StartRays` → (capacity,) state of the ray before the hit.
     """
@@ -197,9 +197,10 @@ class RimRecorder(Recorder):
 
     def _nearest(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Float, mi.Bool, mi.Bool]:
         """
-        Return the rim whose zone each hit lies in, its distance, mm, and masks: hits in a zone, hits in two zones.
+        Return the rim whose zone each hit lies in, the distance from it, mm, and masks of hits in a zone, in two zones.
 
-        In two zones the last bit of a coordinate chooses the rim.
+        `q` are the hits in the frames of their surfaces `s`, mm. In two zones the last bit of a coordinate chooses the
+        rim.
         """
         bounds = dr.gather(mi.Vector4f, self._bounds, s, active)
         kind = dr.gather(mi.UInt32, self._kinds, s, active)
@@ -346,7 +347,7 @@ class Edges:
 
     def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents | None:
         """
-        Trace rays that just miss the rims, to compare them with the recorded hits.
+        Trace rays that just miss the rims, to compare them with the recorded hits, `hits` in number.
 
         Return the hits that change the metric, with their coefficients in the derivative; None if there is no such hit.
         """
@@ -383,9 +384,9 @@ class Edges:
         """
         Return start data of rays that just miss the rims; `jump` holds rim or kind of jump, distance and scale.
 
-        `classed` says whether the metric asks for the path classes of rays. With the start come the rim's place in
-        tables of (surfaces, rims), the factor of the coefficient, see `mistray.gradients.edge_contacts.Corner`, and
-        `EdgeEvents.joined`.
+        `row` are the rows of the recorded hits, and `classed` says whether the metric asks for the path classes of
+        rays. With the start come the rim's place in tables of (surfaces, rims), the factor of the coefficient, see
+        `mistray.gradients.edge_contacts.Corner`, and `EdgeEvents.joined`.
         """
         near, jumps = self._near, jump[0] >= SILHOUETTE
         rim = dr.select(jumps, 0, jump[0])
@@ -430,7 +431,8 @@ class Edges:
         """
         Return start data of rays past a jump: origin (mm), direction, surface that is left, surface that is met.
 
-        Lanes without a jump keep those in `others`.
+        Lanes without a jump keep those in `others`. `p` are the recorded hits, mm, and `s` their surfaces; `row` and
+        `jump` are those of `_past`.
         """
         (kind, delta, scale), (o, d, left, at) = jump, others
         grazes, critical = kind == SILHOUETTE, kind > SILHOUETTE

@@ -287,7 +287,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     Parameters
     ----------
     run : Run
-        Executed run, whose rays are traced again.
+        Run of which all start rays are traced; it need not have been executed.
     tangents : mapping
         (id of a plugin, name of a parameter) → (entries,) rate, in the unit of the parameter, per unit of a common
         variable.

@@ -55,7 +55,8 @@ def column_derivatives(shape: Any, name: str) -> np.ndarray:
     Returns
     -------
     (len(GEOMETRY),) float64
-        Rates in mm, rad and the units of the columns, per unit of the parameter.
+        Rates per unit of the parameter: displacement and rotation in the frame of the vertex, mm and rad, then the
+        columns in their units.
     """
     values, step = shape.values, shape.step(name)
     low, high = ({**values, name: values[name] + sign * step} for sign in (-1, 1))

@@ -144,6 +144,7 @@ class Grazing:
         Expand the implicit function F along rays at their hits: F(q + t d) = 2 t along + t² bend, to second order.
 
         q is the hit, mm, and d the direction, both in the frame of the surface; `outer` is the size of the surface, mm.
+        `word` holds the flags of its optics.
 
         Returns
         -------

@@ -60,7 +60,11 @@ class NumberRows:
         self._derivatives = tracked(BATCHES * self._count * self._length) if self.moving else None
 
     def read(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
-        """Return the geometry columns of surfaces s by name, each in its own unit; columns left out are 0."""
+        """
+        Return the geometry columns of surfaces s by name, each in its own unit; columns left out are 0.
+
+        Derivatives of what is computed from them add to the row of each lane's `batch`.
+        """
         # Zeros are literals: Dr.Jit drops the terms of columns that are left out
         found: dict[str, Any] = dict.fromkeys(self._columns, self._real(0))
         four = mi.Vector4f if self._real is mi.Float else mi.Vector4d

@@ -23,9 +23,9 @@ IMAGE, OTHER = "scene, image", "scene, ghosts and scatter"
 @dataclass(frozen=True)
 class NoiseSource:
     """
-    One source of light on the detector: photon irradiance, 1/(s mm²), share of the photon noise, and NETD, K.
+    One source of light on the detector: photon irradiance, 1/(s mm²), share of the variance of the noise, and NETD, K.
 
-    The NETD is that of a detector with the noise of this light only.
+    The variance is that of the photon noise. The NETD is that of a detector with the noise of this light only.
     """
 
     name: str = column(
@@ -73,14 +73,14 @@ def netd_budget(
     band: tuple[float, float],
 ) -> Netd:
     """
-    Compute the noise-equivalent temperature difference (NETD) of a detector from traces of its view.
+    Return the noise-equivalent temperature difference (NETD) of a detector, from traces of its view.
 
     Parameters
     ----------
     noise : DetectorNoise
         Pixel and its noise.
     runs : two sequences of Seen
-        Views of everything and of the image, by wavelength.
+        Views of everything, and of the image alone; one for each wavelength of `traced`.
     kelvin : mapping of (str, str) to float
         Kind and name of each emitter → its temperature, K.
     scene_K : float
@@ -109,9 +109,10 @@ def netd_budget(
 
     def netd(by_wave: Sequence[np.ndarray]) -> Estimate:
         """
-        Return the NETD, K, caused by the photon noise of light given by wavelength and batch of rays.
+        Return the NETD, K, caused by the photon noise of light, 0 without light.
 
-        Without light it is 0. The batches have the same rays as those of the signal, and the error allows for that.
+        `by_wave` is its irradiance, photons/(s mm²), by wavelength and batch of rays. The batches have the same rays as
+        those of the signal, and the error allows for that.
         """
         flux = total(by_wave).value
         if flux <= 0:
@@ -136,7 +137,11 @@ def _photons(
     band: tuple[float, float],
     waves: tuple[float, ...],
 ) -> dict[str, list[np.ndarray]]:
-    """Return photon irradiance, photons/(s mm²), by emitter's name: an array over batches for each wavelength."""
+    """
+    Return photon irradiance, photons/(s mm²), by emitter's name: an array over batches for each wavelength.
+
+    `seen` and `image` are the `runs` of `netd_budget`, `waves` the traced wavelengths, µm, the others its parameters.
+    """
     weights = {k: math.pi * band_weights(k, band, waves, photons=True) for k in {*kelvin.values(), scene_K}}
     direct = [weight * imaged_share(one) for weight, one in zip(weights[scene_K], image, strict=True)]
     every = [weight * one.escaped[2] for weight, one in zip(weights[scene_K], seen, strict=True)]

@@ -31,7 +31,7 @@ WAVELENGTHS_SHOWN = 6  # in a line
 
 
 def heading(report: ThermalReport) -> str:
-    """Describe detector, band (µm), temperatures (K), rays and traced wavelengths in one line."""
+    """Return a line that names detector, band (µm), temperatures (K), number of rays and traced wavelengths (µm)."""
     waves = ", ".join(f"{wave:.4g}" for wave in report.wavelengths_um)
     if len(report.wavelengths_um) > WAVELENGTHS_SHOWN:
         low, high = report.wavelengths_um[0], report.wavelengths_um[-1]
@@ -45,7 +45,7 @@ def heading(report: ThermalReport) -> str:
 
 
 def part_table(report: ThermalReport) -> Table:
-    """Return the table of the irradiance by part of the system, W/mm² and percent."""
+    """Return the table of irradiance on the detector by part or medium: W/mm², and percent of all self-emission."""
     rows: list[list[Value]] = [[part, value, _percent(report, value.value)] for part, value in report.by_part().items()]
     heads = table(Emitter, (), only=("irradiance_W_mm2", "percent")).columns
     return Table([*columns("<part"), *heads], rows, "t-parts")
@@ -53,7 +53,7 @@ def part_table(report: ThermalReport) -> Table:
 
 def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
     """
-    Return the text that `mistray thermal` prints: the strongest emitters, the sums, and warnings.
+    Return the text that `mistray thermal` prints: the `shown` strongest emitters, tables of sums, and warnings.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
 
 
 def _sums(report: ThermalReport, digits: int) -> list[list[Value]]:
-    """Return table rows of sums over the whole system: text, unit, and value with its error if known."""
+    """Return table rows of sums over the system: text, unit, and value with its error, else to `digits` digits."""
     rows = [
         ("self-emission", "W/mm²", report.total_W_mm2),
         (f"image of a blackbody scene at {report.scene_K:g} K", "W/mm²", report.image_W_mm2),

@@ -37,14 +37,14 @@ class DetectorNoise:
     bandwidth_hz : float
         Bandwidth of the noise, Hz; 1/(2t) for an integration time t.
     detectivity : float, optional
-        Specific detectivity D*, mean over the band, cm √Hz/W.
+        Specific detectivity D*, mean over the band, cm √Hz/W; without it there is no NETD by detectivity.
     quantum_efficiency : float, optional
-        Electrons per photon, mean over the band, above 0 and at most 1.
+        Electrons per photon, mean over the band, above 0 and at most 1; without it there is no NETD by photon noise.
 
     Raises
     ------
     MistrayError
-        If a value is out of range, or neither of the two is given.
+        If a value is out of range, or neither `detectivity` nor `quantum_efficiency` is given.
     """
 
     pixel_um: float = LENGTH_UM.field(doc="side of a square pixel, µm")

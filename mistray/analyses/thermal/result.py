@@ -48,7 +48,7 @@ class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_f
     Attributes
     ----------
     emitters : list of Emitter
-        All emitters, the strongest first; also the detector if it sees itself.
+        Media, and surfaces that rays met, the strongest first; the detector is one if it sees itself.
     total_W_mm2 : Estimate
         Irradiance by all emitters, W/mm².
     scene_W_mm2 : Estimate
@@ -61,7 +61,7 @@ class ThermalReport(Result, table=".page:part_table", figure=".figures:thermal_f
     lost_W_mm2 : float
         Irradiance that a blackbody at `temperature_K` would add by the paths that were not followed, W/mm².
     self_view : Estimate
-        Emission of the detector in its own view (narcissus), dimensionless.
+        Emission of the detector in its own view (narcissus), as in `Emitter.emission`; 0 if it does not see itself.
     nitd_K : Estimate
         Narcissus-induced temperature difference, K: change of the scene's temperature at `scene_K` that would remove as
         much light as narcissus. Narcissus is the view by ghosts and scatter of everything colder than `temperature_K`,

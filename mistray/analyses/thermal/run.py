@@ -60,10 +60,10 @@ def run(
     scene: mi.Scene, request: ThermalRequest, *, progress: Progress | None = None, seconds: float | None = None
 ) -> ThermalReport:
     """
-    Compute the irradiance on the detector by thermal emission, for every surface and medium.
+    Return the irradiance on the detector by thermal emission, for every surface and medium.
 
     E = π ∫ L_B(λ, T) emission(λ) dλ, where the emission holds n² of the medium before the detector. Between wavelengths
-    it is interpolated linearly, beyond them it is that of the nearest. The detector is cooled by its own name.
+    it is interpolated linearly, beyond them it is that of the nearest. The detector is cooled by the id of its shape.
 
     Parameters
     ----------
@@ -71,15 +71,16 @@ def run(
         Loaded scene.
     request : ThermalRequest
     progress : callable, optional
-        Called with (traces done, traces in all).
+        Called with (traces done, traces in all); those of narcissus by one reflection are not counted.
     seconds : float, optional
-        Time for all traces, s, in equal shares; each ends with the rays that it has, and a note reports it.
+        Time for all traces, s, in equal shares; each ends with the rays that it has, and a note reports it. None: no
+        limit.
 
     Raises
     ------
     MistrayError
-        If a temperature or the band is out of range, a name fits no surface, part or material, or a material is not
-        known in the band.
+        If a value is out of range, a name fits no surface, part or material, the wavelengths do not ascend, or a
+        material or coating is not known at one of them. Without wavelengths: at an end or the middle of the band.
 
     Examples
     --------
@@ -148,9 +149,10 @@ def _with_returns(
     rays: int,
 ) -> ThermalReport:
     """
-    Return the report with the narcissus that one reflection makes of a cold detector, by surface and zone.
+    Return the report with the narcissus of a cold detector by one reflection, by surface and zone of the detector.
 
-    The report stays as it is if the detector is not colder than the system, or does not see itself.
+    The report stays as it is if the detector is not colder than the system, or does not see itself. `runs` are those of
+    `netd_budget`, `chosen` the settings, `rules` map name patterns to K, and `rays` is the number per wavelength.
     """
     if report.detector_K >= report.temperature_K or not report.self_view.value:
         return report
@@ -190,7 +192,11 @@ def _check_names(scene: mi.Scene, rules: Mapping[str, float]) -> None:
 
 
 def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, float]) -> dict[Key, float]:
-    """Return the temperature, K, of every emitter, by kind and name; `rules` map name patterns to K."""
+    """
+    Return the temperature, K, of every emitter, by kind and name.
+
+    `rules` map name patterns to K; the last that fits holds.
+    """
     names: dict[Key, tuple[str, ...]] = {("surface", row.id): (row.id, row.part) for row in seen[0].rows}
     names.setdefault(("surface", seen[0].detector), (seen[0].detector,))
     names |= {("medium", material): (material,) for one in seen for material in one.media}
@@ -203,9 +209,9 @@ def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, fl
 
 def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen]) -> Emitter:
     """
-    Return the row of a surface or medium at the temperature `kelvin`, K.
+    Return the row of a surface or medium, by kind and name, at the temperature `kelvin`, K.
 
-    `weights` are its spectral weights times π, W/mm², one for each traced wavelength.
+    `weights` are its spectral weights times π, W/mm², one for each traced wavelength; `seen` are the views at these.
     """
     kind, name = key
     by_batch = [emission(one, key) for one in seen]
@@ -233,7 +239,11 @@ def _report(
     rules: Mapping[str, float],
     settings: Mapping[str, Any],
 ) -> ThermalReport:
-    """Return the report from the traces of the whole view and of the image alone, at all wavelengths."""
+    """
+    Return the report from the traces of the whole view and of the image alone, one each for each traced wavelength.
+
+    `band` is in µm, `default_K` is the temperature of everything without a rule, and `rules` map name patterns to K.
+    """
     waves, kelvin = traced.wavelengths_um, _temperatures(seen, default_K, rules)
     weights = {k: np.pi * band_weights(k, band, waves) for k in {*kelvin.values(), default_K, scene_K}}
     known = partial(with_band_error, bound=traced.error)
@@ -291,7 +301,8 @@ def _nitd(
     """
     Return the narcissus-induced temperature difference, K, by ghosts and scatter that show cold surfaces.
 
-    It is NaN if nothing is colder than the housing, or no scene is seen.
+    It is NaN if nothing is colder than the housing, or no scene is seen. `kelvin` holds the temperature of each
+    emitter, K, `weights` by temperature the spectral weights times π, W/mm², and `rise` is the result of `per_kelvin`.
     """
     cold = {key: k for key, k in kelvin.items() if k < housing_K}
     other = {key: k for key, k in cold.items() if key != ("surface", seen[0].detector)}
@@ -313,7 +324,11 @@ def _nitd(
 def _returned(
     report: ThermalReport, found: Sequence[Returned], runs: tuple[list[Seen], list[Seen]]
 ) -> list[NarcissusReturn]:
-    """Return the light that each surface reflects back to the detector, the strongest first."""
+    """
+    Return the light that each surface reflects back to the detector, the strongest first.
+
+    `found` holds the result of `returns` at each wavelength, `runs` is that of `netd_budget`.
+    """
     emitted, nothing = [one.emission for one in found], np.zeros_like(found[0].scene)
     housing, own = (
         np.pi * band_weights(kelvin, report.band_um, report.wavelengths_um)
@@ -338,7 +353,11 @@ def _returned(
 
 
 def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[Note]:
-    """Return notes on the reliability of the results, such as wavelengths that are too few."""
+    """
+    Return notes on the reliability of the results, such as wavelengths that are too few.
+
+    `seen` are the views at the traced wavelengths, `image` is the irradiance of the image, W/mm², `band` is in µm.
+    """
     waves = traced.wavelengths_um
     notes = list(dict.fromkeys(note for one in seen for note in one.notes))
     if traced.error > BAND_ERROR:

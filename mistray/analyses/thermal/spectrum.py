@@ -88,8 +88,8 @@ class TracedBand:
     wavelengths_um : tuple of float
         Traced wavelengths, µm, ascending.
     error : float
-        Largest relative error of a band integral by linear interpolation between them; NaN if the optics are not
-        known over the whole band.
+        Bound of the relative error of a band integral by linear interpolation between them; 0 if nothing depends on the
+        wavelength, NaN if the optics are not known over the whole band.
     """
 
     wavelengths_um: tuple[float, ...]
@@ -103,18 +103,20 @@ def traced_wavelengths(
     temperatures_K: Sequence[float] = (293.0,),
 ) -> TracedBand:
     """
-    Return the given wavelengths, µm, or as many as determine the integral over the band to 1 %.
+    Return the given wavelengths, µm, or as many as determine the integral over the band to 1 %, with its error.
 
     The middle of the band suffices if nothing depends on the wavelength. Otherwise its ends and middle are taken,
     and then, one by one, nodes of the tables of materials and coatings and an even grid between them. The next lies
-    where an absorbed, reflected or transmitted share is farthest from the line between its neighbours.
+    where an absorbed, reflected or transmitted share is farthest from the line between its neighbours. There are at
+    most `MOST_WAVELENGTHS`, and three if the optics are not known over the whole band.
 
     The integrals are those with the spectra of blackbodies at `temperatures_K`.
 
     Raises
     ------
     MistrayError
-        If the given wavelengths do not ascend, or a material or coating is not known at one of them.
+        If a given wavelength is out of range or they do not ascend, or a material or coating is not known at one of
+        them. Without given wavelengths: at an end or the middle of the band.
     """
     low, high = band_um
     if given is None:
@@ -156,7 +158,7 @@ def traced_wavelengths(
     whole = np.maximum(weights @ shares, least)
 
     def errors(at: np.ndarray) -> np.ndarray:
-        """Return the contribution of each node to the relative error, (temperatures, nodes, shares)."""
+        """Return each node's part of the relative error with wavelengths `at`, µm, (temperatures, nodes, shares)."""
         lines = np.stack([np.interp(nodes, at, np.interp(at, nodes, column)) for column in shares.T], axis=1)
         return np.asarray(weights[:, :, None] * np.abs(shares - lines) / whole[:, None])
 
@@ -201,7 +203,7 @@ def _lengths(scene: mi.Scene, wavelength_nm: float) -> dict[str, np.ndarray]:
 
 def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Compute the shares of light at a surface and in its bodies, and for each the least value to which errors refer.
+    Return the shares of light at a surface and in its bodies, and for each the least value to which errors refer.
 
     Parameters
     ----------
@@ -228,7 +230,12 @@ def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _optics(bsdf: Any, wavelength_nm: float) -> np.ndarray:
-    """Return the quantities on which emission at an interface depends, (n,): indices, absorption, coating, scatter."""
+    """
+    Return the quantities on which emission at an interface depends, (n,).
+
+    They are n of front and back, k/λ of both (1/nm), R and T at each of `PROBED_COSINES` from the front and from the
+    back, and shares and profiles of scatter.
+    """
     sides: tuple[complex, complex] = (1 + 0j, 1 + 0j)
     if not bsdf.opaque or isinstance(bsdf.coating, Stack):
         front, back = bsdf.complex_indices(wavelength_nm)

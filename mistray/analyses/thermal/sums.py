@@ -18,7 +18,7 @@ def emission(one: Seen, key: Key) -> np.ndarray:
     """
     Return the emission of a surface or medium, as the detector sees it, in each batch of a trace, (batches,).
 
-    It is 0 for one that the detector does not see.
+    It is dimensionless, see `Seen`, and 0 for a surface or medium that the detector does not see.
     """
     kind, name = key
     nothing = np.zeros_like(one.escaped[2])
@@ -29,15 +29,15 @@ def emission(one: Seen, key: Key) -> np.ndarray:
 
 def imaged_share(one: Seen) -> np.ndarray:
     """
-    Return the fraction of the detector's view that is the imaged scene, in each batch of a trace, (batches,).
+    Return the share of the detector's view, times n², that is the imaged scene, in each batch of a trace, (batches,).
 
-    Without a known image it is the fraction that escapes.
+    Without a known image it is the share that escapes. n is the index before the detector, see `Seen`.
     """
     return (one.image or one.escaped)[2]
 
 
 def weighted_sum(weights: np.ndarray, by_batch: Sequence[np.ndarray]) -> Estimate:
-    """Return the weighted sum of independent traces, each the mean over its batches, with its standard error."""
+    """Return the weighted sum of independent traces, each the mean of its (batches,), with its standard error."""
     value = math.fsum(float(w * np.mean(batches)) for w, batches in zip(weights, by_batch, strict=True))
     errors = [float(w * np.std(b, ddof=1)) / math.sqrt(len(b)) for w, b in zip(weights, by_batch, strict=True)]
     return Estimate(value, math.hypot(*errors))
@@ -50,9 +50,9 @@ def total(by_wave: Sequence[np.ndarray]) -> Estimate:
 
 def ratio(top: Sequence[np.ndarray], bottom: Sequence[np.ndarray]) -> Estimate:
     """
-    Return the ratio of two quantities, each summed over wavelengths, from the same rays.
+    Return the ratio of two quantities, each summed over wavelengths, from the same rays, with its standard error.
 
-    It is NaN unless the lower sum is above 0.
+    It is NaN unless the sum of `bottom` is above 0.
     """
     whole = total(bottom).value
     if whole <= 0:
@@ -82,7 +82,8 @@ def per_kelvin(
     """
     Return the derivative of the imaged scene's irradiance with respect to its temperature, W/(mm² K).
 
-    There is an array over batches for each wavelength. With `photons` the unit is photons/(s mm² K).
+    There is an array over batches for each of the wavelengths `waves`, µm, at which `image` was traced. `band` holds
+    the ends of the band, µm. With `photons` the unit is photons/(s mm² K).
     """
     weights = np.pi * band_weights(scene_K, band, waves, derivative=True, photons=photons)
     return [weight * imaged_share(one) for weight, one in zip(weights, image, strict=True)]

@@ -68,7 +68,7 @@ def first_figure(found: Transfer, title: str = "") -> Figure:
 
 
 def spread_figure(found: FieldTransfer, title: str = "") -> Figure:
-    """Draw irradiance in 1/mm² by class, encircled energy and the share outside over distance in mm."""
+    """Draw irradiance by class, 1/mm², encircled energy, and the share of light farther out, over distance, mm."""
     figure, (left, middle, right) = Figure.of_panels(12.6, 4.2, 1, 3)
     edges, area = found.edges_mm, np.pi * np.diff(found.edges_mm**2)
     total = sum(part.value for part in found.ring_shares.values()) / area
@@ -100,7 +100,7 @@ def spread_figure(found: FieldTransfer, title: str = "") -> Figure:
 
 
 def image_figure(found: FieldTransfer, title: str = "") -> Figure:
-    """Draw the composite point spread function about the image point over its peak, linear and logarithmic; µm."""
+    """Draw the point spread function with stray light relative to its peak, linear and logarithmic; axes in µm."""
     image = found.image
     figure, panels = Figure.of_panels(9.2, 4.2, 1, 2)
     norms: tuple[dict[str, Any], ...] = ({"vmin": 0.0, "vmax": 1.0}, {"norm": LogNorm(10.0**-IMAGE_DECADES, 1.0)})
@@ -126,12 +126,16 @@ def _and(found: FieldTransfer) -> str:
 
 
 def _middle(edges: Array) -> Array:
-    """Return the radii at which ring values are drawn, mm: means of the edges, geometric beyond the first octave."""
+    """Return the radii at which ring values are drawn, mm: geometric means of the edges, at least half the outer."""
     return np.asarray(np.sqrt(np.maximum(edges[:-1], edges[1:] / 4) * edges[1:]))
 
 
 def _sure(edges: Array, part: TransferCurve) -> tuple[Array, TransferCurve]:
-    """Join rings outwards until each value exceeds `SURE` standard errors; return radii, mm, and irradiance, 1/mm²."""
+    """
+    Join rings outwards until each value exceeds `SURE` standard errors; return radii, mm, and irradiance, 1/mm².
+
+    `edges` are the ring edges, mm, `part` the share of light in each ring. Outermost rings that never do are left out.
+    """
     ends, value, square = [0], 0.0, 0.0
     values, errors = [], []
     for k in range(len(part.value)):
@@ -147,6 +151,6 @@ def _sure(edges: Array, part: TransferCurve) -> tuple[Array, TransferCurve]:
 
 
 def _band(axes: Axes, x: Array, curve: TransferCurve, colour: str, label: str) -> None:
-    """Draw a curve with a band of one standard error."""
+    """Draw a curve over `x` with a band of ± one standard error."""
     axes.plot(x, curve.value, color=colour, lw=1.4, label=label)
     axes.fill_between(x, curve.value - curve.se, curve.value + curve.se, color=colour, alpha=0.25, lw=0)

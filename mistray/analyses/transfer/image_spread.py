@@ -138,17 +138,17 @@ class ImageSpread(PassingLight):
 
     def rings(self, kind: int, wavelength_nm: float | None = None) -> Sampled:
         """
-        Return the flux of a light class in the innermost disc and each ring, W, (n,).
+        Return the flux of the class at index `kind` of `CLASSES` in the innermost disc and each ring, W, (n,).
 
-        It is that at `wavelength_nm`, or at all wavelengths by default.
+        It is that at `wavelength_nm`, or by default the sum over wavelengths.
         """
         return self._of(kind, wavelength_nm)[: self._rings]
 
     def waves(self, kind: int, wavelength_nm: float | None = None) -> tuple[Sampled, Sampled]:
         """
-        Return real and imaginary part of a light class's Fourier sums, W, (m,) each.
+        Return real and imaginary part of the Fourier sums of the class at index `kind` of `CLASSES`, W, (m,) each.
 
-        They are those at `wavelength_nm`, or at all wavelengths by default.
+        They are those at `wavelength_nm`, or by default the sums over wavelengths.
         """
         found = self._of(kind, wavelength_nm)[self._rings :]
         return found[0::2], found[1::2]

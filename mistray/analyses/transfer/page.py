@@ -28,7 +28,7 @@ CAPTIONS: tuple[tuple[str, Callable[[FieldTransfer, str], Drawing], str], ...] =
 
 
 def field_table(found: Transfer) -> Table:
-    """Return the table of fields: shares of light by class, veiling floor and glare."""
+    """Return the table of fields: light by class, % of that on the detector, veiling floor, and stray over direct."""
     heads = columns("<field", *(f"{name} [% of detected]" for name in CLASSES), "veiling floor", "glare")
     rows: list[list[Value]] = [
         [

@@ -35,7 +35,7 @@ it already."""
 
 
 class TransferCurve(NamedTuple):
-    """Values over frequency or radius with their standard errors, dimensionless, (m,) float64 each."""
+    """Values over frequency or radius with their standard errors, (m,) each; dimensionless unless stated otherwise."""
 
     value: Array
     se: Array
@@ -46,7 +46,8 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
     """
     Image of one field point with its stray light.
 
-    The origin is the centroid of the direct image. All light on the detector counts as 1, except in `books`.
+    The origin is the centroid of the direct image. All light on the detector counts as 1, except in `books` and
+    `glare`.
 
     Attributes
     ----------
@@ -121,9 +122,10 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
     @property
     def veiling_floor(self) -> Estimate:
         """
-        Veiling floor: contrast of fine detail over that without stray light; direct light over all light, 1 - TIS.
+        Veiling floor, 0 … 1: contrast of fine detail with stray light over that without it.
 
-        All transfer functions drop to it between zero and the frequencies of the lens.
+        It is the direct light over all light on the detector, without ghosts 1 - TIS. The `composite` over
+        `without_stray` drops to it between zero and the frequencies of the lens.
         """
         return _estimate(self._direct().over(self._detected))
 
@@ -144,7 +146,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         """
         Return Fourier sums of a light class about the origin, W, (m,), complex with batch deviations for errors.
 
-        `line` is a wavelength, nm; by default the sums are over all wavelengths.
+        `kind` is the place of the class in `CLASSES`, `line` a wavelength, nm; None: sums over all wavelengths.
         """
         n, m = self._number(azimuth), len(self.frequencies_per_mm)
         part = slice(n * m, (n + 1) * m)
@@ -178,8 +180,8 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         """
         Return the scatter transfer function |STF| along `azimuth`, (m,), with errors.
 
-        It is that of direct and scattered light about the image, over their sum: 1 at zero frequency, and 1 - TIS of
-        the light on the detector where scatter is not resolved.
+        The direct light counts as a point, and its sum with the scattered light as 1. The value is 1 at zero frequency,
+        and 1 - TIS of this light where scatter is not resolved.
         """
         light = self._direct()
         return (self._waves(SCATTER, azimuth) + light).over(light + self._power(SCATTER)).modulus()
@@ -188,7 +190,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         """
         Return the ghost transfer function along `azimuth`, (m,), with errors.
 
-        It is like `stf` with ghosts in place of scatter: 1 at zero frequency, then a floor.
+        It is like `stf` with ghosts in place of scatter: 1 at zero frequency, then a floor of direct light.
         """
         light = self._direct()
         return (self._waves(GHOSTS, azimuth) + light).over(light + self._power(GHOSTS)).modulus()
@@ -225,8 +227,8 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         """
         Return the first frequency at which the MTF along `azimuth` falls to a contrast, 1/mm.
 
-        The MTF is that with `stray` light, or without. The frequency is interpolated linearly; NaN if the MTF does not
-        fall so far within `frequencies_per_mm`.
+        The MTF is that with `stray` light, or without. The frequency is interpolated linearly. It is the first of
+        `frequencies_per_mm` if the MTF is as low there, and NaN if it does not fall so far within them.
         """
         SHARE.check("contrast", contrast)
         curve = self.composite(azimuth).value if stray else self.without_stray(azimuth)
@@ -309,9 +311,10 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         Parameters
         ----------
         radii_mm : float or (m,) array_like
-            Radii of the circles, mm, from 0 to the last of `edges_mm`. Between two edges the irradiance is constant.
+            Radii of the circles, mm, from 0 to the last of `edges_mm`. Between two edges the irradiance of ghosts and
+            scatter counts as constant.
         stray : bool
-            Whether to include stray light; without it the fraction is one of the direct image.
+            Whether to include stray light; without it the fraction is that of the direct image alone.
 
         Raises
         ------
@@ -328,7 +331,11 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return self._encircled(radii, direct) if stray else TransferCurve(direct, np.zeros(len(direct)))
 
     def _encircled(self, radii: Array, direct: Array) -> TransferCurve:
-        """Return the fraction of all light within circles, (m,), with errors, given that of the direct image."""
+        """
+        Return the fraction of all light within circles of some radii, mm, (m,), with errors.
+
+        `direct` is the fraction of the direct image within them, (m,).
+        """
         light = self._direct()
         inner, outer = self.edges_mm[:-1] ** 2, self.edges_mm[1:] ** 2
         part = np.clip((radii[:, None] ** 2 - inner) / (outer - inner), 0, 1)
@@ -351,7 +358,11 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
         return pd.DataFrame(columns)
 
     def rings_to_pandas(self) -> pd.DataFrame:
-        """Return a table with a row for each ring: radii, mm, irradiance of each part, 1/mm², and energy within it."""
+        """
+        Return a table with a row for each ring: radii, mm, irradiance of each part, 1/mm², and encircled energy.
+
+        The last is the fraction within the outer radius, 0 … 1, of all light and of the direct image.
+        """
         columns: dict[str, Array] = {"inner_mm": self.edges_mm[:-1], "outer_mm": self.edges_mm[1:]}
         for name, found in self.psf_rings().items():
             columns[f"{name}_per_mm2"], columns[f"{name}_se_per_mm2"] = found
@@ -418,7 +429,7 @@ class Transfer(OfFields[FieldTransfer], Result, table=".page:field_table", figur
         Return a DataFrame with a row of results for each field.
 
         The columns are those of `FieldTransfer.row`: shares and veiling floor (0 … 1), glare (stray over direct light),
-        and frequencies (1/mm).
+        and frequencies at 50 % contrast (1/mm).
         """
         return pd.DataFrame([one.row() for one in self])
 
@@ -428,7 +439,7 @@ class Transfer(OfFields[FieldTransfer], Result, table=".page:field_table", figur
 
 
 class _Complex(NamedTuple):
-    """Complex values, (m,), with their deviation in each batch of rays, from which standard errors follow."""
+    """Complex values, (m,), with their deviation in each batch, (m, batches), from which standard errors follow."""
 
     value: npt.NDArray[np.complex128]
     apart: npt.NDArray[np.complex128]
@@ -462,7 +473,7 @@ def _estimate(found: Sampled) -> Estimate:
 
 def _continued(image: FieldImage, radii_mm: Array) -> Array:
     """
-    Return the fraction of the flux of the direct image within circles about its centroid, (m,).
+    Return the fraction of the flux of the direct image within circles of some radii, mm, about its centroid, (m,).
 
     Far out the share outside falls with the inverse of the radius, as for any aperture with a hard edge. This law
     takes over at `JOIN` of the period of the sampled point spread function, or farther out if rays of the image get

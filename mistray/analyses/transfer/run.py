@@ -50,7 +50,7 @@ def run(
     seconds: float | None = None,
 ) -> Transfer:
     """
-    Compute images of points with stray light: scatter and ghost transfer functions, MTF, PSF and energy balance.
+    Return images of points with stray light: scatter and ghost transfer functions, MTF, PSF and energy balance.
 
     The direct image is that of `mistray.image_quality`. One trace of each field, with ghosts and scatter, gives the
     light on the detector by class and by position about the direct image. Definitions and limits:
@@ -62,11 +62,12 @@ def run(
         Scene with one source, as for `mistray.image_quality`.
     request : TransferRequest
     quality : ImageQuality, optional
-        Image quality of the same scene, if known already; it then sets fields, wavelengths and detector.
+        Image quality of the same scene, if known already; it then sets fields and wavelengths. The scene must have one
+        detector then.
     progress : callable, optional
-        Called with the work done so far and the total work.
+        Called with (fields done, fields in all).
     seconds : float, optional
-        Time of each trace, s.
+        Time of each trace, s, which then ends with the rays that it has; None: no limit.
 
     Returns
     -------
@@ -75,8 +76,9 @@ def run(
     Raises
     ------
     MistrayError
-        If `mistray.image_quality` or `mistray.trace` raises it, the direct image of a field misses the detector, the
-        scene has several sources, or a value is out of range.
+        If `mistray.image_quality` or `mistray.trace` raises it, the direct image of a field misses the detector, or the
+        detector's table ends too early. Also if the scene has several sources, or several detectors of which none is
+        chosen, or the request has fields or light beside `quality`.
 
     Examples
     --------
@@ -153,7 +155,10 @@ def _field(
     settings: dict[str, Any],
 ) -> tuple[FieldTransfer, Trace]:
     """
-    Compute the image of a field with its stray light, and return it with its trace.
+    Return the image of a field with its stray light, and its trace.
+
+    `quality` holds all fields and `image` this one; `table` and `design` are those of the scene, `frequencies` in 1/mm.
+    `settings` are keywords of `mistray.trace`.
 
     Raises
     ------
@@ -218,7 +223,11 @@ def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
 
 
 def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: float) -> tuple[str, ...]:
-    """Return remarks on the reliability of a field's results; empty if there is none."""
+    """
+    Return remarks on the reliability of a field's results; empty if there is none.
+
+    `resolution` is that of `FieldTransfer`, mm, and `finest` the highest frequency, 1/mm.
+    """
     notes = []
     direct = spread.rings(DIRECT)
     if resolution * finest > COARSE:
@@ -239,7 +248,11 @@ def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: fl
 def _frequencies(
     quality: ImageQuality, extent: tuple[float, float, float, float], given: Sequence[float] | None
 ) -> np.ndarray:
-    """Return the spatial frequencies of the transfer functions, 1/mm: those given, or a set up to the cut-off."""
+    """
+    Return the spatial frequencies of the transfer functions, 1/mm: those given, or a set up to the cut-off.
+
+    `extent` holds x0, x1, y0 and y1 of the detector, mm.
+    """
     if given is not None:
         return np.array(given)
     cut = max(image.cut_off_per_mm(azimuth) for image in quality for azimuth in AZIMUTHS)

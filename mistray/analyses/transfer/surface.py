@@ -99,13 +99,14 @@ def run_bsdf(models: LobeModel | Sequence[LobeModel], request: BsdfTransferReque
     """
     Return the surface transfer function from the BSDF: ``H(s) = 1 - TIS + ∫ BSDF(β) exp(2πi n (β - β0) s/λ) d²β``.
 
-    The lag s is in µm. Light that leaves the surface counts as 1, so that TIS is the integral at s = 0. The Hankel
+    The lag s is in µm, β and β0 are direction cosines of the light and of the specular direction, n is the index there.
+    Light that the surface reflects, or transmits, counts as 1, so that TIS is the integral at s = 0. The Hankel
     transform is about the specular direction and averages over azimuths: exact at normal incidence on an isotropic
     surface.
 
     Parameters
     ----------
-    models : Scatter or sequence of LobeModel
+    models : LobeModel or sequence of LobeModel
         Scatter models of the surface.
     request : BsdfTransferRequest
 
@@ -161,8 +162,9 @@ def run_spectrum(model: RoughSurface, request: SurfaceTransferRequest) -> Surfac
     """
     Return the surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
 
-    C is the Hankel transform of the spectrum at the frequencies that scatter into the half space at normal incidence,
-    0 … n/λ, and σ² their variance. It holds for surfaces of any roughness whose heights are Gaussian.
+    a is the variance of the phase, rad². C is the Hankel transform of the spectrum at the frequencies that scatter into
+    the half space at normal incidence, 0 … n/λ, and σ² the variance of the heights at these frequencies. The formula
+    holds for surfaces of any roughness whose heights are Gaussian.
 
     Parameters
     ----------
@@ -253,7 +255,7 @@ class _Rings:
         return cls(np.concatenate([[0.0], nodes[:-1]]), nodes, flux / flux.sum())
 
     def transform(self, frequency: Array) -> Array:
-        """Return the Hankel sum Σ flux J0(2π r q), (m,), of the rings at frequencies q, (m,)."""
+        """Return the Hankel sum Σ flux J0(2π r q), (m,), of the rings at q, (m,), cycles per unit of the radii."""
         flat = np.atleast_1d(frequency)
         return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))
 
@@ -268,9 +270,9 @@ class _AtLag:
     rings : _Rings or None
         Scattered light, or the spectrum of the phase; None: nothing is scattered.
     highest : float
-        Highest frequency of the rings, 1/µm.
+        Surface frequency at the radius 1 of the rings, n/λ, 1/µm.
     specular : float
-        Share of the light that is not scattered.
+        Share of the light that is not scattered; unused with a `variance`.
     variance : float, optional
         Variance of the phase whose spectrum the rings are, rad²; None if the rings are scattered light.
     """

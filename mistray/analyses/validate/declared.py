@@ -98,7 +98,7 @@ class DeclaredRow:
             raise MistrayError(f"{where}: field_deg is missing, the angle of the pst; give it in the row or the file")
 
     def argument(self, name: str) -> Any:
-        """Return the value of a row's key that a built-in pack needs to compute mistray's number."""
+        """Return the value `name` of the row's table `given`, from which a built-in pack computes mistray's number."""
         assert self.given is not None
         return self.given[name]
 
@@ -143,7 +143,7 @@ class ReferenceFile:
 
 def read_reference(path: str | Path) -> ReferenceFile:
     """
-    Read a file of published numbers.
+    Return the published numbers that a TOML file declares.
 
     Raises
     ------

@@ -20,7 +20,11 @@ SPREAD = 0.5  # of the points of a pack across its line
 
 
 def differences_figure(found: Validation, title: str = "") -> Figure:
-    """Draw each row's difference over the largest that agrees, a line per source; beyond 3 and lost light at 3."""
+    """
+    Draw the difference of each row with a verdict over the largest that agrees, a line per source.
+
+    Ratios beyond ±3 stand at ±3, and so do rows where only one side finds light.
+    """
     packs = [one.pack for one in found.packs]
     made, axes = Figure.of_panels(8.6, 1.6 + 0.34 * max(len(packs), 3))
     axes.axvspan(-1, 1, color="#e8f1e4", zorder=0)
@@ -50,7 +54,7 @@ def _place(row: ComparedRow) -> float:
     """
     Return the difference of a row over the allowed one.
 
-    It is ∞ where only mistray finds light, and -∞ where only the source does.
+    It is -∞ where only the source finds light, and ∞ where the source finds none.
     """
     if math.isnan(row.of_allowed):
         return math.inf if math.isnan(row.published.value) else -math.inf

@@ -55,7 +55,7 @@ class Peer:
 
     @property
     def installed(self) -> bool:
-        """Whether the program's Python module can be imported."""
+        """True if the program's Python module can be imported."""
         return importlib.util.find_spec(self.module) is not None
 
 

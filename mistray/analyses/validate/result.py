@@ -40,7 +40,7 @@ class ComparedRow:
 
     @property
     def of_allowed(self) -> float:
-        """Difference over the largest that agrees, infinite if none does; NaN if either number is unknown."""
+        """Difference over `allowed`; infinite if that is 0 and the numbers differ, NaN if either is unknown."""
         if math.isnan(self.difference) or self.difference == 0:
             return self.difference
         return self.difference / self.allowed if self.allowed != 0 else math.copysign(math.inf, self.difference)
@@ -77,7 +77,7 @@ class Validation(Result, table=".page:rows_table", figure=".figures:differences_
     facts : dict
         Versions and settings.
     notes : tuple of Note
-        What the traces of a pack warn of, such as light that was cut.
+        Warnings of the traces of the packs, such as of light that was cut.
     """
 
     rows: Sequence[ComparedRow]
@@ -91,12 +91,16 @@ class Validation(Result, table=".page:rows_table", figure=".figures:differences_
 
     @property
     def refuted(self) -> bool:
-        """Whether a row differs without a known reason, or another program failed."""
+        """True if the verdict on a row is that it differs and should agree, or that another program failed."""
         return bool(self.count(DIFFERS) or self.count(FAILED))
 
     @property
     def holds(self) -> bool:
-        """Whether nothing is refuted and every row is judged but those whose program is missing, one at least."""
+        """
+        True if a row agrees or is known to differ, and none differs, has a program that failed, or has too few rays.
+
+        Rows whose program is not installed do not count.
+        """
         judged = len(self.rows) - self.count(NOT_ASKED)
         return not self.refuted and judged > 0 and not self.count(TOO_FEW)
 

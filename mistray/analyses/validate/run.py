@@ -51,7 +51,7 @@ class OwnPack(Pack):
         Raises
         ------
         MistrayError
-            If the file cannot be read, or lacks a scene, a quantity or a published number.
+            If the file cannot be read, lacks a scene, a quantity or a published number, or has a table `given`.
         """
         found = read_reference(self.path)
         require_own(found, self.path)
@@ -60,7 +60,7 @@ class OwnPack(Pack):
 
 def run_validation(request: ValidateRequest, progress: Progress | None = None) -> Validation:
     """
-    Compare mistray's numbers with published ones and with those of other programs.
+    Return mistray's numbers beside published ones and those of other programs, with a verdict on each.
 
     Parameters
     ----------
@@ -71,12 +71,12 @@ def run_validation(request: ValidateRequest, progress: Progress | None = None) -
     Returns
     -------
     Validation
-        One row for each number, and one for each number of a program that is not installed.
+        One row for each chosen number, also if its program is not installed or fails.
 
     Raises
     ------
     MistrayError
-        If a pattern fits no row, or a file of one's own is wrong.
+        If a pattern fits no row, a file of the user's own is not valid, or its scene cannot be loaded or traced.
     """
     own = [OwnPack(Path(path).stem, SceneNumbers, path=path) for path in request.own or ()]
     chosen = _chosen(own or PACKS, request.only)
@@ -101,14 +101,14 @@ Chosen = list[tuple[Pack, ReferenceFile, Sequence[DeclaredRow]]]
 
 def _chosen(packs: Sequence[Pack], patterns: Sequence[str] | None) -> Chosen:
     """
-    Return packs of reference numbers, each with the rows whose names fit the patterns, or with all if there are none.
+    Return packs of reference numbers, each with the rows whose names fit a pattern; without patterns with all rows.
 
     Packs without such a row are left out.
 
     Raises
     ------
     MistrayError
-        If no row fits a pattern.
+        If a pattern fits no row.
     """
     found: Chosen = []
     used = set()
@@ -182,12 +182,11 @@ def judged(
     pack: str, row: DeclaredRow, unit: str, published: Estimate | None, found: Estimate | None, *, fewer: bool = False
 ) -> ComparedRow:
     """
-    Return a row with its verdict.
+    Return a row with its verdict, from the number of the source and mistray's, `found`; None: it has no such light.
 
-    Light that one side does not have, None, differs whatever the reason that the row gives. It has no verdict if ours
-    has none with fewer rays than the pack asks for. A number has no verdict if
-    its error is unknown, or so large that it could be anything, or that it fits the number from which it is known to
-    differ.
+    A row without light on one side or both differs, whatever reason it gives. Only if mistray alone has none with
+    `fewer` rays than the pack asks for, the rays are too few. They are also too few if mistray's number has no known
+    error, or one so large that it would agree in any case, see `_vague`.
     """
     theirs, ours = published or UNKNOWN, found or UNKNOWN
     allowed = row.allowed(ours.se, theirs.value, theirs.se)
@@ -210,7 +209,7 @@ def judged(
 
 
 def _vague(row: DeclaredRow, theirs: Estimate, ours: Estimate) -> str:
-    """Return why a number that agrees would do so in any case; empty if more rays can make no difference."""
+    """Return the reason why the agreement of a number proves nothing, its error being too large; "" if it does."""
     if ERRORS * ours.se > max(abs(theirs.value), row.allowed(0.0, theirs.value, theirs.se)):
         return f"too few rays: {ERRORS:g} standard errors are more than the number; give more rays"
     if row.expected is None:

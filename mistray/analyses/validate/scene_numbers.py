@@ -70,7 +70,7 @@ class SceneNumbers:
         """
         Return mistray's number for a row and its standard error, in the unit of the quantity.
 
-        It is None if no light takes the row's path.
+        It is None if there is no such light. The error is NaN if the rays are too few.
         """
         if row.quantity == "pst":
             return self._pst(row)
@@ -86,7 +86,7 @@ class SceneNumbers:
         return Estimate(*(float(getattr(found, key)) for key in OF_PATH[row.quantity]))
 
     def scene(self, row: DeclaredRow) -> mi.Scene:
-        """Return the scene with its parameters set as the file and the row ask."""
+        """Return the scene with parameters and the pivot of the beam set as the file and the row ask."""
         values = {**(self._file.set or {}), **(row.set or {})}
         key = tuple(sorted(values.items()))
         if key not in self._scenes:
@@ -121,9 +121,9 @@ class SceneNumbers:
 
     def _hits(self, t: Trace, path: int) -> pd.DataFrame:
         """
-        Return the hits of a path on the detector, mm, as a table of rays.
+        Return the hits of a path, by its id, on the detector, mm, as a table of rays.
 
-        Those of all paths whose extent the file asks for are found at once.
+        Hits of all paths whose extent the file asks for are found at once.
         """
         if t not in self._found_hits:
             named = [named_path(t, row.path) for row in self._file.rows if row.quantity.startswith("diameter")]
@@ -151,7 +151,11 @@ class SceneNumbers:
 
 
 def named_path(t: Trace, surfaces: Sequence[str]) -> PathRow | None:
-    """Return the strongest path of a trace that the named surfaces reflect; None if there is none."""
+    """
+    Return the strongest path of a trace whose light the named surfaces reflect in this order; None if there is none.
+
+    Reflections that the image has too are not to be named; without names it is the image or scattered light.
+    """
     image = next((row for row in t.paths if row.order == 0), None)
     design = _reflecting(image) if image is not None else []
     rows = [row for row in t.paths if _without(_reflecting(row), design) == list(surfaces)]
@@ -190,7 +194,7 @@ def _without(names: list[str], design: list[str]) -> list[str]:
 
 def extent(hits: np.ndarray) -> Estimate:
     """
-    Return the distance of the outermost hits of light with an edge, and a bound of its standard error.
+    Return the distance between the outermost hits of light with an edge, and a bound of its standard error.
 
     The outermost of n hits lie short of the edge by c / n^p on average, and scatter by about as much. p is 1 where the
     light, projected, ends at its full density, 2/3 for a disc, and 1/2 for a corner, the slowest. The extents of 16

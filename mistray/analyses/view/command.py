@@ -67,7 +67,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run `mistray view` with parsed options and return the exit code."""
+    """Run `mistray view` with parsed options; return the exit code 0."""
     from mistray.analyses.view.request import ViewRequest, ViewTraces
 
     light, picture = request_of(ViewTraces, vars(options)), request_of(ViewRequest, vars(options))

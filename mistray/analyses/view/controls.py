@@ -131,7 +131,11 @@ def colour_axes(scales: Mapping[str, LogScale], by: str) -> dict[str, dict[str, 
 
 
 def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
-    """Return one invisible plotly mark per scale, since plotly draws a colour bar only for an axis with a mark."""
+    """
+    Return one invisible plotly mark per scale, since plotly draws a colour bar only for an axis with a mark.
+
+    The marks are in the middle of `box`, from `shown_box`. `go` is `plotly.graph_objects`.
+    """
     centre = (box[0] + box[1]) / 2
     return [
         go.Scatter3d(
@@ -147,7 +151,11 @@ def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
 
 
 def shown_box(surfaces: Sequence[OpenSurface], lines: Sequence[RayLine], cut: CutPlane | None) -> Box:
-    """Return two corners, mm, of the shown volume: surfaces, and for rays the removed half and starts of beams."""
+    """
+    Return the lowest and the highest corner, (3,) mm each, of the shown volume.
+
+    It holds the surfaces, and rays within `BEAM_SHOWN` of their size, also those in the half that the cut removes.
+    """
     points = np.concatenate([surface.vertices for surface in surfaces]).astype(np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
@@ -163,7 +171,11 @@ def shown_box(surfaces: Sequence[OpenSurface], lines: Sequence[RayLine], cut: Cu
 
 
 def cameras(cut: CutPlane | None) -> dict[str, dict[str, Any]]:
-    """Return plotly cameras by name of the view; light runs from left to right, with the open side in front."""
+    """
+    Return plotly cameras by name of the view: "3-D", "side" and "from the light", which looks along z.
+
+    In the first two z points to the right. The viewer is on the open side of the cut, without a cut at -x.
+    """
     towards = np.array([-1.0, 0.0, 0.0]) if cut is None else cut.normal
     up = np.array([-towards[1], towards[0], 0.0]) * -1.0  # z × towards the viewer, turned so that z points right
     z = np.array([0.0, 0.0, 1.0])
@@ -218,7 +230,11 @@ def arrange(figure: Any, box: Box, cut: CutPlane | None) -> None:
 def add_buttons(
     figure: Any, scales: Mapping[str, LogScale], by: str, shown: Sequence[OpenSurface], cut: CutPlane | None
 ) -> None:
-    """Add buttons above a plotly figure: viewpoint, colours of the surfaces, and all rays or none."""
+    """
+    Add buttons above a plotly figure: viewpoint, colours of the surfaces, and all rays or none.
+
+    `by` is the key of the colours at first, one of `scales` or "role". `shown` are the surfaces of the first meshes.
+    """
     role = [ROLE_COLOURS[surface.role] for surface in shown]
     keys = [*scales, "role"]
     colours = {key: role if key in ("role", IRRADIANCE) else scales[key].colours for key in keys}

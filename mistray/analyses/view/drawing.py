@@ -40,7 +40,8 @@ def surface_mesh(go: Any, surface: OpenSurface, flux: SurfaceFlux | None) -> Any
     """
     Return a surface, mm, as ``mesh3d`` of plotly.
 
-    Its hover text gives part, role and materials, and the flux (W) if there was a trace.
+    Its hover text gives part, role and materials, and the flux (W) if there was a trace. `go` is
+    `plotly.graph_objects`.
     """
     head = f"<b>{escape(surface.name)}</b>, part {escape(surface.part)}<br>{ROLES[surface.role]}"
     lines = [f"{head} {escape(surface.materials)}".rstrip()]
@@ -67,7 +68,11 @@ def surface_mesh(go: Any, surface: OpenSurface, flux: SurfaceFlux | None) -> Any
 
 
 def wall_mesh(go: Any, one: SurfaceMap, colours: Sequence[str], cut: CutPlane | None) -> Any:
-    """Return the cells of a wall map, mm, as ``mesh3d`` with a colour per cell, without the removed half."""
+    """
+    Return the cells of a wall map, mm, as ``mesh3d``, without the half that `cut` removes.
+
+    `colours` are hexadecimal, one for each cell, row by row. `go` is `plotly.graph_objects`.
+    """
     rows, columns = one.places.shape[:2]
     row, column = np.divmod(np.arange(rows * columns), columns)
     kept = np.ones(len(row), dtype=bool) if cut is None else cut.height(one.places.reshape(-1, 3)) <= 0
@@ -93,7 +98,11 @@ def wall_mesh(go: Any, one: SurfaceMap, colours: Sequence[str], cut: CutPlane | 
 
 
 def outlines(go: Any, surfaces: Sequence[OpenSurface]) -> list[Any]:
-    """Return rims and cut edges, mm, as one plotly trace per role, which is shown and hidden with its surfaces."""
+    """
+    Return rims and cut edges, mm, as one plotly trace per role, which is shown and hidden with its surfaces.
+
+    `go` is `plotly.graph_objects`.
+    """
     traces = []
     for role in ROLES:
         lines = [line for surface in surfaces if surface.role == role for line in surface.lines]
@@ -150,7 +159,11 @@ def glass_faces(go: Any, scene: Any, surfaces: Sequence[OpenSurface], cut: CutPl
 
 
 def path_lines(go: Any, groups: Sequence[RayGroup]) -> list[Any]:
-    """Return the rays of each path or class, mm, as one named ``scatter3d``; hover texts give the flux, W."""
+    """
+    Return the rays of each path or class, mm, as one named ``scatter3d``; hover texts give the flux, W.
+
+    `go` is `plotly.graph_objects`.
+    """
     traces = []
     for number, (name, own, path_id) in enumerate(groups):
         texts: list[str] = []
@@ -182,9 +195,9 @@ def path_lines(go: Any, groups: Sequence[RayGroup]) -> list[Any]:
 
 def legend_text(name: str) -> str:
     """
-    Return the name of a path as the text that plotly shows in a legend: three lines, with "…" for what is between.
+    Return the name of a path as the text that plotly shows in a legend: at most three lines of `LEGEND_LETTERS`.
 
-    A line has at most `LEGEND_LETTERS`.
+    Of a longer name the beginning and, after "…", the end are kept.
     """
     lines = textwrap.wrap(name, LEGEND_LETTERS, break_on_hyphens=False)
     if len(lines) > 3:

@@ -48,7 +48,7 @@ class View:
         return self._page(stylesheet("colours"), command)
 
     def _page(self, colours: str, command: str = "") -> str:
-        """Return the page with the style sheet of its colours."""
+        """Return the HTML page; `colours` is the style sheet of its colours, `command` is quoted at its foot."""
         from mistray.analyses.view.drawing import LINES_OF_PAGE
         from mistray.toolkit.pages.render import template
 

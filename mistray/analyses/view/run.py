@@ -69,8 +69,8 @@ def run(
     Raises
     ------
     MistrayError
-        If plotly is missing, a value is out of range or needs a trace, the trace is of another scene, or the cut leaves
-        nothing.
+        If plotly is missing, a value is out of range or needs a trace or surface maps, the trace is of another scene,
+        or the cut leaves nothing. Also if there are several traces and one has surface maps.
 
     Examples
     --------
@@ -144,7 +144,7 @@ def _maps_of(traces: Sequence[Trace]) -> list[SurfaceMap]:
     """
     Return the irradiance maps of surfaces that a trace recorded.
 
-    Raise `MistrayError` if several traces recorded any.
+    Raise `MistrayError` if there are several traces and one of them recorded any.
     """
     from mistray.recorders.flux_maps.surface_maps import SurfaceMaps
 

@@ -142,7 +142,7 @@ def script(shell: str, commands: list[Described]) -> str:
 
 
 def _bash_values(values: Sequence[Value]) -> str:
-    """Return bash code that sets variables to the values proposed for some arguments."""
+    """Return bash code that sets `names` to the names proposed for some arguments, and `files` to yes or no."""
     names = shlex.quote(" ".join(name for value in values for name in value.names))
     return f"names={names} files={'yes' if any(value.files for value in values) else 'no'}"
 

@@ -217,7 +217,8 @@ class MarginalRays:
         """
         Yield each rim that ray segments pass closely, with the segments, depths and points.
 
-        They come as its key, the indices of the segments, (n,), depths, (n,), mm, and points, (n, 3), mm.
+        `legs` are the starts of the segments, `length` their lengths, mm. The rim comes as the last three entries of
+        `Key`, then the indices of the segments, (n,), depths, (n,), mm, and points, (n, 3), mm.
         """
         for piece in self.table.pieces:
             rims = [rim for rim in piece.rim_sizes if (piece.index, rim) in self.zones]
@@ -246,7 +247,12 @@ class MarginalRays:
         depth: np.ndarray,
         point: np.ndarray,
     ) -> None:
-        """Record where ray segments pass a rim, depths and points, mm; trace the other branch of very close ones."""
+        """
+        Record depths and points, mm, at which ray segments pass a rim; trace the other branch of very close ones.
+
+        `lit` says for each of the segments `legs` whether light continues from the end of its ray. `near` are the
+        indices of the segments that pass, with a depth and a point each.
+        """
         very = np.abs(depth) < self.close * self.zones[key[2:4]]
         place = legs.place[near]
         counts = very & (lit[near] | self.inside[place])

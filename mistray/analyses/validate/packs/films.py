@@ -16,7 +16,7 @@ def _complex(value: Any) -> complex:
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function by which mistray computes reflectance or transmittance of a row's film stack."""
+    """Return the function by which mistray computes R or T, 0 … 1, of a row's film stack; the parameters are unused."""
 
     def number(row: DeclaredRow) -> Estimate:
         layers = [_complex(n) for n in row.argument("n")]
@@ -31,7 +31,7 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
 
 
 def asked(row: DeclaredRow, _: Finder) -> Estimate:
-    """Return the reflectance or transmittance of a row's film stack as the program tmm computes it."""
+    """Return the reflectance or transmittance, 0 … 1, of a row's film stack as the program tmm computes it."""
     indices = [1.0, *map(_complex, row.argument("n")), _complex(row.argument("substrate"))]
     thickness = [math.inf, *row.argument("thickness_nm"), math.inf]
     angle = math.radians(row.argument("angle_deg"))

@@ -16,7 +16,11 @@ ANGLES_DEG = np.arange(0.5 * CELL_DEG, 1.8, CELL_DEG)  # of the white source, to
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives mistray's glare index, percent, of a 0.2° black patch in a 1.8° white source."""
+    """
+    Return the function that gives mistray's veiling glare index, percent; parameters are those of `SceneNumbers`.
+
+    The black patch has a radius of 0.2°, the white source one of 1.8°.
+    """
     scenes = SceneNumbers(file, rays, seed)
 
     def number(row: DeclaredRow) -> Estimate:

@@ -16,7 +16,11 @@ OUTSIDE_DEG, DETECTOR_DEG = 20.0, 45.0  # half angles of the light from outside 
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function that gives the flux, W of 1 W, on the objects of a row, which surfaces only transmit."""
+    """
+    Return the function that gives the flux, W, on the objects of a row, from 1 W of light that is only transmitted.
+
+    Parameters are those of `SceneNumbers`.
+    """
     scenes = SceneNumbers(file, rays, seed)
 
     @functools.cache

@@ -19,7 +19,7 @@ def _angles(row: DeclaredRow) -> tuple[float, float, float]:
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function by which mistray computes the BRDF of a rough surface at a row's angles, 1/sr."""
+    """Return the function by which mistray computes the BRDF, 1/sr, at a row's angles; the parameters are unused."""
 
     def number(row: DeclaredRow) -> Estimate:
         theta_i, theta_s, phi = _angles(row)

@@ -9,7 +9,7 @@ from mistray.physics.mie import spheres
 
 
 def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
-    """Return the function by which mistray computes a Mie efficiency of a row's sphere."""
+    """Return the function by which mistray computes a Mie efficiency of a row's sphere; the parameters are unused."""
 
     def number(row: DeclaredRow) -> Estimate:
         found = spheres([row.argument("x")], complex(row.argument("n"), row.argument("k")))
@@ -19,7 +19,7 @@ def ours(file: ReferenceFile, rays: int | None, seed: int) -> Finder:
 
 
 def asked(row: DeclaredRow, _: Finder) -> Estimate:
-    """Return the efficiency of a row's sphere as miepython computes it, whose refractive index is n - ik."""
+    """Return the Mie efficiency of a row's sphere as miepython computes it, with its convention n - ik of the index."""
     index = complex(row.argument("n"), -row.argument("k"))
     with others():
         import miepython

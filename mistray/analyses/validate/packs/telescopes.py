@@ -42,7 +42,7 @@ class BothPrograms:
 
     @functools.cached_property
     def shared(self) -> list[Names]:
-        """Paths with two reflections that batoid finds stronger than `FAINTEST`, the strongest first."""
+        """Paths with two reflections in which batoid finds more than `FAINTEST` of the star, the strongest first."""
         star = next((one.flux for one in self.theirs.values() if one.order == 0), 0.0)
         found = [names for names, one in self.theirs.items() if one.order == 2 and one.flux > FAINTEST * star]
         return sorted(found, key=lambda names: -self.theirs[names].flux)
@@ -51,8 +51,8 @@ class BothPrograms:
         """
         Return a quantity of one program, without error, as both trace the same rays; None if it has no such light.
 
-        It is the RMS spot radius of the image, µm, the number of shared ghosts, their flux in ‰ of the image, or the
-        RMS radius of the sharpest ghost, mm.
+        Quantities are "spot_um", the RMS radius of the image, µm; "ghosts", the number of shared ghosts;
+        "ghost_permille", their flux, ‰ of the image; any other: the RMS radius of batoid's sharpest ghost, mm.
         """
         ghosts = {names: bundles[names] for names in self.shared if names in bundles}
         image = next((one for one in bundles.values() if one.order == 0), None)
@@ -70,7 +70,11 @@ class BothPrograms:
 
 
 class TelescopeNumbers:
-    """Numbers of the rows of one file; rows with the same light share one trace in mistray and in batoid."""
+    """
+    Numbers of the rows of one file; rows with the same light share one trace in mistray and in batoid.
+
+    Parameters are those of `SceneNumbers`.
+    """
 
     def __init__(self, file: ReferenceFile, rays: int | None, seed: int) -> None:
         self._rays = rays or file.rays
@@ -104,9 +108,9 @@ def asked(row: DeclaredRow, ours: Finder) -> Estimate | None:
 
 def _traced(file: str, wavelength_nm: float, field_deg: float, rays: int, seed: int) -> BothPrograms:
     """
-    Trace a telescope at a wavelength, nm, and a field angle, degrees, with mistray and batoid from the same start rays.
+    Return the light on the detector by path, from mistray and from batoid, which trace the same start rays.
 
-    Return the light on the detector by path, from both.
+    `file` is a telescope file of batoid, `rays` the number of start rays, and `seed` that of their random numbers.
     """
     with others():
         import batoid
