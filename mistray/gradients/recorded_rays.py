@@ -57,7 +57,7 @@ class Portions:
         trace : callable
             Traces a portion of the start rays with the recorder, its second argument.
         most : callable, optional
-            Returns an upper limit of the number of rays of the next portion.
+            Returns an upper limit of the number of rays of the next portion; None: there is no such limit.
 
         Raises
         ------
@@ -96,7 +96,7 @@ class RecordedRays:
     lane : mi.UInt32
         Index of each ray's start ray in `start`.
     o, d : mi.Vector3d
-        Origins, mm, and unit directions.
+        Origins, mm, relative to the centre of the scene, and unit directions, along the axes of the world.
     batch, length : mi.UInt32
         Index of the start ray's batch, and number of events.
     longest : int
@@ -137,9 +137,9 @@ class RecordedRays:
 
     @property
     def heading(self) -> mi.Vector3f:
-        """Unit directions in which the rays leave the scene."""
+        """Unit directions, in the world, in which the rays leave the scene."""
         return mi.Vector3f(*(dr.gather(mi.Float, self.recorder.heading, 3 * self.row + k) for k in range(3)))
 
     def node(self, k: mi.UInt32, active: mi.Bool) -> Node:
-        """Return event `k` of each recorded ray: point, mm, direction of arrival, and event code."""
+        """Return event `k` of each recorded ray, counted from 0 at the start, where `active`."""
         return self.recorder.node(self.row, k, active)

@@ -60,8 +60,8 @@ def scatter_gradient(
     Yields
     ------
     owner, name, gradient
-        A scatter plugin, the name of one of its values, and the derivatives by batch, (BATCHES, 1), of all surfaces
-        that have the plugin.
+        A scatter plugin, the name of one of its values, and the derivatives by batch, (BATCHES, 1), summed over all
+        surfaces that have the plugin, in the metric's unit per unit of the value.
 
     Raises
     ------

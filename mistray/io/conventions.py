@@ -52,7 +52,7 @@ def choose_position(
     Parameters
     ----------
     wanted : int or str, optional
-        Number or name of the wanted one; the saved one by default.
+        Number or name of the wanted one; None: the one that the file was saved in.
     saved, count : int
         Number of the one that the file was saved in, and how many there are, from 1.
     names : mapping of int to str
@@ -85,7 +85,11 @@ def choose_position(
 
 
 def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:
-    """Return pupil shift and compression VDX, VDY, VCX, VCY from CODE V's vignetting factors of the four sides."""
+    """
+    Return shift VDX, VDY and compression VCX, VCY of the pupil from CODE V's vignetting factors of the four sides.
+
+    All are fractions of the radius of the pupil.
+    """
     return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
 
 

@@ -183,7 +183,7 @@ def _coating(
     """
     Return an optiland coating with constant R and T; None for a bare surface.
 
-    Losses of detail are added to `losses`.
+    `sides` are the materials in front and behind, and `what` names the surface. Losses of detail are added to `losses`.
     """
     kinds = _optiland("coatings")
     if coating is None:

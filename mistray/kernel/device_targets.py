@@ -43,7 +43,7 @@ class DeviceTargets:
     sets : sequence of AimSet
         Sets of targets, one after the other.
     centre : (3,) float64
-        Origin of positions on the device, mm.
+        World point that is the origin of positions on the device, mm.
     """
 
     def __init__(self, sets: Sequence[AimSet], centre: np.ndarray) -> None:
@@ -124,7 +124,7 @@ class DeviceTargets:
         active: mi.Bool,
     ) -> mi.Float:
         """
-        Return the pdf of aimed rays in a direction, 1/sr.
+        Return the pdf of aimed rays in a direction, 1/sr; `aims`, `p` and `specular` are as in `sample`.
 
         Where `aim` is set, the ray was aimed at the target with the index `own` in its set. That target counts even if
         rounding lets the direction miss it.

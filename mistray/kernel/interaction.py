@@ -55,7 +55,7 @@ class Interaction:
     Attributes
     ----------
     p : mi.Vector3f
-        Point, moved onto the surface, mm.
+        Point, moved onto the surface, mm, relative to the centre of the scene.
     reflected, transmitted : mi.Vector3f
         Unit directions; `transmitted` has no meaning in total reflection or at an opaque surface.
     R, T : mi.Float
@@ -163,11 +163,11 @@ def interact(
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     p, d : mi.Vector3f
-        Point close to the surface (mm) and unit direction of propagation.
+        Point close to the surface (mm, relative to the centre of the scene) and unit direction of propagation.
     s : mi.UInt32
         Indices of the surfaces.
     mitsuba_normal : mi.Vector3f, optional
-        Normal where the surface is a Mitsuba shape; needed if the scene has any.
+        Unit normal, of either sign, where the surface is a Mitsuba shape; needed if the scene has any.
     stokes : mi.Vector3f, optional
         Stokes vector (Q, U, V)/I of the light, in the axes of `d`; None: unpolarised everywhere.
     active : mi.Bool
@@ -397,7 +397,11 @@ def _bare(at: _Incidence) -> tuple[mi.Vector4f, mi.Vector4f]:
 def _mueller(
     table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[Mueller, Mueller]:
-    """Return the Mueller matrices of surfaces for reflection and transmission, in axes of the plane of incidence."""
+    """
+    Return the Mueller matrices of surfaces for reflection and transmission, in axes of the plane of incidence.
+
+    That of transmission has no meaning in total reflection or at an opaque surface.
+    """
     kinds = table.optics.kinds
     # An ideal coating acts on s and p alike, as a bare surface does at normal incidence
     R, T = dr.select(at.tir, optics.z + optics.w, optics.z), optics.w

@@ -36,9 +36,10 @@ def tangents(normal: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
     """
     Return unit vectors t1 and t2 such that t1, t2 and a unit normal, in this order, are a right-handed frame.
 
-    T. Duff et al., "Building an orthonormal basis, revisited", Journal of Computer Graphics Techniques 6 (2017) 1.
-    There the frame switches branch at z = 0, which is where all normals of a tube lie: a rounding of a position would
-    turn the scattered rays. Here it does so at z = -0.3, away from normals of tubes and of planes across the axis.
+    Source: T. Duff et al., "Building an orthonormal basis, revisited", Journal of Computer Graphics Techniques 6
+    (2017) 1. There the frame switches branch at z = 0, which is where all normals of a tube lie: a rounding of a
+    position would turn the scattered rays. Here it does so at z = -0.3, away from normals of tubes and of planes across
+    the axis.
     """
     mirrored = dr.select(normal.z < TURNED, mi.Float(-1), 1)
     a = -dr.rcp(mirrored + normal.z)

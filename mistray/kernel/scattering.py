@@ -187,7 +187,7 @@ class Scattering(ScatterShares):
         rng: mi.PCG32,
         competing: Scattering | None,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Float, mi.Float]:
-        """Return direction, throughput and slope of the rays that `scatter` returns, and the pdfs of `ScatterPdfs`."""
+        """Return direction, weight and slope of the rays that `scatter` returns, and the two pdfs of `ScatterPdfs`."""
         table, s, it, d = hit
         # The case of reflection follows that of transmission from the same side
         case = budget.first_case + dr.select(ray.reflect, mi.UInt32(1), 0)
@@ -274,7 +274,8 @@ class Scattering(ScatterShares):
         """
         Return the reverse pdf: rays per sr that this competing trace sends along -d for one along `-direction`.
 
-        One ray is drawn at random. The probability that a hit scatters at all is left out.
+        One ray is drawn at random, and all aimed rays count. The probability that a hit scatters at all is left out.
+        `reflect` says whether d and `direction` are on one side, and `cos_s` is the cosine of `direction`.
         """
         # R, T and refraction for a ray that arrives along `-direction`, on the other side if it was transmitted
         from_front = it.from_front ^ ~reflect

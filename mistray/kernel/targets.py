@@ -128,7 +128,11 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Return whether any ray from points (n, 3), mm, to the target leaves against its normal, and any along it."""
+        """
+        Return two bools: whether any random ray to the target leaves against a normal, and whether any leaves along it.
+
+        The rays start at points (n, 3), mm, of surfaces that have the unit `normals` (n, 3) there.
+        """
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
@@ -182,7 +186,11 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Return whether any ray from points (n, 3), mm, to the target leaves against its normal, and any along it."""
+        """
+        Return two bools: whether any random ray to the target leaves against a normal, and whether any leaves along it.
+
+        The rays start at points (n, 3), mm, of surfaces that have the unit `normals` (n, 3) there.
+        """
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
@@ -255,9 +263,10 @@ class TargetCone:
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
         """
-        Return two bools: whether any ray aimed from points (n, 3), mm, leaves against its normal, and any along it.
+        Return two bools: whether any random ray to the target leaves against a normal, and whether any leaves along it.
 
-        For a cone about the specular beam both are True.
+        The rays start at points (n, 3), mm, of surfaces that have the unit `normals` (n, 3) there. For a cone about the
+        specular beam both are True.
         """
         if self.about == "specular":
             return True, True

@@ -41,7 +41,8 @@ def read_mate(path: str | Path) -> dict[str, Table]:
     Raises
     ------
     MistrayError
-        If the file is missing, or a line of a MATE section is malformed; with the number of the line.
+        If the file is missing or not text, a line of a MATE section is malformed, or a material has no data or occurs
+        twice. The message names the line.
     """
     try:
         stamp = Path(path).stat().st_mtime_ns

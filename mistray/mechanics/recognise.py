@@ -111,7 +111,11 @@ def _key(surface: RoundSurface) -> tuple[object, ...]:
 
 
 def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[np.ndarray]:
-    """Yield connected groups of triangles, (m, 4): index in the part, and indices of three welded vertices."""
+    """
+    Yield connected groups of triangles, (m, 4): index in the part, and indices of three welded vertices.
+
+    `chosen` holds the indices of the triangles. Vertices less than about a tenth of `tolerance`, mm, apart are welded.
+    """
     corners = part.triangles[chosen]
     used, inverse = np.unique(corners, return_inverse=True)
     cells = np.round(part.vertices[used] / (0.1 * tolerance)).astype(np.int64)

@@ -33,7 +33,7 @@ DEEPEST = 100  # levels; telescopes need about twenty
 
 def read_optic(path: str | Path) -> batoid.Optic:
     """
-    Read a telescope file of batoid.
+    Return the optic that a telescope file of batoid describes.
 
     Parameters
     ----------

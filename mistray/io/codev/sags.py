@@ -59,7 +59,7 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
     Raises
     ------
     MistrayError
-        If a coefficient is unknown, or NRADIUS is missing or not positive.
+        If a coefficient is unknown, or if an XYP, ZRN or ZFR with terms has no NRADIUS above 0.
     """
     if kind in ("YTO", "CYL", "XTO"):
         return {"toroid_curvature": curvature_x / unit} | _powers(extra, unit)
@@ -141,7 +141,7 @@ def standard_orders(j: int) -> tuple[int, int]:
 
 
 def noll_number(n: int, m: int) -> int:
-    """Return the Noll index of the standard Zernike polynomial of orders n (radial) and m (azimuthal)."""
+    """Return the Noll index of the Zernike polynomial of orders n (radial) and m (azimuthal, < 0 for a sine)."""
     first = n * (n + 1) // 2 + 1
     return next(j for j in range(first, first + n + 1) if noll_orders(j) == (n, m))
 
@@ -150,6 +150,7 @@ def _place(name: str, kind: str, head: str, first: int, terms: int) -> int:
     """
     Return the index of a polynomial term named as Z5, or as the coefficient C6; 0 for names of other quantities.
 
+    `head` is the letter before the index, term j is the coefficient C(j + `first`), and `terms` is the last index.
     Raise `MistrayError` for an unknown name.
     """
     if name in ("NRADIUS", "K", "KX", "C1") or re.fullmatch(r"[AR]\d+", name):

@@ -188,7 +188,7 @@ class _Reader:
 
     def _object(self, section: ZemaxSection) -> tuple[float, str]:
         """
-        Return the distance of the object, mm, from its section, and the material behind it.
+        Return the object's distance from the first surface, mm, and the material between them; inf if it is far away.
 
         Raise `MistrayError` if the object is not of type STANDARD.
         """
@@ -299,7 +299,7 @@ class _Reader:
         """
         Return the clear semi-diameter (mm), whether it stops light, and stated apertures, as arguments of `Row`.
 
-        Raise `MistrayError` if there are two apertures, or the radii of a floating one do not ascend.
+        Raise `MistrayError` if there are two apertures, or the radii or half widths of one are not valid.
         """
         diameter = section.take("DIAM")
         drawn = abs(diameter.value(0, "a semi-diameter")) * self.unit if diameter else 0.0

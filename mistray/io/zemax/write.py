@@ -52,7 +52,7 @@ def write_zemax(lens: Sequential, path: str | Path) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        Losses: content that the file lacks or only approximates, one sentence each; empty if the file is complete.
+        Losses: content that the file lacks or only approximates, one phrase each; empty if the file is complete.
 
     Raises
     ------
