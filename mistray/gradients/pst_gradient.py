@@ -70,7 +70,8 @@ class PstEnds(Ends):
         """
         Return the contribution of each ray to the metric: its recorded weight, wherever it hits or leaves.
 
-        For backward rays it is an `Exit`, otherwise a function of the hit with the detector.
+        For backward rays it is an `Exit`, otherwise a function of the hit with the detector. Parameters are as in
+        `Ends.end`.
         """
         gain = rays.weight  # the same anywhere on the detector
         return Exit(gain, rays.heading) if self.sky is not None else lambda *hit: gain

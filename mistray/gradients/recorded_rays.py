@@ -39,7 +39,7 @@ class Portions:
 
     @classmethod
     def filling(cls, recorder: BranchRecorder, records: float, too_many: str) -> Portions:
-        """Return portions that just fill the recorder, given the expected `records` per start ray."""
+        """Return portions that just fill the recorder, given the expected `records` per start ray; see the class."""
         return cls(recorder, int(ROOM * recorder.capacity / max(records, 1.0)), too_many)
 
     def of(
@@ -115,7 +115,7 @@ class RecordedRays:
 
     @classmethod
     def of(cls, recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> RecordedRays:
-        """Return the recorded rays in given rows of a recorder, one lane per row."""
+        """Return the recorded rays in given rows of a recorder, one lane per row; `start` is the traced portion."""
         row = upload(mi.UInt32, rows)
         lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
         length = dr.gather(mi.UInt32, recorder.length, row)

@@ -227,7 +227,11 @@ class ReplaySurfaces:
         return dr.select(from_front, normal, -normal), from_front
 
     def event(self, hit: Hit, code: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> ReplayedEvent:
-        """Return the events at hits, differentiable with respect to the values in `hit` and to indices, R and T."""
+        """
+        Return the events at hits, differentiable with respect to the values in `hit` and to indices, R and T.
+
+        `code` and `batch` are as in `followed`.
+        """
         s, what = place_of(code), kind_of(code)
         transmitted, scattered = what == TRANSMITTED, what >= RANDOM_TRANSMITTED
         d, axis, shift, turn = hit.d, hit.axis, hit.shift, hit.turn
@@ -341,7 +345,7 @@ class ReplaySurfaces:
         return dr.select(cosine > 0, front, back), dr.select(cosine > 0, back, front)
 
     def numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
-        """Return shape parameters of surfaces s by name, such as curvature, 1/mm; if `still`, without derivatives."""
+        """Return shape parameters of surfaces s, such as curvature, 1/mm; derivatives by `batch`, none if `still`."""
         rows = self._still if still else self._shape
         return self._named(rows.read(s, batch, active), rows, s, active)
 
@@ -401,7 +405,7 @@ class ReplaySurfaces:
 
     def rim_distances(self, q: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
         """
-        Return distances of points in the surfaces' frames from the rims, mm, as in `RIM_COLUMNS`; ≥ 0 inside.
+        Return distances of points q in the surfaces' frames from the rims, mm, as in `RIM_COLUMNS`; ≥ 0 inside.
 
         Distances from rims that a surface does not have mean nothing.
         """

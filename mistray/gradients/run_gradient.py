@@ -64,7 +64,7 @@ class DetectorEnds(Ends):
         return np.asarray(coefficients.any(axis=1) | ((maps >= 0) & (self.pixel is not None)))
 
     def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End:
-        """Return the contribution of each ray to the metric, as a function of its hit on the detector."""
+        """Return the contribution of each ray to the metric, a function of its detector hit, see `Ends.end`."""
         terms: list[mi.Float64] = []
         mapped, first = mi.Bool(True), mi.UInt32(0)
         if self.paths is not None:

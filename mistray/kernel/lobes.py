@@ -87,7 +87,7 @@ class RadialSampler:
 
     def sample(self, table: mi.UInt32, u: mi.Float, v: mi.Float, active: mi.Bool) -> mi.Float:
         """
-        Return a radius sampled with the density 2π r f(r) / total, from two uniform random numbers.
+        Return a radius sampled with the density 2π r f(r) / total of `table`, from two uniform random numbers u and v.
 
         The first gives the cell and the place in it, the second decides between the cell and its alias. A single number
         would have too few values: a float32 has few places in a cell, and many cells have a small share.

@@ -286,9 +286,9 @@ AnyTarget = Target | Ellipsoid | TargetCone
 
 def _sides(d: np.ndarray, normals: np.ndarray, reverse: bool) -> tuple[bool, bool]:
     """
-    Return two bools: whether any direction d, (n, 3), goes against its normal, and whether any goes along it.
+    Return two bools: whether any ray along d, (n, 3), goes against its normal, and whether any goes along it.
 
-    With `reverse` rays go along -d.
+    `normals` are (n, 3), one for each ray. With `reverse` rays go along -d.
     """
     outward = np.einsum("ij,ij->i", d, normals) * (-1 if reverse else 1)
     return bool(np.any(outward < 0)), bool(np.any(outward > 0))

@@ -124,6 +124,8 @@ def numbers(words: list[str], least: int, most: int, where: str, what: str) -> l
     """
     Return the words of a line, from `least` to `most` of them, as numbers.
 
+    `where` and `what` are the place and the expected content, for the message.
+
     Raises
     ------
     MistrayError

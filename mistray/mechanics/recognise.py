@@ -132,7 +132,11 @@ def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[
 
 
 def _band(part: CadPart, surface: RoundSurface, piece: np.ndarray, tolerance: float) -> RevolvedBand | None:
-    """Return the band that connected triangles of one surface form, to `tolerance`, mm; None if they form none."""
+    """
+    Return the band that connected triangles of one surface form, to `tolerance`, mm; None if they form none.
+
+    `piece` is one of the groups of `_connected`.
+    """
     places, welded = piece[:, 0], piece[:, 1:]
     points = np.zeros((int(welded.max()) + 1, 3))
     points[welded.ravel()] = part.vertices[part.triangles[places].ravel()]

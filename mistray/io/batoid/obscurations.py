@@ -55,7 +55,7 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
 
 
 def _outline(obscuration: Any, radius: float, owner: str, clear: bool) -> Outline:
-    """Return the clear or covered area of an obscuration as an outline, mm; it ends at `radius`, m, if unlimited."""
+    """Return the clear or covered area of an obscuration as an outline, mm; see `clear_outline`, `opaque_outlines`."""
     figures = _figures(obscuration, radius, owner, clear)
     if figures[0].sign == "-":
         figures = [OutlineFigure("circle", sizes=(radius * M_TO_MM,)), *figures]
@@ -89,8 +89,8 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[O
     """
     Return the clear area of an obscuration, or the covered area without `clear`, as figures, mm.
 
-    If the first figure is cut away, the area is the rest of a disc of `radius`, m. Raise `MistrayError` if figures
-    cannot express the area.
+    If the first figure is cut away, the area is the rest of a disc of `radius`, m. Raise `MistrayError`, which names
+    the element `owner`, if figures cannot express the area.
     """
     kind = type(obscuration).__name__
     if obscuration is None:

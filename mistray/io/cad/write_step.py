@@ -232,7 +232,7 @@ class StepFile:
         return self.add(f"GEOMETRIC_CURVE_SET({text(name)},{refs(curves)})")
 
     def paint(self, item: int, colour: Colour, line: bool = False) -> None:
-        """Set the colour of a body, sheets or (with `line`) curves: red, green and blue, 0 … 1."""
+        """Set the colour, red, green and blue, 0 … 1, of a body, sheets or (with `line`) curves with number `item`."""
         style = self._styles.get((colour, line))
         if style is None:
             rgb = self.add(f"COLOUR_RGB('',{','.join(map(real, colour))})")

@@ -301,7 +301,8 @@ class _Reader:
         """
         Process ``S``, ``S3``, ``SO`` or ``SI``, with curvature or radius, thickness and glass.
 
-        ``S`` without a number adds a surface. Raise `MistrayError` if a number leaves out a surface.
+        `which` is what stands behind the S. ``S`` without a number adds a surface. Raise `MistrayError` if a number
+        leaves out a surface.
         """
         if which == "O":
             surface = self.object

@@ -90,13 +90,13 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
 
 
 def _powers(extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Return the coefficients of rⁿ, mm^(1-n), keyed by the names of `Row.sag`."""
+    """Return the coefficients of rⁿ, mm^(1-n), keyed by the names of `Row.sag`; parameters as in `sag_of`."""
     powers = {name.lower(): value for name, value in extra.items() if re.fullmatch(r"[AR]\d+", name)}
     return {name: value * unit ** (1 - int(name[1:])) for name, value in powers.items()}
 
 
 def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Return the coefficients of rⁿ of an ODD surface, mm^(1-n), keyed by the names of `Row.sag`."""
+    """Return the coefficients of rⁿ of an ODD surface, mm^(1-n), by names of `Row.sag`; parameters as in `sag_of`."""
     radius = (extra.get("NRADIUS") or extra.get("C33") or 1.0) * unit
     found = {}
     for name, value in extra.items():
@@ -110,7 +110,8 @@ def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, f
     """
     Return Zernike coefficients and normalisation radius of a ZRN or ZFR surface, mm, by their names in `Row.sag`.
 
-    If all coefficients are 0, the result is empty. Raise `MistrayError` if the normalisation radius is not above 0.
+    Parameters are as in `sag_of`. If all coefficients are 0, the result is empty. Raise `MistrayError` if the
+    normalisation radius is not above 0.
     """
     radius_place, first, terms = ("C69", 1, _ZRN_TERMS) if kind == "ZRN" else ("C2", 3, _ZFR_TERMS)
     radius = extra.get("NRADIUS") or extra.get(radius_place, 0.0)

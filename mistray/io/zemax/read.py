@@ -330,8 +330,8 @@ class _Reader:
         """
         Return the outline, mm, that a line of an aperture or obscuration in the Zemax file describes.
 
-        None, for an aperture from a user's file, means that it stops no light. Raise `MistrayError` if its radii or
-        half widths are not valid.
+        None, for an aperture from a user's file, means that it stops no light. `x` and `y` are its centre, `drawn` is
+        the semi-diameter in the file, or 0, all in mm. Raise `MistrayError` if radii or half widths are not valid.
         """
         if line.key not in _FIGURES and line.key != "SPID":
             self.unread.append(
