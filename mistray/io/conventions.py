@@ -54,7 +54,7 @@ def choose_position(
     wanted : int or str, optional
         Number or name of the wanted one; None: the one that the file was saved in.
     saved, count : int
-        Number of the one that the file was saved in, and how many there are, from 1.
+        Number, from 1, of the one that the file was saved in, and how many there are.
     names : mapping of int to str
         Their names, by number.
     what : str
@@ -86,7 +86,7 @@ def choose_position(
 
 def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:
     """
-    Return shift VDX, VDY and compression VCX, VCY of the pupil from CODE V's vignetting factors of the four sides.
+    Return shift VDX, VDY and compression VCX, VCY of the pupil from CODE V's vignetting factors VUX, VLX, VUY, VLY.
 
     All are fractions of the radius of the pupil.
     """

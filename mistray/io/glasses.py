@@ -29,7 +29,7 @@ class FileGlasses:
     Attributes
     ----------
     notes : list of str
-        Assumptions made, each once.
+        Assumptions made, in the order of the calls; one that is made again is there again.
     """
 
     def __init__(self, replaced: Mapping[str, str], wavelengths_nm: Sequence[float]) -> None:
@@ -38,7 +38,7 @@ class FileGlasses:
         self._wavelengths_nm = wavelengths_nm
 
     def _asked_for(self, name: str) -> str | None:
-        """Return the material string by which the user replaces a glass; None if the user replaces it by none."""
+        """Return the material string by which the user replaces a glass; None if the user does not replace it."""
         material = self._replaced.get(name.upper())
         if material is not None:
             self.notes.append(f"glass {name}: replaced by {material}, as asked")

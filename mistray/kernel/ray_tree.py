@@ -296,7 +296,7 @@ class _Tree:
         hit: mi.Bool,
         contributes: mi.Bool,
     ) -> tuple[mi.Float, mi.Float]:
-        """Return the throughput left after `length` mm in a medium, and that scattered there; record the absorbed."""
+        """Return the throughput left after `length` mm in a medium, and that scattered; record the rest as absorbed."""
         optics = self.scene.table.optics
         if not optics.absorbs:
             return flux, mi.Float(0)

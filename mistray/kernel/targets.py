@@ -137,7 +137,7 @@ class Target:
 
     @property
     def size(self) -> tuple[float, float]:
-        """Lengths of u and v, mm: half axes of an ellipse, half sides of a parallelogram, or edges of a triangle."""
+        """Lengths of u and v, mm: conjugate radii of an ellipse, half sides of a parallelogram, edges of a triangle."""
         return float(np.linalg.norm(self.u)), float(np.linalg.norm(self.v))
 
 

@@ -46,7 +46,7 @@ class RoundSurface:
 @dataclass(frozen=True, eq=False)
 class CadPart:
     """
-    Part of a CAD or mesh file, in the frame of the scene.
+    Part of a CAD or mesh file, in the frame of the file, or in that of the scene once it is `moved` there.
 
     Attributes
     ----------

@@ -188,7 +188,7 @@ class _Reader:
 
     def _object(self, section: ZemaxSection) -> tuple[float, str]:
         """
-        Return the object's distance from the first surface, mm, and the material between them; inf if it is far away.
+        Return the object's distance from the first surface, mm (inf: far away), and the material between them.
 
         Raise `MistrayError` if the object is not of type STANDARD.
         """
