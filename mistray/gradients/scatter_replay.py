@@ -295,7 +295,7 @@ class ReplayTables(ScatterTables):
         """
         Return a ratio table's interpolated value at `places`, with derivatives with respect to them and to the entries.
 
-        `place` is the index of the table in the array of all, and `places` are coordinates along its axes, 0 … 1.
+        `place` is the index of the table's head in the array of all, `places` are coordinates along its axes, 0 … 1.
         Derivatives along the axes are differences over one cell about the place, one-sided at the ends of an axis that
         is neither periodic nor mirrored. Only tables that parameters change have derivatives with respect to entries.
         """

@@ -88,7 +88,7 @@ def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> 
     """
     Return shift VDX, VDY and compression VCX, VCY of the pupil from CODE V's vignetting factors VUX, VLX, VUY, VLY.
 
-    All are fractions of the radius of the pupil.
+    All are fractions of the radius of the pupil; a shift is positive towards +x or +y.
     """
     return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
 

@@ -544,7 +544,7 @@ class Branching:
     def _one(
         self, node: Node, children: Children, unscattered: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
     ) -> Choice:
-        """Return the only child of ``splitting="one"``, drawn by flux, with the flux of all; see `_cut_weak`."""
+        """Return the child of ``splitting="one"``, drawn in proportion to flux, with that of all; see `_cut_weak`."""
         first, visit, budget, bulk_aim = node.first, node.visit, node.budget, children.bulk_aim
         w_t, w_r, w_s, w_m = children.transmitted, children.reflected, children.scattered, children.in_scattered
         random_rays, random_medium_rays = children.random_rays, children.random_medium_rays

@@ -167,7 +167,7 @@ def interact(
     s : mi.UInt32
         Indices of the surfaces.
     mitsuba_normal : mi.Vector3f, optional
-        Unit normal, of either sign, where the surface is a Mitsuba shape; needed if the scene has any.
+        Unit normal, from front to back, where the surface is a Mitsuba shape; needed if the scene has any.
     stokes : mi.Vector3f, optional
         Stokes vector (Q, U, V)/I of the light, in the axes of `d`; None: unpolarised everywhere.
     active : mi.Bool
@@ -288,7 +288,8 @@ def shares_at(
     Return R, T and cos θt of surfaces s for unpolarised light that arrives at the cosine `cos_i`.
 
     `word` is that of each surface in `Optics.words`, and `from_front` says whether the light comes from its front.
-    `optics` holds the refractive indices in front and behind, R and T; None: they are read from the table.
+    `optics` holds the refractive indices in front and behind, and R and T of an ideal coating; None: they are read from
+    the table.
     """
     if optics is None:
         optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)

@@ -131,7 +131,7 @@ class Target:
         """
         Return two bools: whether any random ray to the target leaves against a normal, and whether any leaves along it.
 
-        The rays start at points (n, 3), mm, of surfaces that have the unit `normals` (n, 3) there.
+        The rays start at points (n, 3), mm, of surfaces that have the `normals` (n, 3) there.
         """
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
@@ -189,7 +189,7 @@ class Ellipsoid:
         """
         Return two bools: whether any random ray to the target leaves against a normal, and whether any leaves along it.
 
-        The rays start at points (n, 3), mm, of surfaces that have the unit `normals` (n, 3) there.
+        The rays start at points (n, 3), mm, of surfaces that have the `normals` (n, 3) there.
         """
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
@@ -265,7 +265,7 @@ class TargetCone:
         """
         Return two bools: whether any random ray to the target leaves against a normal, and whether any leaves along it.
 
-        The rays start at points (n, 3), mm, of surfaces that have the unit `normals` (n, 3) there. For a cone about the
+        The rays start at points (n, 3), mm, of surfaces that have the `normals` (n, 3) there. For a cone about the
         specular beam both are True.
         """
         if self.about == "specular":

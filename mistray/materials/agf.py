@@ -135,7 +135,11 @@ def _error(path: Path, number: int, what: str) -> MistrayError:
 
 
 def _numbers(path: Path, line: _Line, names: str = "") -> list[float]:
-    """Return the words of a line as numbers; raise `MistrayError` for other words, or unless `names` lists as many."""
+    """
+    Return the words of a line as numbers; raise `MistrayError` if one is no number.
+
+    `names` lists what the line must hold, and another count raises, too; without it any count is allowed.
+    """
     values = []
     for word in line.words:
         value = finite_of(word)

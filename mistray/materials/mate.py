@@ -42,7 +42,7 @@ def read_mate(path: str | Path) -> dict[str, Table]:
     ------
     MistrayError
         If the file is missing or not text, a line of a MATE section is malformed, or a material has no data or occurs
-        twice. The message names the line.
+        twice. The message names the line, if there is one.
     """
     try:
         stamp = Path(path).stat().st_mtime_ns
