@@ -43,7 +43,7 @@ def hidden(text: str, breaks: str = "") -> str:
     Returns
     -------
     str
-        Character; empty if there is none. A joiner between two letters or marks is allowed.
+        Character; empty if there is none. A joiner between two letters, marks or symbols is allowed.
     """
     for place, letter in enumerate(text):
         if unicodedata.category(letter) not in CONTROLS or letter in breaks:
@@ -95,5 +95,9 @@ def check_written_id(name: str, what: str = "object") -> None:
 
 
 def plain_name(text: str) -> str:
-    """Return a string as a name of a file or part: runs of characters other than letters, digits, _ and - become _."""
+    """
+    Return a string as a name of a file or part: runs of characters other than letters, digits, _ and - become _.
+
+    Underscores at the ends are removed, so the name may be empty.
+    """
     return re.sub(r"[^\w-]+", "_", text).strip("_")

@@ -11,7 +11,11 @@ from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, TEXT, WAVELENGTHS_NM, WEIGHTS
 
 @dataclass(frozen=True)
 class Light:
-    """Field direction and wavelengths of a trace, and the detector that records it; None takes the scene's value."""
+    """
+    Field direction and wavelengths of a trace, and the detector that records it.
+
+    An attribute that is None takes the scene's value, but wavelengths that are given without weights have equal ones.
+    """
 
     field_deg: float | None = FIELD_DEG.field(
         None, "field angle, degrees; traces over a grid of directions do not read it"

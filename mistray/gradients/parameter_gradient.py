@@ -46,7 +46,9 @@ NO_PARAMETERS = (
 
 def without_derivative(key: str) -> str:
     """
-    Return why a trace has no derivative with respect to this key of ``mi.traverse``, with a remedy; "" if unknown.
+    Return why a trace has no derivative with respect to a key of ``mi.traverse``; "" if the reason is not known.
+
+    If there is a remedy, the text names it.
 
     Parameters
     ----------
@@ -84,8 +86,9 @@ def number_rates(
     Yields
     ------
     owner, name, array, place, rates
-        The plugin, the name of its parameter, a field of `SurfaceNumbers`, the place of the values in it that change,
-        and their rates per unit of the parameter. A parameter that changes several fields is yielded several times.
+        The plugin, the name of its parameter, the name of a field of `SurfaceNumbers`, the index of the values in it
+        that change, and their rates per unit of the parameter. The rates have the shape of these values, or are one
+        number. A parameter that changes several fields is yielded several times.
     """
     optics = table.optics
     for piece in table.pieces:
@@ -122,14 +125,15 @@ def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = Fal
     Yields
     ------
     owner, name, gradient
-        The plugin that owns the parameter, its name, and the derivatives by batch, (BATCHES, entries); of rims
-        (w, BATCHES, entries), one entry of the first axis for each width of the zones. A parameter may come several
-        times; the parts add up.
+        The plugin that owns the parameter, its name, and the derivatives by batch, (BATCHES, entries), in the metric's
+        unit per unit of the parameter. Boundary terms of rims are (w, BATCHES, entries), with one entry of the first
+        axis for each width of the zones. A parameter may come several times; the parts add up.
 
     Raises
     ------
     MistrayError
-        If the light is polarised, or a scatter parameter has no derivative at its value.
+        If derivatives with respect to coatings are present although the light is polarised, or if a scatter parameter
+        has no derivative at its value.
     """
     found, table = raw.rims if rims else raw.inner, raw.table
     arrays = {"geometry": found.geometry, "indices": found.indices, "rows": found.rows}
@@ -152,7 +156,7 @@ def _ideal(optics: Optics, rows: np.ndarray) -> np.ndarray:
     """
     Return derivatives with respect to R and T of ideal coatings, (BATCHES, surfaces, 2).
 
-    `rows` holds those with respect to rows of coating tables.
+    `rows` is that of `Derivatives`. The entries of surfaces with other coatings mean nothing.
     """
     own = rows[:, optics.host_places[:, 0]]
     both = own[..., REFLECTION_AND_TRANSMISSION]
@@ -190,10 +194,10 @@ def number_tangent(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.nd
 
 def gathered(raws: Iterable[TableGradient], is_chosen: IsChosen) -> tuple[Sums, Sums]:
     """
-    Return derivatives of a metric by plugin id and parameter name, summed over traces.
+    Return derivatives of a metric, summed over traces, keyed by the ``id()`` of the plugin and the parameter's name.
 
-    The first mapping has those with visibility held fixed, by batch; the second the boundary terms of rims, by zone
-    width and batch.
+    The first mapping has those with visibility held fixed, the second the boundary terms of rims. Shapes and units are
+    those of `parameter_gradient`.
     """
     inner, rims = Sums(), Sums()
     for raw in raws:

@@ -43,9 +43,9 @@ class Ends:
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
         """
-        Return a mask of the paths that contribute to the metric, (n,) bool, by path keys, (n,) uint64 ascending.
+        Return a mask of paths, (n,) bool: True where a path contributes to the metric. In this class all do.
 
-        Here all.
+        `keys`, (n,) uint64, are the keys of the paths in ascending order.
         """
         return np.ones(len(keys), dtype=bool)
 
@@ -92,7 +92,7 @@ class PathReplay:
     scatter : ScatterReplay or None
         Scatter of the surfaces; None: no surface scatters.
     edges : Edges or None
-        Boundary terms of rims; None: they are not requested.
+        Boundary terms of rims; None: they are not requested, or no requested parameter moves hits or rims.
 
     Raises
     ------

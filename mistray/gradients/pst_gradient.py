@@ -50,7 +50,8 @@ class PstEnds(Ends):
     Attributes
     ----------
     groups : mi.UInt32 or None
-        Index, below BATCHES, of the sum that the derivatives of each cell enter; None: they are kept by batch.
+        For each cell, row by row, the index below BATCHES of the sum that its derivatives enter; None: derivatives are
+        kept by batch.
     sky : DirectionRecorder or None
         Cells in which backward rays leave the scene; None: forward rays, which end at the detector.
     """
@@ -69,7 +70,8 @@ class PstEnds(Ends):
         """
         Return the contribution of each ray to the metric: its recorded weight, wherever it hits or leaves.
 
-        For backward rays it is an `Exit`, otherwise a function of the hit with the detector.
+        For backward rays it is an `Exit`, otherwise a function of the hit with the detector. Parameters are as in
+        `Ends.end`.
         """
         gain = rays.weight  # the same anywhere on the detector
         return Exit(gain, rays.heading) if self.sky is not None else lambda *hit: gain
@@ -103,7 +105,7 @@ class PstRays:
         Parameters
         ----------
         derivative : (CLASS_COUNT, n, m) float64
-            Derivative of the metric with respect to PST_normal of each path class in each cell.
+            Derivative of the metric with respect to PST_normal of each path class in each of the n × m cells of angles.
         request : GradientRequest
             Requested derivatives.
         groups : (n, m) int, optional
@@ -113,13 +115,14 @@ class PstRays:
         Yields
         ------
         TableGradient
-            Gradients for each wavelength and tracing direction. Where there are forward rays, each comes in two parts:
-            for parameters that move paths, and for the others.
+            Gradients for each wavelength and tracing direction. Where there are forward rays, parameters that move
+            paths come in a part of their own, after the others; a part without requested parameters is left out.
 
         Raises
         ------
         MistrayError
-            If the trace continues a saved run, whose rays are not available, or if `groups` come with `edge_widths`.
+            If the trace continues a saved run, whose rays are not available, if `groups` come with `edge_widths`, or
+            for the reasons of `PathReplay`.
         """
         if self.trace.pass_rays is None:
             raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
@@ -140,10 +143,11 @@ class PstRays:
         self, number: int, derivative: np.ndarray, request: GradientRequest, moves: bool, ends: PstEnds
     ) -> TableGradient:
         """
-        Return derivatives of a metric by replay of the rays at one wavelength, with notes on what they leave out.
+        Return derivatives of a metric by replay of rays at one wavelength, with notes on what they leave out.
 
-        The rays are the backward ones if `ends` has a sky, else the forward ones. `moves` says whether a requested
-        parameter moves paths. Raise `MistrayError` as `PathReplay` does.
+        `number` is the index of the wavelength, and `derivative` that of `gradient`. The rays are the backward ones if
+        `ends` has a sky, else the forward ones. `moves` says whether all paths of a path class have one MIS weight.
+        Raise `MistrayError` as `PathReplay` does.
         """
         trace, backward = self.trace, ends.sky is not None
         scene = trace.split_scene(number) if backward else trace.forward_scene(number)
@@ -168,10 +172,10 @@ class PstRays:
         self, number: int, derivative: np.ndarray, moves: bool, recorder: BranchRecorder
     ) -> Iterator[tuple[StartRays, Trace]]:
         """
-        Yield the backward start rays of each pass, with a function that traces them again into the recorder.
+        Yield the backward start rays of each pass, with a function that traces them again into a recorder.
 
-        If paths move (`moves`), all paths of a path class have one MIS weight, else each has that of the balance
-        heuristic.
+        `number` and `derivative` are those of `_replayed`. The light of `recorder` is set for the pass. With `moves`
+        all paths of a path class have one MIS weight, else each has that of the balance heuristic.
         """
         trace = self.trace
         assert trace.pass_rays is not None
@@ -198,9 +202,9 @@ class PstRays:
         self, number: int, derivative: np.ndarray, moves: bool, recorder: BranchRecorder
     ) -> Iterator[tuple[StartRays, Trace]]:
         """
-        Yield the forward start rays of each pass, with a function that traces them again into the recorder.
+        Yield the forward start rays of each pass, with a function that traces them again into a recorder.
 
-        MIS weights are as in `_backward`.
+        Parameters and MIS weights are as in `_backward`.
         """
         trace, cells = self.trace, self.cells
         assert cells is not None

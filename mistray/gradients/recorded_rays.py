@@ -39,7 +39,7 @@ class Portions:
 
     @classmethod
     def filling(cls, recorder: BranchRecorder, records: float, too_many: str) -> Portions:
-        """Return portions that just fill the recorder, given the expected `records` per start ray."""
+        """Return portions that just fill the recorder, given the expected `records` per start ray; see the class."""
         return cls(recorder, int(ROOM * recorder.capacity / max(records, 1.0)), too_many)
 
     def of(
@@ -57,7 +57,7 @@ class Portions:
         trace : callable
             Traces a portion of the start rays with the recorder, its second argument.
         most : callable, optional
-            Returns an upper limit of the number of rays of the next portion.
+            Returns an upper limit of the number of rays of the next portion; None: there is no such limit.
 
         Raises
         ------
@@ -96,7 +96,7 @@ class RecordedRays:
     lane : mi.UInt32
         Index of each ray's start ray in `start`.
     o, d : mi.Vector3d
-        Origins, mm, and unit directions.
+        Origins, mm, relative to the centre of the scene, and unit directions, along the axes of the world.
     batch, length : mi.UInt32
         Index of the start ray's batch, and number of events.
     longest : int
@@ -115,7 +115,7 @@ class RecordedRays:
 
     @classmethod
     def of(cls, recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> RecordedRays:
-        """Return the recorded rays in given rows of a recorder, one lane per row."""
+        """Return the recorded rays in given rows of a recorder, one lane per row; `start` is the traced portion."""
         row = upload(mi.UInt32, rows)
         lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
         length = dr.gather(mi.UInt32, recorder.length, row)
@@ -137,9 +137,9 @@ class RecordedRays:
 
     @property
     def heading(self) -> mi.Vector3f:
-        """Unit directions in which the rays leave the scene."""
+        """Unit directions, in the world, in which the rays leave the scene."""
         return mi.Vector3f(*(dr.gather(mi.Float, self.recorder.heading, 3 * self.row + k) for k in range(3)))
 
     def node(self, k: mi.UInt32, active: mi.Bool) -> Node:
-        """Return event `k` of each recorded ray: point, mm, direction of arrival, and event code."""
+        """Return event `k` of each recorded ray, counted from 0 at the start, where `active`."""
         return self.recorder.node(self.row, k, active)

@@ -12,7 +12,8 @@ the adjoints are `by_p` and `by_d`. The replay goes back along the recorded hits
 differentiate one event at a time, so that memory does not grow with the number of parameters. Source: reverse mode of a
 chain; compare D. Vicini et al., "Path replay backpropagation", ACM Trans. Graph. 40, 108 (2021).
 
-An event is differentiated in float32, as it was traced. Contributions to the metric and all sums are in float64.
+An event is differentiated in float32, as it was traced, or in float64 where `ReplaySurfaces` has values of that type.
+Contributions to the metric and all sums are in float64.
 
 Visibility is held: the contribution of rims comes from `mistray.gradients.edges`. The direction after a scatter event
 is held ("detached sampling"), and the flux varies with the BSDF; random choices keep their probabilities.
@@ -48,7 +49,7 @@ class Exit:
     gain : mi.Float64
         Contribution of each ray to the metric.
     heading : mi.Vector3f
-        Recorded direction in which the ray leaves.
+        Recorded unit direction, in the world, in which the ray leaves.
     """
 
     gain: mi.Float64

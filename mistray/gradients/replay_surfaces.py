@@ -156,7 +156,7 @@ class ReplaySurfaces:
         return [derived(value, self._by_index, 2 * row + side, active) for side, value in enumerate(sides)]
 
     def to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool, inverse: bool = False) -> mi.Vector3d:
-        """Rotate vectors from the frames of the surfaces s, held fixed, to the world; with `inverse`, the other way."""
+        """Return vectors turned from the frames of surfaces s, held fixed, to the world; `inverse`: the other way."""
         if not self.table.rotated:
             return v
         m = [dr.gather(self.real, self._rotations, 9 * s + k, active) for k in range(9)]
@@ -164,7 +164,7 @@ class ReplaySurfaces:
         return self.vector(*(row[0] * v.x + row[1] * v.y + row[2] * v.z for row in rows))
 
     def to_local(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Rotate vectors from the world into the frames of the surfaces s; the inverse of `to_world`."""
+        """Return vectors turned from the world into the frames of the surfaces s; the inverse of `to_world`."""
         return self.to_world(v, s, active, inverse=True)
 
     def vertex(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
@@ -190,7 +190,7 @@ class ReplaySurfaces:
         Parameters
         ----------
         o, d : mi.Vector3d
-            Origin (mm) and unit direction in the world.
+            Origin (mm, relative to the centre of the scene) and unit direction in the world.
         t : mi.Float64
             Distance of a point near the hit, mm.
         code, batch : mi.UInt32
@@ -227,7 +227,11 @@ class ReplaySurfaces:
         return dr.select(from_front, normal, -normal), from_front
 
     def event(self, hit: Hit, code: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> ReplayedEvent:
-        """Return the events at hits, differentiable with respect to the values in `hit` and to indices, R and T."""
+        """
+        Return the events at hits, differentiable with respect to the values in `hit` and to indices, R and T.
+
+        `code` and `batch` are as in `followed`.
+        """
         s, what = place_of(code), kind_of(code)
         transmitted, scattered = what == TRANSMITTED, what >= RANDOM_TRANSMITTED
         d, axis, shift, turn = hit.d, hit.axis, hit.shift, hit.turn
@@ -267,7 +271,7 @@ class ReplaySurfaces:
         Parameters
         ----------
         origin : mi.Vector3f
-            Origins of the segments that lead to the events, mm.
+            Origins of the segments that lead to the events, mm, relative to the centre of the scene.
         node : Node
             Recorded events.
         batch : mi.UInt32
@@ -280,7 +284,7 @@ class ReplaySurfaces:
         Returns
         -------
         by_o, by_d : mi.Vector3f
-            Derivatives with respect to origins (per mm) and unit directions of the segments.
+            Derivatives with respect to origins (per mm) and unit directions of the segments, in the world.
         value : mi.Float or mi.Float64
             Values of the function.
         """
@@ -328,9 +332,10 @@ class ReplaySurfaces:
 
     def media(self, p: mi.Vector3d, d: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.UInt32]:
         """
-        Return the indices of the media on either side of surfaces s, for rays along d that meet them at p.
+        Return the indices of the media on either side of surfaces s, for rays along d that meet them at p, mm.
 
-        The medium on the side of incidence comes first.
+        The medium on the side of incidence comes first. `p`, relative to the centre of the scene, and `d` are in the
+        world.
         """
         numbers = self.numbers(s, mi.UInt32(0), active, still=True)
         _, gradient = self.implicit(self.local_point(self.vector(p), s, active), numbers)
@@ -340,7 +345,7 @@ class ReplaySurfaces:
         return dr.select(cosine > 0, front, back), dr.select(cosine > 0, back, front)
 
     def numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
-        """Return shape parameters of surfaces s by name, such as curvature, 1/mm; if `still`, without derivatives."""
+        """Return shape parameters of surfaces s, such as curvature, 1/mm; derivatives by `batch`, none if `still`."""
         rows = self._still if still else self._shape
         return self._named(rows.read(s, batch, active), rows, s, active)
 
@@ -391,7 +396,7 @@ class ReplaySurfaces:
         return value, gradient
 
     def local_point(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Return points of the world in the frames of the surfaces s, mm, these frames held fixed."""
+        """Return points, mm, relative to the centre of the scene, in the frames of the surfaces s, held fixed."""
         return self.to_local(p - self.vertex(s, active), s, active)
 
     def rims(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
@@ -400,7 +405,7 @@ class ReplaySurfaces:
 
     def rim_distances(self, q: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
         """
-        Return distances of points in the surfaces' frames from the rims, mm, as in `RIM_COLUMNS`; ≥ 0 inside.
+        Return distances of points q in the surfaces' frames from the rims, mm, as in `RIM_COLUMNS`; ≥ 0 inside.
 
         Distances from rims that a surface does not have mean nothing.
         """
@@ -415,9 +420,10 @@ class ReplaySurfaces:
 
     def sheet(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> tuple[mi.Float64, mi.Vector3d]:
         """
-        Return the distances of world points from the unbounded surfaces s, mm, and the unit gradients of F there.
+        Return distances of points p, mm, from the unbounded surfaces s, mm, and the unit gradients of F in the world.
 
-        The distance is F/|∇F|. It is infinite next to the far half of a quadric, which is not part of the surface.
+        The distance is F/|∇F|, positive on the side that the gradient points to. It is infinite next to the far half of
+        a quadric, which is not part of the surface. Points are relative to the centre of the scene.
         """
         numbers = self.numbers(s, mi.UInt32(0), active, still=True)
         value, gradient = self.implicit(self.local_point(p, s, active), numbers)
@@ -426,7 +432,7 @@ class ReplaySurfaces:
         return dr.select(here, 0.5 * value / length, dr.inf), self.to_world(gradient / length, s, active)
 
     def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
-        """Return signed distances, mm, of world points from nearby surfaces s, to first order."""
+        """Return distances F/|∇F|, mm, of points p (see `sheet`) from nearby surfaces s, differentiable."""
         numbers = self.numbers(s, batch, active)
         q = self._at_rest(self.local_point(p, s, active), *self.pose(numbers))
         value, gradient = self.implicit(q, numbers)
@@ -445,10 +451,11 @@ class ReplaySurfaces:
 
     def move_start(self, rays: RecordedRays, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
         """
-        Add the derivatives that come from moving ray starts.
+        Add the derivatives that come from moving ray starts; none if the start does not move.
 
         They are those with respect to parameters of the source, or to the pose of the surface that backward rays start
-        from. `by_o` and `by_d` are the derivatives of the metric with respect to origins and directions.
+        from. `by_o` and `by_d` are the derivatives of the metric with respect to origins, per mm, and directions, in
+        the world.
         """
         for name, sums in self._by_source.items():
             # Rate at which origin and direction move with the parameter, times the adjoints of both
@@ -485,7 +492,8 @@ class ReplaySurfaces:
         """
         Return R and T of coatings (means of s and p), the cosine of refraction, and n_i/n_t.
 
-        In total reflection T and the cosine are 0; an opaque surface has T = 0.
+        In total reflection T and the cosine are 0; an opaque surface has T = 0. `word` is that of the surface in
+        `Optics.words`, `cos_i` the cosine of incidence, and `known_total` is True where total reflection was recorded.
         """
         front, back = self._sides(s, batch, active)
         n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
@@ -538,7 +546,7 @@ class ReplaySurfaces:
         return R, dr.select(total | opaque, 0, T), cos_t, eta
 
     def _row(self, row: mi.UInt32, active: mi.Bool) -> tuple[Any, Any]:
-        """Return R from front and back, and T, at rows of coating tables, and their change per row."""
+        """Return R from the front, R from the back and T at rows of coating tables, and the change of each per row."""
         four = mi.Vector4f if self.real is mi.Float else mi.Vector4d
         values, slopes = (dr.gather(four, self._rows, 2 * row + k, active) for k in range(2))
         return values, slopes

@@ -12,7 +12,9 @@ from mistray.gradients.scatter_replay import ScatterEvent
 @dataclass(kw_only=True)
 class ReplayedEvent(ScatterEvent):
     """
-    Events of recorded paths, differentiable, in float32 or float64; hits and directions in the frames of the surfaces.
+    Events of recorded paths, differentiable, in float32 or float64.
+
+    Vectors are in the frames of the surfaces, except for `p` and `heading`.
 
     Attributes
     ----------
@@ -25,11 +27,11 @@ class ReplayedEvent(ScatterEvent):
     turn : mi.Vector3d
         Rotation vector of the frame (rad): its value is 0, but it carries derivatives.
     p : mi.Vector3d
-        Point in the world, mm.
+        Point in the world, mm, relative to the centre of the scene.
     scattered : mi.Bool
         Whether the surface scatters the light.
     heading : mi.Vector3d
-        Direction in the world after reflection or refraction.
+        Unit direction in the world after specular reflection or refraction, also where the surface scatters.
     """
 
     q: mi.Vector3d

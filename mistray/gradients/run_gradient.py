@@ -46,7 +46,7 @@ class DetectorEnds(Ends):
         Coefficients by path; None: all hits contribute, to map 0.
     pixel : mi.Float64 or None
         (maps, height, width) derivative of the metric with respect to the flux in each pixel, the flux in units of the
-        start ray's.
+        start ray's; None: the metric does not use the image.
     scatter : ScatterReplay or None
         Scatter of the scene; None: no surface scatters.
     """
@@ -57,14 +57,14 @@ class DetectorEnds(Ends):
     scatter: ScatterReplay | None
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
-        """Return a mask of the paths, (n,) bool, by their keys, that contribute to the metric."""
+        """Return a mask of paths, (n,) bool: True where a path contributes to the metric; `keys` as in `Ends`."""
         if self.paths is None:
             return super().counts(keys)
         coefficients, maps = self.paths.of(keys)
         return np.asarray(coefficients.any(axis=1) | ((maps >= 0) & (self.pixel is not None)))
 
     def end(self, rays: RecordedRays, keys: np.ndarray, path: mi.UInt32) -> End:
-        """Return the contribution of each ray to the metric, as a function of its hit on the detector."""
+        """Return the contribution of each ray to the metric, a function of its detector hit, see `Ends.end`."""
         terms: list[mi.Float64] = []
         mapped, first = mi.Bool(True), mi.UInt32(0)
         if self.paths is not None:
@@ -97,9 +97,10 @@ class DetectorEnds(Ends):
 
     def _image(self, x: mi.Float64, y: mi.Float64, first: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """
-        Return the metric's derivative with respect to flux (in start rays' flux) at a place x, y, mm, on the detector.
+        Return the metric's derivative with respect to flux at places x, y, mm, on the detector, in the unit of `pixel`.
 
         The value is that of the film's own filter, the slope that of bilinear interpolation between pixel centres.
+        `first` is the index in `pixel` of the first pixel of each ray's map.
         """
 
         def filtered(film: Film) -> mi.Float64:
@@ -136,7 +137,7 @@ def run_gradient(
     ------
     MistrayError
         If the rays are replayed and the scene has what a replay cannot treat, see
-        `mistray.gradients.path_replay.PathReplay`.
+        `mistray.gradients.path_replay.PathReplay`, or a single start ray has more ends than can be recorded.
     """
     # Coatings alone: one adjoint trace, nothing is recorded
     if not request.replays:

@@ -60,8 +60,8 @@ def scatter_gradient(
     Yields
     ------
     owner, name, gradient
-        A scatter plugin, the name of one of its values, and the derivatives by batch, (BATCHES, 1), of all surfaces
-        that have the plugin.
+        A scatter plugin, the name of one of its values, and the derivatives by batch, (BATCHES, 1), summed over all
+        surfaces that have the plugin, in the metric's unit per unit of the value.
 
     Raises
     ------
@@ -158,9 +158,10 @@ def table_slopes(
     """
     Yield derivatives of scatter-table entries with respect to one parameter of a scatter plugin.
 
-    `models` are the terms of the difference quotient with respect to that parameter, see `quotient`. Each item is the
-    name of an array of `Scattering.arrays`, the index of the first entry in the flattened array, and the derivatives
-    from there on. Tables that several lobes share are yielded once.
+    `cases` are those that the plugin is part of, `packed` the lobes of all cases by plugin, and `models` the terms of
+    `quotient` with respect to that parameter. Each item is the name of an array of `Scattering.arrays`, the index of
+    the first entry in the flattened array, and the derivatives from there on. Tables that several lobes share are
+    yielded once.
 
     Raises
     ------

@@ -184,7 +184,7 @@ class ScatterReplay(Scattering):
 
     def log_flux(self, event: ScatterEvent, direction: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """
-        Return the logarithm of the flux scattered into a direction, per sr and unit of incident flux.
+        Return the natural logarithm of the flux scattered into a direction, per sr and unit of incident flux.
 
         In a backward trace it is the flux that forward light along -`direction` scatters into -d, as flux per solid
         angle of `direction`, see `Scattering`.
@@ -194,7 +194,7 @@ class ScatterReplay(Scattering):
         event : ScatterEvent
             Hits with scattering surfaces.
         direction : mi.Vector3f
-            Unit direction of the scattered ray.
+            Unit direction of the scattered ray, in the frame of the event's directions.
         active : mi.Bool
             Lanes that are evaluated.
 
@@ -244,8 +244,8 @@ class ReplayTables(ScatterTables):
     radial : ReplayRadial
         Radial tables of the lobes.
     leaves : dict
-        Name of an array → zeros that hold the derivatives with respect to its entries, (BATCHES · size) mi.Float64; of
-        the ratio tables, to those that parameters change.
+        Name of an array → zeros that hold the derivatives with respect to its entries, (BATCHES · size) mi.Float64. Of
+        the ratio tables, only entries that parameters change have such zeros.
     sizes : dict
         Name of an array → number of its entries that have derivatives.
     packed : PackedLobes
@@ -293,10 +293,11 @@ class ReplayTables(ScatterTables):
 
     def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
         """
-        Return a ratio table's interpolated value at a place, with derivatives with respect to place and entries.
+        Return a ratio table's interpolated value at `places`, with derivatives with respect to them and to the entries.
 
-        Derivatives along the axes are differences over one cell about the place, one-sided at the ends of a table. Only
-        tables that parameters change have derivatives with respect to their entries.
+        `place` is the index of the table's head in the array of all, `places` are coordinates along its axes, 0 … 1.
+        Derivatives along the axes are differences over one cell about the place, one-sided at the ends of an axis that
+        is neither periodic nor mirrored. Only tables that parameters change have derivatives with respect to entries.
         """
         sizes, held = self._ratio_sizes(place, len(places), active), [dr.detach(at) for at in places]
         turned = len(places) > 3
@@ -338,7 +339,7 @@ class ReplayRadial(RadialSampler):
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
         """
-        Return the value f of a table, 1/sr, at the squared radius r2.
+        Return the value f of a table, 1/sr, at the squared radius r2 from the lobe's centre.
 
         It carries derivatives with respect to the radius and to the entries of the table.
         """

@@ -38,7 +38,7 @@ class SurfaceNumbers:
     indices : (surfaces, 2) float64
         Real refractive indices in front and behind.
     rows : (rows, TABLE_CHANNELS) float64
-        Rows of the tables of R and T.
+        Rows of the tables of R and T: R from the front, R from the back, T.
     ideal : (surfaces, 2) float64
         R and T of ideal coatings; not used for other coatings.
     """
@@ -104,7 +104,7 @@ class AsphericTerms(dr.CustomOp):
     The terms are P = Σ a_i r^(2i), i = 2, 3, …, mm, or P' = dP/d(r²), 1/mm.
 
     With the adjoint p of P, or q of P', the adjoint of a_i is p r^(2i), or q i r^(2i-2); that of r² is p P', or q P''.
-    a_i, mm^(1-2i), is the aspheric coefficient of order i. In the code u² = w r² with a factor w, 1/mm², and the
+    a_i, mm^(1-2i), is the aspheric coefficient of r^(2i). In the code u² = w r² with a factor w, 1/mm², and the
     coefficients are those of `in_proportion`.
     """
 

@@ -54,7 +54,8 @@ def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pup
     path : str or Path
         JSON file.
     variant : str or None
-        Name in the file's ``variants`` block whose changes are applied, for example ``"R13=5.272"``.
+        Name in the file's ``variants`` block whose changes are applied, for example ``"R13=5.272"``. ``None``: no
+        changes.
     beam : {"pupil", "exact"}
         Whether the source is wider than that of the file by a twentieth of its radius, or exactly as wide; see
         docs/import.md.

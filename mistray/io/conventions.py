@@ -52,9 +52,9 @@ def choose_position(
     Parameters
     ----------
     wanted : int or str, optional
-        Number or name of the wanted one; the saved one by default.
+        Number or name of the wanted one; None: the one that the file was saved in.
     saved, count : int
-        Number of the one that the file was saved in, and how many there are, from 1.
+        Number, from 1, of the one that the file was saved in, and how many there are.
     names : mapping of int to str
         Their names, by number.
     what : str
@@ -85,7 +85,11 @@ def choose_position(
 
 
 def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:
-    """Return pupil shift and compression VDX, VDY, VCX, VCY from CODE V's vignetting factors of the four sides."""
+    """
+    Return shift VDX, VDY and compression VCX, VCY of the pupil from CODE V's vignetting factors VUX, VLX, VUY, VLY.
+
+    All are fractions of the radius of the pupil; a shift is positive towards +x or +y.
+    """
     return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
 
 

@@ -463,7 +463,8 @@ def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
     """
     Return the lens with fields, degrees, up to the angle where half of a fan of rays passes, and a fitting image.
 
-    If even the smallest tried angle passes less, it is returned with the axis as its only field.
+    The rays that pass on the axis are the whole. If less than half of them passes even at 0.5°, the axis is the only
+    field.
     """
     widest = max(row.semi_diameter or 0.0 for row in lens.rows)
     fan = np.linspace(-widest, widest, _FAN)

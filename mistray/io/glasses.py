@@ -29,7 +29,7 @@ class FileGlasses:
     Attributes
     ----------
     notes : list of str
-        Assumptions made, each once.
+        Assumptions made, in the order of the calls; one that is made again is there again.
     """
 
     def __init__(self, replaced: Mapping[str, str], wavelengths_nm: Sequence[float]) -> None:
@@ -38,14 +38,14 @@ class FileGlasses:
         self._wavelengths_nm = wavelengths_nm
 
     def _asked_for(self, name: str) -> str | None:
-        """Return the material by which the user replaces a glass; None if there is none."""
+        """Return the material string by which the user replaces a glass; None if the user does not replace it."""
         material = self._replaced.get(name.upper())
         if material is not None:
             self.notes.append(f"glass {name}: replaced by {material}, as asked")
         return material
 
     def _checked(self, material: str, name: str) -> str:
-        """Return the material, with k = 0 if its absorption is unknown; raise `MistrayError` if it lacks an index."""
+        """Return the material string, with k = 0 if k is unknown; raise `MistrayError` if a wavelength has no index."""
         with errors_of(f"glass '{shown([name])}'"):
             known = usable(material, self._wavelengths_nm)
         if known != material:

@@ -193,9 +193,9 @@ def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
 
 def _check(what: str, kind: str, geometry: Any, row: Row) -> None:
     """
-    Raise `MistrayError` if mistray's sag differs from optiland's, whose sign conventions vary.
+    Raise `MistrayError` if mistray's sag of `row` differs from optiland's of `geometry`, whose sign conventions vary.
 
-    Both are compared at points of a disc.
+    Both are compared at points of a disc. `what` and `kind` are the surface and its kind, for the message.
     """
     reach = 0.3 * _float(getattr(geometry, "norm_radius", 0.0) or getattr(geometry, "norm_x", 0.0) or 10.0)
     reach = min(reach, 0.3 * abs(row.radius)) if row.radius else reach

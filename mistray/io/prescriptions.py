@@ -132,7 +132,7 @@ def from_optiland(optic: Any, **options: Any) -> Prescription:
     Returns
     -------
     Prescription
-        Closed system.
+        Closed system, in mm.
 
     Raises
     ------

@@ -207,12 +207,10 @@ class _Walk:
 
     def _towards(self, step: Array) -> Array:
         """
-        Add a coordinate break so that the z axis runs through the next vertex.
+        Add a coordinate break so that the z axis runs through the next vertex; return the step from the turned frame.
 
-        After an odd number of mirrors the axis points away from it.
-
-        `step`, (4, 4), mm, is the transform from the frame here to that of the next surface; return it from the turned
-        frame.
+        `step` is the frame of the next surface in the frame here, and the result is that in the turned frame, both
+        (4, 4), mm. After an odd number of mirrors the axis points away from the vertex.
         """
         way = step[:3, 3] * self.sense
         x, y, z = way / np.linalg.norm(way)
@@ -235,11 +233,11 @@ class _Walk:
         return pose
 
     def _against(self, pose: Array) -> bool:
-        """True if a surface's z axis must be reversed to point along the light."""
+        """True if a surface's z axis must be reversed to point as that of the table, see the module's docstring."""
         return float(pose[:3, 2] @ self.light) * self.sense < 0
 
     def _sides(self, surface: Surface, reversed_: bool) -> tuple[str, str]:
-        """Return the materials before and behind a surface in the order in which light meets them."""
+        """Return the materials before and behind a surface along the light; `reversed_`: the back is met first."""
         return (surface.back, surface.front) if reversed_ else (surface.front, surface.back)
 
     def _stop_place(self) -> int | None:

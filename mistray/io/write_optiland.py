@@ -128,7 +128,11 @@ def _aperture(what: str, row: Row) -> Any:
 
 
 def _medium(lens: Sequential, material: str, media: dict[str, Any]) -> Any:
-    """Return an optiland material: a constant index, optiland's own if it agrees at all wavelengths, or mistray's."""
+    """
+    Return an optiland material: a constant index, optiland's own if it agrees at all wavelengths, or mistray's.
+
+    `media` keeps the materials made so far, by their strings.
+    """
     if material not in media:
         media[material] = _new_medium(lens, material)
     return media[material]
@@ -183,7 +187,7 @@ def _coating(
     """
     Return an optiland coating with constant R and T; None for a bare surface.
 
-    Losses of detail are added to `losses`.
+    `sides` are the materials in front and behind, and `what` names the surface. Losses of detail are added to `losses`.
     """
     kinds = _optiland("coatings")
     if coating is None:

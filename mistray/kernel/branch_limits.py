@@ -54,7 +54,7 @@ class BranchLimits:
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
         """
-        Return the throughput absorbed at hits, and a mask of hits to count.
+        Return the throughput absorbed at hits, in units of a start ray's flux, and a mask of hits to count.
 
         Absorption that `ray_control` forbids, or that is below its threshold, is recorded as cut. Then the throughput
         is 0, and the hit does not count.
@@ -149,7 +149,11 @@ class BranchLimits:
         return child
 
     def arrive(self, run: mi.UInt32, surface: mi.UInt32, flux: mi.Float, hit: mi.Bool, contributes: mi.Bool) -> mi.Bool:
-        """Return the mask `hit` without rays that met one surface more often in a row than `max_consecutive` allows."""
+        """
+        Return the mask `hit` without rays that met one surface more often in a row than `max_consecutive` allows.
+
+        `run` is the result of `run_after`. The `flux` of rays left out is recorded as cut, where it `contributes`.
+        """
         if self._consecutive is None:
             return hit
         over = hit & ((run & SURFACE_MASK) == surface) & ((run >> RUN_SHIFT) >= self._consecutive)

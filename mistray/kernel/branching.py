@@ -383,8 +383,8 @@ class Branching:
         """
         Return roulette factors 1/q of nodes that scatter, 0 for others.
 
-        At the first visit they are drawn, with a probability q of scattering that grows with throughput up to 1. Later
-        visits take the stored factors.
+        At the first visit they are drawn with the random number `u`; the probability q grows with throughput relative
+        to `scatter_limit`. Later visits take the stored factors.
         """
         state, first, w = node.state, node.first, node.state["w"]
         # q = β/β_min, where β includes what the medium has scattered
@@ -544,7 +544,7 @@ class Branching:
     def _one(
         self, node: Node, children: Children, unscattered: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
     ) -> Choice:
-        """Return the single child of ``splitting="one"``, drawn in proportion to flux; it carries the flux of all."""
+        """Return the child of ``splitting="one"``, drawn in proportion to flux, with that of all; see `_cut_weak`."""
         first, visit, budget, bulk_aim = node.first, node.visit, node.budget, children.bulk_aim
         w_t, w_r, w_s, w_m = children.transmitted, children.reflected, children.scattered, children.in_scattered
         random_rays, random_medium_rays = children.random_rays, children.random_medium_rays

@@ -43,7 +43,7 @@ class DeviceTargets:
     sets : sequence of AimSet
         Sets of targets, one after the other.
     centre : (3,) float64
-        Origin of positions on the device, mm.
+        World point that is the origin of positions on the device, mm.
     """
 
     def __init__(self, sets: Sequence[AimSet], centre: np.ndarray) -> None:
@@ -124,7 +124,7 @@ class DeviceTargets:
         active: mi.Bool,
     ) -> mi.Float:
         """
-        Return the pdf of aimed rays in a direction, 1/sr.
+        Return the pdf of aimed rays in a direction, 1/sr; `aims`, `p` and `specular` are as in `sample`.
 
         Where `aim` is set, the ray was aimed at the target with the index `own` in its set. That target counts even if
         rounding lets the direction miss it.
@@ -194,14 +194,22 @@ def _sphere(rows: list[mi.Vector4f], p: mi.Vector3f) -> tuple[mi.Vector3f, mi.Ve
 
 
 def _axis(centre: mi.Vector4f, p: mi.Vector3f, specular: mi.Vector3f) -> mi.Vector3f:
-    """Return the unit axis of a target cone: fixed, from p (mm) towards the cone's point, or the specular direction."""
+    """
+    Return the unit axis of a target cone: fixed, from p (mm) towards the cone's point, or the specular direction.
+
+    `centre` is the first vector of the cone's row, see `_rows`.
+    """
     to_point = dr.normalize(centre.xyz - p)
     axis = dr.select(centre.w == CONES["point"], to_point, centre.xyz)
     return dr.select(centre.w == CONES["specular"], specular, axis)
 
 
 def _within(axis: mi.Vector3f, width: mi.Float, u: mi.Float, sine: mi.Float, cosine: mi.Float) -> mi.Vector3f:
-    """Return a unit direction in a cone about an axis, uniform in solid angle; `width` is 1 - cos of the half-angle."""
+    """
+    Return a unit direction in a cone about an axis, uniform in solid angle; `width` is 1 - cos of the half-angle.
+
+    `u` is a uniform random number, 0 … 1, `sine` and `cosine` are those of a random azimuth.
+    """
     less = u * width
     aside = dr.sqrt(less * (2 - less))
     across, beside = tangents(axis)

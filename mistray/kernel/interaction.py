@@ -55,7 +55,7 @@ class Interaction:
     Attributes
     ----------
     p : mi.Vector3f
-        Point, moved onto the surface, mm.
+        Point, moved onto the surface, mm, relative to the centre of the scene.
     reflected, transmitted : mi.Vector3f
         Unit directions; `transmitted` has no meaning in total reflection or at an opaque surface.
     R, T : mi.Float
@@ -163,11 +163,11 @@ def interact(
     table : SurfaceTable
         Surfaces of the scene at one wavelength.
     p, d : mi.Vector3f
-        Point close to the surface (mm) and unit direction of propagation.
+        Point close to the surface (mm, relative to the centre of the scene) and unit direction of propagation.
     s : mi.UInt32
         Indices of the surfaces.
     mitsuba_normal : mi.Vector3f, optional
-        Normal where the surface is a Mitsuba shape; needed if the scene has any.
+        Unit normal, from front to back, where the surface is a Mitsuba shape; needed if the scene has any.
     stokes : mi.Vector3f, optional
         Stokes vector (Q, U, V)/I of the light, in the axes of `d`; None: unpolarised everywhere.
     active : mi.Bool
@@ -287,8 +287,9 @@ def shares_at(
     """
     Return R, T and cos θt of surfaces s for unpolarised light that arrives at the cosine `cos_i`.
 
-    `optics` holds the surfaces' refractive indices, R and T; by default they are read from the table. It is given where
-    derivatives with respect to them are needed.
+    `word` is that of each surface in `Optics.words`, and `from_front` says whether the light comes from its front.
+    `optics` holds the refractive indices in front and behind, and R and T of an ideal coating; None: they are read from
+    the table.
     """
     if optics is None:
         optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
@@ -330,7 +331,7 @@ def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i:
     """
     Return indices and angles of light at a surface by Snell's law n_i sin θi = n_t sin θt.
 
-    `optics` holds the refractive index on each side. At an opaque surface only the cosine of incidence has a meaning.
+    Parameters are as in `shares_at`. At an opaque surface only the cosine of incidence has a meaning.
     """
     n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
     eta, opaque = n_i / n_t, (word & OPAQUE) != 0
@@ -363,7 +364,8 @@ def _unpolarized(
     """
     Return R and T for unpolarised light.
 
-    T is 0 at opaque surfaces, and in total reflection, in which the T of an ideal coating is added to R.
+    T is 0 at opaque surfaces, and in total reflection, in which the T of an ideal coating is added to R. `optics` is as
+    in `shares_at`.
     """
     kinds = table.optics.kinds
     # Ideal coatings have R and T of their own
@@ -397,7 +399,11 @@ def _bare(at: _Incidence) -> tuple[mi.Vector4f, mi.Vector4f]:
 def _mueller(
     table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[Mueller, Mueller]:
-    """Return the Mueller matrices of surfaces for reflection and transmission, in axes of the plane of incidence."""
+    """
+    Return the Mueller matrices of surfaces for reflection and transmission, in axes of the plane of incidence.
+
+    That of transmission has no meaning in total reflection or at an opaque surface. `optics` is as in `shares_at`.
+    """
     kinds = table.optics.kinds
     # An ideal coating acts on s and p alike, as a bare surface does at normal incidence
     R, T = dr.select(at.tir, optics.z + optics.w, optics.z), optics.w

@@ -56,7 +56,7 @@ class WeightWindows:
     per_mm : mi.Float
         Places per mm along the z axis of the world and away from it.
     values : mi.Float or None
-        Value of a unit of throughput by the cell of the start ray, (c,), by which it is multiplied; None: 1.
+        Factor on the throughput before it is compared with the bounds, by the cell of the start ray, (c,); None: 1.
     """
 
     inverse_upper: mi.Float
@@ -65,24 +65,28 @@ class WeightWindows:
     values: mi.Float | None = None
 
     def place(self, it: Interaction) -> mi.UInt32:
-        """Return part and side of the surface of each hit; parts of a long wall matter to different field angles."""
+        """
+        Return a word for the part of the scene along and away from the z axis that each hit lies in, and for its side.
+
+        Parts of a long wall matter to different field angles.
+        """
         along, away = (mi.UInt32(mi.Int32(dr.floor(v * self.per_mm))) for v in (it.p.z, dr.hypot(it.p.x, it.p.y)))
         word = mixed_word(along * 0x846CA68B + away * 0x9E3779B1)
         return (word << 1) | dr.select(it.from_front, mi.UInt32(0), BACK)
 
     def value(self, start: StartRays, weight: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the throughput of rays times the value of their start cell, as the windows compare it."""
+        """Return the throughput `weight` of rays times the factor of their start cells, as the windows compare it."""
         if self.values is None:
             return weight
         return weight * dr.gather(mi.Float, self.values, start.cell, active)
 
     def split(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
-        """Return the factor, 1 … `MOST_RAYS`, on a hit's number of scattered rays: throughput over upper bound."""
+        """Return the factor, 1 … `MOST_RAYS`, on a hit's number of scattered rays: `weight` over the upper bound."""
         rays = weight * dr.gather(mi.Float, self.inverse_upper, row, active)
         return mi.UInt32(dr.clip(dr.round(rays), 1, MOST_RAYS))
 
     def survival(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the probability that a hit scatters, `LEAST_PROBABILITY` … 1: throughput over lower bound."""
+        """Return the probability that a hit scatters, `LEAST_PROBABILITY` … 1: `weight` over lower bound, clipped."""
         rays = weight * dr.gather(mi.Float, self.inverse_lower, row, active)
         return dr.clip(rays, LEAST_PROBABILITY, 1)
 
@@ -161,7 +165,8 @@ def next_hit(
     Return the nearest hit of each ray: distance in mm, surface index, and unit normal on a Mitsuba shape.
 
     Without a hit the distance is infinite and the index `NO_SURFACE`. The normal has no meaning on analytic surfaces.
-    `normal` is that of a Mitsuba shape that the ray starts on; None: rays start on none.
+    `o` is in mm, relative to the centre of the scene, and `last` is the index of the surface that the ray starts on.
+    `normal` is that of a Mitsuba shape there; None: rays start on none.
     """
     # Analytic surfaces first: they bound the ray for Mitsuba's tracer
     t, s = intersector.nearest(o, d, last, active)

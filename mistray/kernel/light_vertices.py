@@ -169,7 +169,7 @@ class LightVertices:
         """
         Return a mask of connected rays that leave within the vertex's own cell, by the path on which light came to it.
 
-        `cell` is the cell of directions in which each ray leaves the scene.
+        `number` is the index of each ray's vertex, and `cell` the cell of directions in which the ray leaves the scene.
         """
 
         # The key of the path from the start to the light vertex: from the last event back to the first scatter event

@@ -36,9 +36,10 @@ def tangents(normal: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
     """
     Return unit vectors t1 and t2 such that t1, t2 and a unit normal, in this order, are a right-handed frame.
 
-    T. Duff et al., "Building an orthonormal basis, revisited", Journal of Computer Graphics Techniques 6 (2017) 1.
-    There the frame switches branch at z = 0, which is where all normals of a tube lie: a rounding of a position would
-    turn the scattered rays. Here it does so at z = -0.3, away from normals of tubes and of planes across the axis.
+    Source: T. Duff et al., "Building an orthonormal basis, revisited", Journal of Computer Graphics Techniques 6
+    (2017) 1. There the frame switches branch at z = 0, which is where all normals of a tube lie: a rounding of a
+    position would turn the scattered rays. Here it does so at z = -0.3, away from normals of tubes and of planes across
+    the axis.
     """
     mirrored = dr.select(normal.z < TURNED, mi.Float(-1), 1)
     a = -dr.rcp(mirrored + normal.z)
@@ -86,7 +87,7 @@ class RadialSampler:
 
     def sample(self, table: mi.UInt32, u: mi.Float, v: mi.Float, active: mi.Bool) -> mi.Float:
         """
-        Return a radius sampled with the density 2π r f(r) / total, from two uniform random numbers.
+        Return a radius sampled with the density 2π r f(r) / total of `table`, from two uniform random numbers u and v.
 
         The first gives the cell and the place in it, the second decides between the cell and its alias. A single number
         would have too few values: a float32 has few places in a cell, and many cells have a small share.

@@ -185,7 +185,7 @@ class PdfRatios:
         return {"partial_ratio": dr.select(at_y & dr.isfinite(begun), begun, 0), "connection_ratio": ratio}
 
     def connection_ratio_at_end(self, state: State) -> mi.Float | None:
-        """Return the expected connections that find a complete path, per ray and light vertex; None without any."""
+        """Return the expected connections that find a complete path, per ray and light vertex; None if none is made."""
         if not self.connects:
             return None
         return state["connection_ratio"] * state["survival_ratio"] if self._backward else state["connection_ratio"]

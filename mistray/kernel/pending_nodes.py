@@ -200,6 +200,7 @@ def recorded_once(
     """
     Return the final variables of a symbolic loop whose body Dr.Jit records once instead of twice.
 
+    `state` has the variables, and `step` returns them after one pass of the loop, in lanes where `condition` holds.
     To find variables that a loop leaves as they are, Dr.Jit follows its body twice. The loops of the ray tree have
     none, see `_Tree.walk`, and recording them is a quarter of the time of a trace of few rays.
     """

@@ -54,8 +54,7 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
     Parameters
     ----------
     scene : KernelScene
-        Scene to trace; its `backward` says whether rays go from the detector to the sky, or from a source to the
-        detector.
+        Scene to trace, forward or backward, see `KernelScene`.
     start : StartRays
         Start rays, one per lane.
     settings : Settings
@@ -87,7 +86,12 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
 
 
 class _Tree:
-    """Trace of ray trees: its scene, start rays, settings, recorders, and the steps of a visit to a node."""
+    """
+    Trace of ray trees: its scene, start rays, settings, recorders, and the steps of a visit to a node.
+
+    In the steps `path` and `codes` are the nodes and the event codes of each lane's path by depth, see `visit`, and
+    `memory` holds the arrays of the recorders.
+    """
 
     def __init__(
         self,
@@ -292,11 +296,7 @@ class _Tree:
         hit: mi.Bool,
         contributes: mi.Bool,
     ) -> tuple[mi.Float, mi.Float]:
-        """
-        Return the throughput left at the end of segments of `length` mm in a medium, and that scattered on the way.
-
-        The absorbed part is recorded. Where no medium absorbs or scatters, all throughput reaches the end.
-        """
+        """Return the throughput left after `length` mm in a medium, and that scattered; record the rest as absorbed."""
         optics = self.scene.table.optics
         if not optics.absorbs:
             return flux, mi.Float(0)

@@ -435,8 +435,8 @@ class ScatterTables:
         """
         Return the scatter of surface s for light from its front and from its back.
 
-        Lobes of transmitted light are left out for an opaque surface. Raise `MistrayError` if the surface returns more
-        than the incident flux.
+        Lobes of transmitted light are left out for an opaque surface. `kind` is equal for surfaces of equal scatter,
+        coating and media, of which one is checked. Raise `MistrayError` if it returns more than the incident flux.
         """
         found, checked = [], kind in _checked
         for from_front in (True, False):
@@ -496,7 +496,12 @@ def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float
 def check_side(
     title: str, side: Side, n_in: float, n_out: float, response: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 ) -> None:
-    """Raise `MistrayError` if a surface reflects, transmits and scatters more than the incident flux at any angle."""
+    """
+    Raise `MistrayError` if a surface reflects, transmits and scatters more than the incident flux at any angle.
+
+    `title` begins the message, `n_in` and `n_out` are as in `side_of`, and `response` returns R and T of the coating at
+    cosines of incidence.
+    """
     cos_i = np.linspace(0.0, 1.0, ANGLES + 1)
     # Rows of transmission are over the cosine in the rarer medium; here all are compared at the same cos θi
     rarer = np.minimum(cos_i, specular_cosine("transmission", cos_i, n_in, n_out))

@@ -187,7 +187,11 @@ class Scattering(ScatterShares):
         rng: mi.PCG32,
         competing: Scattering | None,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Float, mi.Float]:
-        """Return direction, throughput and slope of the rays that `scatter` returns, and the pdfs of `ScatterPdfs`."""
+        """
+        Return direction, weight and slope of the rays that `scatter` returns, and the two pdfs of `ScatterPdfs`.
+
+        `ray` says how each is drawn; the other parameters are as in `scatter`.
+        """
         table, s, it, d = hit
         # The case of reflection follows that of transmission from the same side
         case = budget.first_case + dr.select(ray.reflect, mi.UInt32(1), 0)
@@ -274,7 +278,8 @@ class Scattering(ScatterShares):
         """
         Return the reverse pdf: rays per sr that this competing trace sends along -d for one along `-direction`.
 
-        One ray is drawn at random. The probability that a hit scatters at all is left out.
+        One ray is drawn at random, and all aimed rays count. The probability that a hit scatters at all is left out.
+        `reflect` says whether d and `direction` are on one side, and `cos_s` is the cosine of `direction`.
         """
         # R, T and refraction for a ray that arrives along `-direction`, on the other side if it was transmitted
         from_front = it.from_front ^ ~reflect
@@ -314,7 +319,8 @@ class Scattering(ScatterShares):
         """
         Return the flux (1/sr) that forward light along `-direction` scatters along -d, per solid angle of `direction`.
 
-        `cos_t` is the light's own cosine of refraction, x the coating's R or T for it. With the étendue
+        `plan` is the row of the case, see `_read_lobes`, and `frame` that of the ray. `cos_s` and `cos_t` are the
+        light's own cosines of incidence and refraction, x is the coating's R or T for it. With the étendue
         dG = n² cos θ dω dA of either direction the flux per étendue is the same for forward and backward rays; the
         change from dG to dω gives the factor n_i² cos θ_i/(n_o² cos θ_o), with i for the side and angle at which the
         light arrives, and o for those at which it leaves.
@@ -334,7 +340,8 @@ class Scattering(ScatterShares):
         """
         Return the lobes by which light can scatter in a given case.
 
-        Where light that would be transmitted is in total reflection, only lobes about the normal can.
+        Where light that would be transmitted is in total reflection, only lobes about the normal can. `cos_i` and
+        `cos_t` are its cosines of incidence and refraction; for `plan` and `x` see `_read_lobes`.
         """
         # In total reflection cos θt is 0, and nothing is refracted into a specular direction
         lobes = self._read_lobes(plan, x, cos_i)
@@ -344,7 +351,12 @@ class Scattering(ScatterShares):
         return lobes
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
-        """Return the lobes of a case, each with a mask of lanes and the fraction of incident flux that it scatters."""
+        """
+        Return the lobes of a case, each with a mask of lanes and the fraction of incident flux that it scatters.
+
+        `plan` is the row of the case in `ScatterTables.cases`, `x` the coating's R or T, and `cos_i` the cosine of
+        incidence.
+        """
         # All cases read as many lobes as the largest has; those that a case has not are masked
         lobes = []
         for j in range(self.tables.most_lobes):
@@ -393,7 +405,7 @@ class Scattering(ScatterShares):
         """
         Return a unit direction drawn from the lobes, each chosen in proportion to its flux.
 
-        The four uniform numbers `u` choose a lobe by its flux and a place in its profile.
+        The four uniform numbers `u` choose a lobe by its flux, of which all have `total`, and a place in its profile.
         """
         # The lobe, by its flux
         outward, scale = frame.outward, frame.scale
@@ -444,7 +456,8 @@ class Scattering(ScatterShares):
         """
         Return the scattered flux per incident flux, its derivative with respect to R or T, and the pdf of random rays.
 
-        All three are per sr.
+        All three are per sr. `lobes` come from `_read_lobes`, and `total` is the sum of the fluxes by which they are
+        drawn. `cos_s` is the cosine between `direction` and the frame's `outward`.
         """
         outward, cos_i, scale = frame.outward, frame.cos_i, frame.scale
         flux, slope, density = mi.Float(0), mi.Float(0), mi.Float(0)
@@ -496,7 +509,12 @@ class Scattering(ScatterShares):
         r2: mi.Float,
         across: mi.Vector3f,
     ) -> mi.Float:
-        """Return the factor by which a lobe's ratio table scales the BSDF in a direction, interpolated linearly."""
+        """
+        Return the factor by which a lobe's ratio table scales the BSDF in a direction, interpolated linearly.
+
+        `r2` is the squared distance of the direction from the lobe's centre, and `across` the tangential part of that
+        difference; `cos_s` is as in `_evaluate`.
+        """
         # Coordinates of the table: incidence, distance from the centre or angle of scatter, and azimuth
         words, outward, x_axis = lobe["words"], frame.outward, frame.x_axis
         active = lobe["here"] & ((words.x & RATIO) != 0)

@@ -128,12 +128,16 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Return whether any ray from points (n, 3), mm, to the target leaves against its normal, and any along it."""
+        """
+        Return two bools: whether any random ray to the target leaves against a normal, and whether any leaves along it.
+
+        The rays start at points (n, 3), mm, of surfaces that have the `normals` (n, 3) there.
+        """
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
     def size(self) -> tuple[float, float]:
-        """Lengths of u and v, mm: half axes of an ellipse, half sides of a parallelogram, or edges of a triangle."""
+        """Lengths of u and v, mm: conjugate radii of an ellipse, half sides of a parallelogram, edges of a triangle."""
         return float(np.linalg.norm(self.u)), float(np.linalg.norm(self.v))
 
 
@@ -182,7 +186,11 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Return whether any ray from points (n, 3), mm, to the target leaves against its normal, and any along it."""
+        """
+        Return two bools: whether any random ray to the target leaves against a normal, and whether any leaves along it.
+
+        The rays start at points (n, 3), mm, of surfaces that have the `normals` (n, 3) there.
+        """
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
@@ -255,9 +263,10 @@ class TargetCone:
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
         """
-        Return two bools: whether any ray aimed from points (n, 3), mm, leaves against its normal, and any along it.
+        Return two bools: whether any random ray to the target leaves against a normal, and whether any leaves along it.
 
-        For a cone about the specular beam both are True.
+        The rays start at points (n, 3), mm, of surfaces that have the `normals` (n, 3) there. For a cone about the
+        specular beam both are True.
         """
         if self.about == "specular":
             return True, True
@@ -277,9 +286,9 @@ AnyTarget = Target | Ellipsoid | TargetCone
 
 def _sides(d: np.ndarray, normals: np.ndarray, reverse: bool) -> tuple[bool, bool]:
     """
-    Return two bools: whether any direction d, (n, 3), goes against its normal, and whether any goes along it.
+    Return two bools: whether any ray along d, (n, 3), goes against its normal, and whether any goes along it.
 
-    With `reverse` rays go along -d.
+    `normals` are (n, 3), one for each ray. With `reverse` rays go along -d.
     """
     outward = np.einsum("ij,ij->i", d, normals) * (-1 if reverse else 1)
     return bool(np.any(outward < 0)), bool(np.any(outward > 0))

@@ -26,7 +26,7 @@ Further words may follow, separated by spaces:
 - ``extrapolate`` allows wavelengths outside the data's range: formulas are evaluated there, tables keep the value of
   their nearest end.
 - ``shift=VALUE`` is added to n at every wavelength.
-- ``scatter=PER_MM g=G``: the material scatters this share of the light per mm, with the phase function of Henyey and
+- ``scatter=PER_MM g=G``: the material scatters light with this coefficient, 1/mm, and the phase function of Henyey and
   Greenstein of asymmetry g.
 
 Wavelengths are in nm, in vacuum. If k is unknown, `complex_index` raises an error and never assumes 0.

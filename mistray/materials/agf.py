@@ -50,7 +50,7 @@ class _Block:
 
 def read_glass(path: Path, name: str) -> tuple[Curve, Curve | None]:
     """
-    Return the n of a glass over wavelength, and its k if the file has internal transmittances.
+    Return the n of a glass over wavelength, and its k; None for k if no internal transmittance in the file tells it.
 
     Parameters
     ----------
@@ -135,7 +135,11 @@ def _error(path: Path, number: int, what: str) -> MistrayError:
 
 
 def _numbers(path: Path, line: _Line, names: str = "") -> list[float]:
-    """Return the words of a line as numbers; raise `MistrayError` if there are not as many as `names` lists."""
+    """
+    Return the words of a line as numbers; raise `MistrayError` if one is no number.
+
+    `names` lists what the line must hold, and another count raises, too; without it any count is allowed.
+    """
     values = []
     for word in line.words:
         value = finite_of(word)

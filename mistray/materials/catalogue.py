@@ -179,8 +179,8 @@ def find(name: str) -> Entry:
     Raises
     ------
     MistrayError
-        If no entry has that name, its material is known to have no data, or both a pinned material and a glass have it
-        when case is ignored. Whether a page exists is checked by `read_page`.
+        If no entry has that name, if no data of the material are known, or if both a pinned material and a glass have
+        the name when case is ignored. Whether a page exists is checked by `read_page`.
     """
     if name.startswith(_SHELVES) and ".." not in name:
         return Entry(name, name)

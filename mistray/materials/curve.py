@@ -19,7 +19,8 @@ class Curve:
     Attributes
     ----------
     evaluate : callable
-        Function of the wavelength in nm that returns the value; nan if there is none.
+        Function of the wavelength in nm that returns the value. Where there is none, it returns nan or raises
+        ArithmeticError or ValueError.
     range_nm : tuple of two float or None
         Range of wavelengths in which the data hold, nm; None if everywhere.
     nodes_nm : tuple of float
@@ -31,7 +32,7 @@ class Curve:
     nodes_nm: tuple[float, ...] = ()
 
     def covers(self, wavelength_nm: float) -> bool:
-        """Return True if the data hold at a wavelength, nm."""
+        """True if the data hold at a wavelength, nm."""
         return self.range_nm is None or self.range_nm[0] <= wavelength_nm <= self.range_nm[1]
 
     def at(self, wavelength_nm: float, what: str, extrapolate: bool, remedy: str) -> float:

@@ -41,7 +41,8 @@ def read_mate(path: str | Path) -> dict[str, Table]:
     Raises
     ------
     MistrayError
-        If the file is missing, or a line of a MATE section is malformed; with the number of the line.
+        If the file is missing or not text, a line of a MATE section is malformed, or a material has no data or occurs
+        twice. The message names the line, if there is one.
     """
     try:
         stamp = Path(path).stat().st_mtime_ns
@@ -122,6 +123,8 @@ def shown(words: list[str]) -> str:
 def numbers(words: list[str], least: int, most: int, where: str, what: str) -> list[float]:
     """
     Return the words of a line, from `least` to `most` of them, as numbers.
+
+    `where` and `what` are the place and the expected content, for the message.
 
     Raises
     ------

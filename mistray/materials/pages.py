@@ -130,7 +130,11 @@ def _formula(path: str, number: int, entry: dict[str, str]) -> Curve:
 
 
 def formula_curve(formula: Formula, coefficients: Sequence[float], range_nm: tuple[float, float]) -> Curve:
-    """Return the curve of n over wavelength in nm, from a dispersion formula that takes the wavelength in µm."""
+    """
+    Return the curve of n over wavelength in nm, from a dispersion formula that takes the wavelength in µm.
+
+    The formula has the given coefficients, and holds within `range_nm`.
+    """
     return Curve(lambda wavelength_nm: formula(coefficients, wavelength_nm * 1e-3), range_nm)
 
 

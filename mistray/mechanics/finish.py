@@ -26,7 +26,7 @@ class Finish:
     Attributes
     ----------
     coating : Coating or None
-        Coating as in `Structure`; by default a perfect absorber.
+        Coating as in `Structure`; by default a perfect absorber. ``None``: bare Fresnel interface.
     scatter : tuple of Scatter
         Scatter models. Their ``side``, like the ``first`` layer of the coating, refers to a body whose outside is the
         back.

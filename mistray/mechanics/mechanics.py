@@ -179,7 +179,7 @@ class Mechanics:
         return tuple(shapes), meshes
 
     def to_xml(self, path: str | Path) -> tuple[Structure | MeshStructure, ...]:
-        """Write a scene file of the structures only, for inclusion in scenes, and its meshes; return them."""
+        """Write a scene file of the structures only, for inclusion in scenes, and its meshes; return the structures."""
         shapes, meshes = self.beside(path)
         lines = [
             "<?xml version='1.0' encoding='utf-8'?>",
@@ -279,7 +279,7 @@ def read_mechanics(
         Unit of lengths in a mesh file: a key of `UNITS_MM`. The default is "mm" for STL, OBJ and PLY files, which state
         no unit, and "m" for glTF files, as in their standard. A STEP file states its unit.
     at : Placed, optional
-        Position of the file's origin in the scene, mm, and tilt of its frame, degrees.
+        Position of the file's origin in the scene, mm, and tilt of its frame, degrees; None: its frame is the scene's.
     tolerance_mm : float, optional
         Largest distance of facets from the surfaces of a STEP file, mm; default 0.01. Other files hold facets already.
     most_analytic : int

@@ -111,7 +111,11 @@ def _key(surface: RoundSurface) -> tuple[object, ...]:
 
 
 def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[np.ndarray]:
-    """Yield connected groups of triangles, (m, 4): index in the part, and indices of three welded vertices."""
+    """
+    Yield connected groups of triangles, (m, 4): index in the part, and indices of three welded vertices.
+
+    `chosen` holds the indices of the triangles. Vertices less than about a tenth of `tolerance`, mm, apart are welded.
+    """
     corners = part.triangles[chosen]
     used, inverse = np.unique(corners, return_inverse=True)
     cells = np.round(part.vertices[used] / (0.1 * tolerance)).astype(np.int64)
@@ -128,7 +132,11 @@ def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[
 
 
 def _band(part: CadPart, surface: RoundSurface, piece: np.ndarray, tolerance: float) -> RevolvedBand | None:
-    """Return the band that connected triangles of one surface form, to `tolerance`, mm; None if they form none."""
+    """
+    Return the band that connected triangles of one surface form, to `tolerance`, mm; None if they form none.
+
+    `piece` is one of the groups of `_connected`.
+    """
     places, welded = piece[:, 0], piece[:, 1:]
     points = np.zeros((int(welded.max()) + 1, 3))
     points[welded.ravel()] = part.vertices[part.triangles[places].ravel()]

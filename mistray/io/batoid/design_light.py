@@ -40,7 +40,7 @@ class BatoidLight:
         Vacuum wavelength of the rays, nm.
     edge : float, optional
         Field angle of the edge of the field, rad; by default the angle at which the centroid lies on the rim of the
-        detector.
+        detector, 10° at most. It is 1° if the detector states no radius, and 0 if no ray arrives.
 
     Notes
     -----
@@ -100,11 +100,11 @@ class BatoidLight:
         return np.array(points), arrives, interfaces, np.array(free)
 
     def beam_radius(self, interface: Any) -> float:
-        """Return the largest distance, m, of rays from the middle of an interface, all passes, with margin `MARGIN`."""
+        """Return the largest distance from an interface's axis, m, at which rays meet it, enlarged by `MARGIN`."""
         return (1 + MARGIN) * self.beam_ring(interface)[1]
 
     def beam_ring(self, interface: Any) -> tuple[float, float]:
-        """Return the smallest and largest distance from the middle of an interface at which rays meet it, m."""
+        """Return the smallest and largest distance from an interface's axis, m, at which rays meet it, in any pass."""
         local = _local(interface, self._points)
         there = [step is not None and step.name == interface.name for step in self._interfaces]
         if type(interface.surface).__name__ == "Plane":  # as one of several names
@@ -114,7 +114,7 @@ class BatoidLight:
         return float(np.nanmin(radius)), float(np.nanmax(radius))
 
     def _turn(self, interface: Any) -> int:
-        """Return the index of an interface in the order in which the design beam first meets surfaces."""
+        """Return the index of the station at which the design beam first meets an interface; the start is station 0."""
         return next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
 
     def way(self, interface: Any) -> int:
@@ -124,7 +124,7 @@ class BatoidLight:
         return -1 if float(np.nanmean(before)) > 0 else 1
 
     def shaded(self, interface: Any, rings: Rings) -> float:
-        """Return the fraction of unblocked rays that centred rings (radii, m) cover at an interface's first pass."""
+        """Return the fraction of the rays, not blocked so far, that centred rings (radii, m) meet in the first pass."""
         number = self._turn(interface)
         at = _local(interface, self._points[number][self._free[number]])
         radius = np.hypot(at[:, 0], at[:, 1])
@@ -146,7 +146,8 @@ class BatoidLight:
         Returns
         -------
         list of (float, float)
-            Inner and outer radius of each ring, m.
+            Inner and outer radius of each ring, m, with the margin `MARGIN`. Light between lenses gives a disc, inner
+            radius 0, that reaches at least to their outer radii. The list is empty if no light crosses.
         """
         found = []
         for number in range(len(self._points) - 1):
@@ -181,7 +182,8 @@ def pupil(optic: Any) -> tuple[float, float]:
     """
     Return the outer and the inner radius of the beam at the entrance pupil, m.
 
-    If an optic has no pupilSize, such as a projector, the beam fills its narrowest aperture ahead of the first mirror.
+    If an optic has no pupilSize, such as a projector, the beam fills its narrowest round aperture ahead of the first
+    mirror, and the inner radius is 0.
 
     Raises
     ------

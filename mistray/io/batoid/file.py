@@ -33,7 +33,7 @@ DEEPEST = 100  # levels; telescopes need about twenty
 
 def read_optic(path: str | Path) -> batoid.Optic:
     """
-    Read a telescope file of batoid.
+    Return the optic that a telescope file of batoid describes.
 
     Parameters
     ----------
@@ -87,7 +87,11 @@ def _unshared(item: Any) -> Any:
 
 
 def _faulty(item: dict[str, Any], error: Exception, parse: Callable[[Any], Any]) -> tuple[dict[str, Any], Exception]:
-    """Return the innermost element of a telescope file that batoid cannot read, and the exception that it raises."""
+    """
+    Return the innermost element of a telescope file that batoid cannot read, and the exception that it raises.
+
+    The search begins at the element `item`, for which batoid's parser `parse` has raised `error`.
+    """
     for part in item["items"] if isinstance(item.get("items"), list) else ():
         try:
             parse(_unshared(part))

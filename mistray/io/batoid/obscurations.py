@@ -14,7 +14,7 @@ M_TO_MM = 1e3
 
 def clear_outline(obscuration: Any, radius: float, owner: str) -> Outline:
     """
-    Return the outline that an obscuration on a surface leaves clear.
+    Return the outline, mm, that an obscuration on a surface leaves clear.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def clear_outline(obscuration: Any, radius: float, owner: str) -> Outline:
 
 def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline]:
     """
-    Return the outlines that an obscuration covers, one for each of its parts; they may overlap.
+    Return the outlines, mm, that an obscuration covers, one for each of its parts; they may overlap.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
 
 
 def _outline(obscuration: Any, radius: float, owner: str, clear: bool) -> Outline:
-    """Return the clear or covered area of an obscuration as an outline, mm; it ends at `radius`, m, if unlimited."""
+    """Return the clear or covered area of an obscuration as an outline, mm; see `clear_outline`, `opaque_outlines`."""
     figures = _figures(obscuration, radius, owner, clear)
     if figures[0].sign == "-":
         figures = [OutlineFigure("circle", sizes=(radius * M_TO_MM,)), *figures]
@@ -63,7 +63,7 @@ def _outline(obscuration: Any, radius: float, owner: str, clear: bool) -> Outlin
 
 
 def is_open(obscuration: Any, negated: bool = False) -> bool:
-    """True if an obscuration, or the rest of the plane if `negated`, has no outer limit but the surface's."""
+    """True if an obscuration, or the rest of the plane if `negated`, has no outer limit of its own."""
     kind = type(obscuration).__name__
     if kind == "ObscNegation":
         return is_open(obscuration.original, not negated)
@@ -89,8 +89,8 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[O
     """
     Return the clear area of an obscuration, or the covered area without `clear`, as figures, mm.
 
-    If the first figure is cut away, the area is the rest of a disc of `radius`, m. Raise `MistrayError` if figures
-    cannot express the area.
+    If the first figure is cut away, the area is the rest of a disc of `radius`, m. Raise `MistrayError`, which names
+    the element `owner`, if figures cannot express the area.
     """
     kind = type(obscuration).__name__
     if obscuration is None:
@@ -113,7 +113,8 @@ def _combined(areas: list[list[OutlineFigure]], meet: bool, owner: str) -> list[
     """
     Return the intersection of areas with `meet`, else their union, as one list of figures.
 
-    An area that a single list must begin with leads. Raise `MistrayError` if there are two of them.
+    An area that figures can express only at the start of a list comes first. Raise `MistrayError` if there are two such
+    areas; `owner` is the name of the element for the message.
     """
 
     def narrowing(area: list[OutlineFigure]) -> list[OutlineFigure]:

@@ -57,7 +57,7 @@ def from_batoid(
     beam: Fill = "pupil",
 ) -> Prescription:
     """
-    Read a batoid telescope.
+    Return a batoid telescope as a prescription, in mm.
 
     Parameters
     ----------
@@ -78,8 +78,8 @@ def from_batoid(
         beam that they shade.
     field_deg : float or None
         Field angle of the edge of the field, degrees. Light from there decides how large surfaces without an aperture
-        are and where baffles are open. ``None``: the angle at which the centroid lies on the rim of the detector, or 1°
-        if it has none.
+        are and where baffles are open. ``None``: the angle at which the centroid lies on the rim of the detector, 10°
+        at most, or 1° if the detector has no known radius.
     beam : {"pupil", "exact"}
         Whether the source is wider than the pupil by a twentieth of its radii, or exactly as wide; see docs/import.md.
 
@@ -167,11 +167,11 @@ class _Reader:
     surfaces, structures, detector
         Surfaces, structures and detector converted so far; the detector is None at first.
     direction : (3,) float64
-        Unit vector along the light behind the last mirror so far.
+        Unit vector, in the world, along the light behind the last mirror so far; -z at first.
     group : list of Surface
         Refracting surfaces since the last mirror, and the detector, which get walls from `close_group`.
     notes : list of str
-        Assumptions.
+        Assumptions, one sentence or phrase each.
     """
 
     batoid: Any
@@ -239,7 +239,7 @@ class _Reader:
         """
         Add walls between the refracting surfaces of the current group of lenses, and end the group.
 
-        A group without a common axis gets a note instead, a single surface nothing.
+        A group without a common axis gets a note instead of walls. A single surface gets neither.
         """
         group, self.group = self.group, []
         if len(group) < 2:
@@ -396,9 +396,11 @@ class _Reader:
 
     def _rings(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface] | None:
         """
-        Return the centred rings of a baffle as structures, mm; [] if light of the design crosses all of it out of turn.
+        Return the centred rings of a baffle as structures, mm, less the parts that light crosses out of turn.
 
-        It is None if the obscuration has other parts, or if a part to be cut away shades light in its turn.
+        The result is empty if nothing is left, or if the baffle's opening is wider than the beam. It is None if the
+        obscuration has other parts, or if a part to be cut away shades light in its turn. `placing` has the position,
+        mm, and the angles of the baffle.
         """
         whole = self._centred(interface, interface.obscuration)
         if whole is None:
@@ -472,6 +474,7 @@ class _Reader:
         """
         Return opaque rings as (inner, outer) radii, m; None if the obscuration is not made of centred rings.
 
+        The list is empty if a baffle that is known by its opening alone reaches no further than this opening.
         Raise `MistrayError` if `baffle_radius` is not greater than the opening.
         """
         o = self.batoid.obscuration

@@ -29,7 +29,12 @@ DEEPEST = 200  # assemblies within assemblies
 
 @dataclass(frozen=True)
 class Instance:
-    """Placed copy of a mesh in an assembly: index of the mesh, names from the top down, and frame, (4, 4) in mm."""
+    """
+    Placed copy of a mesh in an assembly.
+
+    It has the index of the mesh, the names from the top of the assembly down, and the matrix, (4, 4), mm, from the
+    frame of the mesh to that of the file.
+    """
 
     mesh: int
     names: tuple[str, ...]
@@ -130,7 +135,7 @@ class Glb:
 
 
 def _matrix(node: dict[str, Any]) -> np.ndarray:
-    """Return the frame of a glTF node, (4, 4) in mm, from its matrix or from its scale, rotation and shift."""
+    """Return the matrix, (4, 4), mm, from the frame of a glTF node to that of the node above it."""
     if "matrix" in node:
         matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     else:

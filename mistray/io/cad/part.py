@@ -46,7 +46,7 @@ class RoundSurface:
 @dataclass(frozen=True, eq=False)
 class CadPart:
     """
-    Part of a CAD or mesh file, in the frame of the scene.
+    Part of a CAD or mesh file, in the frame of the file, or in that of the scene once it is `moved` there.
 
     Attributes
     ----------
@@ -85,8 +85,9 @@ class CadPart:
         Parameters
         ----------
         matrix : (4, 4) float64
-            Affine transform, translation in mm. If it mirrors, the order of vertices is reversed, so that normals still
-            point outwards. Exact surfaces are kept only if it preserves angles.
+            Affine transform from the present frame to the other one, translation in mm. If it mirrors, the order of
+            vertices is reversed, so that normals still point outwards. Exact surfaces are kept only if it preserves
+            angles.
 
         Raises
         ------
@@ -121,8 +122,8 @@ def checked(part: CadPart) -> tuple[CadPart, int]:
     Raises
     ------
     MistrayError
-        If it has no triangles, coordinates that are not finite or beyond `LARGEST_MM`, or triangles that refer to
-        missing vertices.
+        If it has no triangles or none with an area, coordinates that are not finite or beyond `LARGEST_MM`, or
+        triangles that refer to missing vertices.
     """
     triangles, title = part.triangles, shown([part.title])
     if not len(triangles):
@@ -148,7 +149,11 @@ def checked(part: CadPart) -> tuple[CadPart, int]:
 
 
 def unique_names(titles: Iterable[str]) -> list[str]:
-    """Return unique ids made from titles: other characters become "_", long ones are cut, repeated ones numbered."""
+    """
+    Return unique ids made from titles, in their order.
+
+    Runs of characters other than letters, digits, _ and - become "_". Long ids are cut, and repeated ones numbered.
+    """
     taken: set[str] = set()
     names = []
     for title in titles:

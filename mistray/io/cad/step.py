@@ -124,7 +124,11 @@ def _convert(path: Path, target: Path, tolerance_mm: float, time_limit_s: float)
 
 
 def _parts(file: Glb) -> tuple[list[CadPart], int, list[Unread]]:
-    """Return the parts, the number of CAD faces that they come from, and the content that could not be read."""
+    """
+    Return the parts, the number of CAD faces that they come from, and the content that could not be read.
+
+    Faces of a product that stands in several places count once.
+    """
     found: list[tuple[Instance, CadPart, str, str]] = []
     unread: list[Unread] = []
     faces: dict[tuple[str, int], int] = {}  # a product that stands in several places is in the file once

@@ -13,7 +13,11 @@ MEMORY_BYTES = 8 << 30
 
 
 def main(source: str, target: str, tolerance_mm: str, angle_rad: str, seconds: str) -> int:
-    """Convert a STEP file to glTF; return the exit status: 0, 3 without cascadio, 4 if it cannot read the file."""
+    """
+    Convert a STEP file to glTF within `seconds` of processor time; return the exit status.
+
+    It is 0 on success, 3 if cascadio is missing, and 4 if cascadio cannot read the file.
+    """
     with contextlib.suppress(ImportError, ValueError, OSError):  # not on every system
         import resource
 

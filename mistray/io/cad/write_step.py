@@ -133,7 +133,7 @@ class StepFile:
         degree : int
             Degree of the polynomials.
         weights : (n,) float64, optional
-            Weights of a rational curve.
+            Weights of the control points of a rational curve; None: the curve is not rational.
         """
         points = refs(self.point(pole) for pole in poles)
         counts, values = _grouped(knots)
@@ -170,12 +170,12 @@ class StepFile:
         return self.add(f"SPHERICAL_SURFACE('',#{placement},{real(radius)})")
 
     def revolution(self, curve: int, origin: Array, axis: Array) -> int:
-        """Add the surface that a curve sweeps about an axis through `origin`, mm; return its number."""
+        """Add the surface that a curve sweeps about the unit vector `axis` through `origin`, mm; return its number."""
         place = self.add(f"AXIS1_PLACEMENT('',#{self.point(origin)},#{self.direction(axis)})")
         return self.add(f"SURFACE_OF_REVOLUTION('',#{curve},#{place})")
 
     def spline_surface(self, poles: Array, knots: tuple[Array, Array], degrees: tuple[int, int]) -> int:
-        """Add a B-spline surface with control points (m, n, 3), mm, and knots by direction; return its number."""
+        """Add a B-spline surface: control points (m, n, 3), mm, knots and degrees along m and n; return its number."""
         rows = ",".join(refs(self.point(pole) for pole in row) for row in poles)
         (u_counts, u_values), (v_counts, v_values) = map(_grouped, knots)
         return self.add(
@@ -232,7 +232,7 @@ class StepFile:
         return self.add(f"GEOMETRIC_CURVE_SET({text(name)},{refs(curves)})")
 
     def paint(self, item: int, colour: Colour, line: bool = False) -> None:
-        """Set the colour of a body, sheets or (with `line`) curves: red, green and blue, 0 … 1."""
+        """Set the colour, red, green and blue, 0 … 1, of a body, sheets or (with `line`) curves with number `item`."""
         style = self._styles.get((colour, line))
         if style is None:
             rgb = self.add(f"COLOUR_RGB('',{','.join(map(real, colour))})")

@@ -78,16 +78,16 @@ class SeqCommand:
         return word[:3] if word.isalpha() else word
 
     def numbers(self) -> list[float]:
-        """Return the words behind the name of the command as numbers; raise `MistrayError` without any."""
+        """Return the words behind the command's name as numbers; raise `MistrayError` for other words or for none."""
         if len(self.words) < 2:
             raise MistrayError(f"'{self.text}': no value; give one at least")
         return [self.number(place) for place in range(len(self.words) - 1)]
 
     def number(self, place: int = 0) -> float:
         """
-        Return the value at a place behind the command's name, by default the first, as a finite number.
+        Return the value at a place behind the command's name, counted from 0, as a finite number.
 
-        Raise `MistrayError` if there is none.
+        Raise `MistrayError` if there is no finite number there.
         """
         word = self.words[1 + place] if len(self.words) > 1 + place else ""
         value = finite_of(word)
@@ -97,9 +97,9 @@ class SeqCommand:
 
     def positive(self, place: int = 0) -> float:
         """
-        Return the value at a place behind the command's name, by default the first, as a number above 0.
+        Return the value at a place behind the command's name, counted from 0, as a number above 0.
 
-        Raise `MistrayError` if there is none.
+        Raise `MistrayError` if there is no such number there.
         """
         value = self.number(place)
         if value <= 0:

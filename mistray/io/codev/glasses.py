@@ -59,7 +59,7 @@ class CodevGlasses(FileGlasses):
 
     def material(self, word: str) -> str:
         """
-        Return the material string of a glass named as in the file; k is set to 0 if it is unknown.
+        Return the material string of a glass named as in the file; its extinction k, if unknown, is set to 0.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class CodevGlasses(FileGlasses):
 
 def table_material(wavelengths_nm: Sequence[float], indices: Sequence[float], used_nm: Sequence[float]) -> str:
     """
-    Return the material string of a table of indices over wavelength, nm, with points added at those of the lens.
+    Return the material string of a table of refractive indices over `wavelengths_nm`, with points added at `used_nm`.
 
     The added points, at the lens's wavelengths within the table, are interpolated by a cubic in 1/λ² through the
     nearest four. mistray interpolates tables linearly, which between points 50 nm apart gives an index error of 2e-4.

@@ -301,7 +301,8 @@ class _Reader:
         """
         Process ``S``, ``S3``, ``SO`` or ``SI``, with curvature or radius, thickness and glass.
 
-        ``S`` without a number adds a surface. Raise `MistrayError` if a number leaves out a surface.
+        `which` is what stands behind the S. ``S`` without a number adds a surface. Raise `MistrayError` if a number
+        leaves out a surface.
         """
         if which == "O":
             surface = self.object
@@ -566,7 +567,7 @@ class _Reader:
         return "object_na", found
 
     def _fields(self) -> tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float, float, float], ...]]:
-        """Return fields (x, y), mm or degrees, and vignetting (VDX, VDY, VCX, VCY): pupil shift and compression."""
+        """Return fields (x, y), mm or degrees, and for each the vignetting (VDX, VDY, VCX, VCY) of `squeezed`."""
         count = max((len(values) for values in self.fields.values()), default=1)
         if not self.fields:
             self.notes.append("no field: the axis alone")

@@ -129,12 +129,11 @@ def rows_of(
 
 def _moves(surface: CodevSurface, unit_mm: float) -> tuple[Decentre | None, Decentre | None]:
     """
-    Return the moves of the frame, mm and degrees, before and behind a surface.
+    Return the moves of the frame, mm and degrees, before and behind a surface; None where there is no such move.
 
-    Either is None if there is no such move. R is the rotation of the surface. REV applies the inverse of (shift, R)
-    behind the surface. For BEN, the old axis ẑ
-    is R⁻¹ẑ in the frame of the surface. Its reflection there, a half turn about z, is R_z(-γ) R_y(β) R_x(α) ẑ, since R
-    = R_x(α) R_y(β) R_z(γ). So the angles α, β and -γ apply in the opposite order.
+    R = R_x(α) R_y(β) R_z(γ) is the rotation of the surface. REV applies the inverse of (shift, R) behind the surface.
+    For BEN, the old axis ẑ is R⁻¹ẑ in the frame of the surface. Its reflection there, a half turn about z, is
+    R_z(-γ) R_y(β) R_x(α) ẑ. So the angles α, β and -γ apply in the opposite order.
     """
     if not any(surface.moves.values()):
         return None, None

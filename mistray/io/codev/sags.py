@@ -59,7 +59,7 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
     Raises
     ------
     MistrayError
-        If a coefficient is unknown, or NRADIUS is missing or not positive.
+        If a coefficient is unknown, or if an XYP, ZRN or ZFR with terms has no NRADIUS above 0.
     """
     if kind in ("YTO", "CYL", "XTO"):
         return {"toroid_curvature": curvature_x / unit} | _powers(extra, unit)
@@ -90,13 +90,13 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
 
 
 def _powers(extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Return the coefficients of rⁿ, mm^(1-n), keyed by the names of `Row.sag`."""
+    """Return the coefficients of rⁿ, mm^(1-n), keyed by the names of `Row.sag`; parameters as in `sag_of`."""
     powers = {name.lower(): value for name, value in extra.items() if re.fullmatch(r"[AR]\d+", name)}
     return {name: value * unit ** (1 - int(name[1:])) for name, value in powers.items()}
 
 
 def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Return the coefficients of rⁿ of an ODD surface, mm^(1-n), keyed by the names of `Row.sag`."""
+    """Return the coefficients of rⁿ of an ODD surface, mm^(1-n), by names of `Row.sag`; parameters as in `sag_of`."""
     radius = (extra.get("NRADIUS") or extra.get("C33") or 1.0) * unit
     found = {}
     for name, value in extra.items():
@@ -110,7 +110,8 @@ def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, f
     """
     Return Zernike coefficients and normalisation radius of a ZRN or ZFR surface, mm, by their names in `Row.sag`.
 
-    If all coefficients are 0, the result is empty. Raise `MistrayError` if the normalisation radius is not above 0.
+    Parameters are as in `sag_of`. If all coefficients are 0, the result is empty. Raise `MistrayError` if the
+    normalisation radius is not above 0.
     """
     radius_place, first, terms = ("C69", 1, _ZRN_TERMS) if kind == "ZRN" else ("C2", 3, _ZFR_TERMS)
     radius = extra.get("NRADIUS") or extra.get(radius_place, 0.0)
@@ -141,7 +142,7 @@ def standard_orders(j: int) -> tuple[int, int]:
 
 
 def noll_number(n: int, m: int) -> int:
-    """Return the Noll index of the standard Zernike polynomial of orders n (radial) and m (azimuthal)."""
+    """Return the Noll index of the Zernike polynomial of orders n (radial) and m (azimuthal, < 0 for a sine)."""
     first = n * (n + 1) // 2 + 1
     return next(j for j in range(first, first + n + 1) if noll_orders(j) == (n, m))
 
@@ -150,6 +151,7 @@ def _place(name: str, kind: str, head: str, first: int, terms: int) -> int:
     """
     Return the index of a polynomial term named as Z5, or as the coefficient C6; 0 for names of other quantities.
 
+    `head` is the letter before the index, term j is the coefficient C(j + `first`), and `terms` is the last index.
     Raise `MistrayError` for an unknown name.
     """
     if name in ("NRADIUS", "K", "KX", "C1") or re.fullmatch(r"[AR]\d+", name):

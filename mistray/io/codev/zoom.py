@@ -30,7 +30,7 @@ class ZoomPosition:
     Attributes
     ----------
     number, count : int
-        Number of the position, and how many there are.
+        Number of the position, from 1, and how many there are; both are 1 until `commands` has begun.
     names : dict
         Names of positions, by number.
     note : str

@@ -163,7 +163,11 @@ class ZemaxLine:
 
 
 class ZemaxSection:
-    """Lines of the system, of one surface, or of the end of a file. The reader removes each line that it uses."""
+    """
+    Lines of the system, of one surface, or of the end of a file. The reader removes each line that it uses.
+
+    `name` is that of the section, for messages, and `head` the line ``SURF n`` of a surface; None: it is no surface.
+    """
 
     def __init__(self, name: str, head: ZemaxLine | None = None) -> None:
         self.name, self.head = name, head

@@ -188,7 +188,7 @@ class _Reader:
 
     def _object(self, section: ZemaxSection) -> tuple[float, str]:
         """
-        Return the distance of the object, mm, from its section, and the material behind it.
+        Return the object's distance from the first surface, mm (inf: far away), and the material between them.
 
         Raise `MistrayError` if the object is not of type STANDARD.
         """
@@ -299,7 +299,7 @@ class _Reader:
         """
         Return the clear semi-diameter (mm), whether it stops light, and stated apertures, as arguments of `Row`.
 
-        Raise `MistrayError` if there are two apertures, or the radii of a floating one do not ascend.
+        Raise `MistrayError` if there are two apertures, or the radii or half widths of one are not valid.
         """
         diameter = section.take("DIAM")
         drawn = abs(diameter.value(0, "a semi-diameter")) * self.unit if diameter else 0.0
@@ -330,8 +330,8 @@ class _Reader:
         """
         Return the outline, mm, that a line of an aperture or obscuration in the Zemax file describes.
 
-        None, for an aperture from a user's file, means that it stops no light. Raise `MistrayError` if its radii or
-        half widths are not valid.
+        None, for an aperture from a user's file, means that it stops no light. `x` and `y` are its centre, `drawn` is
+        the semi-diameter in the file, or 0, all in mm. Raise `MistrayError` if radii or half widths are not valid.
         """
         if line.key not in _FIGURES and line.key != "SPID":
             self.unread.append(

@@ -68,7 +68,7 @@ class SagNumbers:
         """
         Return the values in the PARM and XDAT lines of a surface's section, and remove these lines.
 
-        Raise `MistrayError` if an index is out of range or occurs twice.
+        `unit` and `semi_diameter` are as in the class. Raise `MistrayError` if an index is out of range or repeated.
         """
         found = cls(section.name, unit, semi_diameter)
         for key, values, most in (("PARM", found.parameters, MOST_PARAMETERS), ("XDAT", found.extra, MOST_EXTRA)):

@@ -52,7 +52,7 @@ def write_zemax(lens: Sequential, path: str | Path) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        Losses: content that the file lacks or only approximates, one sentence each; empty if the file is complete.
+        Losses: content that the file lacks or only approximates, one phrase each; empty if the file is complete.
 
     Raises
     ------
@@ -155,7 +155,7 @@ class _Writer:
             yield from map(self._break, back)
 
     def _block(self, kind: str, *, thickness: float, curvature: float = 0.0, extra: list[str]) -> list[str]:
-        """Return the lines of a surface, lengths in mm; `extra` follows the lines that every surface has."""
+        """Return the lines of a surface (mm, curvature in 1/mm); `extra` follows the lines that every surface has."""
         distance = "INFINITY" if math.isinf(thickness) else _number(thickness)
         lines = [
             f"SURF {self.number}",

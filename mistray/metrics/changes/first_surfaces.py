@@ -61,7 +61,7 @@ class FirstLight:
         Power of all paths and its variance, power of the direct image, and power of the strongest path, by surface, in
         W and W², or in any other unit and its square.
     unseen : float
-        Upper bound of the power of the paths that are left out, in the same unit.
+        Upper bound of the power of each path that is left out, in the same unit.
     """
 
     power: Mapping[str, float]
@@ -101,7 +101,7 @@ class FirstLight:
         variance : mapping of str to float
             Variance of the power, by surface.
         unseen : float
-            Upper bound of the power of the paths that are left out.
+            Upper bound of the power of each path that is left out, in the same unit.
         """
         here = {name: first == name for name in dict.fromkeys(first)}
         return cls(
@@ -113,7 +113,11 @@ class FirstLight:
         )
 
     def plus(self, other: FirstLight) -> FirstLight:
-        """Return the sum of this light and that of another, independent trace, by first surface."""
+        """
+        Return the sum of this light and that of another, independent trace, by first surface.
+
+        The strongest paths and `unseen` are not added: the larger value of both traces is kept.
+        """
         strongest = {
             name: max(one.strongest.get(name, 0.0) for one in (self, other)) for name in (*self.power, *other.power)
         }
