@@ -165,7 +165,7 @@ def deflection_density(delta: Any, width_mm: Any, wavelength_mm: float, law: str
     Parameters
     ----------
     delta : float or array
-        Change δ of the direction cosine across the edge; the density is symmetric.
+        Change δ of the direction cosine across the edge; the density is symmetric, per unit of δ.
     width_mm : float or array
         Width w of the strip along the edge, mm, > 0.
     wavelength_mm : float

@@ -35,7 +35,7 @@ def path_in_reflection(cos_i: Any, cos_s: Any, n_in: Any = 1.0) -> Any:
 
 
 def path_in_transmission(cos_i: Any, cos_s: Any, n_in: Any, n_out: Any) -> Any:
-    """Return the path difference per height in transmission, n_in cos θi - n_out cos θs, a number of either sign."""
+    """Return the path difference per height in transmission, n_in cos θi - n_out cos θs, dimensionless, of any sign."""
     return n_in * cos_i - n_out * cos_s
 
 

@@ -123,7 +123,7 @@ class Pupil:
 
     def removed(self, terms: str) -> Array:
         """
-        Return coefficients of 1, α, β and γ fitted to the wavefront, (4,), waves.
+        Return coefficients of 1, α, β and γ fitted to the wavefront, weighted by flux, (4,), waves.
 
         α and β are relative to the middle of the grid.
 
@@ -227,7 +227,7 @@ class Pupil:
         return result * self.scale**2 / self.total
 
     def ideal_peak(self) -> float:
-        """Return the irradiance, 1/mm², at the image point without aberration, for a flux of 1."""
+        """Return the irradiance, 1/mm², at the image point for an OPD of 0 in all cells and a flux of 1."""
         return float(np.abs(self.amplitude).sum() ** 2 * self.scale**2 / self.total)
 
     # ---- transfer function
@@ -332,5 +332,5 @@ class Pupil:
 
 
 def _pairs(lit: npt.NDArray[np.bool_], axis: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Return masks of pairs of neighbouring pupil cells: whether the first is lit, and whether the second is."""
+    """Return two masks of pairs of cells that are neighbours along `axis`: whether each one of a pair is lit."""
     return np.take(lit, range(lit.shape[axis] - 1), axis), np.take(lit, range(1, lit.shape[axis]), axis)

@@ -49,11 +49,12 @@ def spider(
     z : float
         Position of the edges on the -z side, mm.
     offset : float
-        Distance by which the middle plane of each vane passes beside the axis, mm: tangential vanes.
+        Distance by which the middle plane of each vane passes beside the axis, mm, for tangential vanes; if > 0, on the
+        side of growing azimuth.
     start_deg : float
         Azimuth of the first vane from x to y, degrees.
     coating, scatter
-        Coating and scatter models of all faces.
+        Coating (None: bare Fresnel interface) and scatter models of all faces.
 
     Returns
     -------

@@ -119,7 +119,7 @@ def vane_faces(vane: Vane, wall_radius: Callable[[float], float]) -> Iterator[Pr
     Raises
     ------
     MistrayError
-        If the bevel is wider than the vane is deep.
+        If bevel and rounding are wider than the vane is deep.
     """
     if vane.edge is None:
         yield ("", wall_radius(vane.z), vane.z, vane.radius, vane.z)
@@ -144,7 +144,7 @@ def vane_faces(vane: Vane, wall_radius: Callable[[float], float]) -> Iterator[Pr
 
 
 def _edge_profile(vane: Vane, edge: VaneEdge) -> tuple[list[tuple[float, float]], list[str]]:
-    """Return points (r, z), mm, from front over tip to rear of a front-bevelled vane, and the names of its faces."""
+    """Return points (r, z), mm, from front over tip to rear of a front-bevelled vane, and the endings between them."""
     a, z, rho = vane.radius, vane.z, edge.radius
     if edge.bevel_deg is None:
         if rho == 0:
