@@ -124,7 +124,7 @@ def _flat_walls(name: str, figure: OutlineFigure, thickness: float, z: float, co
 
 
 def _check_holes(outline: Outline, owner: str) -> None:
-    """Raise `MistrayError` for an unsuitable figure, and for holes that cross the rim or each other at tested points."""
+    """Raise `MistrayError` for unsuitable figures, and for holes that cross the rim or each other at tested points."""
     kinds = ("circle", "ellipse", "rectangle", "polygon")
     for k, figure in enumerate(outline.figures, start=1):
         if figure.kind not in kinds or figure.sign != ("+" if k == 1 else "-"):
