@@ -407,7 +407,7 @@ def _tables(observations: Sequence[Any], request: GradientRequest) -> list[Table
     """
     Return the derivatives of an evaluated metric with respect to the tracer's tables, for each source and wavelength.
 
-    Those of several observations are added up where they share all tables.
+    `request` says which. Those of several observations are added up where they share all tables.
     """
     raws: dict[tuple[Any, ...], TableGradient] = {}
     for observation in observations:

@@ -247,7 +247,7 @@ class Observation:
 
     def _moments(self, selection: Selection, groups: Sequence[Sequence[int] | np.ndarray]) -> Moments:
         """
-        Return power, centroid and variance of the light in each group of path rows, given by index.
+        Return power, centroid and variance of the light in each of `groups`, indices of rows of the path table.
 
         Raise `MistrayError` if a group is dark or there is none; the message names `selection`.
         """

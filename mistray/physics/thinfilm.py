@@ -186,7 +186,7 @@ def _solve(
     """
     Return array functions, and for s and p the fields in front of a stack whose transmitted wave has amplitude 1.
 
-    Raise `MistrayError` if the numbers of indices and thicknesses differ.
+    Parameters are those of `amplitudes`. Raise `MistrayError` if the numbers of indices and thicknesses differ.
     """
     n_layers, d_nm = several(n_layers), several(d_nm)
     if len(n_layers) != len(d_nm):

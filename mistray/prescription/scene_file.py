@@ -221,7 +221,7 @@ def _node_dict(node: _Node) -> dict[str, Any]:
 
 def write_xml(prescription: Prescription, path: str | Path) -> None:
     """
-    Write the scene as Mitsuba 3 XML, and sag grids without a file beside it; on an error old files stay.
+    Write the scene as Mitsuba 3 XML to `path`, and sag grids that have no file beside it; on an error old files stay.
 
     Raises
     ------

@@ -386,7 +386,7 @@ class Outline:
 
 def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) -> Outline:
     """
-    Return the outline of a circle centred at (x, y), or of an annulus if `inner` > 0; lengths in mm.
+    Return the outline of a circle of `radius` centred at (x, y), or of an annulus if `inner` > 0; lengths in mm.
 
     Examples
     --------
@@ -400,7 +400,9 @@ def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) ->
 
 def rectangle(half_width: float, half_height: float, x: float = 0.0, y: float = 0.0, angle_deg: float = 0.0) -> Outline:
     """
-    Return the outline of a rectangle centred at (x, y), lengths in mm, rotated from x to y by `angle_deg`, degrees.
+    Return the outline of a rectangle centred at (x, y), rotated from x to y by `angle_deg`, degrees; lengths in mm.
+
+    Before the rotation `half_width` is its half size along x, and `half_height` that along y.
 
     Examples
     --------

@@ -58,7 +58,7 @@ def qbfs(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
 
 
 def qbfs_values(x: np.ndarray, last: int) -> list[np.ndarray]:
-    """Return the polynomials Qbfs_0 … Qbfs_last at x, in its shape, by the recurrence of Forbes (2010), appendix A."""
+    """Return the polynomials Qbfs_0 … Qbfs_last at x = u², in its shape, by the recurrence of Forbes (2010), app. A."""
     auxiliary = [np.full_like(x, 2.0), 6 - 8 * x]
     while len(auxiliary) <= last:
         auxiliary.append((2 - 4 * x) * auxiliary[-1] - auxiliary[-2])

@@ -365,7 +365,7 @@ def _bevelled_side(
 
 
 def _check_plates(name: str, vanes: tuple[Vane, ...], z_rear: float) -> None:
-    """Raise `MistrayError` if the plate of a vane overlaps the next vane, or extends beyond the end of the tube."""
+    """Raise `MistrayError` if the plate of a vane overlaps the next vane, or extends beyond `z_rear`, mm."""
     for vane, end in [(a, b.plate[0]) for a, b in pairwise(vanes)] + [(vanes[-1], z_rear)]:
         if vane.plate[1] > end:
             assert vane.edge is not None
@@ -377,9 +377,9 @@ def _check_plates(name: str, vanes: tuple[Vane, ...], z_rear: float) -> None:
 
 def slope_margin(what: str, field_deg: float, exclusion_deg: float) -> float:
     """
-    Return tan ε - tan w for an exclusion angle ε and a half field w in degrees.
+    Return tan ε - tan w for the exclusion angle ε = `exclusion_deg` and the half field w = `field_deg`, degrees.
 
-    Raise `MistrayError` unless 0 ≤ w < ε < 90.
+    Raise `MistrayError` unless 0 ≤ w < ε < 90; `what` is the owner of the angles for its message.
     """
     if not 0 <= field_deg < exclusion_deg < 90:
         raise MistrayError(

@@ -129,7 +129,7 @@ def _crossing(tube: BaffleTube, openings: list[Opening], sign: float) -> Iterato
 
 
 def _interval(conditions: list[tuple[float, float]], start: float, end: float) -> Zone | None:
-    """Return the part of an interval in z, mm, where all c_0 + c_1 z ≥ 0 hold; None if there is none."""
+    """Return the part of `start` … `end`, z in mm, where all conditions c_0 + c_1 z ≥ 0 hold; None if there is none."""
     for constant, linear in conditions:
         if linear > 0:
             start = max(start, -constant / linear)

@@ -78,7 +78,8 @@ def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, f
     """
     Return centre x, y and radius, mm, of the first field's beam in the plane `z`, mm, of the entrance pupil.
 
-    They are 0, 0 and `radius`, that of the pupil in mm, unless the beam comes in beside the axis. This gives a note.
+    They are 0, 0 and `radius`, that of the pupil in mm, unless the beam comes in beside the axis. Then `table` gets a
+    note.
     """
     start, heading = table.rays.entering
     x, y = (start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading)[:, :2].T

@@ -252,7 +252,7 @@ def _outer_fields(lens: Sequential) -> list[int]:
 
 
 def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
-    """Return pupil coordinates (n, 2), in units of the pupil radius, after the vignetting factors of a field."""
+    """Return pupil coordinates (n, 2), 1 at the rim, after the vignetting factors of the field of an index."""
     if not lens.vignetting:
         return pupil
     shift_x, shift_y, squeeze_x, squeeze_y = lens.vignetting[field]
@@ -263,10 +263,11 @@ def _aimed_at(
     lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float], point: Array
 ) -> tuple[Array, Array]:
     """
-    Return rays of a field aimed at points (n, 2) of the paraxial entrance pupil, mm from its centre.
+    Return rays of a field, as coordinates in `launch`, aimed at points (n, 2) of the paraxial entrance pupil.
 
-    Starts, mm, and unit directions are (n, 3). If the pupil is at infinity, points lie in the plane of the first row,
-    relative to the chief ray. Raise `MistrayError` if object and entrance pupil coincide, or both lie at infinity.
+    Points are in mm from its centre; if it is at infinity, they lie in the plane of the first row, relative to the
+    chief ray. The results are starts, mm, and unit directions, (n, 3). Raise `MistrayError` if object and entrance
+    pupil coincide, or both lie at infinity.
     """
     z = data.entrance_pupil_z  # at infinity, points lie in the plane of the first row, from the chief ray
     if math.isinf(lens.object_distance):
@@ -293,7 +294,7 @@ def _aimed_at(
 
 def _object_point(lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float]) -> Array:
     """
-    Return the point (x, y), mm, of a field on an object at a finite distance.
+    Return the point (x, y), mm, of a field, as coordinates in `launch`, on an object at a finite distance.
 
     Raise `MistrayError` if the field has no such point because the magnification is 0 or the lens is telecentric.
     """
@@ -335,8 +336,9 @@ def _through_stop(
     """
     Return starts, mm, and directions, (n, 3), of rays of a field that meet the stop at `pupil` times its `radius`, mm.
 
-    Newton's method finds the points in the entrance pupil. The field grows in steps, because the pupil of a wide-angle
-    lens shifts with it. Rays that do not converge keep their last aim, or the paraxial one if that fails too.
+    `field` has coordinates as in `launch`. Newton's method finds the points in the entrance pupil. If it fails, the
+    field grows in steps, because the pupil of a wide-angle lens shifts with it. Rays that do not converge keep their
+    last aim, or the paraxial one if that fails too.
     """
     target = pupil * radius
     point, met = _aimed_at_stop(lens, data, field, target, pupil * data.epd / 2)
@@ -355,8 +357,8 @@ def _aimed_at_stop(
     """
     Return points in the entrance pupil, mm, whose rays meet the stop at `target`, (n, 2), mm, by Newton's method.
 
-    The iteration begins at `start`, (n, 2), mm. Returns the points, (n, 2), and whether all converged. If not, points
-    hold their last iterate, NaN where the ray does not reach the stop.
+    The iteration begins at `start`, (n, 2), mm from the pupil's centre as the results are. The second result says
+    whether all converged. If not, points hold their last iterate, NaN where the ray does not reach the stop.
     """
     stop, unit = stop_place(lens), data.epd / 2
     ahead = lens.with_rows([*lens.rows[: stop + 1], Row(0, kind="image")])  # what lies behind the stop aims no ray
