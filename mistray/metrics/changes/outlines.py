@@ -221,7 +221,7 @@ def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np
     """
     Return the straight rims of a triangle mesh as pairs of end points, mm.
 
-    They are sides of only one triangle, joined by `_joined`. `vertices` are (n, 3), mm; `faces`, (m, 3), their indices.
+    They are sides of only one triangle, joined by `_joined`. `vertices`, (n, 3), are in mm; `faces`, (m, 3), are indices.
     """
     _, same = np.unique(vertices.round(6), axis=0, return_inverse=True)
     sides = np.sort(same.ravel()[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])], axis=1)
@@ -232,7 +232,11 @@ def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np
 
 
 def _joined(sides: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return sides as pairs of end points, mm, after joining sides that continue each other within 20° (`CORNER`)."""
+    """
+    Return sides as pairs of end points, mm, after joining sides that continue each other.
+
+    A side is joined if it turns by less than 20° (`CORNER`) from the chord of those before. The chord replaces them.
+    """
     at: dict[bytes, list[int]] = {}
     for number, side in enumerate(sides):
         for end in side:

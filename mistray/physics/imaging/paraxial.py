@@ -120,13 +120,13 @@ class ParaxialSystem:
 
     @property
     def efl(self) -> float:
-        """Rear effective focal length, mm (for equal outer indices: the focal length); ``inf`` if afocal."""
+        """Rear effective focal length, mm, > 0 if a collimated beam is focused; ``inf`` if afocal."""
         u = self.trace(1.0, 0.0)[-1, 1]
         return math.inf if u == 0 else -1.0 / u
 
     @property
     def bfl(self) -> float:
-        """Distance from the last vertex to the rear focus, mm; ``inf`` if afocal."""
+        """Distance along +z from the last vertex to the rear focus, mm; ``inf`` if afocal."""
         y, u = self.trace(1.0, 0.0)[-1]
         return math.inf if u == 0 else -y / u
 

@@ -39,7 +39,8 @@ def spider(
     Parameters
     ----------
     name : str
-        Name of the part; faces are ``<name>_<k>_front``, ``_rear``, ``_left`` and ``_right`` for vane k = 1, 2, ….
+        Name of the part; faces are ``<name>_<k>_front`` (-z), ``_rear`` (+z), ``_left`` (towards growing azimuth) and
+        ``_right`` for vane k = 1, 2, ….
     vanes : int
         Number of vanes, at equal angles.
     inner_radius, outer_radius : float

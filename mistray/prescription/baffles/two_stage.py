@@ -103,7 +103,7 @@ def two_stage_baffle(
     edge: VaneEdge | None = None,
 ) -> TwoStageBaffle:
     """
-    Design the shortest two-stage baffle for an exclusion angle.
+    Design the shortest two-stage baffle for an exclusion angle, or the shortest with a given inner stage.
 
     Parameters
     ----------

@@ -183,7 +183,7 @@ def vane_tube(
     edge: VaneEdge | None = None,
 ) -> BaffleTube:
     """
-    Design a tube whose vanes leave no first-order path from the sky to the optic.
+    Design a tube whose vanes leave no first-order path by its wall from light beyond an exclusion angle to the optic.
 
     Parameters
     ----------
