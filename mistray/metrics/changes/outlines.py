@@ -221,7 +221,7 @@ def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np
     """
     Return the straight rims of a triangle mesh as pairs of end points, mm.
 
-    They are sides of only one triangle, joined by `_joined`. `vertices`, (n, 3), are in mm; `faces`, (m, 3), are indices.
+    They are sides of only one triangle, joined by `_joined`. `vertices`, (n, 3), are in mm, `faces` indices, (m, 3).
     """
     _, same = np.unique(vertices.round(6), axis=0, return_inverse=True)
     sides = np.sort(same.ravel()[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])], axis=1)
