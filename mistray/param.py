@@ -125,7 +125,7 @@ class Param(Demand):
         Raises
         ------
         MistrayError
-            If the property is missing, or its value is not allowed.
+            If a property without default is missing, or its value is not allowed.
         """
         if name in props:
             return self.typed(props[name], name, owner)

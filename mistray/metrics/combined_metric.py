@@ -24,7 +24,7 @@ class CombinedMetric(Metric):
     Attributes
     ----------
     parts : dict of str to Metric
-        Other metrics by name; None counts as no metric.
+        Other metrics by name; None counts as no metric. Further attributes are those of `Metric`.
     """
 
     parts: Mapping[str, Metric] | None = None

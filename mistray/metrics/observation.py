@@ -339,7 +339,7 @@ class Observation:
         """
         Return the derivative of the metric's value with respect to the flux in each pixel, (height, width).
 
-        It is in the metric's unit per W.
+        It is in the metric's unit per W. `image` is the irradiance from which the metric was computed.
         """
         width, height, _ = self.trace.runs[0].table.film()
         by_irradiance = np.broadcast_to(np.array(dr.grad(image)), height * width).reshape(height, width)

@@ -183,7 +183,7 @@ def chosen_keys(scene: mi.Scene, known: Mapping[str, Parameter], keys: str | Ite
     """
     Return the keys of the scene parameters to take derivatives with respect to.
 
-    They are all keys, or those that patterns match.
+    They are all of `known` if `keys` is None, else those that match `keys`, which may be patterns.
 
     Raises
     ------

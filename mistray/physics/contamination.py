@@ -54,7 +54,7 @@ def count(diameter_um: ArrayLike, level: float, slope: float = CLEANED_SLOPE) ->
     Parameters
     ----------
     diameter_um : float or array
-        Diameter D, µm, ≥ 1.
+        Diameter D, µm, ≥ 1; the result has its shape.
     level : float
         Cleanliness level, ≥ 1: the diameter of the largest particle on 0.1 m², µm.
     slope : float
@@ -72,10 +72,11 @@ def density(diameter_um: ArrayLike, level: float, slope: float = CLEANED_SLOPE) 
 
 def standard_coverage_percent(level: ArrayLike) -> np.ndarray:
     """
-    Return the area covered by particles according to the standard, percent: 10^(-7.245 + 0.926 log10² level).
+    Return the part of a surface that particles cover by the standard, percent: 10^(-7.245 + 0.926 log10² level).
 
-    `level` is that of `count`. The formula holds for the slope 0.926. It gives 7.6 % more than the area of the spheres,
-    `coverage_percent`, because the standard counts particles in size classes and allows other shapes.
+    `level` is that of `count`, and gives the shape. The formula holds for the slope 0.926. It gives 7.6 % more than the
+    area of the spheres, `coverage_percent`, because the standard counts particles in size classes and allows other
+    shapes.
     """
     return np.asarray(10 ** (-7.245 + 0.926 * np.log10(np.asarray(level, dtype=np.float64)) ** 2))
 
@@ -186,8 +187,8 @@ class Cloud:
         Parameters
         ----------
         angle : float or array
-            Angle between the directions of the incident and the scattered light, 0 … π rad. Below 1e-5 rad and within
-            1e-4 rad of π the value at that limit is used.
+            Angle between the directions of the incident and the scattered light, 0 … π rad; the result has its shape.
+            Below 1e-5 rad and within 1e-4 rad of π the value at that limit is used.
         """
         return np.asarray(np.exp(self._log_f(_place(angle))))
 

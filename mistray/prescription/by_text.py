@@ -119,7 +119,7 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
 
 
 def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:
-    """Return the KEY=VALUE pairs at the end of `words` as a dict, back to a word that is none or repeats a key."""
+    """Return KEY=VALUE words at the end of `words` as a dict, back to one whose key is not in `keys` or repeated."""
     found: dict[str, str] = {}
     for word in reversed(words):
         pair = name_and_value(word)

@@ -185,7 +185,7 @@ class Surface(Placed):
 
     @property
     def freeform(self) -> bool:
-        """True if the surface needs the `freeform` plugin, for its sag, its outline, or one-way transmission."""
+        """True if the surface needs the `freeform` plugin: for `sag`, `outline`, or `meets` other than "both"."""
         return bool(self.sag) or self.outline is not None or self.meets != "both"
 
     @property

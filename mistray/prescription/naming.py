@@ -95,7 +95,7 @@ def scattering(prescription: Prescription, rules: Mapping[str, Scatter | Sequenc
 
 def each_shape(prescription: Prescription, change: Callable[[Any], Any]) -> Prescription:
     """
-    Return the system with a change applied to every shape; a stop takes only coating and scatter of its faces.
+    Return the system with the function `change` applied to every shape; a stop takes coating and scatter of its faces.
 
     Raises
     ------

@@ -24,9 +24,9 @@ class Gap:
     Attributes
     ----------
     surfaces : (str, str)
-        Ids of both surfaces; a rim of one of them lay on the other.
+        Ids of both surfaces; a rim of the first lay on the second.
     gap_mm : float
-        Greatest distance of the rim from the other surface after the change, mm.
+        Greatest distance of this rim from the second surface after the change, mm.
     """
 
     surfaces: tuple[str, str]

@@ -205,7 +205,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Return the cross product of b - a and c - a in the plane: positive if c lies left of the line from a to b."""
+    """Return the cross product of b - a and c - a, points (…, 2): positive if c lies left of the line from a to b."""
     return _cross(b - a, c - a)
 
 

@@ -231,7 +231,7 @@ def chief_ray_angle(image_height: npt.ArrayLike, focal_length: float) -> npt.NDA
     Parameters
     ----------
     image_height : array_like
-        Image height h', mm.
+        Image height h', mm; the result has its shape.
     focal_length : float
         Focal length f ≠ 0, mm.
     """
@@ -248,7 +248,7 @@ def natural_illumination(angle: npt.ArrayLike) -> npt.NDArray[np.float64]:
     Parameters
     ----------
     angle : array_like
-        Field angle θ in object space, rad.
+        Field angle θ in object space, rad; the result has its shape.
     """
     return np.cos(np.asarray(angle, dtype=np.float64)) ** 4
 

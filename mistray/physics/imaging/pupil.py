@@ -155,7 +155,7 @@ class Pupil:
         return float(np.ptp(self.residual(terms)[self.lit]))
 
     def best_focus_mm(self) -> float:
-        """Return the shift of the image point along its normal, positive along the light, of the least rms, mm."""
+        """Return the shift of the image point along its normal to the least rms, mm, positive along the light."""
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
@@ -281,7 +281,7 @@ class Pupil:
         """
         Return the frequency along a direction (x, y) beyond which there is no contrast, 1/mm.
 
-        It is n/λ times the pupil's width.
+        It is n/λ times the pupil's width along it. The direction may have any length.
         """
         a, b = np.meshgrid(self.alpha, self.beta)
         along = (a * direction[0] + b * direction[1])[self.lit] / math.hypot(*direction)

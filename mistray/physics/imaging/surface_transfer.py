@@ -79,7 +79,7 @@ def lag_um(frequency_per_mm: npt.ArrayLike, wavelength_um: float, f_number: floa
     Returns
     -------
     float64 array
-        Lag, µm. N D of a converging beam is its distance from the image.
+        Lag, µm, in the shape of the frequencies. N D of a converging beam is its distance from the image.
     """
     return np.asarray(frequency_per_mm, dtype=np.float64) * wavelength_um * f_number * footprint_mm
 

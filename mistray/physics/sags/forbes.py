@@ -102,7 +102,7 @@ def q2d_values(x: np.ndarray, m: int, last: int) -> np.ndarray:
 @cache
 def _orthonormal(m: int, last: int) -> np.ndarray:
     """
-    Return the coefficients of Forbes's Q_m0 … Q_m,last in Jacobi polynomials, one row for each n.
+    Return the coefficients of Forbes's Q_m0 … Q_m,last in Jacobi polynomials, (last + 1, last + 1), a row for each n.
 
     Gauss-Chebyshev nodes in u integrate the products of gradients exactly. The gradients of the Jacobi polynomials are
     the columns of A = QR. Then the columns of A R⁻¹ are orthonormal, and each has its own degree.

@@ -142,7 +142,7 @@ def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
     Parameters
     ----------
     x, y : ndarray
-        Coordinates of the points, mm, that broadcast together.
+        Coordinates of the points, mm, that broadcast together to the shape of the result.
     n : mapping of str to float, and of "grid" to Grid
         Parameters by their names in the table of this module; missing ones are 0, but `grid_scale` is 1.
     """

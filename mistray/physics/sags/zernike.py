@@ -43,7 +43,7 @@ def polynomial(n: int, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     n, m : int
         Radial and azimuthal order; |m| ≤ n, n - |m| even.
     x, y : ndarray
-        Coordinates in units of the radius of the disc.
+        Coordinates in units of the radius of the disc; the result has their shape.
     """
     order, r2 = abs(m), x * x + y * y
     radial = np.zeros_like(r2)

@@ -121,7 +121,7 @@ def beside_vertex(points: np.ndarray) -> bool:
 
 
 def piece_beside_vertex(points: np.ndarray, margin: float) -> Outline:
-    """Return a disc about points (n, 2), mm, with a radius that reaches the farthest one, times 1 + `margin`."""
+    """Return a disc about the middle of points (n, 2), mm, wider than they need by `margin` times the radius."""
     x, y = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.hypot(*(points - (x, y)).T).max()) * (1 + margin)
     return circle(radius, x=float(x), y=float(y))

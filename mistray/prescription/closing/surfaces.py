@@ -55,10 +55,10 @@ class OpticalSurfaces:
     surfaces : dict of int to Surface
         Surfaces in the world, keyed by the index of the row; a surface that light meets twice has two keys.
     rays : EdgeRays
-        Chief and rim rays of all fields.
+        Chief and rim rays of the lens, for up to 24 fields.
     beam : (n_rows + 1, n, 3) float64
-        Positions of rays all over the beams of all fields, mm, see `EdgeRays.within`; NaN from a stated aperture that
-        stops them.
+        Positions of rays all over the beams of up to nine fields, mm, see `EdgeRays.within`; NaN from a stated aperture
+        that stops them.
     beam_and_rim : (n_rows + 1, m, 3) float64
         Positions of these rays and of the rays of `EdgeRays.world`, which mark the rim of the beam, mm.
     blocked : (n,) bool

@@ -214,8 +214,8 @@ def _pupils(
     """
     Return points (k, 2), mm, at which rays to the stop's rim cross the entrance pupil; see `EdgeRays.pupils`.
 
-    `radius` is that of the stop, mm, and `rim` are pupil coordinates, (n, 2). `numbers` are the indices of the fields,
-    and `aimed` has starts and directions of rays that are known by such an index.
+    `radius` is that of the stop, mm, and `rim` are pupil coordinates, (n, 2). `numbers` are the indices of the fields.
+    `aimed` maps such an index to starts and directions of these rays if they are known.
     """
     if lens.telecentric or not math.isinf(lens.object_distance) or math.isinf(data.entrance_pupil_z):
         return np.zeros((0, 2))
@@ -252,7 +252,7 @@ def _outer_fields(lens: Sequential) -> list[int]:
 
 
 def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
-    """Return pupil coordinates (n, 2), 1 at the rim, after the vignetting factors of the field of an index."""
+    """Return pupil coordinates (n, 2), 1 at the rim, after the vignetting factors of the field with index `field`."""
     if not lens.vignetting:
         return pupil
     shift_x, shift_y, squeeze_x, squeeze_y = lens.vignetting[field]

@@ -222,7 +222,7 @@ def passes(row: Row, position: Array) -> npt.NDArray[np.bool_]:
 
 
 def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return the sag, mm, and its slopes dz/dx and dz/dy at points x, y of a row, mm; NaN where it has no sag."""
+    """Return the sag, mm, and its slopes dz/dx and dz/dy at points x, y, (n,), mm, of a row; NaN where it has none."""
     if row.sag:
         numbers = row.sag_numbers
         size = max(float(np.nanmax(np.hypot(x, y), initial=0.0)), 1e-3 * (row.semi_diameter or 0.0), _SMALLEST_MM)
