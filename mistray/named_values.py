@@ -51,7 +51,7 @@ def named_values(
 
 
 def number_of(text: str) -> float | None:
-    """Parse a string as a number; None if it is not one."""
+    """Parse a string as a number, "inf" and "nan" included; None if it is not one."""
     try:
         return float(text)
     except ValueError:
@@ -65,7 +65,11 @@ def finite_of(text: str) -> float | None:
 
 
 def as_number(text: str, name: str, owner: str) -> float:
-    """Parse a string as a number; raise `MistrayError`, with its name and owner in the message, if it is not one."""
+    """
+    Parse a string as a number, "inf" and "nan" included; raise `MistrayError` if it is not one.
+
+    The message has the `name` of the value and its `owner`.
+    """
     number = number_of(text)
     if number is None:
         raise MistrayError(f"{owner}: {name} is '{text}'; give a number")

@@ -75,7 +75,7 @@ class Note(str):
         return str(self), self.code, self.warns
 
     def beside(self, words: str) -> Note:
-        """Return a copy of the note with a prefix, such as the field angle that it concerns."""
+        """Return a copy of the note that begins with `words` and a colon, such as the field angle that it concerns."""
         return Note(f"{words}: {self}", self.code, self.warns)
 
 
@@ -91,7 +91,7 @@ def quiet(kept: list[Note] | None = None) -> Iterator[None]:
     Parameters
     ----------
     kept : list of Note, optional
-        List to which the suppressed notes are appended, if the caller is to show them.
+        List to which the suppressed notes are appended, so that the caller can show them; None: they are not kept.
     """
     before = _quiet.set(True), _kept.set(kept)
     try:
@@ -103,9 +103,9 @@ def quiet(kept: list[Note] | None = None) -> Iterator[None]:
 
 def warns(function: Callable[P, T]) -> Callable[P, T]:
     """
-    Decorate a public function so that the notes of its result are raised as warnings at the caller's line.
+    Decorate a public function so that notes of its result with `Note.warns` become warnings at the caller's line.
 
-    Functions that it calls raise no warnings themselves. A result without ``notes`` raises none.
+    Within `quiet` they do not. Functions that it calls raise no such warnings themselves.
     """
 
     @functools.wraps(function)

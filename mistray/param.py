@@ -46,7 +46,7 @@ class Param(Demand):
     tolerance : float
         Usual tolerance relative to the value; an absolute 0.02 if that would be 0.
     absolute : float or None
-        Usual tolerance in its unit, instead of a relative one.
+        Usual tolerance in its unit, instead of a relative one; None: `tolerance` holds.
     differentiable : bool
         Whether a trace has derivatives with respect to it, if it is a number.
     power : float
@@ -83,7 +83,7 @@ class Param(Demand):
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Lower and upper limit of a number in the parameter's unit; infinite if there is no physical bound."""
+        """Lower and upper limit of a parameter that is a number, in its unit; infinite if there is no bound."""
         assert isinstance(self.values, Range)
         low, high = self.values.low, self.values.high
         return -math.inf if low <= -UNBOUNDED else low, math.inf if high >= UNBOUNDED else high
@@ -92,7 +92,7 @@ class Param(Demand):
         """
         Return the usual tolerance (±) for a nominal value, in the unit of the parameter.
 
-        It is the absolute one, if stated; else a share of the value, or `AT_ZERO` where that would be 0.
+        It is `absolute`, if stated; else `tolerance` times the size of the value, or `AT_ZERO` where that would be 0.
         """
         return self.tolerance * abs(value) or AT_ZERO if self.absolute is None else self.absolute
 
@@ -125,7 +125,7 @@ class Param(Demand):
         Raises
         ------
         MistrayError
-            If the property is missing, or its value is not allowed.
+            If a property without default is missing, or its value is not allowed.
         """
         if name in props:
             return self.typed(props[name], name, owner)
@@ -163,7 +163,7 @@ class Param(Demand):
 
     @property
     def usual(self) -> str:
-        """Default value in words for a table cell; "none" if there is none."""
+        """Default value in words for a table cell; "none" if it is empty, "required" if a scene must state a value."""
         if self.otherwise or self.default in (None, ""):
             return self.otherwise or "none"
         if isinstance(self.default, tuple):
@@ -174,7 +174,7 @@ class Param(Demand):
 
 
 def fixed(unit: str, values: Demand, doc: str, default: Any = REQUIRED, **more: Any) -> Param:
-    """Return a parameter without derivatives; `more` are further attributes of `Param`."""
+    """Return a parameter without derivatives; the arguments, `more` of them too, are attributes of `Param`."""
     return Param(unit, values, doc, default=default, differentiable=False, **more)
 
 
@@ -182,8 +182,8 @@ def params_of(model: Any, last: Container[str] = ()) -> dict[str, Param]:
     """
     Return the parameters of a dataclass by name, from its fields and its class attribute ``also``.
 
-    A field with a demand of another kind has the unit 1 if it is a number, else the type "string". Fields named in
-    `last` come after all others.
+    A field with a demand of another kind has the unit 1 if it is a number, else the type "string". A field without a
+    demand is left out. Fields named in `last` come after all others.
     """
     found = {}
     for field in fields(model):

@@ -7,12 +7,12 @@ import math
 
 def percent_text(share: float, digits: int = 2) -> str:
     """
-    Format a fraction in percent, such as "0.31 %", "12 %" or "240 %", without an exponent for large values.
+    Return a fraction in percent, such as "0.31 %", "12 %" or "240 %", without an exponent for large values.
 
     Parameters
     ----------
     share : float
-        Fraction; 1 is the whole.
+        Fraction; 1 is the whole. A value that is not finite gives "– %".
     digits : int
         Number of significant digits; digits before the point are always kept.
     """

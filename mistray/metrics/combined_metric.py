@@ -24,13 +24,13 @@ class CombinedMetric(Metric):
     Attributes
     ----------
     parts : dict of str to Metric
-        Other metrics by name.
+        Other metrics by name; None counts as no metric. Further attributes are those of `Metric`.
     """
 
     parts: Mapping[str, Metric] | None = None
 
     def with_rays_times(self, times: float) -> Metric:
-        """Return a copy that traces `times` as many rays, see `Metric.with_rays_times`."""
+        """Return a copy that traces `times` the rays of the settings, see `Metric.with_rays_times`."""
         parts = {name: part.with_rays_times(times) for name, part in (self.parts or {}).items()}
         return replace(self, times=times, parts=parts)
 
@@ -48,7 +48,7 @@ class CombinedMetric(Metric):
         }
 
     def part(self, name: str) -> Metric:
-        """Return one of the combined metrics by name, evaluated from the observations of all of them."""
+        """Return one of the combined metrics, by name, as a metric of the observations of all of them."""
         return Metric(self.scene, lambda observations: self.values(observations)[name], name=name)
 
 
@@ -72,7 +72,7 @@ def combine(
     Raises
     ------
     MistrayError
-        If there is no metric, or the metrics belong to several scenes.
+        If there is no metric, one is not a `Metric`, or they belong to several scenes.
 
     Examples
     --------

@@ -55,7 +55,12 @@ About = tuple[str, str, float, float, float] | None  # kind, unit, tolerance, lo
 
 
 def about_scatter(owner: Any, name: str, value: np.ndarray) -> About:
-    """Return kind, unit, usual tolerance and range of a scatter model's parameter; None if not differentiable."""
+    """
+    Return kind, unit, usual tolerance and range of a scatter model's parameter; None if it has no derivative.
+
+    Arguments and results are attributes of `mistray.metrics.parameters.Parameter`; so are those of `about_bsdf`,
+    `about_source` and `about_shape`.
+    """
     if fixed(owner, name) is not None:
         return None
     param = owner.model.param(name)
@@ -63,7 +68,11 @@ def about_scatter(owner: Any, name: str, value: np.ndarray) -> About:
 
 
 def about_bsdf(owner: Any, name: str, value: np.ndarray) -> About:
-    """Return kind, unit, usual tolerance and range of an index, R or T, or coating layers; None if not variable."""
+    """
+    Return kind, unit, usual tolerance and range of an index, R or T, or coating layers; see `about_scatter`.
+
+    The result is None for an index next to an opaque surface without layers, and for R or T of 0.
+    """
     if name in SHIFTS:
         if owner.opaque and not isinstance(owner.coating, Stack):
             return None
@@ -82,14 +91,14 @@ def about_bsdf(owner: Any, name: str, value: np.ndarray) -> About:
 
 
 def about_source(owner: Any, name: str, value: np.ndarray) -> About:
-    """Return kind, unit, usual tolerance and range of a parameter of a light source."""
+    """Return kind, unit, usual tolerance and range of a parameter of a light source; see `about_scatter`."""
     within = owner.ranges[name]
     tolerance = owner.tolerances.get(name, OF_SOURCE * abs(value[0]) or OF_SOURCE)
     return "source", within.unit, tolerance, within.low, within.high
 
 
 def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
-    """Return kind, unit, usual tolerance and range of a parameter of a shape: of its figure, rims or position."""
+    """Return kind, unit, tolerance and range of a parameter of a shape's figure, rims or place; see `about_scatter`."""
     v, size = shape.values, shape.outer_radius
 
     def length(usual: float) -> float:
@@ -124,9 +133,9 @@ def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
 
 def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
     """
-    Return kind, unit, usual tolerance and range of a freeform's sag coefficient, else of a rim.
+    Return kind, unit, usual tolerance and range of a freeform's sag parameter; other names count as sizes of a rim.
 
-    `size` and `rim_mm` in mm.
+    `size` is the outer radius of the shape and `rim_mm` the tolerance of a rim, mm; `within` gives the range.
     """
     power = length_power(name)
     if power is None:
@@ -139,7 +148,11 @@ def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
 
 
 def _conic_tolerance(curvature: float, conic: float, radius: float) -> float:
-    """Return the change of the conic constant that moves the surface at its rim by `FORM_MM`; 1 for a plane."""
+    """
+    Return the change of the conic constant that moves the surface at its rim by `FORM_MM`; 1 for a plane.
+
+    `curvature` is in 1/mm, `radius` that of the rim, mm.
+    """
     lower = conic - 1e-4  # upwards a hemisphere would end
     slope = (sag(radius**2, curvature, conic) - sag(radius**2, curvature, lower)) / (conic - lower)
     return FORM_MM / abs(slope) if slope else 1.0

@@ -48,9 +48,9 @@ class DirectImage:
 
     def dividing(self, above: Sampled, what: Literal["light", "density"]) -> Sampled:
         """
-        Return power ("light") or RMS irradiance ("density") of paths over that of the direct image.
+        Return the power ("light") or RMS irradiance ("density") of paths, `above`, over that of the direct image.
 
-        The ratio is NaN if there is no direct image.
+        `above` is in W or W/mm². The ratio is NaN if there is no direct image.
         """
         if not self.path_ids:
             return Sampled(np.full_like(above.value, np.nan), np.full_like(above.apart, np.nan))
@@ -90,7 +90,7 @@ def stray_to_direct(paths: PathTable, image: DirectImage, wavelength_nm: float |
     paths : PathTable
         Paths of the trace with the stray light.
     image : DirectImage
-        Direct image of the same trace or of another one.
+        Direct image of the same trace or of another one, by which the power is divided.
     wavelength_nm : float, optional
         Wavelength, nm, of the stray light that counts; by default all light does.
     """

@@ -92,7 +92,11 @@ class Gradient(
     seconds: tuple[float, float]
 
     def key_numbers(self) -> dict[str, KeyNumber]:
-        """Return the value of the metric and the number of derivatives that are not exactly 0, by label."""
+        """
+        Return the metric's value, the number of derivatives that are not exactly 0, and that of `untouched` parameters.
+
+        They are keyed by label.
+        """
         touched = sum(len(parts) for key, parts in self.gradient.items() if key not in self.untouched)
         return {"value": Estimate(self.value, self.value_se), "derivatives": touched, "exactly 0": len(self.untouched)}
 
@@ -115,7 +119,9 @@ class Gradient(
     @property
     def edge_bias(self) -> dict[str, np.ndarray]:
         """
-        Bias of the derivatives, (entries,), by key, from the finite width of the zones at rims; in their own units.
+        Bias of the derivatives, (entries,), from the finite width of the zones at rims, in their units, by key.
+
+        Keys are those of `edge_batches`.
 
         It is never less than its own noise, `edge_check_se`; see `mistray.gradients.edge_widths.WidthErrors`.
         """
@@ -123,7 +129,7 @@ class Gradient(
 
     @property
     def edge_check(self) -> dict[str, np.ndarray]:
-        """Change of the derivatives, (entries,), by key, if zones at rims are half as wide; in their own units."""
+        """Change of the derivatives, (entries,), in their units, if zones at rims are half as wide, by key."""
         return {key: errors.check[self.edge_number] for key, errors in self._at_rims.items()}
 
     @property
@@ -136,7 +142,7 @@ class Gradient(
         return {key: WidthErrors.of(sums) for key, sums in self.edge_batches.items()}
 
     def require(self, keys: str | Iterable[str]) -> None:
-        """Raise `MistrayError` if a parameter has no derivative, because a beam just fills a rim that it moves."""
+        """Raise `MistrayError` if one of `keys` has no derivative, because a beam just fills a rim that it moves."""
         for key in KEYS.check("keys", several(keys)):
             if key in self.full:
                 raise MistrayError(
@@ -153,7 +159,8 @@ class Gradient(
         """
         Return the covariance matrix of the derivatives, (n, n), with the entries of `keys` (None: all) in their order.
 
-        It is that of the noise, with the biases of the edge width taken as fully correlated.
+        It is that of the noise, with the biases of the edge width taken as fully correlated. Units are products of
+        those of the derivatives. Raise `MistrayError` if the gradient lacks a key.
         """
         chosen = KEYS.check("keys", several(self.gradient if keys is None else keys))
         missing = [key for key in chosen if key not in self.batches]
@@ -169,10 +176,13 @@ class Gradient(
         """
         Return the derivative along a direction in which several parameters change at once, such as that of a body.
 
+        It is in the metric's unit per unit of the motion. Of a parameter with several entries, the first one moves.
+
         Parameters
         ----------
         slopes : mapping of str to float
-            Rate of change of each parameter by key, for instance from `mistray.optimize.Body.slopes`.
+            Change of each parameter, in its unit, per unit of the motion, by key; for instance from
+            `mistray.optimize.Body.slopes`.
 
         Raises
         ------
@@ -237,7 +247,7 @@ def gradient(
     edge_width: float | None = None,
 ) -> Gradient:
     """
-    Return the derivatives of a metric with respect to coatings, scatter, indices, shapes, positions and rims.
+    Return the derivatives of a metric with respect to coatings, scatter, indices, shapes, places, rims and sources.
 
     Coatings alone cost one reverse run for each field and wavelength. For other parameters the rays are recorded, and
     differentiated event by event. For shapes, rays that hit a surface near a rim are also sent past it. The difference
@@ -246,7 +256,7 @@ def gradient(
     Parameters
     ----------
     metric : Metric
-        Metric made by `mistray.metrics.metric`.
+        Metric to differentiate, such as one of `mistray.metrics.metric` or a `combine` of several.
     params : mi.SceneParameters
         Parameters of ``mi.traverse(metric.scene)``, perhaps reduced by its `keep`.
     keys : str or iterable of str, optional
@@ -395,9 +405,9 @@ def gradient_where_smooth(
 
 def _tables(observations: Sequence[Any], request: GradientRequest) -> list[TableGradient]:
     """
-    Return the metric's derivatives with respect to the tracer's tables, for each source and wavelength.
+    Return the derivatives of an evaluated metric with respect to the tracer's tables, for each source and wavelength.
 
-    Those of several fields are added up.
+    `request` says which. Those of several observations are added up where they share all tables.
     """
     raws: dict[tuple[Any, ...], TableGradient] = {}
     for observation in observations:

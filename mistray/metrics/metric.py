@@ -55,7 +55,7 @@ class Metric:
     settings : dict
         Further arguments of `mistray.trace`: rays, max_reflections, flux_threshold, seed, ….
     unit : str
-        Unit of the value, for tables.
+        Unit of the value, for tables; "" if it is not stated.
     name : str
         Name for messages and tables.
     times : float
@@ -122,7 +122,7 @@ class Metric:
         return int((self.settings or {}).get("seed") or 0) + SEEDS_APART
 
     def with_rays_times(self, times: float) -> Metric:
-        """Return a copy that traces `times` as many rays; it starts without pilot results of this metric."""
+        """Return a copy that traces `times` the rays of the settings, without pilot results of this metric."""
         return replace(self, times=times)
 
     def evaluate(self, observations: list[Any]) -> Any:
@@ -158,9 +158,9 @@ class Metric:
 
     def differentiate(self, observations: list[Any]) -> tuple[float, Sampled]:
         """
-        Return the metric's value, and its noise by batch. Afterwards the observations hold its derivatives.
+        Return the metric's value and its noise by batch, in its unit; see `Observation.noise`.
 
-        Raise `MistrayError` as `evaluate` does.
+        Afterwards the observations hold the derivatives of the value. Raise `MistrayError` as `evaluate` does.
         """
         value = self.evaluate(observations)
         dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
@@ -304,9 +304,9 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
     """
     Return a metric: the RMS irradiance P / (π r²) of the brightest ghost, W/mm², mean over the fields.
 
-    Its RMS radius is r. The metric is the smooth maximum over the single paths of a selection, as in the ghost table. A
-    single path gives its own value; a dark selection gives 0. Paths of less than 30 rays are left out. See
-    `Observation.moments_of_each` and `smooth_maximum`.
+    P is the power of a path, and r its RMS radius, as in the ghost table. The metric is the smooth maximum over the
+    single paths of a selection. A single path gives its own value; a selection without paths gives 0. Paths of less
+    than 30 rays are left out. See `Observation.moments_of_each` and `smooth_maximum`.
 
     Parameters
     ----------
@@ -345,7 +345,7 @@ def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NOR
     Return a metric: the RMS radius of the ghost with the sharpest focus, mm, mean over the fields; large is good.
 
     It is the smooth minimum over the single paths of a selection; a single path gives its own RMS radius. Parameters
-    and errors are those of `ghost_rms_irradiance`.
+    and errors are those of `ghost_rms_irradiance`, but a selection without paths raises `MistrayError` on evaluation.
 
     Examples
     --------
@@ -465,7 +465,7 @@ def _solid_angle(axis: Observation, group: list[Observation]) -> Any:
     """
     Return the collecting solid angle per image area, sr/mm², from direct images of four fields.
 
-    `group` holds the first field and two more in equal steps towards `axis`.
+    `axis` is the field on the axis. `group` holds the field itself and two more in equal steps towards the axis.
     """
     centre, here, near, nearer = (o.moments(DIRECT) for o in (axis, *group))
     x, y = (3 * getattr(here, k) - 4 * getattr(near, k) + getattr(nearer, k) for k in "xy")
@@ -485,9 +485,9 @@ def require_known(given: Iterable[str], known: Iterable[str]) -> None:
 
 def _brightest(observation: Observation, selection: Selection, norm: float) -> Any:
     """
-    Return the smooth maximum of the RMS irradiance, W/mm², over the selected paths; 0 if they carry no light.
+    Return the smooth maximum of the RMS irradiance, W/mm², over the selected paths; 0 if there are none.
 
-    Raise `MistrayError` as `moments_of_each` and `smooth_maximum` do.
+    `norm` is the exponent p. Raise `MistrayError` as `moments_of_each` and `smooth_maximum` do.
     """
     if not len(observation.chosen(selection)):
         return observation.power(selection)
@@ -495,7 +495,11 @@ def _brightest(observation: Observation, selection: Selection, norm: float) -> A
 
 
 def _signal(observation: Observation, name: str) -> Any:
-    """Return the power of the direct image, W, by which other values are divided; raise `MistrayError` if it is 0."""
+    """
+    Return the power of the direct image, W, by which the metric `name` divides.
+
+    Raise `MistrayError` if it is 0.
+    """
     power = observation.power(DIRECT)
     if not float(dr.detach(power)[0]) > 0:
         raise MistrayError(
@@ -514,7 +518,7 @@ def _of_paths(
     name: str,
 ) -> Metric:
     """
-    Return a metric: the mean over fields of `number` for selected paths.
+    Return a metric of selected paths: the mean over fields of `number`, see `_mean` for the other parameters.
 
     Raise `MistrayError` if the scene cannot have such paths.
     """
@@ -523,7 +527,11 @@ def _of_paths(
 
 
 def _mean(scene: Any, number: Callable[[Observation], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
-    """Return a metric: the mean over the field angles of `number`, a function of each field's observation."""
+    """
+    Return a metric: the mean over the field angles of `number`, a function of each field's observation.
+
+    `traced` are the keywords of `path_power`; `unit` and `name` are attributes of the metric.
+    """
 
     def function(observations: list[Any]) -> Any:
         return sum(number(o) for o in observations) / len(observations)
@@ -549,5 +557,5 @@ def _angles(field_deg: float | Sequence[float] | None) -> tuple[float, ...] | No
 
 
 def _own(traced: dict[str, Any]) -> dict[str, Any]:
-    """Return the keywords in `traced` that are attributes of `Metric`: field angles, wavelengths and weights."""
+    """Return field angles, wavelengths and weights in `traced`, by attribute of `Metric`; None for one not given."""
     return {key: traced.get(key) for key in ("field_deg", "wavelength_nm", "weights")}

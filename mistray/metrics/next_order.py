@@ -31,7 +31,7 @@ class NextOrder:
     names : tuple of str
         Names of the compared results.
     before, after : (n,) float64
-        Values in the first and in the second measurement.
+        Values in the first and in the second measurement, each in its own unit.
     before_se, after_se : (n,) float64
         Standard errors of these values.
     difference_se : (n,) float64
@@ -52,7 +52,7 @@ class NextOrder:
 
     @property
     def change(self) -> np.ndarray:
-        """Change of each result as a fraction of its first value, (n,); 0 if both are 0, infinite if only that is."""
+        """Change of each result over the size of its first value, (n,); 0 if both are 0, inf if only the first is."""
         apart = self.after - self.before
         known = (self.before != 0) | (apart == 0)
         return np.where(known, apart / np.where(self.before == 0, 1.0, np.abs(self.before)), np.inf)
@@ -60,15 +60,15 @@ class NextOrder:
     @property
     def matters(self) -> bool:
         """
-        True if any number changes by more than 5 % and by more than two standard errors.
+        True if any result changes by more than 5 % of its first value and by more than two standard errors.
 
-        With many numbers the required number of errors is larger, so that a false alarm is as rare as for one number.
+        With many results the required number of errors is larger, so that a false alarm is as rare as for one.
         """
         return bool(np.any(self._significant))
 
     @property
     def worst(self) -> int:
-        """Index of the result that changes most, among the significant changes if there are any."""
+        """Index of the result with the largest `change` of either sign, among the significant ones if there are any."""
         change = np.nan_to_num(np.abs(self.change), nan=-1.0, posinf=np.finfo(float).max)
         sure = self._significant
         return int(np.argmax(np.where(sure, change, -1.0) if sure.any() else change))
@@ -110,7 +110,11 @@ class NextOrder:
 
 
 def decided(orders: Sequence[NextOrder]) -> tuple[NextOrder, ...]:
-    """Return the comparisons, with the one of largest change marked as `taken` if any change is significant."""
+    """
+    Return the comparisons, at most one of them marked as `taken`.
+
+    It is the one with the largest relative change among those with a significant change.
+    """
     mattering = [order for order in orders if order.matters]
     most = max(mattering, key=lambda order: abs(float(order.change[order.worst])), default=None)
     return tuple(replace(order, taken=order is most) for order in orders)
@@ -120,7 +124,8 @@ def next_limits(settings: Settings, table: SurfaceTable) -> dict[str, int]:
     """
     Return the limits that can be raised, by name, with their raised values.
 
-    A limit of 0 excludes light on purpose and is not raised. Scatter events need scatter in the scene.
+    A limit of 0 excludes light on purpose and is not raised; nor is `NO_LIMIT`. Scatter events need scatter in the
+    scene.
 
     Parameters
     ----------

@@ -176,7 +176,7 @@ class Observation:
         Raises
         ------
         MistrayError
-            If no path is left.
+            If no path is left, or one of them carries no light.
         """
         chosen = self.chosen(selection)
         groups: dict[tuple[str, str], list[int]] = {}
@@ -247,9 +247,9 @@ class Observation:
 
     def _moments(self, selection: Selection, groups: Sequence[Sequence[int] | np.ndarray]) -> Moments:
         """
-        Return power, centroid and variance of the light in each group of path rows.
+        Return power, centroid and variance of the light in each of `groups`, indices of rows of the path table.
 
-        Raise `MistrayError` if one is dark.
+        Raise `MistrayError` if a group is dark or there is none; the message names `selection`.
         """
         light = [self._moments_of_rows[list(group), 0].sum() for group in groups]
         if not light or not np.all(np.array(light) > 0):
@@ -265,9 +265,9 @@ class Observation:
 
     def hit_derivative(self) -> HitDerivative:
         """
-        Return the derivative of the metric's value with respect to the flux of a hit, in its unit per W.
+        Return the derivative of the metric's value with respect to the flux of a hit, in the metric's unit per W.
 
-        It depends on path and position; without any dependence its parts are None.
+        It depends on the hit's path and position. A part on which the metric does not depend is None.
         """
         by_sum = self._by_sum()
         path = by_sum @ TERM_COEFFICIENTS if np.any(by_sum) else None
@@ -293,7 +293,7 @@ class Observation:
         """
         Yield the requested derivatives of the metric's value, for each source and wavelength that contributes.
 
-        There are none if the value does not depend on this trace. Raise as `Trace.table_gradients` does.
+        There are none if the value does not depend on this trace. Errors are those of `Trace.table_gradients`.
         """
         derivative = self.hit_derivative()
         if derivative.pixel is None and derivative.path is None:
@@ -301,7 +301,11 @@ class Observation:
         return self.trace.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
-        """Return the metric with its noise by batch, to first order in the detected light, in the metric's unit."""
+        """
+        Return the metric's noise by batch, in its unit, to first order in the detected light.
+
+        The estimate's own value is the sum of flux times derivative; it is the metric only if that is linear in flux.
+        """
         by_sum = self._by_sum()
         by_batch = self.trace.paths.by_batch(by_sum) if np.any(by_sum) else np.zeros(BATCHES)
         total = Sampled.of(by_batch, np.ones(BATCHES))
@@ -335,7 +339,7 @@ class Observation:
         """
         Return the derivative of the metric's value with respect to the flux in each pixel, (height, width).
 
-        It is in the metric's unit per W.
+        It is in the metric's unit per W. `image` is the irradiance from which the metric was computed.
         """
         width, height, _ = self.trace.runs[0].table.film()
         by_irradiance = np.broadcast_to(np.array(dr.grad(image)), height * width).reshape(height, width)

@@ -61,9 +61,9 @@ class OneSided(NamedTuple):
 
 def full_keys(chosen: Mapping[str, Parameter], full: Iterable[FullRims]) -> dict[str, FullKey]:
     """
-    Return, by key, the parameters that move a rim relative to a beam that exactly fills it.
+    Return, by key, the parameters that move a rim relative to a beam that just fills it.
 
-    Of several rims, the result names the one with the smallest step.
+    `full` are the filled rims of each source. Of several rims, the result names the one with the smallest step.
     """
     alike = {(id(rims.source.emitter), tuple(rims.source.direction), *rims.names): rims for rims in full}
     found = {}
@@ -113,7 +113,7 @@ def _slope(metric: Any, params: Any, p: Parameter, here: Sampled, step: float) -
     """
     Return the difference quotient of the metric over a step of a parameter (in its unit), with its noise by batch.
 
-    `here` is the value before the step.
+    `here` is the metric before the step, with its noise; `params` are those of the scene, and restored afterwards.
     """
     with changed(params, {p.key: p.value + step}):
         return (_seen(metric)[0] - here).scaled(1.0 / step)

@@ -107,6 +107,11 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
     dict
         Parameters by key, in the order of `params`.
 
+    Raises
+    ------
+    MistrayError
+        If `params` is not an ``mi.SceneParameters``.
+
     Examples
     --------
     >>> known = mistray.optimize.parameters(mistray.load("lens_and_window"))
@@ -178,7 +183,7 @@ def chosen_keys(scene: mi.Scene, known: Mapping[str, Parameter], keys: str | Ite
     """
     Return the keys of the scene parameters to take derivatives with respect to.
 
-    They are all keys, or those that patterns match.
+    They are all of `known` if `keys` is None, else those that match `keys`, which may be patterns.
 
     Raises
     ------
@@ -207,7 +212,8 @@ def groups(known: Mapping[str, Parameter]) -> dict[str, list[str]]:
     dict
         Keys by the name of the group. ``N-BK7.index`` has the shifts of all sides on which a material lies. They change
         together, because light that comes out of one glass into another without a surface between is stopped. ``L1.z``
-        has one coordinate of all surfaces of a part with parallel frames, and moves the part as a whole.
+        has one coordinate of all surfaces of a part with parallel frames, and moves the part as a whole. Groups of a
+        single key are left out.
 
     Examples
     --------
@@ -254,7 +260,11 @@ def _values(owner: Any) -> Mapping[str, Any]:
 
 
 def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, np.ndarray], About] | None:
-    """Return the function that describes a parameter by kind, unit, tolerance and range; None if not differentiable."""
+    """
+    Return the function of `mistray.metrics.default_tolerances` that describes a parameter; None if there is none.
+
+    `owner` is the plugin that has it, and `shapes` are the shapes that it belongs to.
+    """
     if name in getattr(owner, "differentiable", ()) and hasattr(owner, "sources"):
         return about_source
     if not shapes:
@@ -263,7 +273,7 @@ def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, 
 
 
 def _has(shape: Any, owner: Any, name: str) -> bool:
-    """True if a parameter belongs to a shape: to the shape itself, its BSDF or its coating."""
+    """True if parameter `name` of plugin `owner` belongs to a shape: to itself, its BSDF, scatter or coating."""
     if owner is shape:
         return name in shape_parameters(shape)
     bsdf = shape.bsdf()

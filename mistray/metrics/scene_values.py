@@ -43,7 +43,7 @@ def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
     """
     Set scene parameters to other values within a `with` block; they are restored at its end, also after an error.
 
-    Raise `MistrayError` as `assign` does.
+    `values` are those of `assign`, for keys that exist. Raise `MistrayError` if a value is refused.
     """
     before = {key: np.array(params[key], dtype=np.float64) for key in values}
     try:
@@ -54,7 +54,7 @@ def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
 
 
 def accepts(params: Any, values: Mapping[str, np.ndarray], check: Callable[[], object]) -> bool:
-    """True if a scene can take these parameter values together, and `check` then raises no `MistrayError`."""
+    """True if a scene can take the `values` of `assign` together, and `check` then raises no `MistrayError`."""
     try:
         with changed(params, values):
             check()

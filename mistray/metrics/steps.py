@@ -18,7 +18,7 @@ class Steps:
     Parameters
     ----------
     progress : callable or None
-        Called after each step with the number of steps done and the number of all.
+        Called after each step with the number of steps done and the number of all; None: no reports.
     total : int
         Number of all steps.
     seconds : float or None
@@ -41,7 +41,7 @@ class Steps:
 
     @property
     def left(self) -> float:
-        """Time left, s; infinite if it is not limited."""
+        """Time left, s; negative after its end, infinite if it is not limited."""
         return self._end - time.perf_counter()
 
     def __call__(self) -> None:

@@ -64,7 +64,7 @@ class StrayMetric:
         Share of the source, by radiance times solid angle, that lies in cells of the PST; 1 where there is no source.
         Light that no cell covers counts as dark unless it is `interpolated`.
     interpolated : float
-        Share of the source that lies between the cells, where the PST was interpolated.
+        Share of the source, weighted in the same way, that lies between the cells, where the PST was interpolated.
     facts : dict
         Numbers and settings that it was computed from, as JSON-serialisable values.
     """
@@ -85,7 +85,7 @@ class StrayMetric:
         """
         Create a metric from an estimate in `unit`.
 
-        `words` fill placeholders of the definition of `quantity`; `more` are further attributes.
+        `words` fill the placeholders, by name, in the definition of `quantity`; `more` are further attributes.
         """
         value, se = estimate
         return cls(quantity, float(value), float(se), unit, DEFINITIONS[quantity].format(**(words or {})), **more)
@@ -138,5 +138,5 @@ class MetricCurve:
         return pd.DataFrame({"angle_deg": self.field_deg, **columns, "definition": self.definition, **self.facts})
 
     def to_csv(self, path: str | Path) -> None:
-        """Write `to_pandas` as a CSV file, numbers with nine digits."""
+        """Write the table of `to_pandas` to a CSV file, numbers with nine significant digits."""
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")

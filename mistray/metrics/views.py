@@ -31,13 +31,15 @@ class TraceView:
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """Hashable key, equal for traces that give equal results."""
+        """Hashable key, equal for traces with equal arguments, which give equal results."""
         given = {name: value for name, value in self.arguments.items() if value is not None}
         return type(self), sorted_arguments(given)
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Any:
         """
-        Trace the scene with `times` the rays, and return the `Observation`; `changes` replace arguments.
+        Trace the scene with `times` the rays that it would have, and return the `Observation`.
+
+        `changes` replace arguments, except "paths".
 
         Polarisation "auto" is resolved by the sources alone, without a pilot. Raise as `mistray.trace` does.
         """
@@ -63,7 +65,7 @@ class TraceView:
 
 
 def seen_unpolarized(scene: Any, views: Sequence[TraceView]) -> list[Note]:
-    """Return notes if Stokes vectors would change the results of some traces, see `unpolarized_notes`."""
+    """Return notes if Stokes vectors would change the results of some traces; else none. See `unpolarized_notes`."""
     names = {one.name for one in fields(Settings)}
     beams: list[Light] = []
     settings: dict[str, Any] = {}
@@ -77,15 +79,15 @@ def seen_unpolarized(scene: Any, views: Sequence[TraceView]) -> list[Note]:
 
 
 def added_light(one: Mapping[str, FirstLight], other: Mapping[str, FirstLight]) -> dict[str, FirstLight]:
-    """Return the light of two independent traces added up, by place and first surface."""
+    """Return the light of two independent traces added up, by place, such as "field 5 deg", and first surface."""
     return {**one, **{place: one[place].plus(light) if place in one else light for place, light in other.items()}}
 
 
 def light_since(before: Mapping[str, FirstLight], after: Mapping[str, FirstLight]) -> dict[str, tuple[Entering, ...]]:
     """
-    Return light whose first surface met no light before a change, keyed by place, such as "field 5 deg".
+    Return light, as fractions, whose first surface met no light before a change, by place, such as "field 5 deg".
 
-    Places without such light, or that were not traced before, are left out.
+    Places that have no such light, or that were not traced before, are left out.
     """
     found = {place: light.since(before[place]) for place, light in after.items() if place in before}
     return {place: entering for place, entering in found.items() if entering}

@@ -49,12 +49,12 @@ _U = np.linspace(np.log(5e-6), np.log(2e4), 900)  # nodes of log tan(θ/2): from
 
 def count(diameter_um: ArrayLike, level: float, slope: float = CLEANED_SLOPE) -> np.ndarray:
     """
-    Return the number of particles larger than a diameter, per 0.1 m²: 10^(S (log10² level - log10² D)).
+    Return the number of particles larger than a diameter, per 0.1 m² of surface: 10^(S (log10² level - log10² D)).
 
     Parameters
     ----------
     diameter_um : float or array
-        Diameter D, µm, ≥ 1.
+        Diameter D, µm, ≥ 1; the result has its shape.
     level : float
         Cleanliness level, ≥ 1: the diameter of the largest particle on 0.1 m², µm.
     slope : float
@@ -72,10 +72,11 @@ def density(diameter_um: ArrayLike, level: float, slope: float = CLEANED_SLOPE) 
 
 def standard_coverage_percent(level: ArrayLike) -> np.ndarray:
     """
-    Return the area covered by particles according to the standard, percent: 10^(-7.245 + 0.926 log10² level).
+    Return the part of a surface that particles cover by the standard, percent: 10^(-7.245 + 0.926 log10² level).
 
-    The formula holds for the slope 0.926. It gives 7.6 % more than the area of the spheres, `coverage_percent`, because
-    the standard counts particles in size classes and allows other shapes.
+    `level` is that of `count`, and gives the shape. The formula holds for the slope 0.926. It gives 7.6 % more than the
+    area of the spheres, `coverage_percent`, because the standard counts particles in size classes and allows other
+    shapes.
     """
     return np.asarray(10 ** (-7.245 + 0.926 * np.log10(np.asarray(level, dtype=np.float64)) ** 2))
 
@@ -84,7 +85,7 @@ def coverage_percent(
     level: float, slope: float = CLEANED_SLOPE, min_um: float = SMALLEST_UM, max_um: float | None = None
 ) -> float:
     """
-    Return the area that the spheres cover, ∫ n(D) πD²/4 dD over 0.1 m², percent; n(D) is `density`.
+    Return the part of a surface that the spheres cover, percent: ∫ n(D) πD²/4 dD over 0.1 m²; n(D) is `density`.
 
     Parameters
     ----------
@@ -155,7 +156,8 @@ class Cloud:
     Attributes
     ----------
     extinction, scattering : float
-        Fraction of the light that the particles remove, and fraction that they scatter; they absorb the difference.
+        Fractions of the incident light: what the particles remove from the beam, and what they scatter. They absorb the
+        difference.
     """
 
     extinction: float
@@ -164,7 +166,7 @@ class Cloud:
 
     @classmethod
     def of_nodes(cls, extinction: float, scattering: float, log_f: ArrayLike) -> Cloud:
-        """Create a cloud from two fractions, and from ln f (f in 1/sr), (a,), at the scattering angles of `nodes`."""
+        """Create a cloud from its attributes, and from the values of `nodes`: ln f (f in 1/sr), (a,)."""
         from scipy.interpolate import CubicSpline
 
         return cls(extinction, scattering, CubicSpline(_U, np.asarray(log_f, dtype=np.float64)))
@@ -172,7 +174,7 @@ class Cloud:
     @property
     def nodes(self) -> np.ndarray:
         """
-        Values of ln f (f in 1/sr), (a,), at the angles of the spline.
+        Values of ln f (f in 1/sr), (a,), at the fixed angles of the spline, from 1e-5 rad to π - 1e-4 rad.
 
         With `extinction` and `scattering` they define a cloud.
         """
@@ -185,8 +187,8 @@ class Cloud:
         Parameters
         ----------
         angle : float or array
-            Angle between the directions of the incident and the scattered light, 0 … π rad. Below 1e-5 rad and within
-            1e-4 rad of π the value at that limit is used.
+            Angle between the directions of the incident and the scattered light, 0 … π rad; the result has its shape.
+            Below 1e-5 rad and within 1e-4 rad of π the value at that limit is used.
         """
         return np.asarray(np.exp(self._log_f(_place(angle))))
 
@@ -249,7 +251,7 @@ def cloud(
 
 
 def check_distribution(level: float, slope: float, min_um: float, max_um: float | None) -> None:
-    """Raise `MistrayError` if parameters of `cloud` are out of range, or the particles cover more than the surface."""
+    """Raise `MistrayError` if these parameters of `cloud` are out of range, or the spheres cover more than 100 %."""
     if not (np.isfinite(level) and level >= 1):
         raise MistrayError(f"particles: cleanliness level {level:g}; it must be 1 or more, 100 … 1000 is usual")
     if not slope > 0:
@@ -274,7 +276,7 @@ def _cross_sections(
     min_um: float, max_um: float, wavelength_um: float, index: complex, immersion: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the Mie cross-sections, µm², of spheres with the diameters of `_sizes`.
+    Return the Mie cross-sections, µm², of spheres with the diameters of `_sizes`; parameters as in `cloud`.
 
     They are the scattering per solid angle at the nodes, (m, a), µm²/sr, the extinction, (m,), µm², and the scattering,
     (m,), µm².
@@ -287,7 +289,7 @@ def _cross_sections(
 
 
 def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return particle diameters, (m,), µm, and quadrature weights, (m,), µm, between two diameters."""
+    """Return particle diameters, (m,), µm, and their weights in an integral over the diameter, (m,), µm."""
     nodes, weights = np.polynomial.legendre.leggauss(_PANEL)
     edges = np.linspace(min_um**_POWER, max_um**_POWER, _PANELS + 1)
     half = np.diff(edges)[:, None] / 2

@@ -47,7 +47,7 @@ def half_plane(theta: npt.ArrayLike, wavelength_mm: float) -> np.ndarray:
     Returns
     -------
     array
-        Flux per length of the edge, per angle and per irradiance, mm/rad.
+        Flux per length of the edge, per angle and per irradiance, mm/rad, in the shape of `theta`.
     """
     return wavelength_mm / (4 * np.pi**2 * np.asarray(theta, dtype=np.float64) ** 2)
 
@@ -66,7 +66,7 @@ def keller(theta: npt.ArrayLike, wavelength_mm: float) -> tuple[np.ndarray, np.n
     Returns
     -------
     soft, hard : array
-        Flux for the electric field along the edge, and for the magnetic field along it, in the unit of `half_plane`.
+        Flux for the electric field along the edge, and for the magnetic field along it, as that of `half_plane`.
         Their mean is λ/(4π² sin² θ).
     """
     theta = np.asarray(theta, dtype=np.float64)
@@ -109,7 +109,7 @@ def circular_aperture(theta: npt.ArrayLike, wavelength_mm: float, radius_mm: flo
     Returns
     -------
     array
-        Intensity per flux through the aperture, 1/sr. Divided by cos θ it is a BSDF (BDDF).
+        Intensity per flux through the aperture, 1/sr, in the shape of `theta`. Divided by cos θ it is a BSDF (BDDF).
     """
     return wavelength_mm / (2 * np.pi**3 * radius_mm * np.sin(np.asarray(theta, dtype=np.float64)) ** 3)
 
@@ -140,7 +140,7 @@ def deflection_sigma(distance_mm: npt.ArrayLike, wavelength_mm: float, law: str 
     Parameters
     ----------
     distance_mm : array_like
-        Distance x from the edge, mm, > 0.
+        Distance x from the edge, mm, > 0; the result has its shape.
     wavelength_mm : float
         Wavelength λ, mm.
     law : {"half_plane", "heisenberg"}
@@ -165,7 +165,7 @@ def deflection_density(delta: Any, width_mm: Any, wavelength_mm: float, law: str
     Parameters
     ----------
     delta : float or array
-        Change δ of the direction cosine across the edge; the density is symmetric.
+        Change δ of the direction cosine across the edge; the density is symmetric, per unit of δ.
     width_mm : float or array
         Width w of the strip along the edge, mm, > 0.
     wavelength_mm : float

@@ -55,7 +55,7 @@ def disc_total(profile: Callable[[np.ndarray], np.ndarray], sin_0: float) -> flo
 
 
 def _panels(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return radii r and weights for ∫ d(ln r) by Gauss's rule, on each interval between `edges`, which are ln r."""
+    """Return radii r and weights, (m,), for ∫ d(ln r) by Gauss's rule on each interval between `edges` in ln r."""
     middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
     nodes = middle[:, None] + half[:, None] * _NODES
     return np.exp(nodes).ravel(), (half[:, None] * _WEIGHTS).ravel()

@@ -78,7 +78,9 @@ def transmitted_product(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
 
 def total_product(cos_i: Any, beyond: Any, n_i: Any, n_t: Any) -> tuple[Any, Any]:
     """
-    Return the real and the imaginary part of r_s r_p* in total internal reflection; its phase is the retardance.
+    Return the real and the imaginary part of r_s r_p* in total internal reflection.
+
+    Its phase is that of r_s less that of r_p, the retardance.
 
     Parameters
     ----------

@@ -30,12 +30,20 @@ _MAX_VARIANCE = 100.0
 
 
 def path_in_reflection(cos_i: Any, cos_s: Any, n_in: Any = 1.0) -> Any:
-    """Return the path difference per height of the surface in reflection, n_in (cos θi + cos θs), dimensionless."""
+    """
+    Return the path difference per height of the surface in reflection, n_in (cos θi + cos θs), dimensionless.
+
+    `cos_i` and `cos_s` are the cosines of the angles of incidence and of scatter, `n_in` the index of their medium.
+    """
     return n_in * (cos_i + cos_s)
 
 
 def path_in_transmission(cos_i: Any, cos_s: Any, n_in: Any, n_out: Any) -> Any:
-    """Return the path difference per height in transmission, n_in cos θi - n_out cos θs, a number of either sign."""
+    """
+    Return the path difference per height in transmission, n_in cos θi - n_out cos θs, dimensionless, of either sign.
+
+    `cos_i` and `n_in` belong to the medium of the incident light, `cos_s` and `n_out` to that of the scattered light.
+    """
     return n_in * cos_i - n_out * cos_s
 
 

@@ -69,7 +69,7 @@ def b0_from_tis(share: Any, l: Any, s: Any) -> Any:  # noqa: E741
     Parameters
     ----------
     share : float or array
-        Total integrated scatter, ≥ 0.
+        Total integrated scatter, a fraction of the incident flux, ≥ 0.
     l, s : float or array
         Parameters of `bsdf`.
 
@@ -93,6 +93,8 @@ def tis_from_rms(rms_um: Any, wavelength_um: Any, index_step: Any, cos_i: Any = 
     """
     Return the fraction of light that a smooth surface scatters, (2π Δn σ cos θi/λ)².
 
+    In transmission it holds at normal incidence.
+
     Parameters
     ----------
     rms_um : float or array
@@ -100,7 +102,7 @@ def tis_from_rms(rms_um: Any, wavelength_um: Any, index_step: Any, cos_i: Any = 
     wavelength_um : float or array
         Vacuum wavelength λ, µm.
     index_step : float or array
-        Index step Δn: n_in - n_out in transmission, 2 n_in in reflection.
+        Index step Δn: n_in - n_out in transmission, of any sign; 2 n_in in reflection.
     cos_i : float or array
         Cosine of the angle of incidence.
 

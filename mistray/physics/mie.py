@@ -104,9 +104,8 @@ def _coefficients(x: np.ndarray, index: complex) -> tuple[np.ndarray, np.ndarray
     They are 0 beyond order x + 4 x^(1/3) + 4, two orders more than W. J. Wiscombe requires (Appl. Opt. 19, 1505
     (1980)). The error is less than 1e-7 of the intensity even at 180°, where most orders cancel.
 
-    With real ψ and χ, ξ = ψ - iχ, both are p/(p - iq). With the relative index m and D_n = ψ'_n(mx)/ψ_n(mx): p = r ψ_n
-    - ψ_(n-1), q = r χ_n - χ_(n-1), where r is D_n/m + n/x
-    for a_n and m D_n + n/x for b_n.
+    With real ψ and χ, ξ = ψ - iχ, both are p/(p - iq), p = r ψ_n - ψ_(n-1), q = r χ_n - χ_(n-1). With the relative
+    `index` N and D_n = ψ'_n(Nx)/ψ_n(Nx), r is D_n/N + n/x for a_n and N D_n + n/x for b_n.
     """
     orders = _orders(x)
     count = int(orders[-1])
@@ -151,7 +150,7 @@ def _riccati_bessel(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _orders(x: ArrayLike) -> np.ndarray:
-    """Return the number of Mie series terms that a sphere of size parameter x = πD n_medium/λ needs."""
+    """Return the number of Mie series terms that spheres of size parameter x = πD n_medium/λ need, in its shape."""
     size = np.asarray(x, dtype=np.float64)
     return np.asarray(np.floor(size + 4 * np.cbrt(size) + 4), dtype=np.int64)
 

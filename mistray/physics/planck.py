@@ -186,11 +186,11 @@ def narcissus_nitd(
     returned : array_like
         Fraction of the cone of light that returns to the cold space: reflectance times fraction of the cone.
     housing_K, cold_K : float
-        Temperatures T_h of the housing, and T_c of the cold space, K; T_h > 0.
+        Temperatures T_h of the housing, and T_c of the cold space, K, ≥ 0.
     low_um, high_um : float
         Limits of the band, µm, as in `band_radiance`.
     scene_K : float, optional
-        Temperature T_s of the scene, K; by default that of the housing.
+        Temperature T_s of the scene, K, > 0; by default that of the housing.
     """
     missing = band_radiance(housing_K, low_um, high_um) - band_radiance(cold_K, low_um, high_um)
     return (

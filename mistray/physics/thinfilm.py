@@ -186,7 +186,7 @@ def _solve(
     """
     Return array functions, and for s and p the fields in front of a stack whose transmitted wave has amplitude 1.
 
-    Raise `MistrayError` if the numbers of indices and thicknesses differ.
+    Parameters are those of `amplitudes`. Raise `MistrayError` if the numbers of indices and thicknesses differ.
     """
     n_layers, d_nm = several(n_layers), several(d_nm)
     if len(n_layers) != len(d_nm):
@@ -235,7 +235,7 @@ def _solve(
 
 
 def _lossless(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
-    """Return the characteristic matrix of a layer of real index; its wave is evanescent if q² < 0."""
+    """Return the matrix of a layer of real index, from q² (< 0: evanescent wave) and the phase δ per q, rad."""
     propagates = q2 >= 0
     q = ops.sqrt(ops.select(propagates, q2, -q2) + _FLOOR)
     phase = q * phase_per_q
@@ -249,7 +249,7 @@ def _lossless(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
 
 
 def _absorbing(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
-    """Return the characteristic matrix of a layer of complex index, from q² and the phase per q, rad."""
+    """Return the characteristic matrix of a layer of complex index, from q² and the phase δ per q, rad."""
     q, modulus = _root(ops, q2)
     sin, cos = ops.sincos(ops.re(q) * phase_per_q)
     decay = ops.exp(-ops.im(q) * phase_per_q)
@@ -261,7 +261,7 @@ def _absorbing(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
 
 
 def _joined(ops: Arithmetic, small: Any, q2: Any, phase_per_q: Any, general: _Layer) -> _Layer:
-    """Return a layer's matrix: a power series in its phase δ where `small`, and `general` elsewhere."""
+    """Return a layer's matrix: where `small`, a series in its phase δ, from q² and δ per q, rad; else `general`."""
     x = ops.select(small, phase_per_q, 0 * phase_per_q)
     w = q2 * (x * x)
     cos = 1 - w * (1 / 2 - w * (1 / 24))

@@ -37,7 +37,7 @@ def coating_of(
     known : mapping of str to Coating
         Further coatings by name, such as those of a scene.
     design_nm : float
-        Wavelength that thicknesses in waves refer to, nm, if the text gives none.
+        Wavelength that thicknesses in waves (``0.5w``) refer to, nm, if the text gives none.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def coating_of(
 
 def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -> Scatter | None:
     """
-    Make a scatter model from its name or its values.
+    Return the scatter model that a short text names or describes.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
     Raises
     ------
     MistrayError
-        If the model refuses its values.
+        If a property is given twice, or the model refuses a property or its value.
     """
     if text in known:
         return known[text]
@@ -119,7 +119,7 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
 
 
 def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:
-    """Return the KEY=VALUE pairs at the end of `words` as a dict, back to an unknown or repeated key."""
+    """Return KEY=VALUE words at the end of `words` as a dict, back to one whose key is not in `keys` or repeated."""
     found: dict[str, str] = {}
     for word in reversed(words):
         pair = name_and_value(word)

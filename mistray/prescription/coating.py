@@ -26,9 +26,9 @@ class Coating:
     Attributes
     ----------
     R : float or None
-        Reflected fraction in [0, 1], from both sides and at every angle.
+        Reflected fraction of the incident flux in [0, 1], from both sides and at every angle.
     T : float or None
-        Transmitted fraction, R + T ≤ 1; the rest is absorbed. ``None`` with R given: opaque.
+        Transmitted fraction, likewise; R + T ≤ 1, the rest is absorbed. ``None`` with R given: opaque.
     table : str or None
         CSV file over wavelength and angle, or ``COATING.DAT:NAME`` for a coating of a Zemax file, relative to the scene
         file.
@@ -96,19 +96,19 @@ class Coating:
 
     @property
     def layered(self) -> bool:
-        """True if the scene needs the `thinfilm` plugin: for layers, or a Zemax coating, which may have layers."""
+        """True if the scene needs the `thinfilm` plugin: for layers, a preset, or a Zemax coating, of layers or not."""
         zemax = self.table is not None and not self.table.lower().endswith(".csv")
         return self.layers is not None or self.preset is not None or zemax
 
     @property
     def opaque(self) -> bool:
-        """True if the coating transmits no light, as far as is known without reading its file."""
+        """True if the coating transmits no light: R without T, or an opaque preset. False for layers and files."""
         if self.preset is not None:
             return preset(self.preset).opaque
         return self.R is not None and not self.T
 
     def moved(self, seen: Callable[[str], str]) -> Coating:
-        """Return the coating with its file paths, such as that of a table, changed by the function `seen`."""
+        """Return the coating with its file paths, those of a table or of layers, changed by the function `seen`."""
         if self.table is not None:
             return replace(self, table=seen(self.table))
         return self if self.layers is None else replace(self, layers=moved_layers(self.layers, seen))

@@ -41,7 +41,7 @@ def wall(
     back: str = "air",
 ) -> tuple[Structure, ...]:
     """
-    Make frusta along a profile; zero-length pieces are left out.
+    Return frusta along a profile; zero-length pieces are left out.
 
     Parameters
     ----------
@@ -56,6 +56,11 @@ def wall(
     -------
     tuple of Structure
         Frusta in the order of the profile.
+
+    Raises
+    ------
+    MistrayError
+        If there are fewer than two points, a piece has no area, such as one along the axis, or a value is not allowed.
 
     Examples
     --------
@@ -95,7 +100,7 @@ def lens_edge(
     contact_radii: tuple[float | None, float | None] = (None, None),
 ) -> tuple[Structure, ...]:
     """
-    Make the edge cylinder and the flat rings that close a lens body between its two surfaces.
+    Return the edge cylinder and the flat rings that close a lens body between its two surfaces.
 
     Each ring is split where the mount begins to touch it. Inside this radius it is a bevel between glass and air;
     outside it is a flange in contact, opaque like the edge.
@@ -186,7 +191,7 @@ def barrel(
     first_space: int = 1,
 ) -> tuple[Structure, ...]:
     """
-    Close a coaxial group: lens edges in glass, opaque barrel walls in air, from the first rim to the last.
+    Return the faces that close a coaxial group: lens edges in glass, opaque barrel walls in gas, from rim to rim.
 
     Parameters
     ----------
@@ -194,12 +199,12 @@ def barrel(
         Surfaces and stops in the order of light; surfaces of a body follow each other. A `Detector` may end it; fill
         its frame with `detector_frame`.
     coating : Coating
-        Coating of the walls in air.
+        Coating of the walls in gas; black by default, as are the edges.
     edge_coating : Coating
         Coating of the lens edges, see `lens_edge`.
     name : str
-        Start of the names: the wall in the k-th air space is ``<name>_<k>_wall``. A stop divides its space into two. If
-        a straight cone would cut into a surface, the wall is a cylinder and a flat ring.
+        Start of the names: the wall in the air space of index k is ``<name>_<k>_wall``. A stop divides its space in
+        two. If a straight cone would cut into a surface, the wall is a cylinder and a flat ring.
     first_space : int
         Index of the first air space.
 
@@ -245,7 +250,7 @@ def detector_frame(
     space: int = -1,
 ) -> tuple[Surface, ...]:
     """
-    Make four rectangles around a rectangular detector, in its plane, that cover a tube of a given radius.
+    Return four rectangles around a rectangular detector, in its plane, that cover a tube of a given radius.
 
     They tile the plane without overlap, so that no face coincides with the detector.
 
@@ -335,7 +340,7 @@ def _name(item: Surface | Stop) -> str:
 
 def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
     """
-    Return wall points (r, z), mm, between two rims: a cone, or cylinder and ring if a cone would cut a surface.
+    Return wall points (r, z), mm, from one rim to the next: a cone, or cylinder and ring if a cone would cut a surface.
 
     Raise `MistrayError` if neither clears the surfaces.
     """
@@ -358,7 +363,11 @@ def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
 
 
 def _check_clear(surface: Surface, other: str, p: Point, q: Point, *, above: bool) -> None:
-    """Raise `MistrayError` if the segment p q, (r, z) in mm, cuts a surface rather than lying `above` or below it."""
+    """
+    Raise `MistrayError` if the segment p q, (r, z) in mm, cuts a surface.
+
+    With `above` it should lie on the +z side, else on the -z side. `other` names the wall's other end in the message.
+    """
     t = np.linspace(0.0, 1.0, _SAMPLES)
     r, z = p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])
     inside = (r <= surface.outer_radius) & (r >= surface.inner_semi_diameter)

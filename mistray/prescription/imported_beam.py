@@ -40,14 +40,14 @@ def beam_size(
     reach : float
         Largest distance of the light of any field from the centre of the beam in the same plane, mm.
     inner : float
-        Radius of the unlit centre, mm.
+        Radius of the unlit centre, mm; 0: there is none.
     of : str
         Description of the filled aperture, for notes.
 
     Returns
     -------
     size : dict
-        Radii (mm) and area (mm²) as arguments of `Source`.
+        Arguments of `Source`: radii (mm) and, for a wider beam, the ``pupil_area`` that the stop accepts (mm²).
     notes : list of str
         Note on a wider beam; empty if it is exact.
     """

@@ -27,6 +27,11 @@ class MeshStructure:
     coating, scatter, part, space
         Coating, scatter models, part and space, as in `Structure`.
 
+    Raises
+    ------
+    MistrayError
+        If the name or the ending of the file is not allowed.
+
     Examples
     --------
     >>> bracket = mistray.prescription.MeshStructure("bracket", "meshes/bracket.ply")

@@ -76,7 +76,7 @@ class Placed:
         return self.x == 0 and self.y == 0 and self.tilt_deg[:2] == (0.0, 0.0)
 
     def to_world(self) -> np.ndarray:
-        """Rigid transform from the part's frame to the world, (4, 4), mm."""
+        """Return the rigid transform from the part's frame to the world, (4, 4), mm."""
         matrix = np.eye(4)
         matrix[:3, :3] = fixed_turn(self.tilt_deg)
         matrix[:3, 3] = self.x, self.y, self.z
@@ -99,7 +99,7 @@ class Surface(Placed):
     coefficients : tuple of float
         Aspheric coefficients (a4, a6, …, a20), mm⁻³, mm⁻⁵, …; at most nine.
     semi_diameter, inner_semi_diameter : float or None, float
-        Outer and inner clear radius, mm.
+        Outer and inner clear radius, mm; an inner one of 0: no hole.
     half_width, half_height : float or None
         Rectangular clip in x and y instead of ``semi_diameter``, mm.
     sag : mapping of str to float, and of "grid" to Grid
@@ -185,7 +185,7 @@ class Surface(Placed):
 
     @property
     def freeform(self) -> bool:
-        """True if the surface needs the `freeform` plugin, for its sag, its outline, or one-way transmission."""
+        """True if the surface needs the `freeform` plugin: for `sag`, `outline`, or `meets` other than "both"."""
         return bool(self.sag) or self.outline is not None or self.meets != "both"
 
     @property
@@ -206,7 +206,7 @@ class Surface(Placed):
         return math.hypot(self.half_width, self.half_height)
 
     def z_at(self, r: Any) -> Any:
-        """World z in mm of a coaxial surface at radius ``r`` in mm (float or array); for a freeform, at (0, r)."""
+        """Return world z, mm, of a coaxial surface at radius ``r``, mm (float or array); with a `sag`, at (0, r)."""
         if self.sag:
             return self.z + freeform_sag(np.zeros_like(r), r, self.sag_numbers)
         return self.z + sag(r * r, self.curvature, self.conic, self.coefficients)
@@ -301,7 +301,7 @@ class Detector(Surface):
         super().__post_init__()
 
     def notes(self) -> list[str]:
-        """Return notes on a detector from a lens file: one line if it absorbs all light; otherwise none."""
+        """Return notes on a detector from a lens file: one if it is black and scatters no light; else none."""
         if self.coating != BLACK or self.scatter:
             return []
         return [
@@ -320,7 +320,7 @@ class Stop:
     radius : float
         Radius of the opening, mm.
     z_front, z_rear : float
-        Positions of its faces, mm; equal for a thin stop, which is one annulus.
+        Positions of its faces on the z axis of the world, mm; equal for a thin stop, which is one annulus.
     outer_front, outer_rear : float
         Outer radii of the two faces, mm.
     coating, scatter, part, space
@@ -402,7 +402,7 @@ class Prescription:
     stop : Stop or None
         Aperture stop; its faces become part of the scene.
     detector, source
-        Detector of the design and source. They are needed only by `to_dict`, `to_xml` and `to_scene`.
+        Detector of the design, and source; None: none. Both are needed by `to_dict`, `to_xml` and `to_scene` only.
     more_detectors : tuple of Detector
         Detectors in addition to that of the design; `mistray.trace` records the light on all of them.
     provenance : str
@@ -412,7 +412,8 @@ class Prescription:
     ------
     MistrayError
         If a detector is not a `Detector`, if two names are equal, if coatings or scatter models of the same name
-        differ, or if two coaxial surfaces cross or coincide within their common aperture.
+        differ, or if two coaxial surfaces without outlines cross or coincide within their common aperture. Of a
+        rectangle the inscribed circle counts.
 
     Examples
     --------
@@ -474,7 +475,7 @@ class Prescription:
 
     def shared_coatings(self) -> dict[str, Coating]:
         """
-        Return the coatings that have a name, keyed by name.
+        Return the named coatings of all shapes, keyed by name.
 
         Raises
         ------
@@ -485,7 +486,7 @@ class Prescription:
 
     def shared_scatter(self) -> dict[str, Scatter]:
         """
-        Return the scatter models that have a name, keyed by name.
+        Return the named scatter models of all shapes, keyed by name.
 
         Raises
         ------
@@ -544,7 +545,7 @@ class Prescription:
         return ParaxialSystem([s.curvature for s in self.surfaces], [s.z for s in self.surfaces], index)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a Mitsuba scene dictionary for `mistray.load` or `mi.load_dict`; sets a variant if none is set."""
+        """Return a Mitsuba scene dictionary for `mistray.load` or `mi.load_dict`; a variant is set if none is."""
         from mistray.prescription.scene_file import scene_dict
 
         return scene_dict(self)
@@ -556,7 +557,7 @@ class Prescription:
         write_xml(self, path)
 
     def to_scene(self) -> Any:
-        """Load the prescription as an ``mi.Scene``."""
+        """Return the prescription, loaded as an ``mi.Scene``."""
         from mistray.scene import load
 
         return load(self.to_dict())
@@ -568,7 +569,7 @@ def within(outer: float) -> Range:
 
 
 def _check_crossing(a: Surface, b: Surface) -> None:
-    """Raise `MistrayError` if coaxial surfaces ``a`` and ``b`` cross or coincide within their common aperture."""
+    """Raise `MistrayError` if coaxial surfaces cross or coincide within their common aperture, see `Prescription`."""
     inner = max(a.inner_semi_diameter, b.inner_semi_diameter)
     outer = min(s.semi_diameter or min(s.half_width or 0.0, s.half_height or 0.0) for s in (a, b))
     met = meeting(a.z_at, b.z_at, inner, outer)

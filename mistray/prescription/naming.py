@@ -20,7 +20,7 @@ RULES = ByName(SCATTER, "{'barrel_*': mistray.Scatter(…)}")
 
 def shared_coatings(where: str, shapes: Iterable[Any]) -> dict[str, Coating]:
     """
-    Return the coatings of shapes that have a name, keyed by name.
+    Return the named coatings of shapes, keyed by name.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def shared_coatings(where: str, shapes: Iterable[Any]) -> dict[str, Coating]:
 
 def shared_scatter(where: str, shapes: Iterable[Any]) -> dict[str, Scatter]:
     """
-    Return the scatter models of shapes that have a name, keyed by name; parameters as in `shared_coatings`.
+    Return the named scatter models of shapes, keyed by name; parameters as in `shared_coatings`.
 
     Raises
     ------
@@ -55,9 +55,9 @@ def shared_scatter(where: str, shapes: Iterable[Any]) -> dict[str, Scatter]:
 
 def _shared(where: str, what: str, shapes: Iterable[Any], items: Callable[[Any], Iterable[Any]]) -> dict[str, Any]:
     """
-    Return the named coatings or scatter models of shapes, by name.
+    Return the named coatings or scatter models of shapes, by name; `items` is a function from a shape to its own.
 
-    Raise `MistrayError` if different ones share a name.
+    Raise `MistrayError` if different ones share a name, or a shape has it; `where` and `what` are for its message.
     """
     shapes = list(shapes)
     shared: dict[str, Any] = {}
@@ -77,7 +77,7 @@ def _shared(where: str, what: str, shapes: Iterable[Any], items: Callable[[Any],
 
 
 def scattering(prescription: Prescription, rules: Mapping[str, Scatter | Sequence[Scatter]]) -> Prescription:
-    """Return a copy with scatter models added to shapes by name; see `Prescription.with_scatter`."""
+    """Return a copy of a system with scatter models added to shapes by name; see `Prescription.with_scatter`."""
     names = [shape.name for shape in prescription.shapes()]
     models_of = RULES.check("rules", rules, f"prescription '{prescription.name}'")
     for pattern in models_of:
@@ -95,7 +95,7 @@ def scattering(prescription: Prescription, rules: Mapping[str, Scatter | Sequenc
 
 def each_shape(prescription: Prescription, change: Callable[[Any], Any]) -> Prescription:
     """
-    Return the system with a change applied to every shape; a stop takes only coating and scatter of its faces.
+    Return the system with the function `change` applied to every shape; a stop takes coating and scatter of its faces.
 
     Raises
     ------

@@ -83,7 +83,7 @@ class Scatter:
         return None if "file" in given else model.of(**given)
 
     def moved(self, seen: Callable[[str], str]) -> Scatter:
-        """Return the model with the path of its file, if any, changed by the function `seen`."""
+        """Return the same scatter with the path of its file, if any, changed by the function `seen`."""
         file = self.properties.get("file")
         return self if file is None else replace(self, properties={**self.properties, "file": seen(str(file))})
 

@@ -74,7 +74,7 @@ def _interface(shape: Shape) -> _Node:
 
 
 def _finish(coating: Coating | None, scatter: Iterable[Scatter]) -> tuple[dict[str, Value], tuple[_Node, ...]]:
-    """Return property values and nested nodes that describe a coating and scatter models in an interface."""
+    """Return the properties, by name, and nested nodes of an interface that state its coating and scatter models."""
     properties: dict[str, Value] = {}
     children: tuple[_Node, ...] = ()
     if coating is not None and coating.name is not None:
@@ -195,7 +195,7 @@ def scene_dict(prescription: Prescription) -> dict[str, Any]:
     Raises
     ------
     MistrayError
-        If the prescription has no detector or no source.
+        If the prescription has no detector or no source, or the grid of a sag lies in no file.
     """
     ensure_variant()
     scene: dict[str, Any] = {"type": "scene"}
@@ -221,7 +221,7 @@ def _node_dict(node: _Node) -> dict[str, Any]:
 
 def write_xml(prescription: Prescription, path: str | Path) -> None:
     """
-    Write the scene as Mitsuba 3 XML, atomically: on an error an old file stays.
+    Write the scene as Mitsuba 3 XML to `path`, and sag grids that have no file beside it; on an error old files stay.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def write_xml(prescription: Prescription, path: str | Path) -> None:
 
 
 def xml_text(prescription: Prescription) -> str:
-    """Return the text of the scene's XML file, ending in a newline."""
+    """Return the text of the scene's XML file, ending in a newline; raise `MistrayError` as `scene_dict` does."""
     lines = ["<?xml version='1.0' encoding='utf-8'?>", f"<!-- {comment_text(prescription.name)}"]
     lines += [f"     {comment_text(line)}".rstrip() for line in prescription.provenance.strip().splitlines()]
     lines += [
@@ -262,7 +262,7 @@ def structure_text(structures: Iterable[Structure | Surface | MeshStructure], kn
     Raises
     ------
     MistrayError
-        If two coatings or two models of the same name differ.
+        If two coatings or two models of the same name differ, or one name belongs to objects of two kinds.
     """
     structures = list(structures)
     nodes = {name: _thinfilm(coating) for name, coating in shared_coatings("structures", structures).items()}
@@ -272,7 +272,7 @@ def structure_text(structures: Iterable[Structure | Surface | MeshStructure], kn
 
 
 def finish_lines(coating: Coating | None, scatter: Iterable[Scatter]) -> list[str]:
-    """Return the XML lines of an interface for its coating and scatter models; named ones become references."""
+    """Return the XML lines for coating and scatter models in an interface, not indented; named ones are references."""
     properties, children = _finish(coating, scatter)
     lines = [_property_line(key, value, 0) for key, value in properties.items()]
     return lines + [line for child in children for line in _node_lines(child, 0)]

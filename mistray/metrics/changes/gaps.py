@@ -24,9 +24,9 @@ class Gap:
     Attributes
     ----------
     surfaces : (str, str)
-        Ids of both surfaces; a rim of one of them lay on the other.
+        Ids of both surfaces; a rim of the first lay on the second.
     gap_mm : float
-        Greatest distance of the rim from the other surface after the change, mm.
+        Greatest distance of this rim from the second surface after the change, mm.
     """
 
     surfaces: tuple[str, str]
@@ -42,8 +42,9 @@ class _Contact:
     """
     Rim of a surface that lies on another surface.
 
-    Rim number `rim` of surface `owner` lies on surface `other`; `place` holds x, y and z of its centre and its largest
-    radius, mm.
+    Rim number `rim` of surface `owner` lies on surface `other`. All three are indices from 0, those of surfaces into
+    the outlines of the scene. `place`, (4,), holds x, y and z of the rim's middle in the world and its largest radius,
+    mm.
     """
 
     owner: int
@@ -82,14 +83,15 @@ class Contacts:
 
         Two surfaces are apart if neither has a rim within 1e-3 mm of the other and they do not cross. There is no gap
         if the rim lies on other opaque surfaces that lead to the other surface, as when a vane moves along a tube of
-        several pieces. Of several pairs that part in one place, the nearest is named, and an opaque one if possible.
+        several pieces. Of several pairs that part in one place, one is named: an opaque pair if possible, and the
+        nearest of these.
 
         Parameters
         ----------
         scene : mi.Scene
             Changed scene; surfaces that it no longer has are ignored.
         moved : collection of str, optional
-            Ids of all changed surfaces, if known: only contacts of these are examined, so there may be no gap.
+            Ids of all changed surfaces: only their contacts are examined. None: all contacts are.
         """
         if moved is None:
             return _opened(self._found, self._contacts, outlines(scene))
@@ -111,7 +113,7 @@ def gaps_text(gaps: Sequence[Gap]) -> str:
 
 
 def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
-    """Return the rims that lie on another surface with all of their points, each with that surface."""
+    """Return the contacts of outlines in space: rims that lie on another surface with all of their points."""
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
     contacts = []
     for i, one in enumerate(found):
@@ -162,7 +164,11 @@ def _opened(
 
 
 def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Contact) -> bool:
-    """True if two gaps lie at one place, and each surface of one is, or touched, a surface of the other."""
+    """
+    True if two gaps lie at one place, and each surface of one is, or touches, a surface of the other.
+
+    `here` maps the indices of the contacts, before the change, to those of `scene`, after it.
+    """
     if np.abs(one.place - other.place).max() > 2 * TOUCH:
         return False
     a, b = (here[k] for k in one.pair)
@@ -175,7 +181,7 @@ def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Con
 
 
 class _Touching:
-    """Contacts between the surfaces of a scene, each computed when first needed and then kept."""
+    """Contacts between the outlines of a scene, given by index, each computed when first needed and then kept."""
 
     def __init__(self, found: Sequence[SpaceOutline]) -> None:
         self._found = found
@@ -183,7 +189,7 @@ class _Touching:
         self._low, self._high = np.array([one.low for one in found]), np.array([one.high for one in found])
 
     def touch(self, a: int, b: int) -> bool:
-        """True if a rim of one of two surfaces, given by index, lies on the other, or if they cross."""
+        """True if a rim of one of two surfaces, given by index, lies on the other or crosses it all around."""
         key = min(a, b), max(a, b)
         if key not in self._known:
             one, other = self._found[a], self._found[b]
@@ -193,7 +199,7 @@ class _Touching:
         return self._known[key]
 
     def led(self, owner: int, rim: Rim, target: int) -> bool:
-        """True if touching opaque surfaces, apart from `owner`, form a chain from a rim to the surface `target`."""
+        """True if touching opaque surfaces other than `owner` lead from its rim to surface `target`, both by index."""
         near = self._near(owner)
         opaque = {k for k, one in enumerate(self._found) if one.opaque and k != owner}
         reached = {k for k in opaque if near[k] and self._found[k].away(rim) <= TOUCH}

@@ -48,7 +48,7 @@ class SpaceOutline(ABC):
     name : str
         Id of the shape.
     opaque : bool
-        Whether no light passes the surface.
+        Whether no light passes the surface; True if its BSDF does not say.
     rims : list of Rim
         Rims of the surface.
     low, high : (3,) float64
@@ -70,7 +70,11 @@ class SpaceOutline(ABC):
         """Return a mask of polylines of k points, (n, k, 3), mm, that the surface crosses, (n,)."""
 
     def away(self, rim: Rim) -> float:
-        """Return the largest distance of another surface's rim from this surface, mm; 0 where they cross."""
+        """
+        Return the largest distance of another surface's rim from this surface, mm.
+
+        Points of the rim whose inward line crosses this surface count as 0.
+        """
         far = self.distance(rim.points)
         apart = np.flatnonzero(far > TOUCH)
         if len(apart):
@@ -79,7 +83,7 @@ class SpaceOutline(ABC):
 
 
 class Turned(SpaceOutline):
-    """Surface of revolution in space, given by its profile: points at a distance from the axis and along it, mm."""
+    """Surface of revolution in space; its profile is a polyline of distances from the axis and places along it, mm."""
 
     def __init__(self, shape: Any) -> None:
         straight = len(shape.profile(3)) == 3 and _straight(shape.profile(9))
@@ -118,7 +122,7 @@ class Turned(SpaceOutline):
 
 
 class Faces(SpaceOutline):
-    """Surface of triangles in space: a rectangle, a polygon or a mesh. Its rims are sides of only one triangle."""
+    """Surface as triangles in space, such as a rectangular clip or a mesh. Its rims are sides of only one triangle."""
 
     def __init__(self, shape: Any, vertices: np.ndarray, faces: np.ndarray) -> None:
         self._corners = vertices[faces]
@@ -167,13 +171,13 @@ class Faces(SpaceOutline):
 
 def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[SpaceOutline]:
     """
-    Return outlines of the surfaces of a scene that can be tested for touching one another.
+    Return outlines, sorted by id, of the surfaces of a scene that can be tested for touching one another.
 
     Parameters
     ----------
     scene : mi.Scene
-        Scene to read. Targets and shapes that are neither surfaces of revolution nor triangles are left out, and so are
-        rectangles and large meshes.
+        Scene to read. Targets and shapes that are neither surfaces of revolution nor triangles are left out. So are
+        Mitsuba's own rectangles, and meshes of more than `MOST_FACES` faces.
     names : collection of str, optional
         Ids of the surfaces; by default all.
     """
@@ -201,12 +205,12 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Return the cross product of b - a and c - a in the plane: positive if c lies left of the line from a to b."""
+    """Return the cross product of b - a and c - a, points (…, 2): positive if c lies left of the line from a to b."""
     return _cross(b - a, c - a)
 
 
 def _to_segments(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the distances of points (n, d) from the nearest of the segments from a to b, (m, d); in their unit."""
+    """Return the distances, (n,), of points (n, d) from the nearest of the segments a to b, (m, d), in their unit."""
     way, off = b - a, points[:, None] - a
     length2 = np.maximum(np.einsum("ij,ij->i", way, way), 1e-300)
     share = np.clip(np.einsum("kij,ij->ki", off, way) / length2, 0.0, 1.0)
@@ -217,7 +221,7 @@ def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np
     """
     Return the straight rims of a triangle mesh as pairs of end points, mm.
 
-    They are sides of only one triangle, joined if in one line.
+    They are sides of only one triangle, joined by `_joined`. `vertices`, (n, 3), are in mm, `faces` indices, (m, 3).
     """
     _, same = np.unique(vertices.round(6), axis=0, return_inverse=True)
     sides = np.sort(same.ravel()[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])], axis=1)
@@ -228,7 +232,11 @@ def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np
 
 
 def _joined(sides: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return sides as pairs of end points, mm, after joining sides that continue each other in one line."""
+    """
+    Return sides as pairs of end points, mm, after joining sides that continue each other.
+
+    A side is joined if it turns by less than 20° (`CORNER`) from the chord of those before. The chord replaces them.
+    """
     at: dict[bytes, list[int]] = {}
     for number, side in enumerate(sides):
         for end in side:

@@ -21,7 +21,7 @@ class SurfaceCrossing:
     Attributes
     ----------
     coincide : bool
-        Whether the surfaces coincide throughout the aperture that they share.
+        Whether the surfaces coincide throughout the aperture that they share. Otherwise they cross.
     r : float
         Smallest radius at which the surfaces meet, mm. It is the inner radius of the shared ring if they coincide, and
         the first sampled radius beyond the crossing if they cross.
@@ -67,7 +67,7 @@ def meeting(
     """
     Return the crossing or coincidence of two profiles in the ring of radii that both surfaces cover.
 
-    Surfaces that touch without crossing, at the vertex or at the rim, do not count.
+    Surfaces that touch or partly coincide without crossing do not count.
 
     Parameters
     ----------

@@ -98,7 +98,7 @@ class BoxDeparture:
     form : Form
         Form of the departure.
     half : (2,) float
-        Half sizes of the box, mm; the origin is its middle.
+        Half sizes of the box in x and y, mm; the origin is its middle.
     coefficients : (n,) float64
         Coefficients in the order of `form.terms`, mm.
     error, slope_error : float
@@ -118,7 +118,7 @@ class BoxDeparture:
         """
         Return the polynomial departure that approximates a given function.
 
-        It has no terms if the function is negligible.
+        It has no terms if the function is negligible. Its box is `OVERLAP` times as large as `half`.
 
         Parameters
         ----------
@@ -187,8 +187,8 @@ def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: n
     """
     Return Chebyshev coefficients of a sag by x and y order, (degree + 1, degree + 1), mm; 0 above total `degree`.
 
-    They interpolate over the box of half sizes `half`, mm. If the sag is not defined in all of it, they are fitted to
-    the points `x`, `y`, mm.
+    They interpolate over the box of half sizes `half`, mm. If the sag is NaN in a part of it, they are fitted to the
+    points `x`, `y`, (n,), mm.
     """
     count = 2 * degree + 2
     nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
@@ -214,6 +214,6 @@ def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: n
 
 
 def _form(table: np.ndarray) -> Form:
-    """Return the form of a table of Chebyshev coefficients: its degree, and the symmetry in x and in y."""
+    """Return the form of a table of Chebyshev coefficients, by order in x, then y: degree, and symmetry in x and y."""
     there = np.argwhere(np.abs(table) > NEGLIGIBLE * np.abs(table).max())
     return Form(len(table) - 1, not np.any(there[:, 0] % 2), not np.any(there[:, 1] % 2))

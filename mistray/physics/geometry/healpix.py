@@ -65,10 +65,10 @@ def _nested(
     cap: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> np.ndarray:
     """
-    Return indices of HEALPix pixels in the nested scheme, in the shape of `z`.
+    Return indices of HEALPix pixels in the nested scheme, in the shape of `z`; names are those of `pixel`.
 
-    In the belt they follow from the rising and falling diagonal lines, in the caps from the quarter of the cap and the
-    counts of lines up and down in it.
+    `z` is the cosine of the angle to the north. In the `belt` indices follow from the rising and falling `lines`, in
+    the caps from `cap`: the quarter of the cap and the counts of lines up and down in it.
     """
     (rising, falling), (quarter, up, down) = lines, cap
     first, second = rising // side, falling // side

@@ -39,7 +39,7 @@ class OutlineFigure:
     kind : str
         "circle", "ellipse", "rectangle" or "polygon".
     sign : str
-        Operation with the figures before: "+", "-" or "&".
+        Operation with the figures before: "+" (added), "-" (cut away) or "&" (intersected).
     x, y : float
         Position of the figure's origin, mm.
     angle_deg : float
@@ -232,7 +232,7 @@ class Outline:
 
     @property
     def annulus(self) -> tuple[float, float] | None:
-        """Outer and inner radius (0: no hole), mm, of a circle or annulus about the origin; None otherwise."""
+        """Outer and inner radius (0: no hole), mm, of a circle or annulus about the origin; None for other outlines."""
         first, *more = self.figures
         if first.sign != "+" or any(f.kind != "circle" or f.x or f.y for f in self.figures):
             return None
@@ -242,7 +242,7 @@ class Outline:
 
     @property
     def sides(self) -> tuple[float, float] | None:
-        """Half width and half height, along x and y, of a rectangle about the origin, mm; None for other outlines."""
+        """Half width and half height, mm, of an unrotated rectangle about the origin; None for other outlines."""
         first = self.figures[0]
         if len(self.figures) > 1 or first.kind != "rectangle" or first.sign != "+" or first.x or first.y:
             return None
@@ -266,7 +266,11 @@ class Outline:
         return _in_circle(radius, [replace(f, sign=signs[f.sign]) for f in self.figures])
 
     def grown(self, margin: float) -> Outline:
-        """Return the outline with all edges but those of polygons moved out by `margin`, mm; holes shrink."""
+        """
+        Return the outline with all edges but those of polygons moved by `margin`, mm: out if > 0, so that holes shrink.
+
+        A figure that would vanish keeps sizes of 0.
+        """
 
         def grown(f: OutlineFigure) -> OutlineFigure:
             if f.kind == "polygon":
@@ -277,7 +281,7 @@ class Outline:
         return Outline(tuple(map(grown, self.figures)))
 
     def half_turned(self) -> Outline:
-        """Return the outline after half a turn of its frame about the y axis, which reverses x."""
+        """Return the same outline as seen in a frame turned by 180° about the y axis, which reverses x."""
 
         def turned(f: OutlineFigure) -> OutlineFigure:
             sizes = f.sizes if f.kind != "polygon" else tuple(v * (-1) ** (k + 1) for k, v in enumerate(f.sizes))
@@ -382,7 +386,7 @@ class Outline:
 
 def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) -> Outline:
     """
-    Return the outline of a circle centred at (x, y), or of an annulus if `inner` > 0; lengths in mm.
+    Return the outline of a circle of `radius` centred at (x, y), or of an annulus if `inner` > 0; lengths in mm.
 
     Examples
     --------
@@ -396,7 +400,9 @@ def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) ->
 
 def rectangle(half_width: float, half_height: float, x: float = 0.0, y: float = 0.0, angle_deg: float = 0.0) -> Outline:
     """
-    Return the outline of a rectangle centred at (x, y), lengths in mm, rotated from x to y by `angle_deg`, degrees.
+    Return the outline of a rectangle centred at (x, y), rotated from x to y by `angle_deg`, degrees; lengths in mm.
+
+    Before the rotation `half_width` is its half size along x, and `half_height` that along y.
 
     Examples
     --------
@@ -439,7 +445,7 @@ def signed_area(corners: np.ndarray) -> float:
 
 
 def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
-    """Return whether the segments a-b and c-d, of points (2,), cross at an inner point of both."""
+    """True if the segments a-b and c-d, of points (2,), cross at an inner point of both."""
 
     def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
         return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))

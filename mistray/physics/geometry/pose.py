@@ -69,7 +69,7 @@ def pointing_error(to_world: npt.ArrayLike) -> float:
 
 def moved(frame: np.ndarray, x: float, y: float, z: float, tilt_x: float, tilt_y: float, tilt_z: float) -> np.ndarray:
     """
-    Return a frame displaced along its own axes and then tilted about them.
+    Return a frame displaced along its own axes and then tilted about them: about x, then the new y, then the new z.
 
     It is frame · T(x, y, z) · Rx(tilt_x) · Ry(tilt_y) · Rz(tilt_z), so that the tilt about z acts on a point first.
 
@@ -107,7 +107,11 @@ def rotation(axis: int, degrees: float) -> np.ndarray:
 
 
 def fixed_turn(angles_deg: Iterable[float]) -> np.ndarray:
-    """Return the rotation matrix, (3, 3), of angles, degrees, about the fixed axes x, then y, then z."""
+    """
+    Return the rotation matrix, (3, 3), of three angles, degrees, about the fixed axes x, then y, then z.
+
+    Raise `MistrayError` if one is out of range.
+    """
     turn = np.eye(3)
     for axis, angle in enumerate(TILT_DEG.check("angles_deg", angles_deg)):
         turn = rotation(axis, angle) @ turn

@@ -125,6 +125,6 @@ def in_proportion(coefficients: float | Sequence[float], radius: float) -> tuple
 
 
 def conic_end(curvature: float, conic: float) -> float:
-    """Return the radius, mm, at which the conic term ends with an infinite slope; ``inf`` if it never does."""
+    """Return the radius, mm, at which the conic term of `sag` ends with an infinite slope; ``inf`` if it never does."""
     q = (1 + conic) * curvature * curvature
     return 1 / math.sqrt(q) if q > 0 else math.inf

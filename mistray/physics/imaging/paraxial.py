@@ -27,7 +27,8 @@ class Ghost:
     Attributes
     ----------
     first, second : int
-        Indices of the surfaces of the first and the second reflection, from 0; ``second < first``.
+        Indices of the surfaces of the first and the second reflection, from 0; ``second < first``. A detector that
+        reflects comes after the last surface.
     spot_radius_mm : float
         Radius of the beam's marginal ray in the image plane, mm.
     focus_mm : float
@@ -46,7 +47,7 @@ class Ghost:
         """
         Return the irradiance of the ghost's uniform disc per unit irradiance of a beam of the given radius, mm.
 
-        It is ``inf`` for a ghost in focus on the image plane.
+        It is ``inf`` for a ghost in focus on the image plane, or 0 if such a ghost has no power.
         """
         if self.spot_radius_mm == 0:
             return math.inf if self.power > 0 else 0.0
@@ -64,7 +65,8 @@ class ParaxialSystem:
     z : float or sequence of float
         Positions of the vertices along the axis, mm.
     index : sequence of float
-        Refractive indices, one more than surfaces: before the first, between, after the last.
+        Refractive indices, one more than surfaces: before the first, between, after the last. They are positive,
+        except where light travels along -z in a system unfolded at its mirrors.
 
     Raises
     ------
@@ -118,13 +120,13 @@ class ParaxialSystem:
 
     @property
     def efl(self) -> float:
-        """Rear effective focal length, mm (for equal outer indices: the focal length); ``inf`` if afocal."""
+        """Rear effective focal length, mm, > 0 if a collimated beam is focused; ``inf`` if afocal."""
         u = self.trace(1.0, 0.0)[-1, 1]
         return math.inf if u == 0 else -1.0 / u
 
     @property
     def bfl(self) -> float:
-        """Distance from the last vertex to the rear focus, mm; ``inf`` if afocal."""
+        """Distance along +z from the last vertex to the rear focus, mm; ``inf`` if afocal."""
         y, u = self.trace(1.0, 0.0)[-1]
         return math.inf if u == 0 else -y / u
 
@@ -137,7 +139,7 @@ class ParaxialSystem:
         field_deg : float
             Angle to the axis before the first surface, degrees.
         stop_z : float
-            Axial position of the stop, mm, in the space of any gap.
+            Axial position of the stop, mm; it may lie before, between or after the surfaces.
 
         Returns
         -------
@@ -229,7 +231,7 @@ def chief_ray_angle(image_height: npt.ArrayLike, focal_length: float) -> npt.NDA
     Parameters
     ----------
     image_height : array_like
-        Image height h', mm.
+        Image height h', mm; the result has its shape.
     focal_length : float
         Focal length f ≠ 0, mm.
     """
@@ -246,7 +248,7 @@ def natural_illumination(angle: npt.ArrayLike) -> npt.NDArray[np.float64]:
     Parameters
     ----------
     angle : array_like
-        Field angle θ in object space, rad.
+        Field angle θ in object space, rad; the result has its shape.
     """
     return np.cos(np.asarray(angle, dtype=np.float64)) ** 4
 

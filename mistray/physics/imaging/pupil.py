@@ -123,7 +123,7 @@ class Pupil:
 
     def removed(self, terms: str) -> Array:
         """
-        Return coefficients of 1, α, β and γ fitted to the wavefront, (4,), waves.
+        Return coefficients of 1, α, β and γ fitted to the wavefront, weighted by flux, (4,), waves.
 
         α and β are relative to the middle of the grid.
 
@@ -155,7 +155,7 @@ class Pupil:
         return float(np.ptp(self.residual(terms)[self.lit]))
 
     def best_focus_mm(self) -> float:
-        """Return the shift of the image point along its normal, positive along the light, of the least rms, mm."""
+        """Return the shift of the image point along its normal to the least rms, mm, positive along the light."""
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
@@ -227,7 +227,7 @@ class Pupil:
         return result * self.scale**2 / self.total
 
     def ideal_peak(self) -> float:
-        """Return the irradiance, 1/mm², at the image point without aberration, for a flux of 1."""
+        """Return the irradiance, 1/mm², at the image point for an OPD of 0 in all cells and a flux of 1."""
         return float(np.abs(self.amplitude).sum() ** 2 * self.scale**2 / self.total)
 
     # ---- transfer function
@@ -281,7 +281,7 @@ class Pupil:
         """
         Return the frequency along a direction (x, y) beyond which there is no contrast, 1/mm.
 
-        It is n/λ times the pupil's width.
+        It is n/λ times the pupil's width along it. The direction may have any length.
         """
         a, b = np.meshgrid(self.alpha, self.beta)
         along = (a * direction[0] + b * direction[1])[self.lit] / math.hypot(*direction)
@@ -332,5 +332,5 @@ class Pupil:
 
 
 def _pairs(lit: npt.NDArray[np.bool_], axis: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Return masks of pairs of neighbouring pupil cells: whether the first is lit, and whether the second is."""
+    """Return two masks of pairs of cells that are neighbours along `axis`: whether each one of a pair is lit."""
     return np.take(lit, range(lit.shape[axis] - 1), axis), np.take(lit, range(1, lit.shape[axis]), axis)

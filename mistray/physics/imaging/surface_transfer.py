@@ -79,7 +79,7 @@ def lag_um(frequency_per_mm: npt.ArrayLike, wavelength_um: float, f_number: floa
     Returns
     -------
     float64 array
-        Lag, µm. N D of a converging beam is its distance from the image.
+        Lag, µm, in the shape of the frequencies. N D of a converging beam is its distance from the image.
     """
     return np.asarray(frequency_per_mm, dtype=np.float64) * wavelength_um * f_number * footprint_mm
 
@@ -164,7 +164,7 @@ def ring_means(inner: Array, outer: Array, k: Array) -> Array:
     """
     Return means of the Bessel function J0(k r) over rings, (m, n).
 
-    `inner` and `outer` are the radii of the rings, (n,); `k`, (m, 1), is in the inverse of their unit.
+    `inner` and `outer` are the radii of the rings, (n,); the wave number `k`, (m, 1), is in the inverse of their unit.
     """
     a, b = k * inner, k * outer
     # At small arguments the quotient of differences is a series: 1 - (a² + b²)/8

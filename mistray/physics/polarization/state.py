@@ -77,7 +77,11 @@ def _from_stokes(owner: str, stokes: Any) -> State | None:
 
 
 def jones_numbers(owner: str, jones: Any) -> tuple[complex, complex]:
-    """Return the components ex, ey of a Jones vector, also from a string; raise `MistrayError` for bad ones."""
+    """
+    Return the components ex, ey of a Jones vector, which may be a string, see `polarization_state`.
+
+    Raise `MistrayError` if they are not two finite numbers.
+    """
     ex, ey = _numbers(owner, "jones", jones, complex, ("ex", "ey"))
     return ex, ey
 

@@ -7,8 +7,9 @@ distance from the axis in units of `radius` and x = u²:
     Qcon:  u⁴ Σ a_m Qcon_m(x),             Qcon_m the Jacobi polynomials P_m^(0,4)(2x - 1)
     Qbfs:  u² (1 - u²)/cos γ Σ a_m Qbfs_m(x),  cos² γ = (1 - (1 + k) c² ρ²)/(1 - k c² ρ²)
 
-γ is the slope angle of the conic of curvature c and constant k from which the asphere departs along its normals; Forbes
-uses a sphere, k = 0. The Qbfs have slopes, along these normals, that are orthogonal with the weight 1/√(x - x²).
+ρ is the distance from the axis, and γ the slope angle of the conic of curvature c and constant k from which the asphere
+departs along its normals; Forbes uses a sphere, k = 0. The Qbfs have slopes, along these normals, that are orthogonal
+with the weight 1/√(x - x²).
 
 Terms without symmetry about the axis follow G. W. Forbes, "Characterizing the shape of freeform optics", Opt. Express
 20, 2483 (2012), with the same factor along the axis:
@@ -57,7 +58,7 @@ def qbfs(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
 
 
 def qbfs_values(x: np.ndarray, last: int) -> list[np.ndarray]:
-    """Return the polynomials Qbfs_0 … Qbfs_last at x, in its shape, by the recurrence of Forbes (2010), appendix A."""
+    """Return the polynomials Qbfs_0 … Qbfs_last at x = u², in its shape, by the recurrence of Forbes (2010), app. A."""
     auxiliary = [np.full_like(x, 2.0), 6 - 8 * x]
     while len(auxiliary) <= last:
         auxiliary.append((2 - 4 * x) * auxiliary[-1] - auxiliary[-2])
@@ -77,8 +78,8 @@ def q2d(
     """
     Return the sum Σ ρ^m (a_mn cos mφ + b_mn sin mφ) Q_mn(ρ²) of Forbes's freeform polynomials.
 
-    Coefficients are keyed by (m, n). The coordinates u = ρ cos φ and v = ρ sin φ are in units of the radius; the sum
-    has the unit of the coefficients.
+    Coefficients a_mn, `cosines`, and b_mn, `sines`, are keyed by (m, n). The coordinates u = ρ cos φ and v = ρ sin φ
+    are in units of the radius. The sum has their shape and the unit of the coefficients.
     """
     x = np.asarray(u * u + v * v)
     total = np.zeros(x.shape)
@@ -94,14 +95,14 @@ def q2d(
 
 
 def q2d_values(x: np.ndarray, m: int, last: int) -> np.ndarray:
-    """Return Forbes's freeform polynomials Q_m0 … Q_m,last at x = u², (last + 1, …), for m ≥ 1."""
+    """Return Forbes's freeform polynomials Q_m0 … Q_m,last at x, u² of the module, (last + 1, …), for m ≥ 1."""
     return np.tensordot(_orthonormal(m, last), _jacobi(x, m, last), axes=1)
 
 
 @cache
 def _orthonormal(m: int, last: int) -> np.ndarray:
     """
-    Return the coefficients of Forbes's Q_m0 … Q_m,last in Jacobi polynomials, one row for each n.
+    Return the coefficients of Forbes's Q_m0 … Q_m,last in Jacobi polynomials, (last + 1, last + 1), a row for each n.
 
     Gauss-Chebyshev nodes in u integrate the products of gradients exactly. The gradients of the Jacobi polynomials are
     the columns of A = QR. Then the columns of A R⁻¹ are orthonormal, and each has its own degree.
@@ -125,8 +126,8 @@ def _jacobi(x: np.ndarray, m: int, last: int, slope: bool = False) -> np.ndarray
     """
     Return the Jacobi polynomials in 2x - 1 of degree 0 … last, (last + 1, …).
 
-    With `slope` they are the derivatives with respect to x. The polynomials are orthogonal on 0 … 1 with the weight
-    x^(m-3/2) (1-x)^(-1/2).
+    With `slope` the result is their derivatives with respect to x. The polynomials are orthogonal on 0 … 1 with the
+    weight x^(m-3/2) (1-x)^(-1/2).
     """
     from scipy.special import eval_jacobi
 

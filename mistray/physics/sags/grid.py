@@ -36,9 +36,9 @@ class Grid:
     step : (2,) float
         Spacing of the points in x and y, mm.
     middle : (2,) float
-        Middle of the grid, mm.
+        Middle of the grid in its own frame, mm.
     missing : (ny, nx) bool, optional
-        Points without a measured height. `of` gives them the height of the nearest point with one.
+        Points without a measured height; None: there are none. `of` gives them the height of the nearest other point.
     path : str
         Path of the file, to which a scene file refers; "" for none.
 
@@ -135,7 +135,7 @@ class Grid:
 
     @cached_property
     def steepest(self) -> float:
-        """Upper bound of the slope of the sag, mm/mm."""
+        """Estimated upper bound of the slope of the sag, mm/mm: 1.25 times the steepest at and between points."""
         dx, dy = self.step
         z = self.corners[..., 0]
         x, y = np.abs(self.corners[..., 1]), np.abs(self.corners[..., 2])
@@ -144,12 +144,12 @@ class Grid:
         return BEYOND * math.hypot(across, along)
 
     def half_turned(self) -> Grid:
-        """Return the grid after half a turn of its frame about y, which reverses x and z; it has no path."""
+        """Return the same grid as seen in a frame turned by 180° about y, which reverses x and z; it has no path."""
         turned = self.corners[:, ::-1] * (-1.0, 1.0, -1.0, 1.0)
         return Grid(turned, self.step, (-self.middle[0], self.middle[1]), self.gone[:, ::-1])
 
     def lacks(self, x: np.ndarray, y: np.ndarray) -> str:
-        """Return the reason why the grid does not cover all points (x, y), mm; "" if it does."""
+        """Return the reason why the grid does not cover all points x, y, (n,), mm, of its frame; "" if it does."""
         (cx, cy), (hx, hy) = self.middle, self.half
         slack = 1 + 1e-9
         if np.any(np.abs(x - cx) > hx * slack) or np.any(np.abs(y - cy) > hy * slack):
@@ -166,7 +166,7 @@ class Grid:
     # ---- values
 
     def _cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return x and y counted in steps from the first grid point, and column and row of each point's cell."""
+        """Return x and y, in steps from the first grid point, and column and row of the cell, in the points' shape."""
         ny, nx = self.corners.shape[:2]
         u = (x - self.middle[0] + self.half[0]) / self.step[0]
         v = (y - self.middle[1] + self.half[1]) / self.step[1]
@@ -174,7 +174,11 @@ class Grid:
         return u, v, i, j
 
     def evaluate(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Return height, mm, and slopes in x and y at points, mm. Outside the grid its outermost cells continue."""
+        """
+        Return height, mm, and slopes in x and y at points of the grid's frame, mm, each in their shape.
+
+        Outside the grid its outermost cells continue.
+        """
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         u, v, i, j = self._cells(x, y)
         at = [[np.moveaxis(self.corners[j + b, i + a], -1, 0) for a in (0, 1)] for b in (0, 1)]
@@ -230,7 +234,7 @@ def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
 
 
 def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> None:
-    """Raise `MistrayError` if heights, mm, steps, mm, or the mask of missing points do not make a valid grid."""
+    """Raise `MistrayError` if heights or corners, as in `Grid`, steps, mm, and missing points make no valid grid."""
     if z.ndim < 2 or min(z.shape[:2]) < LEAST or max(z.shape[:2]) > MOST:
         shape = " by ".join(map(str, z.shape[1::-1]))
         raise MistrayError(f"{shape} points; it needs {LEAST} to {MOST} each way")

@@ -126,7 +126,11 @@ def check_names(names: str | Iterable[str], owner: str) -> None:
 
 
 def with_even(curvature: float, conic: float, coefficients: float | Sequence[float], more: Numbers) -> dict[str, Any]:
-    """Return the parameters of a sag by name: those of an even asphere, (a4, a6, …), if not 0, and `more`."""
+    """
+    Return the parameters of a sag by name, with units as in the table of this module.
+
+    They are curvature, conic, the even terms (a4, a6, …) that are not 0, and `more`, which take precedence.
+    """
     even = {f"a{2 * i}": a for i, a in enumerate(several(coefficients), start=2) if a}
     return {"curvature": curvature, "conic": conic, **even, **more}
 
@@ -138,7 +142,7 @@ def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
     Parameters
     ----------
     x, y : ndarray
-        Coordinates of the points, mm, that broadcast together.
+        Coordinates of the points, mm, that broadcast together to the shape of the result.
     n : mapping of str to float, and of "grid" to Grid
         Parameters by their names in the table of this module; missing ones are 0, but `grid_scale` is 1.
     """
@@ -162,7 +166,7 @@ def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
 
 
 def _gridded(x: np.ndarray, y: np.ndarray, n: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the height of a sag grid, mm, and its slopes in x and y, at points of the surface's frame, mm."""
+    """Return the height of the grid in `n`, mm, and its slopes in x and y, at points of the surface's frame, mm."""
     grid: Grid = n[GRID]
     found = grid.evaluate(x - n.get("grid_x", 0.0), y - n.get("grid_y", 0.0))
     z, across, along = (n.get("grid_scale", 1.0) * value for value in found)
@@ -170,7 +174,7 @@ def _gridded(x: np.ndarray, y: np.ndarray, n: Numbers) -> tuple[np.ndarray, np.n
 
 
 def half_turned(n: Numbers) -> dict[str, Any]:
-    """Return the parameters of the same surface after half a turn of its frame about y, which reverses x and z."""
+    """Return the parameters of the same surface in a frame turned by 180° about y, which reverses x and z."""
     x, y = np.array(0.3), np.array(0.4)
     found: dict[str, Any] = {}
     for name, value in n.items():
@@ -231,7 +235,7 @@ def _powers(base: np.ndarray, terms: Mapping[tuple[int, int], float], step: int)
     """
     Return Σ a base^(order/step) over terms, without overflow of powers whose products with a are finite.
 
-    `terms` map (order, 0) to a.
+    `terms` map (order, 0) to a; `base` is r^step, so that each term is a r^order.
     """
     total = np.zeros_like(base)
     for (order, _), amount in terms.items():

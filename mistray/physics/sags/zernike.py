@@ -43,7 +43,7 @@ def polynomial(n: int, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     n, m : int
         Radial and azimuthal order; |m| ≤ n, n - |m| even.
     x, y : ndarray
-        Coordinates in units of the radius of the disc.
+        Coordinates in units of the radius of the disc; the result has their shape.
     """
     order, r2 = abs(m), x * x + y * y
     radial = np.zeros_like(r2)
@@ -55,7 +55,11 @@ def polynomial(n: int, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def standard(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return a sum of standard Zernike polynomials with coefficients by Noll index; x, y in units of the radius."""
+    """
+    Return a sum of standard Zernike polynomials, in the unit of their coefficients, which are keyed by Noll index.
+
+    Coordinates x, y are in units of the radius of the disc.
+    """
     total = np.zeros(np.broadcast(x, y).shape)
     for j, amount in terms.items():
         n, m = noll_orders(j)
@@ -64,7 +68,11 @@ def standard(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.nda
 
 
 def fringe(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Return a sum of Fringe Zernike polynomials with coefficients by Fringe index; x, y in units of the radius."""
+    """
+    Return a sum of Fringe Zernike polynomials, in the unit of their coefficients, which are keyed by Fringe index.
+
+    Coordinates x, y are in units of the radius of the disc.
+    """
     total = np.zeros(np.broadcast(x, y).shape)
     for j, amount in terms.items():
         total = total + amount * polynomial(*fringe_orders(j), x, y)

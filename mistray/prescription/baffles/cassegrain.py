@@ -50,7 +50,7 @@ _NEWTON_STEPS = 30
 
 @dataclass(frozen=True)
 class MeridionalRay:
-    """Ray in a plane through the axis: a point (y, z), mm, and a direction (dy, dz)."""
+    """Ray in a plane through the axis: a point (y, z), mm, and a unit direction (dy, dz)."""
 
     y: float
     z: float
@@ -63,12 +63,12 @@ class MeridionalRay:
 
     def reflected(self, mirror: Surface) -> MeridionalRay:
         """
-        Return the ray after reflection at a coaxial mirror.
+        Return the ray after reflection at a coaxial mirror, whose surface is continued beyond its rim.
 
         Raises
         ------
         MistrayError
-            If the ray does not meet the mirror.
+            If the ray does not meet the continued surface.
         """
         t = (mirror.z - self.z) / self.dz
         for _ in range(_NEWTON_STEPS):
@@ -99,7 +99,7 @@ class CassegrainBaffles:
     tube : BaffleTube
         Tube from the mouth B to the detector.
     obscuration : float
-        Fraction of the area of the primary that A covers on the axis.
+        Area of a disc of the radius of A over that of the axial beam at the primary, holes included in both.
 
     Examples
     --------
@@ -129,7 +129,7 @@ class CassegrainBaffles:
         scatter: Scatter | Sequence[Scatter] = (),
         space: int = -1,
     ) -> tuple[Structure, ...]:
-        """Return the cone ``secondary_baffle`` and the tube with its vanes; parameters as in `Structure`."""
+        """Return the cone ``secondary_baffle``, then the tube with its vanes; parameters are those of `Structure`."""
         own: dict[str, Any] = {"coating": coating, "scatter": SCATTER.check("scatter", scatter), "space": space}
         cone = Structure("secondary_baffle", *self.secondary_rim, *self.outer_rim, **own)
         return (cone, *self.tube.structures(**own))
@@ -154,7 +154,7 @@ def cassegrain_baffles(
     Parameters
     ----------
     primary, secondary : Surface
-        Coaxial mirrors. Light travels along +z to the primary; the smaller mirror limits the beam.
+        Coaxial mirrors. Light travels along +z to the primary. The rim of either mirror may limit the beam.
     detector : Detector
         Detector behind the primary.
     field_deg : float
@@ -173,13 +173,14 @@ def cassegrain_baffles(
     Returns
     -------
     CassegrainBaffles
-        Cone and tube, mm.
+        Cone and tube.
 
     Raises
     ------
     MistrayError
-        If a surface is off the axis, a size or the field is out of range, or a ray of the field misses a mirror. It is
-        also raised if no pair of baffles blocks all straight lines, or the tube does not fit the detector or the hole.
+        If a surface is off the axis, a size or the field is out of range, or a ray of the field misses a mirror that is
+        continued beyond its rim. The error also says that no pair of baffles blocks all straight lines, or that the
+        tube does not fit the detector or the hole.
 
     Examples
     --------
@@ -260,9 +261,9 @@ def cassegrain_baffles(
 
 def _upper_edge(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
     """
-    Return the ray after the primary along the upper edge of the beam of a field (rad).
+    Return the ray after the primary along the edge at +y of the beam of a field.
 
-    The rim of one mirror limits it.
+    `field`, rad, is positive for light that travels towards +y. The rim of one mirror limits this edge.
     """
     ray = _from_primary(primary, primary.outer_radius, field)
     if ray.reflected(secondary).y <= secondary.outer_radius:
@@ -277,7 +278,7 @@ def _upper_edge(primary: Surface, secondary: Surface, field: float) -> Meridiona
 
 def _outermost(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
     """
-    Return the ray farthest from the axis between the mirrors, over all fields from -`field` to `field` (rad).
+    Return the ray after the primary that is farthest from the axis, over all fields from -`field` to `field`, rad.
 
     As the field grows, upper edges limited by the primary rotate outwards about its rim, and edges limited by the
     secondary rotate inwards about its rim. So the outermost edge passes both rims, or belongs to the last field.
@@ -300,7 +301,7 @@ def _from_primary(primary: Surface, height: float, field: float) -> MeridionalRa
 
 
 def _bisected(growing: Callable[[float], float], low: float, high: float) -> float:
-    """Return the largest argument found by bisection at which an increasing function is at most 0."""
+    """Return the argument from `low` to `high` up to which an increasing function is at most 0; `low` if nowhere."""
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if growing(middle) > 0 else (middle, high)

@@ -39,7 +39,8 @@ def spider(
     Parameters
     ----------
     name : str
-        Name of the part; faces are ``<name>_<k>_front``, ``_rear``, ``_left`` and ``_right`` for vane k = 1, 2, ….
+        Name of the part; faces are ``<name>_<k>_front`` (-z), ``_rear`` (+z), ``_left`` (towards growing azimuth) and
+        ``_right`` for vane k = 1, 2, ….
     vanes : int
         Number of vanes, at equal angles.
     inner_radius, outer_radius : float
@@ -49,11 +50,12 @@ def spider(
     z : float
         Position of the edges on the -z side, mm.
     offset : float
-        Distance by which the middle plane of each vane passes beside the axis, mm: tangential vanes.
+        Distance by which the middle plane of each vane passes beside the axis, mm, for tangential vanes; if > 0, on the
+        side of growing azimuth.
     start_deg : float
         Azimuth of the first vane from x to y, degrees.
     coating, scatter
-        Coating and scatter models of all faces.
+        Coating (None: bare Fresnel interface) and scatter models of all faces.
 
     Returns
     -------

@@ -76,7 +76,7 @@ class TwoStageBaffle:
         wall_scatter: Scatter | Sequence[Scatter] | None = None,
         space: int = -1,
     ) -> tuple[Structure, ...]:
-        """Return both stages and the ring ``<name>_bulkhead`` between them; see `BaffleTube.structures`."""
+        """Return outer stage, ring ``<name>_bulkhead`` and inner stage; parameters as in `BaffleTube.structures`."""
         owner = f"baffle '{self.name}'"
         kind: dict[str, Any] = {"coating": coating, "scatter": SCATTER.check("scatter", scatter, owner), "space": space}
         on_walls = None if wall_scatter is None else SCATTER.check("wall_scatter", wall_scatter, owner)
@@ -103,7 +103,7 @@ def two_stage_baffle(
     edge: VaneEdge | None = None,
 ) -> TwoStageBaffle:
     """
-    Design the shortest two-stage baffle for an exclusion angle.
+    Design the shortest two-stage baffle for an exclusion angle, or the shortest with a given inner stage.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def two_stage_baffle(
     exclusion_deg : float
         Field angle beyond which light must be scattered four times, degrees.
     depth : float
-        Distance of the walls outside the opening of each stage, mm; the vanes are at least as deep.
+        Radial distance between the widest opening of each stage and its wall, mm; the vanes are at least as deep.
     clearance : float
         Distance of the tips from the beam and from the optic's view, mm.
     inner_length : float or None

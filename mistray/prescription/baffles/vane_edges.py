@@ -119,7 +119,7 @@ def vane_faces(vane: Vane, wall_radius: Callable[[float], float]) -> Iterator[Pr
     Raises
     ------
     MistrayError
-        If the bevel is wider than the vane is deep.
+        If bevel and rounding are wider than the vane is deep.
     """
     if vane.edge is None:
         yield ("", wall_radius(vane.z), vane.z, vane.radius, vane.z)
@@ -144,7 +144,11 @@ def vane_faces(vane: Vane, wall_radius: Callable[[float], float]) -> Iterator[Pr
 
 
 def _edge_profile(vane: Vane, edge: VaneEdge) -> tuple[list[tuple[float, float]], list[str]]:
-    """Return points (r, z), mm, from front over tip to rear of a front-bevelled vane, and the names of its faces."""
+    """
+    Return points (r, z), mm, from front over tip to rear of a vane that is bevelled at the front.
+
+    The second result has the ending of the name of each face between two points, without numbers.
+    """
     a, z, rho = vane.radius, vane.z, edge.radius
     if edge.bevel_deg is None:
         if rho == 0:
@@ -161,6 +165,6 @@ def _edge_profile(vane: Vane, edge: VaneEdge) -> tuple[list[tuple[float, float]]
 
 
 def _arc(r: float, z: float, radius: float, turn: float) -> list[tuple[float, float]]:
-    """Return points (r, z), mm, on an arc about the centre (r, z): `turn`, rad, around the side near the axis."""
+    """Return points (r, z), mm, on an arc about the centre (r, z): `turn`, rad, around its side near the axis."""
     angles = [turn * (1 - k / ARC_FACETS) for k in range(ARC_FACETS + 1)]
     return [(r - radius * math.sin(angle), z + radius * math.cos(angle)) for angle in angles]

@@ -115,7 +115,7 @@ class BaffleTube:
         coating, scatter, space
             Coating, scatter models and space of all faces, as in `Structure`.
         wall_scatter : Scatter, sequence of Scatter or None
-            Scatter models of the wall instead of `scatter`, for example with ``"side": "front"``, which is its inside.
+            Scatter models of the wall, for example with ``"side": "front"``, which is its inside; None: `scatter`.
 
         Returns
         -------
@@ -183,7 +183,7 @@ def vane_tube(
     edge: VaneEdge | None = None,
 ) -> BaffleTube:
     """
-    Design a tube whose vanes leave no first-order path from the sky to the optic.
+    Design a tube whose vanes leave no first-order path by its wall from light beyond an exclusion angle to the optic.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def vane_tube(
     Returns
     -------
     BaffleTube
-        Tube with its vanes, mm.
+        Tube with its vanes.
 
     Raises
     ------
@@ -267,8 +267,8 @@ def _tips(
     """
     Return positions z and tip radii, mm, of the vanes that a tube needs, its opening among them.
 
-    `tube` has the opening as its only vane. `slope` is tan w, `steepness` tan ε. Raise `MistrayError` if there are too
-    many, or the overlap is too large.
+    `tube` has the opening as its only vane. `slope` is tan w, `steepness` tan ε; the others are those of `vane_tube`.
+    Raise `MistrayError` if there are too many vanes, or the overlap is too large.
     """
     tips = [(vane.z, vane.radius) for vane in tube.vanes]
     at_optic = tube.optic_radius + clearance
@@ -297,7 +297,7 @@ def _tips(
 
 def lit_from(tube: BaffleTube, tips: list[tuple[float, float]]) -> float:
     """
-    Return the position z, mm, from which on light from outside reaches the wall behind the last vane; inf if nowhere.
+    Return the position z, mm, from which on light from outside can reach the wall behind the last vane; inf if nowhere.
 
     Parameters
     ----------
@@ -316,9 +316,9 @@ def lit_from(tube: BaffleTube, tips: list[tuple[float, float]]) -> float:
 
 def lit_until(tube: BaffleTube, tips: list[tuple[float, float]], steepness: float) -> float:
     """
-    Return the position z, mm, up to which light at field angles of at least a given tangent reaches the wall.
+    Return the position z, mm, up to which light whose field angle has at least the tangent `steepness` meets the wall.
 
-    It is infinite if the wall widens at least as steeply as the light.
+    It is infinite if the wall widens at least as steeply. `tube` and `tips` are those of `lit_from`.
     """
     growth = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     if steepness <= growth:
@@ -329,9 +329,9 @@ def lit_until(tube: BaffleTube, tips: list[tuple[float, float]], steepness: floa
 
 def steepest(openings: list[tuple[float, float]], tip: tuple[float, float]) -> float:
     """
-    Return the steepest slope dr/dz, away from the axis, of rays past a tip and earlier openings, (z, r) in mm.
+    Return the largest slope dr/dz, away from the axis, of rays past a tip that have passed earlier openings.
 
-    It is infinite without earlier openings.
+    Both are given as (z, radius), mm. The slope is infinite without earlier openings.
     """
     z, a = tip
     return min(((a + other) / (z - at) for at, other in openings), default=math.inf)
@@ -345,7 +345,7 @@ def _bevelled_side(
 
     A bevel rises from the tip by 1/tan β per mm along the axis. On the front face the optic does not see it if the ray
     from the optic's far rim past the tip is less steep. On the rear face no light meets it if the steepest ray from
-    outside is less steep. Raise `MistrayError` if neither holds.
+    outside is less steep. Raise `MistrayError` if neither holds. `tip` and the tips `before` it are (z, radius), mm.
     """
     if edge is None or edge.bevel_deg is None:
         return "front"
@@ -365,7 +365,7 @@ def _bevelled_side(
 
 
 def _check_plates(name: str, vanes: tuple[Vane, ...], z_rear: float) -> None:
-    """Raise `MistrayError` if the plate of a vane overlaps the next vane, or extends beyond the end of the tube."""
+    """Raise `MistrayError` if the plate of a vane overlaps the next vane, or extends beyond `z_rear`, mm."""
     for vane, end in [(a, b.plate[0]) for a, b in pairwise(vanes)] + [(vanes[-1], z_rear)]:
         if vane.plate[1] > end:
             assert vane.edge is not None
@@ -377,9 +377,9 @@ def _check_plates(name: str, vanes: tuple[Vane, ...], z_rear: float) -> None:
 
 def slope_margin(what: str, field_deg: float, exclusion_deg: float) -> float:
     """
-    Return tan ε - tan w for an exclusion angle ε and a half field w in degrees.
+    Return tan ε - tan w for the exclusion angle ε = `exclusion_deg` and the half field w = `field_deg`, degrees.
 
-    Raise `MistrayError` unless 0 ≤ w < ε < 90.
+    Raise `MistrayError` unless 0 ≤ w < ε < 90; `what` is the owner of the angles for its message.
     """
     if not 0 <= field_deg < exclusion_deg < 90:
         raise MistrayError(

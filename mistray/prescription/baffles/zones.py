@@ -25,7 +25,7 @@ Opening = tuple[float, float]
 
 def lit_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
     """
-    Return the zones of the wall that light from outside meets directly.
+    Return the zones of the wall that light from outside, past all vanes before them, meets directly.
 
     Parameters
     ----------
@@ -114,9 +114,10 @@ def _wall(tube: BaffleTube) -> tuple[float, float]:
 
 def _crossing(tube: BaffleTube, openings: list[Opening], sign: float) -> Iterator[tuple[float, float]]:
     """
-    Yield coefficients (c_0, c_1) of the conditions c_0 + c_1 z ≥ 0 for a ray from z through every two openings.
+    Yield coefficients (c_0, mm², and c_1, mm) of conditions c_0 + c_1 z ≥ 0, one for each pair of openings.
 
-    `sign` is 1 for openings before the point and -1 for openings behind it.
+    They hold if a ray from the wall at z passes all openings. `sign` is 1 for openings before the point and -1 for
+    openings behind it.
     """
     p, q = _wall(tube)
     for z_low, a_low in openings:
@@ -128,7 +129,7 @@ def _crossing(tube: BaffleTube, openings: list[Opening], sign: float) -> Iterato
 
 
 def _interval(conditions: list[tuple[float, float]], start: float, end: float) -> Zone | None:
-    """Return the part of an interval in z, mm, where all c_0 + c_1 z ≥ 0 hold; None if there is none."""
+    """Return the part of `start` … `end`, z in mm, where all conditions c_0 + c_1 z ≥ 0 hold; None if there is none."""
     for constant, linear in conditions:
         if linear > 0:
             start = max(start, -constant / linear)

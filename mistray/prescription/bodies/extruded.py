@@ -54,7 +54,7 @@ def prism(
     mirrors : str or sequence of str
         Faces at which the design path reflects, totally or by their coating.
     ends : Coating or None
-        Coating of the two ends, ``<name>_left`` (-x) and ``<name>_right`` (+x); black by default.
+        Coating of the two ends, ``<name>_left`` (-x) and ``<name>_right`` (+x), black by default; None: bare.
     scatter : Scatter or sequence of Scatter
         Scatter models of all faces but the ends.
 
@@ -136,7 +136,7 @@ def box(
     centre : (3,) float
         Position of the centre, mm.
     coating, scatter
-        Coating and scatter models of the faces; the ends at -x and +x have no scatter.
+        Coating (None: bare Fresnel interface) and scatter models of the faces; the ends at -x and +x have no scatter.
 
     Returns
     -------
@@ -193,7 +193,7 @@ def beam_splitter_cube(
     splitter : Coating
         Coating of the diagonal.
     faces, ends : Coating or None
-        Coating of the four polished faces, and of the two other faces.
+        Coating of the four polished faces, and of the ends ``_left`` (-x) and ``_right`` (+x); None: bare.
 
     Returns
     -------
@@ -228,7 +228,7 @@ def beam_splitter_cube(
 
 
 def _section(corners: Sequence[Sequence[float]], owner: str) -> np.ndarray:
-    """Return the corners of a section as array, (n, 2), mm; raise `MistrayError` if they form no simple polygon."""
+    """Return the corners (y, z) of a section, (n, 2), mm; raise `MistrayError` if they form no simple polygon."""
     try:
         section = np.array(several(corners), dtype=np.float64).reshape(len(corners), 2)
     except (TypeError, ValueError):

@@ -120,8 +120,8 @@ def _edges(
     """
     Return the ascending radii at which rings begin and end, mm.
 
-    Grooves have equal widths `groove_mm`, or equal depths `depth_mm` if that is None. Raise `MistrayError` if there are
-    too many.
+    Grooves have equal widths `groove_mm`, or equal depths `depth_mm` if that is None. `height` is a function from radii
+    to the sag of the surface, mm. Raise `MistrayError` if there are too many rings or none.
     """
     if groove_mm is not None:
         count = math.ceil(semi_diameter / groove_mm * (1 - 1e-12))

@@ -27,7 +27,7 @@ def face_place(at: np.ndarray, axes: Sequence[np.ndarray]) -> dict[str, Any]:
     at : (3,) float64
         Origin of the frame, mm.
     axes : three (3,) float64
-        Unit vectors along the x, y and z axes of the frame.
+        Unit vectors along the x, y and z axes of the frame, in the world.
     """
     x, y, z = (round(float(v), DECIMALS) + 0.0 for v in at)
     tilt = tuple(round(v, DECIMALS) + 0.0 for v in fixed_angles_deg(np.column_stack(axes)))
@@ -89,7 +89,7 @@ def array(faces: Part | Sequence[Part], places: Sequence[Sequence[float]]) -> tu
     Returns
     -------
     tuple
-        All faces, member by member. Faces and parts of member k = 1, 2, … are renamed to ``<name>_<k>``.
+        All faces, member by member. For member k = 1, 2, … ``_<k>`` is appended to the names of faces and parts.
 
     Raises
     ------

@@ -47,7 +47,7 @@ def plate(
     z : float
         Position of the front, mm.
     coating, scatter
-        Coating and scatter models of all faces.
+        Coating (None: bare Fresnel interface) and scatter models of all faces.
 
     Returns
     -------
@@ -90,7 +90,9 @@ def _elliptic_walls(
     name: str, figure: OutlineFigure, thickness: float, z: float, common: dict[str, Any]
 ) -> list[Surface]:
     """
-    Return the wall of an elliptic plate as four conic cylinders, each about the end of a half axis; lengths in mm.
+    Return the wall of an elliptic figure of a plate as four conic cylinders, each about the end of a half axis.
+
+    `thickness` and the front's place `z` are in mm; `common` are further arguments of `Surface`.
 
     Let p be the half axis along the normal and q the one across it. There the ellipse is the conic of curvature p/q²
     and conic constant q²/p² - 1. Two pieces meet where x/a = y/b, at q/√2 from their vertices.
@@ -122,7 +124,7 @@ def _flat_walls(name: str, figure: OutlineFigure, thickness: float, z: float, co
 
 
 def _check_holes(outline: Outline, owner: str) -> None:
-    """Raise `MistrayError` if a figure is unsuitable, or holes cross the rim or each other at tested points."""
+    """Raise `MistrayError` for unsuitable figures, and for holes that cross the rim or each other at tested points."""
     kinds = ("circle", "ellipse", "rectangle", "polygon")
     for k, figure in enumerate(outline.figures, start=1):
         if figure.kind not in kinds or figure.sign != ("+" if k == 1 else "-"):

@@ -23,10 +23,10 @@ _PLATE = 1.25  # outer radius of a plate by that of its opening, where nothing i
 
 def own_clip(row: Row) -> dict[str, Any]:
     """
-    Return arguments of `Surface` for the clip that a row's apertures state, mm; empty if there are none.
+    Return arguments of `Surface` for the clip that a row's apertures state, mm; empty if they state none.
 
-    An ``outline`` may be unbounded; the surface then ends by its radius. A hole in an aperture becomes an opaque patch
-    on a lens, see `aperture_pieces`, but a hole in a mirror.
+    An ``outline`` may be unbounded: a radius must then be found to end the surface. A hole in the aperture of a lens is
+    left out, since it becomes an opaque patch, see `aperture_pieces`. A hole in that of a mirror is kept.
     """
     fixed = row.semi_diameter if row.semi_diameter_fixed else None
     own: dict[str, Any] = {} if fixed is None else {"semi_diameter": fixed}
@@ -47,9 +47,9 @@ def own_clip(row: Row) -> dict[str, Any]:
 
 def _clear_and_opaque(row: Row) -> tuple[Outline | None, list[Outline]]:
     """
-    Return the clear outline of a row's aperture, None if it has none, and its opaque outlines.
+    Return the clear outline of a row's aperture, None if it has none, and a row's opaque outlines.
 
-    Holes in the aperture of a lens count as opaque.
+    These are its obscuration and, but for a mirror, holes cut last into its aperture.
     """
     opaque = [] if row.obscuration is None else [row.obscuration]
     figures = () if row.aperture is None else row.aperture.figures
@@ -72,7 +72,7 @@ def aperture_pieces(
     name : str
         Start of the names of the plates.
     on_surface : bool
-        Whether the row refracts or reflects light, so that plates lie 1 µm before it.
+        Whether the row refracts or reflects light. Then obscurations lie 1 µm before it, and no opening gets a plate.
     ahead : bool
         Whether light arrives along +z of the frame.
     widest : float
@@ -82,8 +82,10 @@ def aperture_pieces(
 
     Returns
     -------
-    pieces, notes
-        Plates, and notes on approximations.
+    pieces : list of Surface or Structure
+        Plates, in the frame of the row.
+    notes : list of str
+        Notes on approximations.
     """
     clear, opaque = _clear_and_opaque(row)
     before = -_IN_FRONT_MM if ahead else _IN_FRONT_MM
@@ -107,9 +109,10 @@ def aperture_pieces(
 
 def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[str]) -> list[Shape]:
     """
-    Return flat opaque faces around an opening, out to at least the radius `widest`, mm; add remarks to `notes`.
+    Return flat opaque faces around the opening `clear`, out to at least the radius `widest`, mm.
 
-    The list is empty if figures cannot express the face around the opening.
+    The list is empty if figures cannot express the face around the opening. `name` starts the names of the faces.
+    Remarks are added to `notes`, with the `number` of the row.
     """
     first = clear.figures[0]
     if not clear.bounded:
@@ -133,10 +136,10 @@ def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[st
 
 def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Surface:
     """
-    Return an opaque surface with the shape of a row and the outline `opaque`, its vertex at `z`; lengths in mm.
+    Return an opaque surface with the shape of a row and the outline `opaque`, its vertex at `z` in the row's frame, mm.
 
-    An outline that extends beyond the radius `widest`, or beyond the end of the conic, is cut there, unless it is an
-    annulus.
+    An outline that extends beyond the radius `widest`, mm, or beyond the end of the conic, is cut there, unless it is a
+    circle or an annulus.
     """
     own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients, "sag": row.sag}
     ring, sides = opaque.annulus, opaque.sides

@@ -24,7 +24,7 @@ _SAMPLES = 257
 @dataclass(frozen=True)
 class _Body:
     """
-    Lens body of glass between two faces on an axis.
+    Lens body of glass between two round faces on a common axis.
 
     Attributes
     ----------
@@ -56,7 +56,11 @@ class _Body:
         return float(_sag(self.lower, r).min()), float(_sag(self.upper, r).max()) + self.gap
 
     def reached(self, shape: Surface | Structure, z: float) -> float:
-        """Return the largest radius, mm, at which a shape with its vertex at z, mm, lies in the glass; 0 if nowhere."""
+        """
+        Return the largest radius, mm, at which a shape on the axis lies in the glass; 0 if nowhere.
+
+        The origin of the shape's frame is at z, mm, from the vertex of the lower face.
+        """
         r, heights = _profile(shape)
         own = np.minimum(r, self.radius)
         below, above = heights + z - _sag(self.lower, own), _sag(self.upper, own) + self.gap - heights - z
@@ -64,7 +68,7 @@ class _Body:
         return float(r[within].max()) if np.any(within) else 0.0
 
     def wall(self, radius: float, closing: Closing) -> Structure:
-        """Return the wall of a hole of a given radius, mm, through the lens; the glass lies outside this wall."""
+        """Return the wall, in the world, of a hole of given radius, mm, through the lens; the glass is outside it."""
         low, high = self.lower, self.upper
         outside = next((side for side in (low.front, high.back) if is_gas(side)), "air")
         part = low.part if low.mirror else high.part if high.mirror else low.part
@@ -143,7 +147,7 @@ def _bodies(table: OpticalSurfaces) -> list[_Body]:
 
 
 class _Standing:
-    """All shapes of the system with their frames and extents, mm, to find those inside a lens body."""
+    """Lens faces and walls with their frames and their extents along their axes, mm, to find those in a lens body."""
 
     def __init__(self, shapes: Sequence[Surface | Structure]) -> None:
         self.shapes = shapes
@@ -195,7 +199,7 @@ def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, 
 
 
 def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
-    """Return the least radius, mm, at which rays of the design beam meet the faces of a body; inf if none does."""
+    """Return the least radius, mm, at which unblocked rays of the beam meet the faces of a body; inf if none does."""
     frame = body.lower.to_world()
     places = [k + 1 for k, surface in table.surfaces.items() if surface.name in body.names]
     local = (table.beam[places][:, ~table.blocked] - frame[:3, 3]) @ frame[:3, :3]

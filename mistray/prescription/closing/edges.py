@@ -84,7 +84,7 @@ class Closing:
     stop : Stop or None
         Stop on the world's axis; other stops are among the structures.
     spaces : int
-        Number of walled air spaces so far.
+        Number of air spaces so far that got a wall or a note that they have none.
     notes : list of str
         Notes on parts that could not be closed as usual.
     """
@@ -121,7 +121,8 @@ class Closing:
         """
         Add the edges of lens bodies; cemented bodies share a rim.
 
-        Glass between surfaces without a common axis gets a note instead.
+        `chain` pairs the items of `close` with their `ahead`. Glass between surfaces without a common axis gets a note
+        instead.
         """
         run: list[Surface] = []
         forward = True
@@ -151,7 +152,8 @@ class Closing:
         """
         Add the edges of a lens body or of cemented bodies; `run` has their surfaces in the order of +z.
 
-        A body with an outline that is not a centred circle gets a note instead.
+        `forward` says whether light goes through them in this order. A body of which a surface has an `outline` gets a
+        note instead.
         """
         frame, local = _local(run)
         rim = max(surface.outer_radius for surface in local)
@@ -244,7 +246,7 @@ def mirror_back(
     mirror: Surface, ahead: bool, thickness: float, coating: Coating = BLACK
 ) -> tuple[Surface | Structure, ...]:
     """
-    Make a rear face and a rim that turn a mirror into a body, so that light from behind is absorbed.
+    Return a rear face and a rim that turn a mirror into a body, so that light from behind is absorbed.
 
     Parameters
     ----------
@@ -255,12 +257,13 @@ def mirror_back(
     thickness : float
         Thickness of the body, mm, > 0.
     coating : Coating
-        Coating of the rear and the rim.
+        Coating of the rear and of the walls.
 
     Returns
     -------
     tuple of Surface or Structure
-        Face ``<mirror>_rear``. A round mirror also has the wall ``<mirror>_rim`` and, around a hole, ``<mirror>_bore``.
+        Face ``<mirror>_rear``, in the world. A mirror with a semi-diameter also has the wall ``<mirror>_rim`` and,
+        around a hole, ``<mirror>_bore``.
     """
     step = thickness if ahead else -thickness
     frame = mirror.to_world()
@@ -281,7 +284,7 @@ def mirror_back(
 
 
 def _rim_heights(surface: Surface) -> tuple[float, float]:
-    """Return the smallest and largest z of the rim of a round surface, mm."""
+    """Return the smallest and largest z, mm, of the rim of a round coaxial surface, which may be a freeform."""
     angle = np.linspace(0, 2 * np.pi, _SAMPLES)
     r = surface.outer_radius
     z = surface.z + freeform_sag(r * np.cos(angle), r * np.sin(angle), surface.sag_numbers)
@@ -294,7 +297,7 @@ def _behind(surface: Surface, ahead: bool) -> str:
 
 
 def on_axis(a: np.ndarray, b: np.ndarray) -> bool:
-    """True if frame `b`, (4, 4), lies on the z axis of frame `a` and its z axis points the same way."""
+    """True if the origin of frame `b` lies on the z axis of frame `a`, (4, 4), mm, and their z axes agree."""
     turn = a[:3, :3]
     offset = turn.T @ (b[:3, 3] - a[:3, 3])
     same_way = turn[:, 2] @ b[:3, 2] > 1 - _ROUND_OFF_COSINE
@@ -306,7 +309,7 @@ def _coaxial(a: Surface, b: Surface) -> bool:
 
 
 def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
-    """Return the frame, (4, 4), mm, of the surfaces' common axis, and the surfaces in this frame."""
+    """Return the frame of the surfaces' common axis, a transform to the world, (4, 4), mm, and the surfaces in it."""
     if all(surface.coaxial for surface in run):
         return np.eye(4), list(run)
     frame = run[0].to_world()
@@ -319,9 +322,10 @@ def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
 
 def meets_plane(surface: Surface, plane: np.ndarray, above: bool) -> float:
     """
-    Return the smallest radius, mm, at which a coaxial surface lies below a plane, or above it if not `above`.
+    Return the smallest radius, mm, at which a surface lies on the wrong side of a plane; infinite if nowhere.
 
-    It is infinite if it lies so nowhere.
+    `plane` is a frame coaxial with the surface, (4, 4), mm. With `above` the surface should lie on its +z side, else on
+    its -z side.
     """
     z = float((np.linalg.inv(surface.to_world()) @ plane)[2, 3])
     r = np.linspace(0.0, surface.outer_radius, _SAMPLES)

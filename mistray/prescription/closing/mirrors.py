@@ -27,7 +27,7 @@ def cut_holes(table: OpticalSurfaces) -> None:
     Parameters
     ----------
     table : OpticalSurfaces
-        Optical surfaces; mirrors are replaced, and notes are added.
+        Optical surfaces; mirrors are replaced, rays that a mirror stops become `blocked`, and notes are added.
     """
     weights = beam_shares(table)
     beside: list[str] = []
@@ -68,9 +68,9 @@ def cut_holes(table: OpticalSurfaces) -> None:
 
 def beam_shares(table: OpticalSurfaces) -> np.ndarray:
     """
-    Return the fraction of the light at the image that each ray of the beam carries, (n,).
+    Return the fraction of the light at the image that each ray of `OpticalSurfaces.beam` carries, (n,).
 
-    The result is 0 for rays that miss it.
+    It is 0 for rays that do not reach the image.
     """
     weights = np.where(np.isfinite(table.beam[-1, :, 0]), table.rays.weights, 0.0)
     return np.asarray(weights / (weights.sum() or 1.0))
@@ -83,9 +83,10 @@ def percent(share: float) -> str:
 
 def _drilled(table: OpticalSurfaces, k: int, mirror: Surface, free: float, legs: list[tuple[int, int]]) -> Surface:
     """
-    Return a mirror with a hole for later parts of the beam; the hole leaves all that its own beam needs.
+    Return the mirror of row `k` with a hole for later parts of the beam; the hole leaves all that its own beam needs.
 
-    A mirror that needs no hole, or is not round, is returned as it is.
+    `free` is the radius of `_free_middle`, mm. `legs` are the `segments` of the beam that neither begin nor end at the
+    mirror. A mirror that needs no hole, or is not round, is returned as it is.
     """
     hole = mirror.inner_semi_diameter
     if mirror.semi_diameter is None:
@@ -102,13 +103,13 @@ def _drilled(table: OpticalSurfaces, k: int, mirror: Surface, free: float, legs:
 
 
 def _free_middle(table: OpticalSurfaces, k: int, mirror: Surface) -> float:
-    """Return the radius, mm, about the vertex of an off-axis mirror within which no light falls; 0 if there is none."""
+    """Return the radius, mm, about the vertex of mirror `k` that its own beam leaves unlit; 0 if it is not off-axis."""
     own = footprint(table, k, mirror.to_world())
     return float(np.hypot(*own.T).min()) * (1 - table.margin) if beside_vertex(own) else 0.0
 
 
 def footprint(table: OpticalSurfaces, k: int, frame: np.ndarray) -> np.ndarray:
-    """Return the points, (n, 2), mm, at which the beam meets row `k`, in the frame of its surface."""
+    """Return the points, (n, 2), mm, at which the beam meets row `k`: x and y in `frame`, (4, 4), of its surface."""
     own = (table.beam_and_rim[k + 1] - frame[:3, 3]) @ frame[:3, :2]
     return np.asarray(own[np.isfinite(own[:, 0])])
 
@@ -120,7 +121,7 @@ def beside_vertex(points: np.ndarray) -> bool:
 
 
 def piece_beside_vertex(points: np.ndarray, margin: float) -> Outline:
-    """Return a disc that contains points (n, 2), mm, with a radius enlarged by the fraction `margin`."""
+    """Return a disc about the middle of points (n, 2), mm, wider than they need by `margin` times the radius."""
     x, y = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.hypot(*(points - (x, y)).T).max()) * (1 + margin)
     return circle(radius, x=float(x), y=float(y))

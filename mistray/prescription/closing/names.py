@@ -83,7 +83,7 @@ class Names:
 
 def names_of(lens: Sequential, has_effect: Callable[[int], bool]) -> Names:
     """
-    Return names for the rows of a lens that become surfaces.
+    Return names for all rows of a lens, and the labels that surfaces could not keep.
 
     A label is kept, with _ for spaces and signs, if it is unique and not the name of a generated part. Otherwise the
     name is S and the number of the row.
@@ -128,7 +128,7 @@ def names_of(lens: Sequential, has_effect: Callable[[int], bool]) -> Names:
 
 
 def renamed_in(text: str) -> Mapping[str, str]:
-    """Parse `Names.note` from the notes of a lens: name in the file → name in the scene, the first of several."""
+    """Return changed names from a text with `Names.note`: name in the file → first one in the scene; else empty."""
     return {
         old: new
         for line in text.splitlines()

@@ -21,7 +21,7 @@ def shadowing_spaces(
     pieces: Iterable[Structure | Surface], segments: Iterable[tuple[Array, Array]], part: str = "barrel"
 ) -> set[int]:
     """
-    Return the indices of the optical spaces whose walls are crossed by rays.
+    Return the indices of the optical spaces with a wall that a ray crosses.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
     row : Row
         Row that gives the figure.
     surface : Surface
-        Surface that gives the place and the clear radii.
+        Surface that gives the place and the clear area.
     start, end : (n, 3) float64
         Ends of each ray in the world, mm.
 

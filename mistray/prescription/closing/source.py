@@ -22,11 +22,11 @@ _SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
 
 def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
     """
-    Return the source for the first field of a lens: collimated light, or a point for a near object.
+    Return the source for a lens: collimated light of the first field, or the point on the axis of a near object.
 
-    The source of a virtual object is collimated.
-
-    Notes on assumptions and on how it fills the stop go to `table`.
+    Light of a virtual object is collimated along the axis. `beam` is that of
+    `mistray.prescription.closing.system.to_prescription`. Notes on assumptions, and on how the beam fills the stop, are
+    added to `table`.
     """
     lens, data = table.lens, table.rays.data
     near = not math.isinf(lens.object_distance)
@@ -75,7 +75,12 @@ def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
 
 
 def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, float, float]:
-    """Return centre x, y and radius, mm, of the first field's beam in the plane `z` (mm) of the entrance pupil."""
+    """
+    Return centre x, y and radius, mm, of the first field's beam in the plane `z`, mm, of the entrance pupil.
+
+    They are 0, 0 and `radius`, that of the pupil in mm, unless the beam comes in beside the axis. Then `table` gets a
+    note.
+    """
     start, heading = table.rays.entering
     x, y = (start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading)[:, :2].T
     if math.hypot(x[0], y[0]) <= _ASIDE * radius:
@@ -90,9 +95,9 @@ def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, f
 
 def _direction(table: OpticalSurfaces) -> tuple[float, float]:
     """
-    Return field angle and azimuth of the first field, degrees; in the yz plane a sign replaces the azimuth.
+    Return field angle and azimuth of the first field, degrees, as in `Source`.
 
-    If the field is off the axis, `table` gets a note.
+    In the yz plane the azimuth is 0 and the angle has a sign. If the field is off the axis, `table` gets a note.
     """
     x, y = (float(slope) for slope in field_tangents(table.lens, table.rays.data)[0])
     slope, azimuth = (math.hypot(x, y), math.degrees(math.atan2(-x, y))) if x else (y, 0.0)

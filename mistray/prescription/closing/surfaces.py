@@ -53,12 +53,12 @@ class OpticalSurfaces:
     Attributes
     ----------
     surfaces : dict of int to Surface
-        Surfaces, keyed by the index of the row; a surface that light meets twice has two keys.
+        Surfaces in the world, keyed by the index of the row; a surface that light meets twice has two keys.
     rays : EdgeRays
-        Chief and rim rays of all fields.
+        Chief and rim rays of the lens, for up to 24 fields.
     beam : (n_rows + 1, n, 3) float64
-        Positions of rays all over the beams of all fields, mm, see `EdgeRays.within`; NaN from a stated aperture that
-        stops them.
+        Positions of rays all over the beams of up to nine fields, mm, see `EdgeRays.within`; NaN from a stated aperture
+        that stops them.
     beam_and_rim : (n_rows + 1, m, 3) float64
         Positions of these rays and of the rays of `EdgeRays.world`, which mark the rim of the beam, mm.
     blocked : (n,) bool
@@ -160,7 +160,7 @@ class OpticalSurfaces:
         return k == stop_place(self.lens) and self.lens.rows[k].stop and not self._has_effect(k)
 
     def _ahead(self, k: int) -> bool:
-        """True if light travels along +z in the frame of row `k`, judged by the chief ray of the first field."""
+        """True if light arrives at row `k` along +z of its frame, judged by the chief ray of `EdgeRays.chief`."""
         inward = np.array([0.0, 0.0, 1.0])
         for j in range(k - 1, -1, -1):
             if np.all(np.isfinite(self.rays.chief[j])):
@@ -169,7 +169,7 @@ class OpticalSurfaces:
         return bool(inward @ self.frames[k][:3, 2] > 0)
 
     def _material(self, material: str, row: Row) -> str:
-        """Return the material with a known k; if its absorption is unknown, k = 0 and a note says so."""
+        """Return a material of a row with a known k; if its absorption is unknown, k = 0 and a note says so."""
         with errors_of(f"lens '{self.lens.name}', surface {row.number}"):
             known = usable(material, self.lens.wavelengths_nm)
         if known != material:
@@ -182,7 +182,11 @@ class OpticalSurfaces:
         return [int(k) for k in np.flatnonzero(np.all(apart <= _ROUND_OFF_MM, axis=1))]
 
     def _off_its_lens(self, k: int, surface: Surface) -> np.ndarray:
-        """Return the frame of row `k`, (4, 4), mm; a mirror that is a spot on a lens is moved 1 µm in front of it."""
+        """
+        Return the frame of row `k` in the world, (4, 4), mm, for its surface.
+
+        That of a mirror that is a spot on a lens lies 1 µm in front of the lens, with a note and an entry in `patches`.
+        """
         frame = self.frames[k]
         if not surface.mirror:
             return frame
@@ -199,10 +203,10 @@ class OpticalSurfaces:
 
     def _clear(self, k: int) -> dict[str, Any]:
         """
-        Return arguments of `Surface` for the clip of row `k`, mm: its stated size, or the beam's with a margin.
+        Return arguments of `Surface` for the clip of row `k`, mm: its stated size, its drawn one, or that of the beam.
 
-        A mirror that the beam meets next to its vertex becomes a disc there. A radius beyond the end of the conic is
-        reduced. Both are noted.
+        A drawn size counts if no ray exceeds it; that of the beam has the `margin` of the class. A mirror that the beam
+        meets beside its vertex becomes a disc there. A radius beyond the end of the conic is reduced. Notes say so.
         """
         row, reach = self.lens.rows[k], float(self.rays.reach[k])
         clip = own_clip(row)
@@ -253,7 +257,7 @@ class OpticalSurfaces:
         return bare
 
     def _cut_where_they_cross(self) -> None:
-        """Reduce the clear radii of neighbours that would cross, so that they end where they meet."""
+        """Reduce the clear radii of round neighbours on one axis that would cross, so that they end where they meet."""
         order = list(self.surfaces)
         for j, k in pairwise(order):
             a, b = self.surfaces[j], self.surfaces[k]
@@ -295,7 +299,11 @@ class OpticalSurfaces:
         return list(pairwise([0, *(k + 1 for k in met)]))
 
     def _stopped(self, beam: np.ndarray) -> np.ndarray:
-        """Return beam positions, mm, with NaN where a stated aperture has blocked a ray; unchanged if it blocks all."""
+        """
+        Return beam positions, mm, as in `beam`, with NaN from where a stated aperture stops a ray.
+
+        If apertures stop all rays, none is stopped.
+        """
         result = beam.copy()
         for k, (row, frame) in enumerate(zip(self.lens.rows, self.frames, strict=True)):
             if row.kind != "coordinate_break":
@@ -305,7 +313,7 @@ class OpticalSurfaces:
 
 
 def _same(a: Surface, b: Surface) -> bool:
-    """True if two surfaces are the same one, met twice by light: equal media, shapes and kinds (mirror or not)."""
+    """True if two surfaces at one vertex are one that light meets twice: equal media, figures and kinds (mirror)."""
     return a.mirror == b.mirror and {a.front, a.back} == {b.front, b.back} and _same_figure(a, b)
 
 

@@ -88,7 +88,7 @@ def to_prescription(
     detector_half_mm: tuple[float, float] | None = None,
 ) -> Prescription:
     """
-    Make a closed optical system from a sequential lens.
+    Return a closed optical system made from a sequential lens.
 
     Parameters
     ----------
@@ -97,9 +97,10 @@ def to_prescription(
     edges : {"blackened", "ground", "open"}
         Lens edges: absorbing, diffusely reflecting a part of the light, or polished without any barrel around them. For
         the first two, absorbing walls join the rims of neighbours in air.
-    coatings : mapping of str to Coating or None
-        Coatings, keyed by their names in the lens file; they override coatings that the reader found. Surfaces with
-        other names or none are bare glass, or mirrors that reflect all light, and a note says so.
+    coatings : mapping of str to Coating, optional
+        Coatings, keyed by their names in the lens file; they override coatings that the reader found. A surface with
+        another name or none is bare glass, or a mirror that reflects all light. Notes say so, but for glass without a
+        name.
     margin : float
         Fraction, ≥ 0, by which clear radii exceed the rays of all fields if the lens file gives none.
     ground_reflectance : float
@@ -157,9 +158,9 @@ def build(
     detector_half_mm: tuple[float, float] | None = None,
 ) -> Built:
     """
-    Make a closed system as `to_prescription` does, and return it with first-order data and notes.
+    Return the closed system of `to_prescription` with first-order data and notes.
 
-    Raise `MistrayError` in the same cases.
+    Parameters and errors are those of that function.
     """
     if edges not in EDGES:
         raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
@@ -178,7 +179,11 @@ def build(
 
 
 def _structured(table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, ...] | None) -> Built:
-    """Return the closed system: the optical surfaces with mechanical parts, source and detector added."""
+    """
+    Return the closed system: the optical surfaces with mechanical parts, source and detector added.
+
+    `detector_half` is ``detector_half_mm`` of `to_prescription`, and `beam` its beam.
+    """
     lens, surfaces = table.lens, table.surfaces
     detector = _detector(table, detector_half)
     items: list[Item] = []
@@ -213,9 +218,10 @@ def _without_shadows(
     table: OpticalSurfaces, structures: list[Structure | Surface], detector: Detector
 ) -> list[Structure | Surface]:
     """
-    Return the structures except those walls that the folded design beam would have to cross.
+    Return the structures except the walls and boards of spaces whose walls the folded beam would have to cross.
 
-    A lens without mirrors keeps all of them. Notes on the walls left out are added to `table`.
+    A lens without mirrors keeps all of them. Notes on what is left out, and on a detector in the beam, are added to
+    `table`.
     """
     if not any(row.mirror for row in table.lens.rows):
         return structures
@@ -249,9 +255,10 @@ def _stop(table: OpticalSurfaces, k: int) -> StopPlane:
 
 def _plates(table: OpticalSurfaces, k: int, widest: float) -> list[Surface | Structure]:
     """
-    Return opaque faces for stated apertures of row `k` outside its surface's clip, up to the radius `widest`, mm.
+    Return opaque faces, in the world, for stated apertures of row `k` that the clip of its surface leaves out.
 
-    A coordinate break has none.
+    Those around an opening extend to the radius `widest`, mm, at least. A coordinate break has none. Notes are added to
+    `table`.
     """
     row = table.lens.rows[k]
     if row.kind == "coordinate_break":
@@ -269,7 +276,7 @@ def _plates(table: OpticalSurfaces, k: int, widest: float) -> list[Surface | Str
 
 def _for_its_leg(table: OpticalSurfaces, k: int, plate: Surface | Structure) -> list[Surface | Structure]:
     """
-    Return a plate of row `k` restricted to the section of the beam that it belongs to.
+    Return a plate of row `k`, restricted to the section of the beam that it belongs to, as a list of one or none.
 
     A file states an aperture for light that arrives at its row in sequence. In a folded system other legs may cross the
     same plane. If they cross it in the opposite direction, the plate meets only light of its own direction. If they
@@ -330,7 +337,7 @@ def _outline(surface: Surface) -> Outline:
 
 
 def _half_size(surface: Surface) -> float:
-    """Return the clear radius of a surface, or half the diagonal of its outline's bounding box, mm."""
+    """Return the clear radius of a surface, mm; without one, half the diagonal of its rectangle or bounding box."""
     if surface.outline is None:
         return surface.outer_radius
     x0, x1, y0, y1 = surface.outline.bounds()
@@ -338,7 +345,11 @@ def _half_size(surface: Surface) -> float:
 
 
 def _cross(a: Surface | Structure, b: Surface | Structure) -> bool:
-    """True if two surfaces on a common axis cross within their clear areas; False for other pairs."""
+    """
+    True if two surfaces on a common axis cross, or coincide without outlines, within their clear areas.
+
+    A rectangle counts as its circumscribed circle, unless one surface has an outline. False for other pairs.
+    """
     if not (isinstance(a, Surface) and isinstance(b, Surface) and on_axis(a.to_world(), b.to_world())):
         return False
     gap = float((np.linalg.inv(a.to_world()) @ b.to_world())[2, 3])

@@ -35,7 +35,7 @@ _PROBE = 1e-4  # of the pupil's radius, for differences
 @dataclass(frozen=True)
 class EdgeRays:
     """
-    Chief and rim rays of a lens at its fields and wavelengths, and sizes that follow from them.
+    Chief and rim rays of a lens at the fields and wavelengths of `edge_rays`, and sizes that follow from them.
 
     Attributes
     ----------
@@ -50,16 +50,16 @@ class EdgeRays:
     world : (n_rows + 1, n, 3) float64
         Positions in the world at which each ray starts, upstream of all surfaces, and meets each row, mm.
     entering : (2, 17, 3) float64
-        Point (mm) and direction of the chief ray and the rim rays of the first field, in the world before the first
-        row.
+        Point (mm) and direction of the chief ray and the 16 rim rays of the first of these fields, in the world before
+        the first row.
     pupils : (k, 2) float64
         Points at which rays from a distant object that meet the rim of the stop cross the plane of the entrance pupil,
-        mm. All fields are included, without vignetting. It is empty for a near object and for a pupil at infinity.
+        mm. All these fields are included, without vignetting. It is empty for a near object and a pupil at infinity.
     reach : (n_rows,) float64
         Largest distance of a ray from the axis of each row, mm; 0 if no ray arrives.
     chief : (n_rows, 3) float64
-        Direction behind each row, in its frame, of the ray through the centre of the stop in the first field. Apertures
-        do not stop it.
+        Direction behind each row, in its frame, of the ray through the centre of the stop in the first of these fields.
+        Apertures do not stop it.
     within : (n_rows + 1, m, 3) float64
         Positions as in `world`, mm, of rays at the reference wavelength between the chief ray and the rim of up to nine
         fields. Apertures do not stop them.
@@ -119,7 +119,9 @@ def launch(
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def edge_rays(lens: Sequential) -> EdgeRays:
     """
-    Return rays through centre and rim of the stop at all fields, at the shortest, longest and reference wavelength.
+    Return rays through centre and rim of the stop, at the shortest, longest and reference wavelength.
+
+    They belong to all fields, or to the 24 outermost ones of more, in the order of the lens.
 
     Parameters
     ----------
@@ -209,7 +211,12 @@ def _pupils(
     rim: Array,
     aimed: Mapping[int, tuple[Array, Array]],
 ) -> Array:
-    """Return points (k, 2), mm, at which rays to the stop's rim cross the entrance pupil; see `EdgeRays.pupils`."""
+    """
+    Return points (k, 2), mm, at which rays to the stop's rim cross the entrance pupil; see `EdgeRays.pupils`.
+
+    `radius` is that of the stop, mm, and `rim` are pupil coordinates, (n, 2). `numbers` are the indices of the fields.
+    `aimed` maps such an index to starts and directions of these rays if they are known.
+    """
     if lens.telecentric or not math.isinf(lens.object_distance) or math.isinf(data.entrance_pupil_z):
         return np.zeros((0, 2))
     found = []
@@ -233,19 +240,19 @@ def _inner_rays(start: Array, heading: Array) -> tuple[Array, Array]:
 
 
 def _upstream(start: Array, heading: Array, z: float) -> Array:
-    """Return the points, (n, 3), mm, at which rays, extended backward if need be, cross the plane at `z`, mm."""
+    """Return the points, (n, 3), mm, at which the straight lines of rays in the world cross the plane at `z`, mm."""
     return start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading
 
 
 def _outer_fields(lens: Sequential) -> list[int]:
-    """Return the indices of distinct fields; only the outermost ones if there are too many."""
+    """Return the indices of distinct fields, ascending; only the outermost ones if there are too many."""
     places = list({field: k for k, field in reversed(list(enumerate(lens.fields)))}.values())
     farthest = sorted(places, key=lambda k: -math.hypot(*lens.fields[k]))[:_MOST_FIELDS]
     return sorted(farthest)
 
 
 def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
-    """Return pupil coordinates (n, 2), in units of the pupil radius, after the vignetting factors of a field."""
+    """Return pupil coordinates (n, 2), 1 at the rim, after the vignetting factors of the field with index `field`."""
     if not lens.vignetting:
         return pupil
     shift_x, shift_y, squeeze_x, squeeze_y = lens.vignetting[field]
@@ -256,10 +263,11 @@ def _aimed_at(
     lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float], point: Array
 ) -> tuple[Array, Array]:
     """
-    Return rays of a field aimed at points (n, 2) of the paraxial entrance pupil, mm from its centre.
+    Return rays of a field, as coordinates in `launch`, aimed at points (n, 2) of the paraxial entrance pupil.
 
-    Starts, mm, and unit directions are (n, 3). If the pupil is at infinity, points lie in the plane of the first row,
-    relative to the chief ray. Raise `MistrayError` if object and entrance pupil coincide, or both lie at infinity.
+    Points are in mm from its centre; if it is at infinity, they lie in the plane of the first row, relative to the
+    chief ray. The results are starts, mm, and unit directions, (n, 3). Raise `MistrayError` if object and entrance
+    pupil coincide, or both lie at infinity.
     """
     z = data.entrance_pupil_z  # at infinity, points lie in the plane of the first row, from the chief ray
     if math.isinf(lens.object_distance):
@@ -286,7 +294,7 @@ def _aimed_at(
 
 def _object_point(lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float]) -> Array:
     """
-    Return the point (x, y), mm, of a field on an object at a finite distance.
+    Return the point (x, y), mm, of a field, as coordinates in `launch`, on an object at a finite distance.
 
     Raise `MistrayError` if the field has no such point because the magnification is 0 or the lens is telecentric.
     """
@@ -306,7 +314,7 @@ def _stop_radius(lens: Sequential, data: SequentialFirstOrder) -> float:
     """
     Return the radius of the stop, mm: the stated one, else that at which the real marginal ray meets it.
 
-    If that ray is lost, it is the paraxial one.
+    If that ray is lost, the paraxial one counts.
     """
     stop = stop_place(lens)
     row = lens.rows[stop]
@@ -326,10 +334,11 @@ def _through_stop(
     lens: Sequential, data: SequentialFirstOrder, radius: float, field: tuple[float, float], pupil: Array
 ) -> tuple[Array, Array]:
     """
-    Return the rays of a field that meet the stop at the pupil coordinates times its radius, mm.
+    Return starts, mm, and directions, (n, 3), of rays of a field that meet the stop at `pupil` times its `radius`, mm.
 
-    Newton's method finds the points in the entrance pupil. The field grows in steps, because the pupil of a wide-angle
-    lens shifts with it. Rays that do not converge keep their last aim, or the paraxial one if that fails too.
+    `field` has coordinates as in `launch`. Newton's method finds the points in the entrance pupil. If it fails, the
+    field grows in steps, because the pupil of a wide-angle lens shifts with it. Rays that do not converge keep their
+    last aim, or the paraxial one if that fails too.
     """
     target = pupil * radius
     point, met = _aimed_at_stop(lens, data, field, target, pupil * data.epd / 2)
@@ -348,8 +357,8 @@ def _aimed_at_stop(
     """
     Return points in the entrance pupil, mm, whose rays meet the stop at `target`, (n, 2), mm, by Newton's method.
 
-    The iteration begins at `start`, (n, 2), mm. Returns the points, (n, 2), and whether all converged. If not, points
-    hold their last iterate, NaN where the ray does not reach the stop.
+    The iteration begins at `start`, (n, 2), mm from the pupil's centre as the results are. The second result says
+    whether all converged. If not, points hold their last iterate, NaN where the ray does not reach the stop.
     """
     stop, unit = stop_place(lens), data.epd / 2
     ahead = lens.with_rows([*lens.rows[: stop + 1], Row(0, kind="image")])  # what lies behind the stop aims no ray

@@ -35,7 +35,8 @@ class SequentialFirstOrder:
         Back focal length from the last surface to the rear focus, along the direction of light there, mm; ``inf`` if
         afocal.
     f_number : float
-        Image-space F-number efl / epd at infinite conjugates; ``inf`` if object space is telecentric, or if afocal.
+        Image-space F-number at infinite conjugates, > 0: the size of efl over epd. It is ``inf`` if object space is
+        telecentric, or if afocal.
     epd : float
         Diameter of the entrance pupil, mm. If the pupil lies at infinity, the diameter of the axial beam in the plane
         of the first row.
@@ -46,9 +47,9 @@ class SequentialFirstOrder:
     stop_number : int
         Number of the stop's surface, as counted by the file.
     magnification : float
-        Image height per object height; 0 for an object at infinity.
+        Image height per object height, negative for an inverted image; 0 for an object at infinity.
     wavelength_nm : float
-        Wavelength, nm.
+        Wavelength of the data, nm.
 
     Examples
     --------
@@ -165,7 +166,9 @@ def stop_place(lens: Sequential) -> int:
 
 def field_tangents(lens: Sequential, data: SequentialFirstOrder) -> np.ndarray:
     """
-    Return the slopes of the chief rays of all fields before the first surface, for an object at infinity.
+    Return the slopes of the chief rays of all fields before the first surface.
+
+    Fields are angles, at any object distance, or image heights for an object at infinity.
 
     Parameters
     ----------
@@ -182,7 +185,7 @@ def field_tangents(lens: Sequential, data: SequentialFirstOrder) -> np.ndarray:
     Raises
     ------
     MistrayError
-        If fields are object heights, angles of 90° or more, or image heights of an afocal lens.
+        If fields are object heights, angles of 90° or more either way, or image heights of an afocal lens.
     """
     fields = np.array(lens.fields, dtype=np.float64).reshape(-1, 2)
     if lens.field_kind == "angle_deg":
@@ -251,7 +254,11 @@ def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: f
 
 
 def _magnification(lens: Sequential, up: np.ndarray, down: np.ndarray) -> float:
-    """Return the image height per object height; 0 for an object at infinity."""
+    """
+    Return the image height per object height, from the ray `up` of height 1 mm and slope 0.
+
+    It is 0 for an object at infinity.
+    """
     if math.isinf(lens.object_distance):
         return 0.0
     # y(image) = A (h + u d) + B u = A h + (A d + B) u: at a focused image the second term vanishes

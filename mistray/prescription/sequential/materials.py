@@ -59,7 +59,7 @@ def with_k(material: str, wavelengths_nm: Sequence[float]) -> str:
 
 
 def usable(material: str, wavelengths_nm: Sequence[float]) -> str:
-    """Return a material string as `with_k` does; raise `MistrayError` if n is unknown at a wavelength, nm."""
+    """Return a material string as `with_k` does; raise `MistrayError` if n is unknown at one of the wavelengths, nm."""
     for wavelength in wavelengths_nm:
         refractive_index(material, wavelength)
     return with_k(material, wavelengths_nm)

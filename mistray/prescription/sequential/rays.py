@@ -103,7 +103,7 @@ def trace(
     lens: Sequential, positions: npt.ArrayLike, directions: npt.ArrayLike, wavelength_nm: float | None = None
 ) -> tuple[Array, Array]:
     """
-    Trace real rays through all rows of a lens.
+    Return positions and directions of real rays at all rows of a lens.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def passes(row: Row, position: Array) -> npt.NDArray[np.bool_]:
 
 
 def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return the sag, mm, and its slopes dz/dx and dz/dy at points x, y of a row, mm; NaN where it has no sag."""
+    """Return the sag, mm, and its slopes dz/dx and dz/dy at points x, y, (n,), mm, of a row; NaN where it has none."""
     if row.sag:
         numbers = row.sag_numbers
         size = max(float(np.nanmax(np.hypot(x, y), initial=0.0)), 1e-3 * (row.semi_diameter or 0.0), _SMALLEST_MM)
@@ -233,7 +233,11 @@ def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array
 
 
 def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array) -> Array:
-    """Return distances along rays from the tangent plane to an asphere, (n,), mm; NaN where Newton's method fails."""
+    """
+    Return distances along rays from the tangent plane to an asphere, (n,), mm; NaN where Newton's method fails.
+
+    `start` holds x and y of the rays on that plane, mm, in the frame of the row. `step` is the first guess, (n,), mm.
+    """
     (x0, y0), (u, v, w) = start, direction.T
     error = np.full_like(step, np.inf)
     for _ in range(_ITERATIONS):
@@ -250,9 +254,9 @@ def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array)
 
 def _bent(row: Row, position: Array, direction: Array, before: float, behind: float) -> Array:
     """
-    Return the unit directions of rays, (n, 3), after reflection or refraction at a row.
+    Return the unit directions of rays, (n, 3), after reflection or refraction at a row; NaN at total reflection.
 
-    They are NaN at total reflection.
+    Positions, mm, and directions are in the frame of the row; `before` and `behind` are the refractive indices.
     """
     x, y = position[:, 0], position[:, 1]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
