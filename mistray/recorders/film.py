@@ -72,6 +72,8 @@ class Film:
         """
         Return the pixels that hits at a point of the detector, mm, contribute to, with their filter weights.
 
+        What falls outside the film contributes to the nearest pixel of its border.
+
         Returns
         -------
         list of (mi.UInt32, mi.Float or None)
@@ -105,14 +107,14 @@ class Images(Recorder):
     film : Film
         Pixel grid of the detector.
     count : int, optional
-        Number of images; by default `Film.images`.
+        Number of images in memory; by default `Film.images`, those of one map.
     only : int, optional
         Surface index of the detector whose hits are recorded; None: those of all detectors.
 
     Attributes
     ----------
     sums : (count · height · width,) mi.Float64
-        Flux in units of a start ray, see `Film`.
+        Flux in units of a start ray's, image by image; the `WEIGHTS` of a map follow the images of its groups.
     """
 
     def __init__(self, film: Film, count: int | None = None, only: int | None = None) -> None:
@@ -170,7 +172,7 @@ class Pixels(Sampled):
         Parameters
         ----------
         film : (images, height, width) float64
-            See `Film`.
+            Images of the groups, then the `WEIGHTS`, see `Film`.
         started : (BATCHES,) float64
             Start rays of the batches.
         scale : float, optional
@@ -187,7 +189,7 @@ class Pixels(Sampled):
 
     @property
     def none(self) -> Pixels:
-        """Return an image of the same size with zero flux and zero noise."""
+        """Image of the same size with zero flux and zero noise."""
         return Pixels(*map(np.zeros_like, (self.value, self.apart, self.weights)))
 
     def __add__(self, other: Sampled) -> Pixels:
@@ -206,7 +208,7 @@ class Pixels(Sampled):
         return self.few_in_squares(1)
 
     def few_in_squares(self, pixels: int) -> np.ndarray:
-        """Return a mask, (h, w), of squares of `pixels` × `pixels` that too few rays meet for a standard error."""
+        """Return a mask of squares of `in_squares` that too few rays meet for a standard error, see `error_rays`."""
 
         def pool(values: Numbers) -> Numbers:
             # Sums over the neighbouring pixels, one axis after the other
@@ -244,12 +246,12 @@ class Box(Recorder):
 
 
 def image_word(first: int, by_group: bool) -> int:
-    """Return an integer that encodes the index of a path's first image, and whether it has one per group of batches."""
+    """Return an integer that encodes the index of a map's first image, and whether it has one per group of batches."""
     return 2 * (first + 1) + by_group
 
 
 def groups_of(pixels: int) -> int:
-    """Return the number of groups of batches that get an image each, a power of 2; fewer for images of many pixels."""
+    """Return the number of groups of batches with an image each, a power of 2: fewer for images of more pixels."""
     most = FILM_BYTES // (8 * pixels)
     return int(np.clip(1 << max(most, 1).bit_length() - 1, LEAST_GROUPS, BATCHES))
 
@@ -269,7 +271,7 @@ def images_of(pixels: int) -> int:
 
 
 def in_squares(image: Numbers, pixels: int) -> Numbers:
-    """Return an image summed over squares of `pixels` by `pixels`, (h, w); the last row and column may be smaller."""
+    """Return an image of the sums over squares of `pixels` × `pixels`; those of the last row and column may be cut."""
     rows, columns = (np.arange(0, size, pixels) for size in image.shape)
     return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1))
 
@@ -286,7 +288,7 @@ def spreads(film: mi.Film) -> bool:
     Raises
     ------
     MistrayError
-        For a tent that is not two pixels wide.
+        For a tent whose radius is not 1 pixel.
     """
     kernel = film.rfilter()
     if kernel.class_name() != "TentFilter":

@@ -163,7 +163,7 @@ class PathNames:
 
     def _between(self, first: int, last: int, detector: int) -> list[int]:
         """
-        Return the event codes of the design sequence between surfaces `first` and `last`, from a cache.
+        Return the event codes of the design sequence between surfaces `first` and `last`, in this order, from a cache.
 
         If a surface occurs in it several times, the shortest part counts. The list is empty where a surface is not in
         the sequence.
@@ -190,9 +190,9 @@ class Events:
     Parameters
     ----------
     codes : (p, k) uint32
-        Events, see `mistray.events`, padded at the ends.
+        Event codes, see `mistray.events`, padded with 0 at the ends.
     lengths : (p,) int
-        Number of events of each, at least 1.
+        Number of events of each path, at least 1.
     ids : sequence of str
         Names of the surfaces and media.
     words : (s,) uint32
@@ -316,7 +316,11 @@ class Events:
 
 
 def event_keys(events: Iterable[str]) -> list[str]:
-    """Return a hash of each event list, ten hexadecimal digits, equal in all scenes and for random or aimed scatter."""
+    """
+    Return a hash of each event list, given as text: ten hexadecimal digits.
+
+    It depends on nothing but the text, and is the same for random and for aimed scatter.
+    """
     return [hashlib.blake2b(text.encode(), digest_size=5).hexdigest() for text in way_text(events)]
 
 

@@ -100,7 +100,7 @@ class FluxSplit(SurfaceLight):
         super().__init__(name, surfaces, len(SHARES))
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Allocate one sum of flux for each share and surface that matches the patterns."""
+        """Allocate one sum for each flux of `SplitRow` and each surface that matches the patterns."""
         numbers = self.chosen(table)
         self.resize(len(SHARES) * len(numbers))
         # Number of each chosen surface plus one; 0 for the others
@@ -152,10 +152,10 @@ class FluxSplit(SurfaceLight):
 
     def to_pandas(self) -> pd.DataFrame:
         """
-        Return a table with one row per surface: id, part, and for each share of `SplitRow` its flux and error.
+        Return a table with one row per surface.
 
-        The columns are ``surface``, ``part``, and for each share ``…_W``, the flux, and ``…_se_W``, its standard error,
-        both in W.
+        The columns are ``surface``, ``part``, and for each flux of `SplitRow` ``…_W`` and its standard error
+        ``…_se_W``, both in W.
 
         Raises
         ------
@@ -178,5 +178,5 @@ class FluxSplit(SurfaceLight):
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Flux of each surface and share, in the order of `SHARES`, and its standard error, (surfaces, 6) each, W."""
+        """Fluxes of each surface, in the order of `SHARES`, and their standard errors, (surfaces, 6) each, W."""
         return self.flux.reshaped(-1, len(SHARES)).with_se

@@ -89,7 +89,8 @@ def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> 
     """
     Return all design sequences of the arms, with every combination of alternative surfaces at each step.
 
-    If there are more than `MOST_COMBINED` combinations, only the orders that probes have followed are sequences.
+    Rings of edges may be left out. Where orders of one pattern have more than `MOST_COMBINED` combinations, only those
+    that probes have followed are sequences.
     """
     rules, lists = _Rules(table), set()
     for _, orders in arms:
@@ -113,8 +114,8 @@ def declared(table: SurfaceTable, detector: int) -> Sequences:
     Raises
     ------
     MistrayError
-        For a surface that the scene does not have, a letter other than T, R and I, or more than `MOST_COMBINED`
-        sequences.
+        For a surface that the scene does not have, a letter other than T, R and I, or an entry that stands for more
+        than `MOST_COMBINED` sequences.
     """
     text = getattr(table.interfaces[detector], "design_path", "")
     numbers = {name: k for k, name in enumerate(table.ids)}
@@ -152,7 +153,7 @@ def has_optics(table: SurfaceTable) -> bool:
 
 
 def _alternatives(rules: _Rules, orders: Counter[Order]) -> tuple[Order, list[Order]]:
-    """Return the main order of an arm, and all orders of the same pattern of events as its alternatives."""
+    """Return the main order of an arm, and all its orders that are design sequences, the main one among them."""
     # Orders with the same powered surfaces; of the frequent ones those over most optics
     kinds: dict[tuple[Hashable, ...], Counter[Order]] = {}
     for order, count in orders.items():
@@ -214,7 +215,7 @@ class _Rules:
         return not self._opaque[place] and what == (TRANSMITTED if self._mirror[place] else REFLECTED)
 
     def optics_of(self, order: Order) -> int:
-        """Return the number of refracting faces with power and of declared mirrors in an event sequence."""
+        """Return the number of events of `powered` that are transmissions, or are at declared mirrors."""
         steps = self.powered(order)
         return sum(kind_of(code) == TRANSMITTED or bool(self._mirror[place_of(code)]) for code in steps)
 
