@@ -66,9 +66,9 @@ class Demand:
 
     def field(self, default: Any = dataclasses.MISSING, doc: str = "", kw_only: Any = dataclasses.MISSING) -> Any:
         """
-        Return a dataclass field with this condition, the help text `doc`, and `default` and `kw_only` of the field.
+        Return a dataclass field with this condition and the help text `doc`.
 
-        `check_fields` says where None is allowed.
+        `default` and `kw_only` are those of `dataclasses.field`. `check_fields` says where None is allowed.
         """
         return dataclasses.field(default=default, kw_only=kw_only, metadata={_KEY: self, _DOC: doc})
 

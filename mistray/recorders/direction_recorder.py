@@ -298,7 +298,7 @@ class DirectionRecorder(SkyRecorder):
         return self._within(end, *self.cell(end.heading))
 
     def _within(self, departure: Departure, cell: mi.UInt32, inside: mi.Bool) -> SkyContribution:
-        """Return class of light, cell and MIS-weighted throughput of rays that leave within a cell of directions."""
+        """Return the contribution of rays that leave within a cell; `cell` and `inside` are those of `cell`."""
         weight, active = departure.weight, inside & departure.active
         if self._mis is not None:
             share = self._mis.backward(departure, cell, active).backward

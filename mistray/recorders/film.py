@@ -57,7 +57,11 @@ class Film:
 
     @classmethod
     def of(cls, width: int, height: int, extent: Sequence[float], groups: int = 1, tent: bool = False) -> Film:
-        """Create a grid of `width` × `height` pixels over the rectangle x0, x1, y0, y1 (mm) of the detector."""
+        """
+        Create a grid of `width` × `height` pixels over the rectangle x0, x1, y0, y1 (mm) of the detector.
+
+        `groups` and `tent` are the attributes of these names.
+        """
         x0, x1, y0, y1 = extent
         numbers = x0, y0, width / (x1 - x0), height / (y1 - y0)
         left, low, per_mm_x, per_mm_y = (dr.opaque(mi.Float, float(number)) for number in numbers)
@@ -271,7 +275,11 @@ def images_of(pixels: int) -> int:
 
 
 def in_squares(image: Numbers, pixels: int) -> Numbers:
-    """Return an image of the sums over squares of `pixels` × `pixels`; those of the last row and column may be cut."""
+    """
+    Return the sums of an image, (h, w), over squares of `pixels` × `pixels`, as a smaller image.
+
+    Squares in the last row and column are cut off where the image ends.
+    """
     rows, columns = (np.arange(0, size, pixels) for size in image.shape)
     return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1))
 

@@ -142,10 +142,10 @@ class PathNames:
 
     def _short(self, turns: Sequence[int], kind: str, designed: set[int]) -> str:
         """
-        Return the short name of a path; "" where it has none.
+        Return the short name of a path of the given `kind` and event codes at its `turns`; "" if it has none.
 
         A path has a short name if all its turns are reflections. It has one, too, if its only turn is scatter to the
-        side to which the surface sends most of its scatter.
+        side to which the surface sends most of its scatter. `designed` holds the codes of the design sequence.
         """
         names = [self._ids[place_of(code)] for code in turns]
         if all(kind_of(code) == REFLECTED for code in turns):

@@ -103,8 +103,8 @@ class DetectorImages:
         """
         Return the derivatives of a ray's hit with respect to its shift and slope, and the hit of the base ray.
 
-        Hits are in units of the detector's half axes, (2,). The derivatives, (2, 2) each, are in 1/mm for the shift,
-        and dimensionless for the slope.
+        `frame`, (3, 2), has the axes of shift and slope as columns. Hits are in units of the detector's half axes,
+        (2,). The derivatives, (2, 2) each, are in 1/mm for the shift, and dimensionless for the slope.
         """
         start, axis = self._base(number)
         step = DIFFERENCE * self.size

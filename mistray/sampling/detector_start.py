@@ -193,7 +193,8 @@ class DetectorStart:
         """
         Return the error message for two different media declared in front of the detector.
 
-        Each is given as its position in `Optics.media` and the surface that declares it, "" for the detector.
+        Each is given as its position in `Optics.media` and the surface that declares it, "" for the detector. `side`
+        is that of `_medium`.
         """
         media, detector = self._table.optics.media, self._table.ids[self._table.detector]
         key = "back" if side > 0 else "front"

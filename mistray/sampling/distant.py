@@ -42,7 +42,7 @@ class DistantRays(PluginRays):
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         """
-        Return derivatives of ray origins, mm, and directions with respect to the parameter `name`, in the world.
+        Return derivatives of rays with respect to the parameter `name`, see `SceneSource.motion`.
 
         Rays turn about the middle of the aperture: the light is the same everywhere, and rays move least there.
         """

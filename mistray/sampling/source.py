@@ -394,7 +394,7 @@ class EmittedRays(PluginRays):
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins, mm, and directions with respect to the parameter `name`, in the world."""
+        """Return derivatives of rays with respect to the parameter `name` of the plugin, see `SceneSource.motion`."""
         axes = [mi.Vector3d(*axis.tolist()) for axis in self._axes]
         away = o - mi.Vector3d(*self.pivot.tolist())
         local = [mi.Vector3d(*(dr.dot(vector, axis) for axis in axes)) for vector in (away, d)]
@@ -405,7 +405,7 @@ class EmittedRays(PluginRays):
         """
         Return rays along the edge that the plugin defines: origins, mm, and unit directions, (count, 3) each.
 
-        The list has one such line, or is empty if the light has no edge.
+        The list has one such line, or is empty if the light has no edge. See `SceneSource.edges`.
         """
         points = self.emitter.edge_samples(count, within)
         if points is None:

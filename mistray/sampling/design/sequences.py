@@ -42,7 +42,7 @@ FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides
 
 
 def is_plane(table: SurfaceTable, surface: int) -> bool:
-    """True if the sag of a surface is within rounding of a plane; False for Mitsuba's own shapes, of unknown sag."""
+    """True if the sag of a surface varies by at most `FLAT` of its size; False for Mitsuba's own shapes."""
     if surface >= len(table.pieces):
         return False
     piece = table.pieces[surface]
@@ -87,7 +87,7 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
 
 def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> Sequences:
     """
-    Return all design sequences of the arms, with every combination of alternative surfaces at each step.
+    Return all design sequences of arms, see `chosen_orders`, with every combination of alternatives at each step.
 
     Rings of edges may be left out. Where orders of one pattern have more than `MOST_COMBINED` combinations, only those
     that probes have followed are sequences.

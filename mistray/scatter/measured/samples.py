@@ -211,7 +211,7 @@ class BsdfSamples:
         return np.asarray(self.values / np.maximum(self.directions()[..., 2], HORIZON))
 
     def held(self, grid: np.ndarray, above: np.ndarray) -> np.ndarray:
-        """Return values on the grid, (a, b, c), with nodes below the horizon set to the last value above it."""
+        """Return values on the grid, (a, b, c), with nodes outside the mask `above` set to the last value within it."""
         last = np.maximum.accumulate(np.where(above, np.arange(len(self.polar_deg)), 0), axis=-1)
         return np.take_along_axis(grid, last, axis=-1)
 
