@@ -91,7 +91,7 @@ class MisWeighting(Protocol):
         """Return the MIS weights, 0 … 1, of paths of backward rays that leave the scene within a cell of directions."""
 
     def forward(self, visit: Visit) -> MisWeights:
-        """Return the MIS weights, 0 … 1, of paths of forward rays that meet the detector; each starts from its cell."""
+        """Return the MIS weights, 0 … 1, of paths of forward rays that start in a cell and meet the detector."""
 
 
 class SkyContribution(NamedTuple):

@@ -36,7 +36,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 SEEN = 0.05  # share of the probes of an arm that an order over more optics needs to be its main one
 ARM = 0.02  # share of all probes of a detector that an arm needs
 PLATED = 0.2  # share of the probes of an arm that pass, or miss, a plate that is no step of its design
-MOST_COMBINED = 4096  # sequences of a detector; beyond it, only those that probes have found are used
+MOST_COMBINED = 4096  # combinations of alternatives; beyond it, only orders that probes have found are used
 MOST_RINGS = 8  # rings along an order up to which all subsets of them are sequences
 FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides of a plane-parallel plate may have
 
@@ -148,7 +148,7 @@ def declared(table: SurfaceTable, detector: int) -> Sequences:
 
 
 def has_optics(table: SurfaceTable) -> bool:
-    """True if a scene has a lens or a declared mirror."""
+    """True if a scene has a face that transmits, such as that of a lens or window, or a declared mirror."""
     return bool(_Rules(table).optical.any())
 
 
