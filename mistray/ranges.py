@@ -34,7 +34,7 @@ def _single(given: Any) -> bool:
 
 
 def shown(value: Any) -> str:
-    """Return a value as text in one line for a message; a long one is cut."""
+    """Return a value as text in one line for a message; a text beyond `LONGEST_VALUE` characters is cut."""
     text = f"{value:g}" if isinstance(value, float) else " ".join(repr(value).split())
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 1]}…"
 
@@ -48,7 +48,7 @@ class Demand:
     demand : str
         Condition in words, for messages.
     also : tuple of mapping
-        JSON schemas of values that are allowed, as far as a range, words or a type do not say.
+        JSON schemas of further allowed values, which the range, the words or the type do not cover.
     """
 
     demand: str
@@ -68,7 +68,7 @@ class Demand:
         """
         Return a dataclass field with this condition and the help text `doc`.
 
-        None is always allowed, see `check_fields`.
+        `default` and `kw_only` are those of `dataclasses.field`. `check_fields` says where None is allowed.
         """
         return dataclasses.field(default=default, kw_only=kw_only, metadata={_KEY: self, _DOC: doc})
 
@@ -122,7 +122,7 @@ class Range(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """
-        Return the number, converted to int if it must be whole.
+        Return the number, converted to int if it must be whole, and from NumPy to Python.
 
         Parameters
         ----------
@@ -151,7 +151,7 @@ class Range(Demand):
 
     def check_each(self, name: str, values: Any, owner: str = "") -> list[float]:
         """
-        Return a list of numbers from a single number or a sequence.
+        Return a list of floats, or of ints if they must be whole, from a single number or a sequence.
 
         Parameters
         ----------
@@ -163,7 +163,7 @@ class Range(Demand):
         Raises
         ------
         MistrayError
-            If the list is empty, or an entry is not a number or lies outside the range.
+            If the list is empty, or an entry is not allowed, see `check`.
         """
         numbers = [values] if isinstance(values, Mapping) else several(values)
         if not numbers:
@@ -173,7 +173,7 @@ class Range(Demand):
         return found if self.whole else [float(number) for number in found]
 
     def __call__(self, text: str) -> Any:
-        """Parse a word of the command line as a number in the range; raise an `argparse` error if it is not one."""
+        """Return a word of the command line as a number in the range; raise an `argparse` error if it is not one."""
         number = math.nan
         with contextlib.suppress(ValueError):
             number = float(text)
@@ -367,7 +367,7 @@ class ByName(Demand):
         return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
-        """Return the mapping as a dict; raise `MistrayError` if a key is not a string, or a value is not allowed."""
+        """Return a dict; raise `MistrayError` unless it is a mapping of strings, not blank, to allowed values."""
         before = _titled(name, owner)
         if not isinstance(value, Mapping) or not all(isinstance(key, str) and key.strip() for key in value):
             raise MistrayError(f"{before} is {shown(value)}; give a mapping from names to values, as of {self.example}")
@@ -375,7 +375,7 @@ class ByName(Demand):
 
 
 def _of_python(value: Any) -> Any:
-    """Return a NumPy scalar as a Python number or bool; any other value unchanged."""
+    """Return a NumPy scalar, or array of no dimensions, as a Python object; any other value unchanged."""
     return value.item() if type(value).__module__ == "numpy" and not getattr(value, "ndim", 1) else value
 
 
@@ -434,7 +434,7 @@ def _optional(field: dataclasses.Field[Any]) -> bool:
 
 
 def number_text(value: float) -> str:
-    """Format a number as short text without padding of its exponent, such as 4294967295, 1e30 or 1e-6."""
+    """Return a number as text of at most ten digits, without padding of the exponent, such as 4294967295 or 1e-6."""
     short = f"{value:g}"
     return re.sub(r"e\+?(-?)0*", r"e\1", short if float(short) == value else f"{value:.10g}")
 

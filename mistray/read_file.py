@@ -46,7 +46,7 @@ def count_as_read(path: str | Path) -> None:
 
 def open_input(path: str | Path, own: bool = False) -> BinaryIO:
     """
-    Open a regular file for reading, as binary.
+    Return a regular file, opened for reading in binary mode.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def read_file(
     remedy : str
         Advice for the end of the message.
     most : int, optional
-        Largest allowed size, bytes.
+        Largest allowed size, bytes; None: any size.
     own : bool
         Whether it is a result and not an input, see `open_input`.
 
@@ -115,7 +115,7 @@ def read_text(path: str | Path, what: str = "file", remedy: str = REMEDY) -> str
     """
     Return the text of a UTF-8 file, with or without byte order mark, with line feeds as line ends.
 
-    Raise `MistrayError` if the file cannot be read or is not in UTF-8.
+    `what` and `remedy` are those of `read_file`. Raise `MistrayError` as it does, or if the text is not UTF-8.
     """
     try:
         text = read_file(path, what, remedy).decode("utf-8-sig")
@@ -125,7 +125,11 @@ def read_text(path: str | Path, what: str = "file", remedy: str = REMEDY) -> str
 
 
 def require_file(path: str | Path, what: str = "file", remedy: str = REMEDY) -> None:
-    """Raise `MistrayError` if a file cannot be opened or is not a regular file, before a library opens it by name."""
+    """
+    Raise `MistrayError` if a file that a library will open by name cannot be opened or is not a regular file.
+
+    `what` and `remedy` are those of `read_file`. The file is recorded as an input, see `recording`.
+    """
     try:
         open_input(path).close()
     except OSError as error:

@@ -47,7 +47,7 @@ def draft_name() -> str:
 @contextlib.contextmanager
 def draft_folder(place: Path) -> Iterator[Path]:
     """
-    Make a hidden folder for drafts, and remove it at the end of the block.
+    Yield a new hidden folder for drafts, which is removed at the end of the block.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def remove_drafts() -> None:
 
 
 def sweep_drafts(place: Path) -> None:
-    """Remove old drafts of killed processes from a folder, once for each folder."""
+    """Remove drafts older than an hour, of processes that have ended, from a folder; later calls for it do nothing."""
     if place in _swept:
         return
     _swept.add(place)
@@ -170,7 +170,7 @@ class Guard:
         """
         Return the existing files among some paths that may not be replaced; none if `force` is set.
 
-        It raises as `refuse_read` does.
+        Raise `MistrayError` if the block has read one of them.
         """
         # What is open already, a pipe or a device is written to, and a folder has its own message
         old = [Path(path) for path in paths if os.path.isfile(path) or _is_dangling(path)]
@@ -241,7 +241,7 @@ def guarding(guard: Guard) -> Iterator[None]:
 
 def claim_files(paths: Iterable[str | Path]) -> None:
     """
-    Check that the active guard, if any, permits writing these files, before the first of them is written.
+    Check that the guard of the innermost `guarding` block, if any, permits writing these files; register them.
 
     Raise `MistrayError` if it does not.
     """

@@ -54,12 +54,12 @@ def replacing_folder(folder: str | Path) -> Iterator[None]:
     """
     Make all files that `mistray.replace_file` writes into a folder within a block appear together at its end.
 
-    A nested block for the same folder is part of the outer one. After an error nothing has changed.
+    A nested block for the same folder is part of the outer one. An error in the block leaves the folder unchanged.
 
     Parameters
     ----------
     folder : str or Path
-        Folder, created with its parents if it is missing. Other files in it stay.
+        Folder, created with its parents if it is missing and a file is written. Other files in it stay.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def replacing_folder(folder: str | Path) -> Iterator[None]:
 
 def _replace(target: Path, files: dict[str, bytes]) -> None:
     """
-    Replace files of a folder by exchanging the whole folder if possible, else one by one.
+    Replace files of a folder (name → content) by exchanging the whole folder if possible, else one by one.
 
     Raise `MistrayError` if the folder or a file cannot be written.
     """
@@ -107,7 +107,7 @@ def _replace(target: Path, files: dict[str, bytes]) -> None:
 
 def _exchange(target: Path, files: Mapping[str, bytes], gone: set[str]) -> None:
     """
-    Replace a folder in one system call.
+    Replace a folder in one system call: it gets `files`, by name, and keeps its others except those in `gone`.
 
     Raise `_Impossible`, with nothing changed, if that is not possible. A file that cannot be written raises
     `MistrayError`.
@@ -191,7 +191,7 @@ def _exchanger() -> Callable[[Path, Path], None]:
 
 
 def _bring_late(old: Path, new: Path, own: set[str]) -> None:
-    """Move files that another process added to the old folder meanwhile into the new one."""
+    """Move files that another process added or replaced in the old folder meanwhile to the new one, except `own`."""
     for entry in list(os.scandir(old)):
         with contextlib.suppress(OSError):
             place = new / entry.name

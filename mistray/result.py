@@ -17,7 +17,7 @@ KeyNumber = Estimate | float | int | str
 
 class Result:
     """
-    Base of the results of traces and analyses: what a Python session shows of them.
+    Base class of the results of traces and analyses: their text, table and figure in a Python session.
 
     A class names the functions that return its table and its figure, each with its module as in a relative import:
     ``class Losses(Result, table=".page:loss_table", figure=".figures:loss_figure")``. They are imported on first use.

@@ -19,9 +19,9 @@ class Source(Placed, Spectral, PolarizedFields):
     Attributes
     ----------
     radius, inner_radius : float or None, float
-        Outer and inner radius of the beam's cross-section, mm.
+        Outer and inner radius of the beam's cross-section, mm; ``None``: it is a rectangle.
     half_width, half_height : float or None
-        Half sizes of a rectangular cross-section instead, mm.
+        Half sizes of a rectangular cross-section, mm; ``None``: it is a circle or a ring.
     field_deg, azimuth_deg : float
         Field angle θ and azimuth about z, degrees. The direction (0, sin θ, cos θ) is rotated by the azimuth, in the
         frame given by ``tilt_deg``.
@@ -78,19 +78,19 @@ class ObjectPoint(Placed, Spectral, PolarizedFields):
     """
     A point of a near object instead of a collimated beam, with the parameters of the `point_source` emitter.
 
-    At zero field it lies on the z axis of its frame, whose origin is the centre of the entrance pupil.
+    At zero field it lies on the -z axis of its frame, whose origin is the centre of the entrance pupil.
 
     Attributes
     ----------
     distance : float
-        Distance from the object to the origin of the frame, mm.
+        Distance of the object in front of the origin of the frame, along -z, mm.
     field_deg, azimuth_deg : float
         Field angle and azimuth, degrees. They shift the point in its plane so that its light arrives at the origin at
         this angle.
     intensity : float
         Radiant intensity, W/sr.
     half_angle_deg : float
-        Half angle of the cone of its light about the z axis, degrees.
+        Half angle of the cone of its light about the +z axis, degrees.
     wavelength_nm, weights, spectrum, band_nm, bands, stokes, jones, polarization_deg
         Wavelengths and polarisation, as for `Source`.
 

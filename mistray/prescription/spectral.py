@@ -22,13 +22,13 @@ class Spectral:
     wavelength_nm : tuple of float
         Vacuum wavelengths, nm.
     weights : tuple of float or None
-        Relative weight of each wavelength; ``None``: equal.
+        Relative weight of each wavelength or line; ``None``: equal. A continuous spectrum has its own.
     spectrum : str or None
         Spectrum to use instead of `wavelength_nm`, see `mistray.spectra.spectrum.light_of`.
     band_nm : tuple of two float, or None
         Part of a continuous spectrum that is traced, nm; ``None``: 400 … 700 nm, or the whole range of a table.
     bands : int or None
-        Number of parts that the band is divided into; ``None``: 6.
+        Number of parts that the band of a continuous spectrum is divided into; ``None``: 6.
     """
 
     wavelength_nm: tuple[float, ...] = WAVELENGTHS_NM.field(DEFAULT_NM)
@@ -49,7 +49,7 @@ class Spectral:
         return light_of(self.spectrum, self.band_nm, self.bands, self.weights)
 
     def check_spectrum(self, owner: str) -> None:
-        """Raise `MistrayError` if the description of the wavelengths is invalid."""
+        """Raise `MistrayError`, whose message begins with `owner`, if the description of the wavelengths is invalid."""
         with errors_of(owner):
             _ = self.light
 
@@ -72,5 +72,5 @@ class Spectral:
 
 
 def list_text(values: tuple[float, ...]) -> str:
-    """Return values as comma-separated text with all digits, as plugin properties expect."""
+    """Return numbers as comma-separated text with all digits, as plugin properties expect."""
     return ", ".join(repr(float(value)) for value in values)

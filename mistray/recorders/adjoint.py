@@ -62,7 +62,8 @@ class Adjoint(Recorder):
     Attributes
     ----------
     gain : (n,) mi.Float64
-        Gain of the metric from each lane of the latest trace: derivative × flux, summed over its hits.
+        Gain of the metric from each lane of the latest trace: derivative × flux, summed over its hits or, with `light`,
+        over its rays that leave. The flux is in units of a start ray's.
     sums : (BATCHES, rows, CHANNELS) mi.Float64
         Derivatives of the metric with respect to the rows of R and T, by batch of start rays. They are in the unit of
         the derivative times that of a start ray's flux.
@@ -110,9 +111,9 @@ class Adjoint(Recorder):
         """
         Add the contribution of each detector hit to the gain of its lane, and the detector's part to the derivatives.
 
-        The contribution is the absorbed flux times the derivative of the metric with respect to it, or
-        `SkyRecorder.gain` with `light` for the detector. Flux on paths that are not in the ledger is added to
-        `unknown`.
+        The contribution is the absorbed flux times the derivative of the metric with respect to it. Flux on paths that
+        are not in the ledger is added to `unknown`. With `light` for the detector the contribution is
+        `SkyRecorder.gain`, of incident flux, and R and T of the detector itself have no derivatives.
         """
         if self.light is not None and self.light.incident:
             memory[GAIN] = memory[GAIN] + self.light.gain(visit)
@@ -182,7 +183,7 @@ class Adjoint(Recorder):
         """
         Return the derivative of the metric with respect to the flux of each detector hit.
 
-        It is the sum of the parts by pixel and by path, as far as they are given.
+        It is the sum of the parts by pixel and by path, as far as they are given, in their unit.
         """
         (x, y), slot, active, film = visit.position, visit.slot, visit.counted, self._film
         total = dr.zeros(mi.Float64, dr.width(x))

@@ -45,7 +45,7 @@ class PathChoice:
 @dataclass
 class Node:
     """
-    Recorded event of each ray: point, direction of arrival, and event code.
+    One recorded event of each ray: point and direction of arrival in the world, and event code.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ class BranchRecorder(Recorder):
         slot : mi.UInt32
             Slot of each branch.
         kept : mi.Bool
-            Whether there was room for it.
+            True for active lanes whose branch found room; only their slots are valid.
         """
         # Claim a slot
         depth, last = end.depth, end.node
@@ -235,7 +235,7 @@ class BranchRecorder(Recorder):
         return np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0), lengths
 
     def node(self, slot: mi.UInt32, k: mi.UInt32, active: mi.Bool) -> Node:
-        """Return event `k` of recorded branches as a `Node`: point, mm, unit direction and event code."""
+        """Return event `k` of the recorded branches in the given slots, for active lanes; see `Node`."""
         row = (slot * self._stride + k) * VECTORS
         first, second = (dr.gather(mi.Vector4f, self.nodes, row + j, active) for j in range(VECTORS))
         code = dr.reinterpret_array(mi.UInt32, second.w)
@@ -258,7 +258,7 @@ class BranchRecorder(Recorder):
         Returns
         -------
         (n, longest, NODE_FLOATS - 1) float64
-            Point (3), mm, unit direction of arrival (3) and throughput at each node.
+            Point (3), mm, unit direction of arrival (3) and throughput at each node, in the world.
         """
         nodes = self.nodes.numpy().reshape(self.capacity, -1, NODE_FLOATS)[slots, :longest, :-1]
         inside = np.arange(longest) < self.length.numpy()[slots, None]
@@ -339,7 +339,7 @@ class CellRecorder(ElsewhereRecorder):
 
 def as_many(capacity: int, max_events: int) -> int:
     """
-    Return how many branches of `max_events` events fit into the memory that `capacity` branches of 64 need.
+    Return the number of branches of `max_events` events that fit into the memory of `capacity` branches of 64 events.
 
     The number is at least 1 and at most `capacity`.
     """

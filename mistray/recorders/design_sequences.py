@@ -53,7 +53,7 @@ class DesignSequences:
         Parameters
         ----------
         events : (p, k) uint32
-            Event lists with the absorption in the detector at their ends, padded.
+            Event lists with the absorption in the detector at their ends, then padding.
         lengths : (p,) int
             Number of events of each, at least 1.
 
@@ -68,7 +68,11 @@ class DesignSequences:
         return found
 
     def reflects(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """Return a mask of events, (p, k) bool, at surfaces where a design sequence of the path's detector reflects."""
+        """
+        Return a mask of events, (p, k) bool, at surfaces where a design sequence of the path's detector reflects.
+
+        `events` and `lengths` are those of `direct`. Padding has no meaning in the mask.
+        """
         found = np.zeros(events.shape, dtype=bool)
         for detector, here in self._by_detector(events, lengths):
             found[here] = np.isin(events[here] >> EVENT_BITS, list(self.reflectors(detector)))

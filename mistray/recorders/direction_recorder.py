@@ -91,7 +91,7 @@ class MisWeighting(Protocol):
         """Return the MIS weights, 0 … 1, of paths of backward rays that leave the scene within a cell of directions."""
 
     def forward(self, visit: Visit) -> MisWeights:
-        """Return the MIS weights, 0 … 1, of paths of forward rays that meet the detector; each starts from its cell."""
+        """Return the MIS weights, 0 … 1, of paths of forward rays that start in a cell and meet the detector."""
 
 
 class SkyContribution(NamedTuple):
@@ -101,7 +101,7 @@ class SkyContribution(NamedTuple):
     Attributes
     ----------
     kind, cell : mi.UInt32
-        Class of light, and cell of directions that it comes from.
+        Class of light, an index into `CLASSES`, and index of the cell of directions that it comes from.
     weight : mi.Float
         Throughput times MIS weight, in units of a start ray's flux.
     active : mi.Bool
@@ -121,7 +121,7 @@ class SkyRecorder(Recorder):
     Parameters
     ----------
     shape : tuple of int
-        Number of field angles, and number of azimuths, of the cells.
+        Number of field angles n and of azimuths m of the cells.
     design : DesignKeys
         Sequences of the direct image.
     mis : MisWeighting, optional
@@ -180,7 +180,11 @@ class SkyRecorder(Recorder):
         return dr.select(active, mi.Float64(weight) * derivative, 0)
 
     def add(self, end: Visit | Departure, light: SkyContribution, pixel: mi.UInt32 | None) -> None:
-        """Add the rays' MIS-weighted throughput to the sums by class and cell, the detector maps and the path table."""
+        """
+        Add the rays' MIS-weighted throughput to the sums by class and cell, the detector maps and the path table.
+
+        `pixel` is the index of each ray's pixel in the map of its cell; None if there are no maps.
+        """
         kind, cell, weight, active = light
         w = mi.Float64(weight)
         place = (kind * self._cells + cell) * BATCHES + end.start.batch
@@ -198,12 +202,13 @@ class SkyRecorder(Recorder):
 
     def read(self) -> dict[str, Any]:
         """
-        Return the throughput sums by class, cell, batch and pixel on the host, in units of a start ray's flux.
+        Return the sums of MIS-weighted throughput on the host, in units of a start ray's flux.
 
         Returns
         -------
         dict
-            ``cells`` (CLASS_COUNT, n, m, BATCHES), ``largest`` (n, m), and ``maps`` (2, n, m, pixels) if there are any.
+            ``cells`` (CLASS_COUNT, n, m, BATCHES): sums. ``largest`` (n, m): largest throughput of a scattered ray.
+            With maps, ``maps`` (2, n, m, pixels): sums over all classes and batches, and sums of squares.
         """
         found = {
             "cells": np.array(self._sums).reshape(CLASS_COUNT, *self._shape, BATCHES),
@@ -244,7 +249,11 @@ class DirectionRecorder(SkyRecorder):
         dr.eval(self.elsewhere)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the cell of each backward ray and a mask of rays in any; rays along d stand for light along -d."""
+        """
+        Return the index of the cell of each backward ray, and a mask of rays that are in a cell.
+
+        A ray along the unit vector `d`, in the world, stands for light along -d.
+        """
         # Field angle: light travels along -d. sin² orders the angles of the front half space
         x, y, z = (-dr.dot(d, axis) for axis in self._axes)
         sine2 = dr.fma(x, x, y * y)
@@ -289,7 +298,7 @@ class DirectionRecorder(SkyRecorder):
         return self._within(end, *self.cell(end.heading))
 
     def _within(self, departure: Departure, cell: mi.UInt32, inside: mi.Bool) -> SkyContribution:
-        """Return class of light, cell and MIS-weighted throughput of rays that leave within a cell of directions."""
+        """Return the contribution of rays that leave within a cell; `cell` and `inside` are those of `cell`."""
         weight, active = departure.weight, inside & departure.active
         if self._mis is not None:
             share = self._mis.backward(departure, cell, active).backward
@@ -297,7 +306,7 @@ class DirectionRecorder(SkyRecorder):
         return SkyContribution(class_of_light(departure, self._design), cell, weight, active)
 
     def read(self) -> dict[str, Any]:
-        """Return throughput sums in units of a start ray's; ``elsewhere``, (BATCHES,), is the sum outside all cells."""
+        """Return the sums of `SkyRecorder.read`, and ``elsewhere``, (BATCHES,), the throughput outside all cells."""
         return super().read() | {"elsewhere": np.array(self.elsewhere)}
 
 
@@ -310,9 +319,9 @@ class ArrivalRecorder(SkyRecorder):
     shape, design, mis, paths, derivative
         See `SkyRecorder`.
     film : Film, optional
-        Pixel grid of a map of the detector for each cell; None: no maps.
+        Pixel grid, without tent filter, of a map of the detector for each cell; None: no maps.
     scattered_only : bool
-        Whether light that nothing has scattered is left out.
+        Whether only light that has been scattered is recorded.
     """
 
     incident = True
@@ -357,5 +366,5 @@ class ArrivalRecorder(SkyRecorder):
         dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), start.cell, active, REDUCE)
 
     def read(self) -> dict[str, Any]:
-        """Return throughput sums by class and start cell, in units of a start ray's flux, and ray segments, (n, m)."""
+        """Return the sums of `SkyRecorder.read`, and ``segments``, (n, m), the number of ray segments by start cell."""
         return super().read() | {"segments": np.array(self._segments).reshape(self._shape)}

@@ -68,7 +68,7 @@ class DirectionGrid:
             Field angles, -90 … 90; a negative angle is the positive one at the opposite azimuth, as for a `collimated`
             source. If there are angles of both signs, all cells have both azimuths.
         azimuths_deg : float or sequence of float, optional
-            Azimuths; by default one cell holds all azimuths, and the sign does not matter.
+            Azimuths; by default one cell holds all azimuths, and the sign of a field angle does not matter.
         cell_deg : float, optional
             Width of the cells in field angle; by default 2°, or the smallest distance of two angles if that is less.
         azimuth_cell_deg : float, optional
@@ -80,7 +80,8 @@ class DirectionGrid:
         Raises
         ------
         MistrayError
-            For angles or widths out of range, angles that do not ascend, an azimuth given twice, or cells that overlap.
+            For angles or widths out of range, angles that do not ascend, an azimuth given twice, cells that overlap, or
+            `azimuth_cell_deg` without `azimuths_deg`.
         """
         # Field angles and the borders of their cells
         given = np.array(PST_FIELD_DEG.check_each("field_deg", field_deg))

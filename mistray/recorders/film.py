@@ -57,7 +57,11 @@ class Film:
 
     @classmethod
     def of(cls, width: int, height: int, extent: Sequence[float], groups: int = 1, tent: bool = False) -> Film:
-        """Create a grid of `width` × `height` pixels over the rectangle x0, x1, y0, y1 (mm) of the detector."""
+        """
+        Create a grid of `width` × `height` pixels over the rectangle x0, x1, y0, y1 (mm) of the detector.
+
+        `groups` and `tent` are the attributes of these names.
+        """
         x0, x1, y0, y1 = extent
         numbers = x0, y0, width / (x1 - x0), height / (y1 - y0)
         left, low, per_mm_x, per_mm_y = (dr.opaque(mi.Float, float(number)) for number in numbers)
@@ -71,6 +75,8 @@ class Film:
     def places(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float | None]]:
         """
         Return the pixels that hits at a point of the detector, mm, contribute to, with their filter weights.
+
+        What falls outside the film contributes to the nearest pixel of its border.
 
         Returns
         -------
@@ -105,14 +111,14 @@ class Images(Recorder):
     film : Film
         Pixel grid of the detector.
     count : int, optional
-        Number of images; by default `Film.images`.
+        Number of images in memory; by default `Film.images`, those of one map.
     only : int, optional
         Surface index of the detector whose hits are recorded; None: those of all detectors.
 
     Attributes
     ----------
     sums : (count · height · width,) mi.Float64
-        Flux in units of a start ray, see `Film`.
+        Flux in units of a start ray's, image by image; the `WEIGHTS` of a map follow the images of its groups.
     """
 
     def __init__(self, film: Film, count: int | None = None, only: int | None = None) -> None:
@@ -170,7 +176,7 @@ class Pixels(Sampled):
         Parameters
         ----------
         film : (images, height, width) float64
-            See `Film`.
+            Images of the groups, then the `WEIGHTS`, see `Film`.
         started : (BATCHES,) float64
             Start rays of the batches.
         scale : float, optional
@@ -187,7 +193,7 @@ class Pixels(Sampled):
 
     @property
     def none(self) -> Pixels:
-        """Return an image of the same size with zero flux and zero noise."""
+        """Image of the same size with zero flux and zero noise."""
         return Pixels(*map(np.zeros_like, (self.value, self.apart, self.weights)))
 
     def __add__(self, other: Sampled) -> Pixels:
@@ -206,7 +212,7 @@ class Pixels(Sampled):
         return self.few_in_squares(1)
 
     def few_in_squares(self, pixels: int) -> np.ndarray:
-        """Return a mask, (h, w), of squares of `pixels` × `pixels` that too few rays meet for a standard error."""
+        """Return a mask of squares of `in_squares` that too few rays meet for a standard error, see `error_rays`."""
 
         def pool(values: Numbers) -> Numbers:
             # Sums over the neighbouring pixels, one axis after the other
@@ -245,12 +251,12 @@ class Box(Recorder):
 
 
 def image_word(first: int, by_group: bool) -> int:
-    """Return an integer that encodes the index of a path's first image, and whether it has one per group of batches."""
+    """Return an integer that encodes the index of a map's first image, and whether it has one per group of batches."""
     return 2 * (first + 1) + by_group
 
 
 def groups_of(pixels: int) -> int:
-    """Return the number of groups of batches that get an image each, a power of 2; fewer for images of many pixels."""
+    """Return the number of groups of batches with an image each, a power of 2: fewer for images of more pixels."""
     most = FILM_BYTES // (8 * pixels)
     return int(np.clip(1 << max(most, 1).bit_length() - 1, LEAST_GROUPS, BATCHES))
 
@@ -270,7 +276,11 @@ def images_of(pixels: int) -> int:
 
 
 def in_squares(image: Numbers, pixels: int) -> Numbers:
-    """Return an image summed over squares of `pixels` by `pixels`, (h, w); the last row and column may be smaller."""
+    """
+    Return the sums of an image, (h, w), over squares of `pixels` × `pixels`, as a smaller image.
+
+    Squares in the last row and column are cut off where the image ends.
+    """
     rows, columns = (np.arange(0, size, pixels) for size in image.shape)
     return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1))
 
@@ -287,7 +297,7 @@ def spreads(film: mi.Film) -> bool:
     Raises
     ------
     MistrayError
-        For a tent that is not two pixels wide.
+        For a tent whose radius is not 1 pixel.
     """
     kernel = film.rfilter()
     if kernel.class_name() != "TentFilter":

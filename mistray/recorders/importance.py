@@ -29,7 +29,7 @@ def window_row(surface: mi.UInt32, place: mi.UInt32, before: mi.UInt32, scatters
     Parameters
     ----------
     surface : mi.UInt32
-        Number of the surface.
+        Index of the surface.
     place : mi.UInt32
         Part of the surface that is hit, and the side that the light comes from, as bit `BACK`.
     before : mi.UInt32
@@ -43,7 +43,7 @@ def window_row(surface: mi.UInt32, place: mi.UInt32, before: mi.UInt32, scatters
 
 class ImportanceSums:
     """
-    Sums by row of what arrives at scattering surfaces, and of what paths through them contribute.
+    Sums by `window_row` of the throughput that arrives at scattering surfaces, and of contributions of paths by them.
 
     Parameters
     ----------
@@ -67,7 +67,11 @@ class ImportanceSums:
             dr.scatter_reduce(dr.ReduceOp.Add, self._sums[first + k], one, row, active)
 
     def arrive(self, visit: Visit, weight: mi.Float64, memory: Memory) -> None:
-        """Add the throughput of rays that arrive at scattering surfaces, and keep the places of their hits."""
+        """
+        Add the weight of rays that arrive at scattering surfaces, and keep the places of all hits in `memory`.
+
+        `weight` is the throughput in units of a start ray's flux; forward rays have it times the value of their cell.
+        """
         if visit.shares is None or visit.window_place is None:
             return
         self._placed = True
@@ -95,7 +99,7 @@ class ImportanceSums:
         length : mi.UInt32
             Number of their events before the end.
         value : mi.Float64
-            Contribution of this direction.
+            Contribution of these rays: MIS-weighted throughput times the value of its cell.
         forward : mi.Float
             MIS weight of forward rays on the same paths.
         active : mi.Bool
@@ -146,9 +150,10 @@ class ImportanceSums:
         Returns
         -------
         (3, 2, n, WAYS) float64
-            By row, of values and of their squares: the throughput that arrives; the contribution that follows from it;
-            and the contribution times the MIS weight of forward rays, by the rows of forward rays. The last of both
-            directions add up to the contribution of forward rays, estimated from the paths of both.
+            Sums of three quantities and of their squares, by surface (n) and way. First, the weight that arrives, see
+            `arrive`. Second, the contribution that follows from it. Third, the contribution times the MIS weight of
+            forward rays, in the rows of forward rays. The third sums of both directions add up to the contribution of
+            forward rays, estimated from the paths of both.
         """
         found: Any = [np.array(one) for one in self._sums]
         return np.array(found).reshape(3, 2, self._surfaces, WAYS)

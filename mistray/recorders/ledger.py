@@ -94,8 +94,8 @@ def claim(
     active : mi.Bool
         Lanes that search.
     flag : mi.UInt32, optional
-        Entry of the table that is set once a key has found no slot. Searches end early from then on, since in a full
-        table each would be a long one.
+        Index of the entry of `keys` that is set once a key has found no slot. Searches end early from then on, since
+        in a full table each would be a long one. None: there is no such entry.
 
     Returns
     -------
@@ -161,7 +161,7 @@ def read_lists(
     """
     Return the paths of a table in device memory: slots, keys, event lists and their lengths, on the host.
 
-    Messages name the table `owner`.
+    Messages name the table `owner`. The arrays are those of `Ledger`, without flux.
 
     Returns
     -------
@@ -211,7 +211,7 @@ class Ledger(Recorder):
     capacity : int
         Number of slots, a power of two. Memory: about 2 KiB a slot.
     max_events : int
-        Longest event list.
+        Largest number of events of a path.
     stokes : bool
         Whether the Stokes vectors are summed as well.
     """
@@ -285,7 +285,7 @@ class Ledger(Recorder):
 
     @property
     def _lost(self) -> bool:
-        """True if the table was full for some path, whose flux is then missing from the sums."""
+        """True if some path has found no slot, so that its flux is missing from the sums."""
         return int(self.keys[self.capacity]) != 0
 
     @property

@@ -142,10 +142,10 @@ class PathNames:
 
     def _short(self, turns: Sequence[int], kind: str, designed: set[int]) -> str:
         """
-        Return the short name of a path; "" where it has none.
+        Return the short name of a path of the given `kind` and event codes at its `turns`; "" if it has none.
 
         A path has a short name if all its turns are reflections. It has one, too, if its only turn is scatter to the
-        side to which the surface sends most of its scatter.
+        side to which the surface sends most of its scatter. `designed` holds the codes of the design sequence.
         """
         names = [self._ids[place_of(code)] for code in turns]
         if all(kind_of(code) == REFLECTED for code in turns):
@@ -163,7 +163,7 @@ class PathNames:
 
     def _between(self, first: int, last: int, detector: int) -> list[int]:
         """
-        Return the event codes of the design sequence between surfaces `first` and `last`, from a cache.
+        Return the event codes of the design sequence between surfaces `first` and `last`, in this order, from a cache.
 
         If a surface occurs in it several times, the shortest part counts. The list is empty where a surface is not in
         the sequence.
@@ -190,9 +190,9 @@ class Events:
     Parameters
     ----------
     codes : (p, k) uint32
-        Events, see `mistray.events`, padded at the ends.
+        Event codes, see `mistray.events`, padded with 0 at the ends.
     lengths : (p,) int
-        Number of events of each, at least 1.
+        Number of events of each path, at least 1.
     ids : sequence of str
         Names of the surfaces and media.
     words : (s,) uint32
@@ -316,7 +316,11 @@ class Events:
 
 
 def event_keys(events: Iterable[str]) -> list[str]:
-    """Return a hash of each event list, ten hexadecimal digits, equal in all scenes and for random or aimed scatter."""
+    """
+    Return a hash of each event list, given as text: ten hexadecimal digits.
+
+    It depends on nothing but the text, and is the same for random and for aimed scatter.
+    """
     return [hashlib.blake2b(text.encode(), digest_size=5).hexdigest() for text in way_text(events)]
 
 

@@ -1,7 +1,7 @@
 """
 Key of a path: a rolling 64-bit hash of its events, each a surface and the kind of interaction there.
 
-Two different paths share a key with a probability of about paths²/2^65, 3e-11 for 30 000 paths.
+Two different paths share a key with a probability of about paths²/2^65, 2e-11 for 30 000 paths.
 """
 
 from __future__ import annotations
@@ -88,7 +88,11 @@ def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
 
 
 def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
-    """Return packed scatter counts (all events, those not aimed, those at optical surfaces) after one more."""
+    """
+    Return the packed word of a path's scatter events, see `COUNT_MASK`, after one more event.
+
+    `aim`, `optical` and `diffracted` say whether it was aimed, was not at an opaque surface, and was diffraction.
+    """
     # One word holds all three counts, so that a node stores a single integer
     count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
     # `AT_WALL` is of the last event only; `NOT_DIFFRACTED` stays once it is set
@@ -107,7 +111,7 @@ def padded(lists: Sequence[Sequence[int] | np.ndarray]) -> tuple[np.ndarray, np.
 
 def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """
-    Return the path keys of event lists, computed on the host.
+    Return the 64-bit path key of each event list, computed on the host.
 
     Parameters
     ----------

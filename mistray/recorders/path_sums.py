@@ -19,12 +19,12 @@ HIT_SUMS = 3  # sums of a path in a cell: hits, weight, squared weight
 
 class PathsByCell(dict[str, np.ndarray]):
     """
-    Paths with the sums of their ray throughput in each cell of directions; empty: there are none.
+    Paths with the sums of their MIS-weighted throughput in each cell of directions; empty: there are none.
 
     The keys ``events``, (p, k) uint32, and ``lengths``, (p,), hold the event lists of p paths, in the order in which
     rays meet the events. The other keys hold e entries, (e,), one for each path and cell with hits. They are ``path``
-    and ``cell``, indices; ``hits``, the number of rays; ``weight``, the sum of their throughput; and ``squares``, the
-    sum of its squares.
+    and ``cell``, indices; ``hits``, the number of rays; ``weight``, the sum of their throughput in units of a start
+    ray's flux; and ``squares``, the sum of its squares.
     """
 
     def __add__(self, other: PathsByCell) -> PathsByCell:
@@ -89,9 +89,10 @@ class PathSums:
         active: mi.Bool,
     ) -> None:
         """
-        Add ray weights (throughput) to the sums of their paths and cells; rays that find no slot are left out.
+        Add rays' `weight`, see `PathsByCell`, to the sums of their paths and cells.
 
-        `read(k, mask)` returns event k < length of each path.
+        Rays that find no slot are left out. `key` identifies each path, and `read(k, mask)` returns its event
+        k < `length`.
         """
         # Find or claim the slot of the path
         slot, found, new = claim(

@@ -57,9 +57,9 @@ class Visit:
     loss : mi.Float
         Fraction of the throughput that the surface absorbs, whatever the limits.
     position : tuple of mi.Float
-        Point in the detector's frame, mm.
+        Point in the frame of the film, mm; meant for hits of a detector.
     code, key : mi.UInt32, mi.UInt64
-        Event code of the absorption here, and key of the path that ends with it.
+        Event code of the absorption here, and 64-bit key of the path that ends with it.
     codes : dr.Local
         Earlier events of the path, by depth.
     nodes : tuple of dr.Local
@@ -367,7 +367,8 @@ class Recorder:
     Attributes
     ----------
     node_floats : int
-        Number of floats that the recorder reads of each node of a path: 0, POINT_FLOATS or NODE_FLOATS.
+        Number of floats that the recorder reads of each node of a path: the first of point (3), direction of arrival
+        (3) and throughput.
     merges_aimed : bool
         Whether paths count as one that differ only in how a direction was sampled, at random or aimed.
     incident : bool

@@ -48,7 +48,7 @@ class Sampled:
         Parameters
         ----------
         by_batch : (…, b) float64
-            Sums of the batches.
+            Sums of the batches, in the unit of the estimate.
         rays : (b,) float64
             Number of start rays of each batch.
         """

@@ -66,8 +66,8 @@ class StartRays:
     medium : mi.UInt32, optional
         Position in `Optics.media` of the material that they start in; 0 or None: unknown.
     depth, reflections, scatters : mi.UInt32, optional
-        Events before, counted reflections and scatter events (packed as in `mistray.kernel.ray_tree`), for rays that
-        continue from within a tree; None: 0.
+        Number of events before, counted reflections, and scatter events (packed, see
+        `mistray.recorders.path_key.COUNT_MASK`), for rays that continue from within a tree; None: 0.
     key, path_class : mi.UInt64, mi.UInt32, optional
         Key of these events, and the sum of their hashes for the path class, see
         `mistray.recorders.path_key.mixed_events`; None: there are no events before.
@@ -132,7 +132,7 @@ class StartRays:
         return self.picked(index).evaluated()
 
     def evaluated(self) -> StartRays:
-        """Evaluate the arrays of these start rays in device memory, and return the rays."""
+        """Return these start rays, whose arrays it evaluates in device memory."""
         dr.eval(*(getattr(self, f.name) for f in fields(self)))
         return self
 

@@ -39,9 +39,10 @@ class Samples:
     points : (s, 4) float64
         Start points of forward rays in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
     weight : (s,) float64
-        Throughput times MIS weight of each sample, in units of a start ray.
+        Throughput times MIS weight of each sample, in units of a start ray's flux.
     forward, connected : (s,) float64
-        MIS weights of its path, see `mistray.recorders.direction_recorder.MisWeights`.
+        MIS weights of forward rays and of connections on its path, see
+        `mistray.recorders.direction_recorder.MisWeights`.
     density : (s,) float64
         Density of forward start rays at the point, relative to its mean.
     ends : (s, 4) float64
@@ -86,7 +87,22 @@ class Samples:
 
 
 class _StartSamples(Recorder):
-    """Base class of recorders that append samples of forward or backward rays to a buffer on the device."""
+    """
+    Base class of recorders that append samples of forward or backward rays to a buffer on the device.
+
+    Parameters
+    ----------
+    cells : int
+        Number of sums of ray segments: one for each start cell, or 1.
+    design, mis
+        Sequences of the direct image, and MIS weights, as for `SkyRecorder`.
+    surfaces : int
+        Number of surfaces.
+    values : (c,) float64
+        Value of a unit of contribution in each cell of directions, for the importance.
+    capacity : int
+        Largest number of samples that are kept.
+    """
 
     merges_aimed = True
 
@@ -204,7 +220,7 @@ class ArrivalSamples(_StartSamples):
     design, mis, surfaces, values, capacity
         See `_StartSamples`.
     scattered_only : bool
-        Whether light that nothing has scattered is left out.
+        Whether only samples of scattered light are kept.
     """
 
     incident = True

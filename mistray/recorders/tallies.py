@@ -52,7 +52,7 @@ SUMS = "sums"  # name of the per-lane sums in the memory
 
 class Tallies(Recorder):
     """
-    Recorder of the sums of the energy ledger by batch: for each surface, medium and loss channel, in float64.
+    Recorder of the sums of the energy ledger by batch: for each surface, medium and loss channel, see `read`.
 
     Media scatter as well: counts of their aimed rays, and of those that land, follow the sums of the surfaces.
 
@@ -177,6 +177,6 @@ class Tallies(Recorder):
         }
 
     def _add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
-        """Add a count, or flux in units of a start ray's flux, to column `what` of a surface's sums."""
+        """Add a count, or flux in units of a start ray's, to column `what` of the sums of surface or medium `s`."""
         index = (s * SURFACE_SUMS + what) * BATCHES + batch
         dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), index, active)

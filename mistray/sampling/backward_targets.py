@@ -62,8 +62,8 @@ class BackwardTargets:
     light : (3,) float64 or None
         Unit direction of the design path's light at the detector; None: there is no design path.
     views : dict
-        For each surface that transmits or is a mirror, the fraction of Lambertian rays from its better side that leave
-        the scene backward by refraction and by reflection at mirrors.
+        For each surface that transmits or is a mirror, by its index, the fraction of Lambertian rays that leave the
+        scene backward by refraction and by reflection at mirrors, from the side with more of them.
     """
 
     aims: dict[Place, AimSet]
@@ -135,8 +135,8 @@ def find_opening(
     """
     Return the disc at the front of the scene through which outside light reaches the path's first surface.
 
-    Without a path the detector takes the place of that surface. The result is None if no probe ray gets out. `axis` is
-    the unit direction of light at field angle 0.
+    Without a path the detector takes the place of that surface. The result is None if no probe ray gets out, or all
+    leave at one point. `axis` is the unit direction of light at field angle 0.
     """
     first = path.steps[0].surface if path is not None else table.detector
     points, _ = surface_points(table, first, PROBES, rng)
@@ -189,7 +189,7 @@ def _lambertian_rays(
 def _sky_shares(
     table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator
 ) -> dict[Side, float]:
-    """Return the fraction of Lambertian rays from each side of surfaces that leave the scene without a hit."""
+    """Return the fraction of Lambertian rays from each side of surfaces that leave against `axis` without a hit."""
     probes = fewer_rays(SKY_PROBES)
     o, d = _lambertian_rays(table, surfaces, probes, rng)
     last = np.repeat(surfaces, 2 * probes)
@@ -201,9 +201,9 @@ def _sky_shares(
 
 def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator) -> dict[int, float]:
     """
-    Return, for each surface, the fraction of Lambertian rays that leave the scene backward by specular events.
+    Return, by surface index, the fraction of Lambertian rays that leave the scene against `axis` by specular events.
 
-    The fraction is that of the surface's better side.
+    The fraction is that of the side with more of them.
     """
     probes = fewer_rays(VIEW_PROBES)
     start, along = _lambertian_rays(table, surfaces, probes, rng)

@@ -74,7 +74,8 @@ class Beam(SceneSource):
         """
         Return rays on the outline of the beam, and on that of its dark centre if it has one.
 
-        Each line has origins, mm, and unit directions, (count, 3) float64 each.
+        Each line has origins, mm, and unit directions, (count, 3) float64 each. `within` is the relative distance by
+        which they lie inside the lit area.
         """
         sample = mi.Point2f(*(upload(mi.Float, v) for v in perimeter(count, within)))
         outer = np.array(self.emitter.positions(sample), dtype=np.float64)
@@ -83,7 +84,7 @@ class Beam(SceneSource):
         return [self.through(*line) for line in lines]
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> Beam:
-        """Return a copy of the beam whose probe rays are aimed at an aperture; start rays do not change."""
+        """Return a copy of the beam with probe rays aimed at `aperture`; start rays do not change, `lit` is ignored."""
         return replace(self, aperture=aperture)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:

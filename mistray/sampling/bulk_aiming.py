@@ -143,7 +143,7 @@ class Sight(NamedTuple):
     surface : int
         Index of the surface; -1: the sight is an opening or the sky.
     light : (3,) float64 or None
-        Unit direction of the design path's light there; None: any.
+        Unit direction of the design path's light there, which only targets in front of it may send; None: any.
     """
 
     target: Target
@@ -162,7 +162,8 @@ class Appearance(NamedTuple):
     number : int
         Index of the sight.
     by : int
-        Index of the last surface that rays from the sight leave; its own where nothing stands between.
+        Index of the last surface that rays from the sight leave; that of the sight itself where nothing stands between,
+        which is -1 for an opening.
     share : float
         Fraction of the rays from the sight that arrive by that surface.
     """

@@ -42,9 +42,10 @@ class Unobstructed(NamedTuple):
     passes : (n,) bool
         Whether a ray reaches the detector by the design path.
     ends : (n,) int
-        First surface that differs from that of the design path; -1: none.
+        Surface at which the ray leaves the design path: one that it meets instead of the step's, or the step's own if
+        it goes the other way there. -1: none, since it passes or leaves the scene.
     place : (n,) int
-        Index of the step that the ray was on its way to; -1 where it passes.
+        Index of the step at which, or on the way to which, the ray leaves the path; -1 if it passes.
     missed : (n,) bool
         Whether a ray crossed the unbounded surface of that step, outside its edge, before it met something else.
     """
@@ -188,7 +189,9 @@ class DesignPath:
 
     def meet(self, step: DesignStep, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return where lines cross a step's surface nearest to the base ray, mm, and the unit normals, (n, 3) each.
+        Return the points, mm, at which lines cross a step's unbounded surface, and the unit normals, (n, 3) each.
+
+        Of several crossings it is the one nearest to the base ray.
 
         For the opening and for a Mitsuba shape it is the tangent plane that is crossed. Points are NaN where a line
         does not cross the surface.
@@ -206,7 +209,7 @@ class DesignPath:
         return p, normals(self.table, step.surface, p)
 
     def leave(self, step: DesignStep, d: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        """Return unit directions after reflection or refraction at a step, (n, 3); NaN beyond the critical angle."""
+        """Return unit directions after a step's reflection or refraction, (n, 3); NaN where TIR prevents the latter."""
         n_front, n_back = self.table.optics.host_indices[step.surface, :2]
         eta = n_front / n_back if step.from_front else n_back / n_front
         reflected, transmitted, total = specular(d, normal, eta)
@@ -227,7 +230,7 @@ def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
     Returns
     -------
     DesignPath or None
-        None where no probe reaches the detector, or there is no source.
+        None if no probe reaches the detector, there is no source, or the base ray fails, see `_with_base_ray`.
     """
     # An order without optics is kept until all sources and fields have been tried
     by_passing: DesignPath | None = None
@@ -344,7 +347,7 @@ def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
 
 def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sphere | None:
     """
-    Return a sphere around that part of the first aperture through which a source's light reaches a detector.
+    Return a sphere around that part of the first aperture through which a source's light reaches the first detector.
 
     Returns
     -------
@@ -367,9 +370,9 @@ def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sph
 
 def _with_base_ray(table: SurfaceTable, source: SceneSource, probes: Probes, order: Order) -> DesignPath | None:
     """
-    Return the design path of an event sequence, based on the ray in the middle of the light.
+    Return the design path of an event sequence, along the source's middle ray or else its most central probe.
 
-    None if that ray misses a surface or is totally reflected where it should pass.
+    None if that ray misses an unbounded surface or is totally reflected where it should pass.
     """
     # The probe nearest to the middle has the branch of each surface that is meant
     taking = probes.taking(order, table.detector)

@@ -7,9 +7,9 @@ from the base ray and differs from its direction by the small slope q. Its hit o
 
     x = x0 + P p + Q q
 
-with 2 × 2 matrices P and Q, mm (for a coaxial system P = A and Q = B of the ABCD matrix). A plane at the distance L is
-imaged onto the detector where Q = L P, that is L = B/A. A detector of half size h has an image of half size h/|A|. In
-stray-light work these are ISL and ISH (see `mistray.physics.imaging.paraxial.image_seen`).
+with 2 × 2 matrices P and Q, the latter in mm (for a coaxial system P = A and Q = B of the ABCD matrix). A plane at the
+distance L is imaged onto the detector where Q = L P, that is L = B/A. A detector of half size h has an image of half
+size h/|A|. In stray-light work these are ISL and ISH (see `mistray.physics.imaging.paraxial.image_seen`).
 
 Backward rays are aimed at images of the opening of the system instead, see `DesignPath.reversed`.
 
@@ -103,8 +103,8 @@ class DetectorImages:
         """
         Return the derivatives of a ray's hit with respect to its shift and slope, and the hit of the base ray.
 
-        Hits are in units of the detector's half axes, (2,). The derivatives, (2, 2) each, are in 1/mm for the shift,
-        and dimensionless for the slope.
+        `frame`, (3, 2), has the axes of shift and slope as columns. Hits are in units of the detector's half axes,
+        (2,). The derivatives, (2, 2) each, are in 1/mm for the shift, and dimensionless for the slope.
         """
         start, axis = self._base(number)
         step = DIFFERENCE * self.size
@@ -188,9 +188,10 @@ class DetectorImages:
 @dataclass(frozen=True)
 class _Rays:
     """
-    Rays that reached the detector, out of `tried` rays sent.
+    Rays that reached the detector, out of `tried` rays sent, in arrays with one entry for each.
 
-    They have origins (mm), directions, solid angles and projected solid angles (sr).
+    They have origins (mm) and unit directions. Each stands for a solid angle and a projected solid angle (sr), the
+    inverse of its density.
     """
 
     o: np.ndarray
@@ -211,7 +212,8 @@ def _held(
     """
     Return a target moved to a distance, mm, along its line of sight and enlarged until it holds the given rays.
 
-    Half axes are at least `least` times those of the image. `landed` is 0 if the target holds too few of the rays.
+    The distance is from `start` along the unit vector `axis`. Half axes are at least `least` times those of the image.
+    `landed` is 0 if the target holds too few of the rays.
     """
     centre = start + distance / float((image.centre - start) @ axis) * (image.centre - start)
     t = ((centre - rays.o) @ axis) / (rays.d @ axis)

@@ -66,6 +66,8 @@ class DetectorStart:
     ----------
     area : float
         Area of the detector, mm².
+    width, height, extent : int, int, tuple of float
+        Columns and rows of pixels, and borders x0, x1, y0, y1 of the film, mm.
     notes : list of Note
         Notes on a material before the detector that walls alone declare.
 
@@ -136,9 +138,9 @@ class DetectorStart:
 
         This is the medium on the side `side` (±1) of the detector's normal. It is the material that the detector
         declares there, else the one that the surfaces declare which its rays meet first. Of these, refracting surfaces
-        decide by majority; opaque ones decide where there are no others. It is vacuum where nothing is declared. On the
-        side of the light, `lit`, a contradiction raises `MistrayError`. On the other side the declared material may be
-        the detector's substrate, so that none is reported.
+        decide by majority; opaque ones decide where there are none, or too few to test the detector's own declaration.
+        It is vacuum where nothing is declared. On the side of the light, `lit`, a contradiction raises `MistrayError`.
+        On the other side the declared material may be the detector's substrate, so that none is reported.
         """
         # Declarations of the surfaces that probes meet first
         table, optics = self._table, self._table.optics
@@ -191,7 +193,8 @@ class DetectorStart:
         """
         Return the error message for two different media declared in front of the detector.
 
-        Each is given as its position in `Optics.media` and the surface that declares it, "" for the detector.
+        Each is given as its position in `Optics.media` and the surface that declares it, "" for the detector. `side`
+        is that of `_medium`.
         """
         media, detector = self._table.optics.media, self._table.ids[self._table.detector]
         key = "back" if side > 0 else "front"
@@ -305,7 +308,7 @@ class DetectorStart:
 
     def weight_at(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """
-        Return the start weight that `rays` gives backward rays from points of the detector along d, for its weight 1.
+        Return the start weight that `rays`, called with weight 1, gives rays from points of the detector along d.
 
         Parameters
         ----------
@@ -329,11 +332,11 @@ class DetectorStart:
 
     def place(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f) -> list[mi.Float]:
         """
-        Return the points of the unit cube of the map of starts for rays that leave the detector at p, mm, along d.
+        Return the points, in the unit cube of a start map, of rays that leave the detector at p, mm, along d.
 
         Two coordinates are for the direction in a frame that turns with the azimuth of p, two for that azimuth and the
         squared radius, or for x and y of a rectangle. In them the Lambertian density is uniform. The first is -1 on the
-        side away from the light, which has no map.
+        side away from the light, which has no map. The arguments are those of `weight_at`.
         """
         q = p - self._origin
         x, y = dr.dot(q, self._axes[0]), dr.dot(q, self._axes[1])
@@ -362,7 +365,7 @@ class DetectorStart:
         """
         Return the Lambertian pdf over the pdf of all sampling techniques together, for rays on the lit side.
 
-        `aim` is a mask of rays that were aimed; `own` is the index of their target.
+        `aim` is a mask of rays that were aimed; `own` is the index of their target. For the others see `weight_at`.
         """
         lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
         density = lambertian

@@ -33,12 +33,16 @@ class DistantRays(PluginRays):
     aims: ClassVar[bool] = True
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> DistantRays:
-        """Return a copy with more rays aimed at an aperture; the source itself if the aperture is too large."""
+        """
+        Return a copy with more rays aimed at an aperture; the source itself if the aperture is too large.
+
+        `lit` is ignored.
+        """
         return replace(self, aperture=aperture) if aperture.radius < np.sqrt(0.5) * self.scene.radius else self
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         """
-        Return derivatives of ray origins, mm, and directions with respect to the parameter `name`, in the world.
+        Return derivatives of rays with respect to the parameter `name`, see `SceneSource.motion`.
 
         Rays turn about the middle of the aperture: the light is the same everywhere, and rays move least there.
         """
@@ -111,7 +115,7 @@ class DistantRays(PluginRays):
 
     @staticmethod
     def _on_disc(sample: mi.Point2d) -> mi.Point2d:
-        """Map points of the unit square uniformly to points of the unit disc."""
+        """Return points of the unit disc, uniform for uniform points of the unit square."""
         square, cosine, sine = polar(sample)
         radius = dr.sqrt(square)
         return mi.Point2d(radius * cosine, radius * sine)

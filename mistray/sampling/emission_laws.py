@@ -177,9 +177,9 @@ class IntensityTable:
 
     def edge_samples(self, count: int, within: float = EDGE) -> np.ndarray | None:
         """
-        Return points of the unit square, (2, count), that map to directions at the last angle.
+        Return points of the unit square, (2, count), that `directions` maps to directions just below the last angle.
 
-        The result is None if the intensity is 0 there.
+        The fraction `within` of the flux lies beyond them. The result is None if the intensity is 0 there.
         """
         if not np.any(self._intensity[-1] > 0):
             return None

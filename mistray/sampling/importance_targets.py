@@ -150,12 +150,12 @@ def automatic_bulk_targets(
     path : DesignPath, optional
         See `automatic_targets`.
     sky : sequence of Target
-        In a backward trace, the targets of a body that is not on the path; (): a forward trace.
+        In a backward trace, the targets of a body that is not on the path; (): those that it sees of the path.
 
     Returns
     -------
     dict
-        Targets by surface and side; empty where no medium scatters.
+        Targets by `Inside`, a surface and its side; empty where no medium scatters.
     """
     if not table.optics.scatters:
         return {}
@@ -279,7 +279,8 @@ def _passing(
     """
     Return the fraction of rays from both sides of surfaces, front first, (2 s,), that go on at a surface not in `own`.
 
-    All sides are tested at once, which takes a fifth of the time of one after the other.
+    `sampled` has points and normals by surface, see `_seen_through`. All sides are tested at once, which takes a fifth
+    of the time of one after the other.
     """
     o, normals = (
         np.repeat(np.stack([sampled[surface][k][:THROUGH_PROBES] for surface in surfaces]), 2, axis=0) for k in (0, 1)
@@ -342,7 +343,11 @@ def _seen(
     sampled: dict[int, tuple[np.ndarray, np.ndarray]],
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return the fraction, (views,), of each view's rays that reach its sight from the side that the design uses."""
+    """
+    Return the fraction, (views,), of each view's rays that reach its sight from the side that the design uses.
+
+    A view is a surface side and the index of the sight that rays from it go to. `sampled` is as in `_passing`.
+    """
     # Rays of all views in one array
     sides, numbers = zip(*views, strict=True)
     rays = [DETECTOR_PROBES if number == len(sights) - 1 else PROBES for number in numbers]

@@ -29,7 +29,8 @@ class AreaLight:
     """
     Source for Mitsuba's ``area`` emitter: a shape whose outside is Lambertian and of uniform radiance.
 
-    It has the attributes and methods of `mistray.plugins.emitters.light_source.LightSource` that a trace uses.
+    It has the attributes and methods of `mistray.plugins.emitters.light_source.LightSource` that a trace uses. Its
+    `radiance` is in W/mm²/sr.
     """
 
     extended: ClassVar[bool] = True
@@ -82,14 +83,18 @@ class AreaLight:
     def rays_from(
         self, place: mi.Point2f, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """Return random ray origins, mm, uniform over the shape, and Lambertian unit directions, in the world frame."""
+        """
+        Return ray origins, mm, uniform over the shape, and Lambertian unit directions, in the world.
+
+        They follow from the points `place` and `sample` of the unit square; `rng` and `n` are ignored.
+        """
         found = self.shape.sample_position(0.0, place)
         square, cosine, sine = polar(sample)
         local = direction(cosine_power(square, mi.Float(1), mi.Float(1)), cosine, sine)
         return mi.Vector3f(found.p), from_local(local, mi.Vector3f(found.n))
 
     def density(self, place: mi.Point2f, d: mi.Vector3d, n: Mapping[str, mi.Float]) -> mi.Float64:
-        """Return the pdf cos θ/π, 1/sr, of emission in direction d from points of the shape; 0 to its inside."""
+        """Return the pdf cos θ/π, 1/sr, of emission along d from the origin of `place`, see `rays_from`; 0 inward."""
         # Lambertian: cos θ/π; the same place gives the point that `rays_from` starts at
         normal = mi.Vector3d(self.shape.sample_position(0.0, place).n)
         return dr.maximum(dr.dot(d, normal), 0) / dr.pi

@@ -36,7 +36,7 @@ class Entrance:
     Attributes
     ----------
     centre : (3,) float
-        Centre, mm.
+        Centre in the world, mm.
     radius : float
         Radius, mm, > 0.
 
@@ -60,7 +60,7 @@ class Entrance:
 @dataclass(frozen=True)
 class PlaneWave:
     """
-    Plane waves from one cell of a direction grid, with an irradiance of 1 W/mm².
+    Plane waves from one cell of a direction grid, with an irradiance of 1 W/mm² on planes normal to the rays.
 
     A ray's direction is uniform in solid angle within the cell, and its position is uniform over a cross-section that
     turns with the direction: a rectangle along azimuth and field angle, or a disc, of the same size for all directions.

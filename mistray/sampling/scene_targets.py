@@ -113,8 +113,9 @@ def shape_targets(shape: Any, table: SurfaceTable) -> list[AnyTarget]:
     Raises
     ------
     MistrayError
-        For another shape, a mesh of too many triangles, a hole in a target without a round rim, or an entity that does
-        not exist.
+        For another shape, a mesh of too many triangles or one without area, a hole in a target without a round rim,
+        half axes of anything but a sphere, a direction of a shape that is no sheet, or an entity that does not name one
+        surface.
     """
     # Cones and entities, which do not use the outline of the shape
     name, bsdf = shape.id(), shape.bsdf()
@@ -155,7 +156,7 @@ def _kind(shape: Any) -> tuple[str, str]:
 
 
 def _is_flat(shape: Any) -> bool:
-    """True if a shape is flat, so that its outline is the whole target."""
+    """True if a shape is a sheet, flat or like an `asphere`, for which its flat outline stands as target."""
     return shape.sheet if is_analytic(shape) else _kind(shape)[1] in ("Rectangle", "Disk")
 
 
@@ -165,7 +166,7 @@ def _scaled(target: Target, scale: float) -> Target:
 
 
 def _middle(shape: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return centre and half edges of the bounding box of a shape, (3,) each, mm."""
+    """Return centre and half edges of the bounding box of a shape in the world, (3,) each, mm."""
     low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
     return 0.5 * (low + high), 0.5 * (high - low)
 
@@ -184,8 +185,8 @@ def _around(shape: Any, scale: float) -> AnyTarget:
     """
     Return the target that covers a surface, enlarged by the factor `scale`.
 
-    It is the outline of a flat surface, or a sphere itself. For any other surface it is an ellipsoid about the bounding
-    box.
+    It is the outline of a sheet, see `_is_flat`, or a sphere itself. For any other surface it is an ellipsoid about the
+    bounding box.
     """
     if _is_flat(shape):
         return _scaled(outline(shape), scale)
@@ -201,8 +202,8 @@ def _cone(shape: Any) -> TargetCone:
     """
     Return the cone of directions that a shape's `target` plugin with `about` defines.
 
-    About "direction" its axis is the normal of the shape, which must be flat, else the axis leads to the middle of the
-    shape. Raise `MistrayError` for a direction of a shape that is not flat.
+    About "direction" its axis is the normal of the shape, else the axis leads to the middle of the shape. Raise
+    `MistrayError` for a direction of a shape that is no sheet, see `_is_flat`.
     """
     bsdf = shape.bsdf()
     if bsdf.about == "direction" and not _is_flat(shape):

@@ -27,7 +27,7 @@ class SkyMap:
     radiance : callable
         Radiance (n,), W/mm²/sr, of directions (n, 3) in which the light travels: unit vectors in the frame of the axis.
     rows : int
-        Number of cells in polar angle; there are twice as many in azimuth.
+        Number of cells in polar angle, clipped to `LEAST_ROWS` … `MOST_ROWS`; there are twice as many in azimuth.
 
     Attributes
     ----------
@@ -66,7 +66,11 @@ class SkyMap:
 
 
 def environment(emitter: mi.Emitter) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that gives the luminance of Mitsuba's ``envmap``, (n,), along directions, (n, 3)."""
+    """
+    Return the radiance of Mitsuba's ``envmap`` as a function: its luminance, (n,), W/mm²/sr.
+
+    It takes unit vectors, (n, 3), in the world, along which the light travels.
+    """
 
     def radiance(d: np.ndarray) -> np.ndarray:
         si = dr.zeros(mi.SurfaceInteraction3f, len(d))

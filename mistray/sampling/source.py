@@ -40,7 +40,7 @@ LOOKS, LEAST_LIT = 256, 0.3  # directions to a target that are tested, and the s
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """Sphere at which start rays are aimed: centre, (3,), and radius, mm."""
+    """Sphere at which start rays are aimed: centre in the world, (3,), and radius, both in mm."""
 
     centre: np.ndarray
     radius: float
@@ -188,7 +188,11 @@ class SceneSource(ABC):
         return o, d
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins, mm, and directions with respect to the parameter `name` of `moving`."""
+        """
+        Return derivatives of ray origins, mm, and unit directions with respect to the parameter `name` of `moving`.
+
+        They are in the world, per unit of the parameter.
+        """
         raise NotImplementedError
 
     @property
@@ -245,12 +249,12 @@ class SceneSource(ABC):
         return self
 
     def unaimed(self) -> SceneSource:
-        """Return a copy whose rays are sampled by the law of emission alone, without aiming."""
+        """Return a copy whose rays are sampled by the law of emission alone; by default the source itself."""
         return self
 
     @abstractmethod
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Map points of the unit square to probe rays: origins, mm, and unit directions, (n, 3) float64 each."""
+        """Return probe rays of points of the unit square: origins, mm, and unit directions, (n, 3) float64 each."""
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
         """
@@ -390,7 +394,7 @@ class EmittedRays(PluginRays):
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins, mm, and directions with respect to the parameter `name`, in the world."""
+        """Return derivatives of rays with respect to the parameter `name` of the plugin, see `SceneSource.motion`."""
         axes = [mi.Vector3d(*axis.tolist()) for axis in self._axes]
         away = o - mi.Vector3d(*self.pivot.tolist())
         local = [mi.Vector3d(*(dr.dot(vector, axis) for axis in axes)) for vector in (away, d)]
@@ -401,7 +405,7 @@ class EmittedRays(PluginRays):
         """
         Return rays along the edge that the plugin defines: origins, mm, and unit directions, (count, 3) each.
 
-        The list has one such line, or is empty if the light has no edge.
+        The list has one such line, or is empty if the light has no edge. See `SceneSource.edges`.
         """
         points = self.emitter.edge_samples(count, within)
         if points is None:
@@ -412,7 +416,7 @@ class EmittedRays(PluginRays):
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
         """
-        Map points of the unit square to probe rays: origins, mm, and unit directions, (n, 3) float64 each.
+        Return probe rays of points of the unit square: origins, mm, and unit directions, (n, 3) float64 each.
 
         They go to the first target, if there is one and the source sends light there; else they follow the emission
         law.
@@ -464,7 +468,11 @@ class EmittedRays(PluginRays):
         return float(np.mean(np.array(self._density(place, cone.directions(sample))) > 0)) > LEAST_LIT
 
     def _rays(self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return rays sampled by the plugin, in the world frame: origins, mm, and unit directions."""
+        """
+        Return rays sampled by the plugin, in the world: origins, mm, and unit directions.
+
+        `place` and `sample` are points of the unit square, for origin and direction.
+        """
         # Plugins whose directions need it compute in float64
         one, point = (mi.Float64, mi.Point2d) if self.emitter.precise else (mi.Float, mi.Point2f)
         o, d = self.emitter.rays_from(point(place), point(sample), rng, self._numbers(one))
@@ -473,7 +481,7 @@ class EmittedRays(PluginRays):
         return zero + pivot + turned(mi.Vector3d(o), axes), zero + dr.normalize(turned(mi.Vector3d(d), axes))
 
     def _density(self, place: mi.Point2d, d: mi.Vector3d) -> mi.Float64:
-        """Return the pdf, 1/sr, with which the plugin samples world directions d from points `place`."""
+        """Return the pdf, 1/sr, with which the plugin samples world directions d, for the `place` of `_rays`."""
         one, point = (mi.Float64, mi.Point2d) if self.emitter.precise else (mi.Float, mi.Point2f)
         local = mi.Vector3d(*(dr.dot(d, axis) for axis in self._device_axes))
         return mi.Float64(self.emitter.density(point(place), local, self._numbers(one)))

@@ -46,7 +46,7 @@ def scene_sources(
     scene : mi.Scene
         Loaded scene.
     field_deg, azimuth_deg : float, optional
-        Field angle and azimuth, degrees, that replace the emitters' own.
+        Field angle and azimuth, degrees, that replace the emitters' own; None: the emitters' own.
     wavelength_nm : float or sequence of float, optional
         Wavelengths, nm, that replace the emitters' own.
     weights : sequence of float, optional
@@ -55,8 +55,8 @@ def scene_sources(
     Raises
     ------
     MistrayError
-        If there is no source, a source has no power or an infinite one, or a field angle, a wavelength or a weight is
-        out of range.
+        If there is no source, a source has no power or an infinite one, a field angle or azimuth is out of range, or
+        for the reasons of `spectrum`.
     """
     # Check before any source is built
     emitters = source_emitters(scene)

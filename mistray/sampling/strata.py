@@ -60,7 +60,7 @@ class Strata:
 
     def closed(self, weight: mi.Float64, zone: mi.UInt32, zones: int) -> mi.Float:
         """
-        Return ray weights scaled so that their mean over each batch is exactly 1.
+        Return ray weights scaled so that their mean over each batch is 1; a batch of weights 0 stays as it is.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ def curve_points(place: mi.Float64, dimensions: int, rng: mi.PCG32) -> list[mi.F
 
 
 def _every(v: mi.UInt32, stride: int) -> mi.UInt32:
-    """Extract every `stride`-th bit of a word and pack these bits side by side; `stride` is 2 or 4."""
+    """Return every `stride`-th bit of a word, from the lowest on, packed side by side; `stride` is 2 or 4."""
     steps = {
         2: ((0, 0x55555555), (1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)),
         4: ((0, 0x11111111), (3, 0x03030303), (6, 0x000F000F), (12, 0x000000FF)),

@@ -20,7 +20,7 @@ SMALLEST_B = 1e-12
 @dataclass(frozen=True)
 class ABg(Placement):
     """
-    BSDF = A/(B + |β - β0|^g), the same in reflection and transmission and from both sides.
+    ABg scatter, BSDF = A/(B + |β - β0|^g), the same in reflection and transmission and from both sides.
 
     β is taken in the medium of the scattered light. Equations and sources: `mistray.physics.abg`.
 

@@ -85,7 +85,8 @@ def chance(
     model : LobeModel
         Scatter of the surface.
     towards_deg : float
-        Angle of the scattered direction with the normal, -90 … 90°; positive on the side of the specular direction.
+        Angle of the scattered direction with the normal, above -90° and below 90°; positive on the side of the specular
+        direction.
     solid_angle_sr : float
         Solid angle of the detector as seen from the surface, sr, > 0; so small that the BSDF is constant over it.
     incidence_deg : float
@@ -95,7 +96,7 @@ def chance(
     light : IncidentLight, optional
         Incident light; by default that of `IncidentLight()`.
     before : float
-        Probability that a ray from the source gets to the surface, 0 … 1.
+        Probability that a ray from the source gets to the surface, above 0 and at most 1.
 
     Returns
     -------

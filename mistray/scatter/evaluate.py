@@ -64,7 +64,11 @@ def bsdf(
 
 
 def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndarray, rotation: float) -> np.ndarray:
-    """Return the BSDF of a lobe, 1/sr, divided by its coefficient c, for scattered directions, unit vectors (…, 3)."""
+    """
+    Return the BSDF of a lobe, 1/sr, divided by its coefficient c, for scattered directions, unit vectors (…, 3).
+
+    `sin_0` is the sine of the specular direction with the normal. For the others see `bsdf`.
+    """
     x, y, cos_s = np.moveaxis(directions, -1, 0)
     cos_0 = np.sqrt(np.maximum(0.0, 1 - sin_0 * sin_0))
     centre = {"specular": sin_0, "normal": np.zeros_like(sin_0), "retro": -sin_0}[lobe.centre]

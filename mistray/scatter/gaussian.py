@@ -14,14 +14,14 @@ from mistray.scatter.numbers import unusual
 @dataclass(frozen=True)
 class Gaussian(Placement):
     """
-    BSDF = f0 exp(-(|β - β0|/w)²), the same in reflection and transmission and from both sides.
+    Gaussian scatter, BSDF = f0 exp(-(|β - β0|/w)²), the same in both events and from both sides.
 
     β is taken in the medium of the scattered light. Equation and source: `mistray.physics.gaussian`.
 
     Attributes
     ----------
     total : float
-        Fraction of light scattered at normal incidence, 0 … 1.
+        Fraction scattered at normal incidence, 0 … 1, of the light that `relative_to` names.
     width : float
         Value w of |β - β0| at which the BSDF has fallen to 1/e, > 0.
 

@@ -24,7 +24,8 @@ def need_smooth(title: str, event: str, rms_um: float, wavelength_um: float, ste
     """
     Check that a surface is smooth enough for first-order scatter theory, 2π Δn σ ≪ λ.
 
-    The roughness σ and the vacuum wavelength λ are in µm; Δn is that of `index_step`.
+    The roughness σ and the vacuum wavelength λ are in µm; `step`, Δn, is that of `index_step`. `title` begins the
+    message, and `remedy` ends it.
 
     Raises
     ------
@@ -42,7 +43,7 @@ def need_smooth(title: str, event: str, rms_um: float, wavelength_um: float, ste
 @dataclass(frozen=True)
 class HarveyShack(Placement):
     """
-    BSDF = b0 (1 + (|β - β0|/l)²)^(s/2).
+    Harvey-Shack scatter, BSDF = b0 (1 + (|β - β0|/l)²)^(s/2).
 
     Give either `b0` or `rms_nm`. `b0` is the same in reflection and transmission and from both sides, as in FRED. From
     `rms_nm`, b0 follows for each event and side. Total scatter at normal incidence is then (2π Δn σ/λ)², with Δn = 2

@@ -6,8 +6,8 @@ accept one.
 
 Frames. The first surface's vertex is at the origin, light travels along +z. After each row the frame moves by its
 ``thickness`` along its own z. A `Decentre` of a row moves the frame first, and a surface in the row lies in the moved
-frame; a row of kind "coordinate_break" has no surface. After a mirror light travels along -z, thicknesses are negative
-there, and materials are those that light passes through.
+frame; a row of kind "coordinate_break" has no surface. After an odd number of mirrors light travels along -z, and
+thicknesses are negative. The material of a row is the one that light passes through after it.
 """
 
 from __future__ import annotations
@@ -115,8 +115,8 @@ class Row:
     label : str
         Comment or name in the file; "" if there is none.
     radius, conic, coefficients, sag
-        Figure as in `Surface`: radius in mm (``inf`` for a plane), conic constant, (a4, a6, …) in mm⁻³, mm⁻⁵, …, and
-        parameters of a freeform by name.
+        Figure as in `Surface`: radius in mm (``inf`` or 0: plane; positive: centre on the +z side), conic constant,
+        (a4, a6, …) in mm⁻³, mm⁻⁵, …, and parameters of a freeform by name.
     thickness : float
         Distance to the next row along z, mm; negative after an odd number of mirrors.
     material : str
@@ -208,7 +208,7 @@ class Sequential:
     vignetting : tuple of (VDX, VDY, VCX, VCY)
         Shift and compression of the pupil for each field, in units of its radius; empty if all are 0.
     wavelengths_nm, weights : tuple of float
-        Wavelengths, nm, and their weights.
+        Wavelengths, nm, and their relative weights.
     primary : int
         Index of the reference wavelength, from 0.
     unread : tuple of Unread
@@ -271,5 +271,5 @@ class Sequential:
         return self.wavelengths_nm[self.primary]
 
     def with_rows(self, rows: Row | Sequence[Row]) -> Sequential:
-        """Return the lens with other rows in place of its own."""
+        """Return a copy of the lens with other rows; raise `MistrayError` as the constructor does."""
         return replace(self, rows=tuple(several(rows)))

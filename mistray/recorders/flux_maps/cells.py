@@ -158,9 +158,9 @@ class SurfaceLight(PassingLight):
     name : str
         Name in the result.
     surfaces : str or sequence of str
-        Patterns of ids of surfaces or of parts; none: those of `surfaces_by_default`.
+        Patterns of ids of surfaces or of parts; none: the surfaces of `surfaces_by_default`.
     cells : int
-        Number of cells of a surface.
+        Number of cells before `lay_out` sets it.
     """
 
     def __init__(self, name: str, surfaces: str | Sequence[str], cells: int) -> None:
@@ -170,7 +170,7 @@ class SurfaceLight(PassingLight):
         self._names: list[tuple[str, str]] = []  # id and part of each
 
     def surfaces_by_default(self, table: SurfaceTable) -> list[int]:
-        """Return the indices of the surfaces to be recorded where no patterns are given: those of all surfaces."""
+        """Return the indices of surfaces that are recorded without patterns: all; subclasses may restrict them."""
         return list(table.listed)
 
     def chosen(self, table: SurfaceTable) -> list[int]:

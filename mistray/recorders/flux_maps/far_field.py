@@ -22,7 +22,7 @@ EDGE_DEG = Range(0.0, 180.0, unit="degrees")
 
 class FarField(PassingLight):
     """
-    Radiant intensity of the light that leaves the scene, by direction, as a detector far away sees it.
+    Recorder of the radiant intensity of light that leaves the scene, by direction, as seen from far away.
 
     It is given to `mistray.trace` among ``recorders``.
 
@@ -36,7 +36,7 @@ class FarField(PassingLight):
         Number of cells around the axis, of equal width; the first begins at `up`, and they go towards -x of the frame
         whose y is `up` and whose z is the axis.
     axis, up : (3,) float
-        Directions in the world.
+        Directions in the world, of any length: light that leaves along `axis` is at 0°, and `up` marks azimuth 0.
 
     Raises
     ------

@@ -31,7 +31,8 @@ class SplitRow:
     incident : (float, float)
         Incident flux on both sides; light that comes back contributes again.
     absorbed, specular_reflection, specular_transmission, scattered_reflection, scattered_transmission : (float, float)
-        Fluxes that add up to `incident`. Totally reflected light is a specular reflection.
+        Fluxes that add up to `incident`, but for absorption that `ray_control` or `cut_below` cuts. Totally reflected
+        light is a specular reflection.
 
     Examples
     --------
@@ -66,9 +67,9 @@ class FluxSplit(SurfaceLight):
     Recorder of the split of light at surfaces: absorbed, specular and scattered, reflected and transmitted flux.
 
     It is given to `mistray.trace` among ``recorders``. The split fractions are those of the surface: R, T and TIS at
-    the angle, side and polarisation of each ray. They do not depend on whether the trace follows the light further or a
-    limit cuts it, and have no noise of their own. Lenses, mirrors, walls, meshes and Mitsuba's own shapes are treated
-    alike.
+    the angle, side and polarisation of each ray. Except for absorption that is cut, they do not depend on whether the
+    trace follows the light further, and have no noise of their own. Lenses, mirrors, walls, meshes and Mitsuba's own
+    shapes are treated alike.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ class FluxSplit(SurfaceLight):
         super().__init__(name, surfaces, len(SHARES))
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Allocate one sum of flux for each share and surface that matches the patterns."""
+        """Allocate one sum for each flux of `SplitRow` and each surface that matches the patterns."""
         numbers = self.chosen(table)
         self.resize(len(SHARES) * len(numbers))
         # Number of each chosen surface plus one; 0 for the others
@@ -152,10 +153,10 @@ class FluxSplit(SurfaceLight):
 
     def to_pandas(self) -> pd.DataFrame:
         """
-        Return a table with one row per surface: id, part, and for each share of `SplitRow` its flux and error.
+        Return a table with one row per surface.
 
-        The columns are ``surface``, ``part``, and for each share ``…_W``, the flux, and ``…_se_W``, its standard error,
-        both in W.
+        The columns are ``surface``, ``part``, and for each flux of `SplitRow` ``…_W`` and its standard error
+        ``…_se_W``, both in W.
 
         Raises
         ------
@@ -178,5 +179,5 @@ class FluxSplit(SurfaceLight):
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Flux of each surface and share, in the order of `SHARES`, and its standard error, (surfaces, 6) each, W."""
+        """Fluxes of each surface, in the order of `SHARES`, and their standard errors, (surfaces, 6) each, W."""
         return self.flux.reshaped(-1, len(SHARES)).with_se

@@ -48,7 +48,7 @@ class Probe(PassingLight):
     Raises
     ------
     MistrayError
-        For a blank name, a value out of range, or a normal that is 0 or parallel to `up`.
+        For a blank name, a value out of range, or a `normal` and `up` that are 0 or parallel.
 
     Examples
     --------
@@ -174,7 +174,11 @@ class Probe(PassingLight):
 
 
 def vector_of(what: str, given: Sequence[float], owner: str) -> np.ndarray:
-    """Return three numbers as a vector, (3,); raise `MistrayError` for another count or a number out of range."""
+    """
+    Return three numbers as a vector, (3,); raise `MistrayError` for another count or a number out of range.
+
+    Messages name the vector by `owner` and `what`.
+    """
     return np.array(POINT_MM.check(what, given, owner))
 
 

@@ -129,13 +129,17 @@ class SurfaceMap:
 
     @property
     def peak(self) -> tuple[int, int]:
-        """Row and column of the cell with the highest irradiance."""
+        """Row and column, from 0, of the cell with the highest irradiance."""
         row, column = np.unravel_index(int(np.argmax(self.irradiance[0])), self.incident.value.shape)
         return int(row), int(column)
 
     @property
     def unrolled_mm(self) -> tuple[float, float, float, float]:
-        """Extent x0, x1, y0, y1 of the unrolled map, mm; a round surface is as wide as its area over its height."""
+        """
+        Extent x0, x1, y0, y1 of the unrolled map, mm.
+
+        A round surface is as wide as its area divided by the range of `along_mm`.
+        """
         low, high = float(self.along_mm[0]), float(self.along_mm[-1])
         if self.across == "x":
             return float(self.across_borders[0]), float(self.across_borders[-1]), low, high
@@ -225,7 +229,7 @@ class SurfaceMaps(SurfaceLight):
         self.add(visit.start, cell + self.shape[0] * self.shape[1], dr.maximum(visit.absorbed, 0), active)
 
     def cell(self, visit: Visit) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the index of each hit's cell, of the incident flux, and a mask of hits on mapped surfaces."""
+        """Return the index of the cell for each hit's incident flux, and a mask of hits on mapped surfaces."""
         rows, columns = self.shape
         s, q = visit.surface, visit.interaction.local
         place = dr.gather(mi.UInt32, self._place, s, visit.active)
@@ -308,7 +312,7 @@ class SurfaceMaps(SurfaceLight):
         return {name: one.irradiance for name, one in found.items()}
 
     def maps_of(self, flux: Sampled) -> dict[str, SurfaceMap]:
-        """Return maps by surface id from given fluxes of all cells, (cells,), W, for example of selected paths."""
+        """Return maps by surface id from the flux of all cells, (cells,), W, which may be that of selected paths."""
         cells = flux.reshaped(-1, KINDS, *self.shape)
         # One map a surface: incident and absorbed flux lie one after the other
         return {
@@ -322,7 +326,7 @@ class SurfaceMaps(SurfaceLight):
 
     @property
     def image(self) -> tuple[Array, Array]:
-        """Irradiance by cell and its standard error, (surfaces × rows, columns) each, W/mm²; surfaces in a column."""
+        """Irradiance by cell and its standard error, (surfaces × rows, columns) each, W/mm²: one map below another."""
         both = [one.irradiance for one in self.maps.values()]
         return np.concatenate([value for value, _ in both]), np.concatenate([se for _, se in both])
 
@@ -347,7 +351,7 @@ def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> 
 
 
 def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unrolled | str:
-    """Return a surface unrolled to rows × columns of cells, or the reason why it cannot be unrolled."""
+    """Return the surface of index `number` unrolled to rows × columns of cells, or why it cannot be unrolled."""
     if number >= len(table.pieces):
         return "it is a mesh or a shape of Mitsuba's own; give it as frustum or asphere"
     piece = table.pieces[number]

@@ -67,7 +67,7 @@ class DesignStep:
 
 @dataclass(frozen=True)
 class _Hits:
-    """Hits of probe rays at one step: indices of rays and surfaces, reflected or not, points, mm, and unit vectors."""
+    """Hits of probes at one step: index of probe and surface, whether reflected or TIR, point, mm, and unit vectors."""
 
     lane: np.ndarray
     surface: np.ndarray
@@ -90,6 +90,13 @@ class Probes:
         Source whose design is probed.
     count : int
         Number of start rays.
+
+    Attributes
+    ----------
+    start : tuple of (count, 3) float64
+        Origins (mm) and unit directions of the start rays.
+    ray, end : (p,) int
+        Index of the start ray of each probe, and of the detector that it reaches; -1: none.
     """
 
     def __init__(self, table: SurfaceTable, source: SceneSource, count: int) -> None:
@@ -189,7 +196,11 @@ def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.
 def _with_others(
     table: SurfaceTable, hits: _Hits, what: np.ndarray, split: np.ndarray, new: np.ndarray
 ) -> tuple[_Hits, np.ndarray]:
-    """Return the hits and events of a step, with added probes that take the other way at beam splitters."""
+    """
+    Return the hits and events of a step, with added probes that take the other way at beam splitters.
+
+    `what` are the kinds of event, `split` the rows of `hits` at beam splitters, and `new` the lanes of added probes.
+    """
     n = table.optics.host_indices[hits.surface[split], :2]
     before, normal = hits.before[split], hits.normal[split]
     from_front = np.einsum("ij,ij->i", before, normal) > 0

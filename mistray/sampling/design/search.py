@@ -39,7 +39,7 @@ def design_sequences(scene: mi.Scene, *tables: SurfaceTable, free: bool = False)
     Raises
     ------
     MistrayError
-        If a declared sequence names a surface that the scene does not have.
+        If a declared sequence is not valid, see `mistray.sampling.design.sequences.declared`.
     """
     # Union over the wavelengths, at which R and T, and with them the ways of the probes, may differ
     lists: dict[int, set[tuple[int, ...]]] = {}
@@ -57,7 +57,7 @@ def traced_table(
     """
     Return the surface table of a scene; opaque surfaces at which a design sequence reflects count as mirrors.
 
-    Only surfaces that reflect more than half of the light can become mirrors in this way.
+    Only surfaces that reflect more than half of the light, and are no detectors, can become mirrors in this way.
 
     Parameters
     ----------

@@ -36,13 +36,13 @@ from mistray.surfaces.surfaces import SurfaceTable
 SEEN = 0.05  # share of the probes of an arm that an order over more optics needs to be its main one
 ARM = 0.02  # share of all probes of a detector that an arm needs
 PLATED = 0.2  # share of the probes of an arm that pass, or miss, a plate that is no step of its design
-MOST_COMBINED = 4096  # sequences of a detector; beyond it, only those that probes have found are used
+MOST_COMBINED = 4096  # combinations of alternatives; beyond it, only orders that probes have found are used
 MOST_RINGS = 8  # rings along an order up to which all subsets of them are sequences
 FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides of a plane-parallel plate may have
 
 
 def is_plane(table: SurfaceTable, surface: int) -> bool:
-    """True if the sag of a surface is within rounding of a plane; False for Mitsuba's own shapes, of unknown sag."""
+    """True if the sag of a surface varies by at most `FLAT` of its size; False for Mitsuba's own shapes."""
     if surface >= len(table.pieces):
         return False
     piece = table.pieces[surface]
@@ -87,9 +87,10 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
 
 def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> Sequences:
     """
-    Return all design sequences of the arms, with every combination of alternative surfaces at each step.
+    Return all design sequences of arms, see `chosen_orders`, with every combination of alternatives at each step.
 
-    If there are more than `MOST_COMBINED` combinations, only the orders that probes have followed are sequences.
+    Rings of edges may be left out. Where orders of one pattern have more than `MOST_COMBINED` combinations, only those
+    that probes have followed are sequences.
     """
     rules, lists = _Rules(table), set()
     for _, orders in arms:
@@ -113,8 +114,8 @@ def declared(table: SurfaceTable, detector: int) -> Sequences:
     Raises
     ------
     MistrayError
-        For a surface that the scene does not have, a letter other than T, R and I, or more than `MOST_COMBINED`
-        sequences.
+        For a surface that the scene does not have, a letter other than T, R and I, or an entry that stands for more
+        than `MOST_COMBINED` sequences.
     """
     text = getattr(table.interfaces[detector], "design_path", "")
     numbers = {name: k for k, name in enumerate(table.ids)}
@@ -147,12 +148,12 @@ def declared(table: SurfaceTable, detector: int) -> Sequences:
 
 
 def has_optics(table: SurfaceTable) -> bool:
-    """True if a scene has a lens or a declared mirror."""
+    """True if a scene has a face that transmits, such as that of a lens or window, or a declared mirror."""
     return bool(_Rules(table).optical.any())
 
 
 def _alternatives(rules: _Rules, orders: Counter[Order]) -> tuple[Order, list[Order]]:
-    """Return the main order of an arm, and all orders of the same pattern of events as its alternatives."""
+    """Return the main order of an arm, and all its orders that are design sequences, the main one among them."""
     # Orders with the same powered surfaces; of the frequent ones those over most optics
     kinds: dict[tuple[Hashable, ...], Counter[Order]] = {}
     for order, count in orders.items():
@@ -214,7 +215,7 @@ class _Rules:
         return not self._opaque[place] and what == (TRANSMITTED if self._mirror[place] else REFLECTED)
 
     def optics_of(self, order: Order) -> int:
-        """Return the number of refracting faces with power and of declared mirrors in an event sequence."""
+        """Return the number of events of `powered` that are transmissions, or are at declared mirrors."""
         steps = self.powered(order)
         return sum(kind_of(code) == TRANSMITTED or bool(self._mirror[place_of(code)]) for code in steps)
 

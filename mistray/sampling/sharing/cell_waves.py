@@ -52,12 +52,16 @@ class CellWaves:
         self._rotation, self._centre = cells[0].rotation, cells[0].centre - centre
 
     def rays(self, cell: mi.UInt32, place: list[mi.Float]) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """Return origins, mm, and unit directions of rays from `place`, four coordinates in the unit cube of a cell."""
+        """Return ray origins, mm from `centre`, and unit directions for four coordinates in the unit cube of cells."""
         numbers = [dr.gather(mi.Float, column, cell) for column in self._numbers]
         return wave_rays(numbers, self._rotation, self._centre, mi.Point2f(*place[:2]), *place[2:])
 
     def place(self, cell: mi.UInt32, p: mi.Vector3f, d: mi.Vector3f, active: mi.Bool) -> list[mi.Float]:
-        """Return the place in a cell's unit cube, 0 … 1, of the ray that passes p, mm, along d; inverse of `rays`."""
+        """
+        Return the place in a cell's unit cube of the ray that passes p, mm, along d: the inverse of `rays`.
+
+        Coordinates are clipped to 0 … 1.
+        """
         low, high, azimuth, half_azimuth, middle_x, middle_y, half_x, half_y, is_round, _ = (
             dr.gather(mi.Float, column, cell, active) for column in self._numbers
         )

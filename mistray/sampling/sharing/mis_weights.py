@@ -101,7 +101,7 @@ class Balance:
         self._take(sharing)
 
     def at(self, sharing: Sharing) -> Balance:
-        """Return a copy with MIS weights for other numbers of rays and other start densities."""
+        """Return a copy, without light vertices, for other numbers of rays and other start densities."""
         found = copy(self)
         found._take(sharing)
         if sharing.starts is not self.sharing.starts:
@@ -192,7 +192,11 @@ class Balance:
     def _forward_ratio(
         self, cell: mi.UInt32, scatters: mi.UInt32, density: mi.Float, start_weight: mi.Float, active: mi.Bool
     ) -> mi.Float:
-        """Return the start density of forward rays over that of backward rays, both in rays per étendue."""
+        """
+        Return the start density of forward rays over that of backward rays, both in rays per étendue.
+
+        `density` is that of the start map, of mean 1, and `start_weight` that of the backward ray on the path.
+        """
         # Unscattered light has forward rays of its own, in the second half of the table
         row = cell + dr.select((scatters & COUNT_MASK) == 0, self._cells, 0)
         return dr.gather(mi.Float, self._per_etendue, row, active) * density * start_weight
@@ -203,7 +207,7 @@ class Balance:
         """
         Return the expected connections that find a path per backward ray, see `PdfRatios.connection_ratios`.
 
-        It is 0 where rays are not connected.
+        `density` is that of the start map, of mean 1. The result is 0 where rays are not connected.
         """
         if connection_ratio is None:
             return mi.Float(0)

@@ -68,7 +68,7 @@ class PathClassVariances:
         place : tuple of (s,) int
             Indices of the cell, the class of light and the path class.
         weight, forward : (s,) float64
-            f/q and s, between 0 and 1.
+            f/q; and s, above 0 and below 1.
         """
         cell, kind, path_class = place
         found, number = np.unique((kind * PATH_CLASSES + path_class) * cells + cell, return_inverse=True)
@@ -120,12 +120,12 @@ class PathClassWeights:
         self._design = design
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """Return the MIS weights, 0 … 1, that backward rays which leave within a cell have by class of their path."""
+        """Return the MIS weights, 0 … 1, of backward rays that leave within a cell, by the class of their path."""
         path_class = path_class_of(departure.event, departure.length, departure.start, active)
         return self._of(class_of_light(departure, self._design), path_class, cell, active)
 
     def forward(self, visit: Visit) -> MisWeights:
-        """Return the MIS weights, 0 … 1, that forward rays at the detector have by class of their path."""
+        """Return the MIS weights, 0 … 1, of forward rays that meet the detector, by the class of their path."""
         assert visit.start.cell is not None
         path_class = path_class_of(visit.event, visit.depth, visit.start, visit.detected)
         return self._of(class_of_light(visit, self._design), path_class, visit.start.cell, visit.detected)

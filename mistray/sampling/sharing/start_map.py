@@ -56,7 +56,8 @@ class MapSamples(NamedTuple):
     points : (s, 4) float64
         Points in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
     weights : (s,) float64
-        Light of each sample: throughput times MIS weight, in units of a start ray, raised for weak classes of light.
+        Light of each sample: throughput times MIS weight, in units of a start ray's flux, raised for weak classes of
+        light.
     squares : (s,) float64
         Contribution of each sample to ∫ E[F²] over the start points; F is the contribution of a ray from there.
     """
@@ -72,11 +73,11 @@ class MapSamples(NamedTuple):
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def times(self, factor: np.ndarray | float) -> MapSamples:
-        """Return the samples with the flux that each carries multiplied by `factor`."""
+        """Return the samples with the flux that each carries multiplied by `factor`, one for all or (s,)."""
         return self._replace(weights=self.weights * factor, squares=self.squares * np.square(factor))
 
     def of_rays(self, rays: np.ndarray | float) -> MapSamples:
-        """Return the samples with weights and squares multiplied by `rays`, as if that many rays had brought each."""
+        """Return the samples as if `rays` rays, a number or (s,), had brought each: weights and squares grow alike."""
         return self._replace(weights=self.weights * rays, squares=self.squares * rays)
 
     def some(self, chosen: np.ndarray) -> MapSamples:
@@ -84,7 +85,7 @@ class MapSamples(NamedTuple):
         return MapSamples(*(values[chosen] for values in self))
 
     def after_roulette(self, count: int, rng: np.random.Generator) -> MapSamples:
-        """Return about `count` samples of each cell: all strong ones, and weak ones thinned by Russian roulette."""
+        """Return about `count` samples of each cell, or all if fewer; Russian roulette thins and raises weak ones."""
         # Roulette threshold of each cell
         limit = np.zeros(int(self.cell.max(initial=0)) + 1)
         for number, here in _of_each(self.cell):
@@ -212,7 +213,7 @@ def _halved(
     at: np.ndarray, inside: np.ndarray, brought: np.ndarray, halvings: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Halve the tree nodes of one depth, by the mean of two shares: that of the light, and that of least variance.
+    Return the halving of the tree nodes of one depth, by the mean of two shares: by light, and by least variance.
 
     With uniform density in either half, the variance is least at densities proportional to √⟨E[F²]⟩, the mean over the
     half (A. Rath et al., Variance-aware path guiding, ACM Trans. Graph. 39, 151 (2020)). Halves in which light is not
@@ -269,7 +270,7 @@ class DeviceMap:
         self._root = upload_rows(mi.UInt32, given.root.astype(np.uint32))
 
     def sample(self, cell: mi.UInt32, place: mi.Float64, rng: mi.PCG32) -> tuple[list[mi.Float], mi.Float]:
-        """Return start points in the unit cubes of cells, from `place` in 0 … 1, and their density, of mean 1."""
+        """Return start points in the unit cubes of cells, and their density, of mean 1; `place` is uniform in 0 … 1."""
         # Choose the uniform part of the mixture or the tree, and rescale the number
         width = dr.width(cell)
         anywhere = place < UNIFORM

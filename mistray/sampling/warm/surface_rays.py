@@ -48,7 +48,7 @@ class WarmRays(SceneSource):
         """Middle ray of the source: None, since thermal emission has no single direction."""
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass, from the surface: origins, mm, and unit directions; see `SceneSource`."""
+        """Return start rays of one pass, from the surface: origins, mm, unit directions; see `SceneSource.start`."""
         sample = stratified_points(batch, rng)
         o, d = self._rays(sample, lambda: np.array(rng.next_float32(), dtype=np.float64), dr.width(lane))
         return Emission(mi.Vector3f(*(upload(mi.Float, column) for column in (o - centre).T)), mi.Vector3f(d))
@@ -61,7 +61,12 @@ class WarmRays(SceneSource):
         return o, on_host(d, d)[1]
 
     def _rays(self, sample: mi.Point2f, draw: Callable[[], np.ndarray], count: int) -> tuple[np.ndarray, Any]:
-        """Return origins in the world, (n, 3) float64, mm, and unit directions on the device, of `count` rays."""
+        """
+        Return origins in the world, (n, 3) float64, mm, and unit directions on the device, of `count` rays.
+
+        `sample`, points of the unit square, gives the directions, and `draw`, which returns `count` random numbers, the
+        origins.
+        """
         # Points on the host, which has every family of surfaces; normals point from front to back
         o, normals = even_points(self.table, self.surface, draw, count)
         outward = mi.Vector3d(*(upload(mi.Float64, column) for column in (normals if self.to_back else -normals).T))

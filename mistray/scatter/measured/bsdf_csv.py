@@ -18,7 +18,7 @@ ROTATION = "rotation_deg"
 
 def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> BsdfSamples | RotatedSamples:
     """
-    Read a BSDF table over angles from a CSV file.
+    Return the BSDF table over angles of a CSV file.
 
     The columns theta_i_deg, theta_s_deg and phi_deg are angles in degrees; bsdf is in 1/sr. theta_i_deg is the angle of
     the specular direction with the normal, in reflection also that of incidence. theta_s_deg is the angle of the

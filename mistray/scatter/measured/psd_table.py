@@ -94,7 +94,7 @@ class PsdTable(RoughSurface):
     @classmethod
     def read(cls, path: str | Path, **options: Any) -> PsdTable:
         """
-        Read a roughness spectrum from a CSV file.
+        Return the model with the roughness spectrum of a CSV file.
 
         The columns are frequency_1_um or frequency_1_mm, and psd_um4 or psd_nm2_mm2, with ascending frequencies. Lines
         that start with # are comments.
@@ -109,8 +109,7 @@ class PsdTable(RoughSurface):
         Raises
         ------
         MistrayError
-            If the file is missing, has other columns, or a cell is not a number; with the number of the line. It is
-            also raised for the reasons of the class.
+            If the file is missing or has other columns, a cell is not a number, or for the reasons of the class.
         """
         what = f"PSD table '{path}'"
         (_, header), *below = read_cells(path, "PSD table") or [(0, [])]
@@ -127,7 +126,7 @@ class PsdTable(RoughSurface):
             return cls(tuple(f.tolist()), tuple(psd.tolist()), **options)
 
     def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
-        """Return the roughness spectrum, µm⁴, as a function of frequency, 1/µm, whatever the wavelength."""
+        """Return the spectrum times `scale`, µm⁴, as a function of frequency, 1/µm; the wavelength has no effect."""
         log_f, log_psd = np.log(self.frequency_1_um), np.log(self.psd_um4)
         last = float((log_psd[-1] - log_psd[-2]) / (log_f[-1] - log_f[-2]))
 

@@ -124,7 +124,7 @@ def by_rotation(
     Raises
     ------
     MistrayError
-        For the reasons of `one_rotation`, `half_circle` and `RotatedSamples`.
+        For the reasons of `one_rotation`, `half_circle`, `whole_circle` and `RotatedSamples`.
     """
     check_anisotropy(title, anisotropy)
 

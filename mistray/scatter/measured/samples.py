@@ -49,7 +49,8 @@ class BsdfSamples:
     Raises
     ------
     MistrayError
-        If a grid does not ascend, an azimuth is missing, or a value is NaN, negative or infinite.
+        If the frame is unknown; a grid does not ascend, or is out of range; an azimuth or the polar angle 0 is missing;
+        or values do not fit the grid, or are NaN, negative or infinite.
     """
 
     name: str
@@ -210,7 +211,7 @@ class BsdfSamples:
         return np.asarray(self.values / np.maximum(self.directions()[..., 2], HORIZON))
 
     def held(self, grid: np.ndarray, above: np.ndarray) -> np.ndarray:
-        """Return values on the grid, (a, b, c), with nodes below the horizon set to the last value above it."""
+        """Return values on the grid, (a, b, c), with nodes outside the mask `above` set to the last value within it."""
         last = np.maximum.accumulate(np.where(above, np.arange(len(self.polar_deg)), 0), axis=-1)
         return np.take_along_axis(grid, last, axis=-1)
 
@@ -241,7 +242,7 @@ class BsdfSamples:
 
     def totals(self, cosine_corrected: bool = False, beyond: str = "hold") -> np.ndarray:
         """
-        Return the total integrated scatter, a fraction, ∫ f cos θs dΩ, at each angle of incidence, (a,).
+        Return the total integrated scatter ∫ f cos θs dΩ, dimensionless, at each angle of incidence, (a,).
 
         `cosine_corrected` is that of `bsdf`, and `beyond` that of `at`.
         """

@@ -70,7 +70,7 @@ class _Lines:
 
 def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples | RotatedSamples:
     """
-    Read the reflected scatter from an anisotropic BSDF file of Speos.
+    Return the reflected scatter of an anisotropic BSDF file of Speos.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     Raises
     ------
     MistrayError
-        If the file is missing, binary, malformed or of another version. The same holds if it has transmission, totals
-        that depend on the wavelength, or rotations with different incidences. It is also raised for the reasons of
-        `BsdfSamples` and `by_rotation`.
+        If the file is missing, binary, malformed or of another version. Also if it has transmission, totals that depend
+        on the wavelength, no light at θ0, tables of different angles, or rotations with different incidences. Further
+        reasons are those of `BsdfSamples` and `by_rotation`.
     """
     lines = _Lines(path)
     if not _HEADER.fullmatch(lines.text()):
