@@ -365,6 +365,15 @@ def test_a_plane_at_right_angles(name):
         assert getattr(row, what)[1] < 1e-6
 
 
+@pytest.mark.parametrize("cut", [{"ray_control": "TIMRtr"}, {"cut_below": "A=2"}])
+def test_absorption_that_is_not_followed_has_its_share(cut):
+    found = FluxSplit("split")
+    mistray.trace(mistray.load("lens_and_window"), rays=200, recorders=[found], **cut)
+    (row,) = (row for row in found.rows if row.surface == "detector")
+    assert row.absorbed[0] == pytest.approx(0.8 * row.incident[0], rel=1e-6)
+    assert all(abs(row.closure) < 1e-6 for row in found.rows)
+
+
 @pytest.mark.parametrize("polarization", ["unpolarized", pytest.param("stokes", marks=pytest.mark.long)])
 def test_a_tilted_plate_and_total_reflection(polarization):
     """Fresnel's equations at 50°, mean of s and p; from within glass at 50° all light is reflected."""

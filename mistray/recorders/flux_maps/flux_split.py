@@ -31,8 +31,8 @@ class SplitRow:
     incident : (float, float)
         Incident flux on both sides; light that comes back contributes again.
     absorbed, specular_reflection, specular_transmission, scattered_reflection, scattered_transmission : (float, float)
-        Fluxes that add up to `incident`, but for absorption that `ray_control` or `cut_below` cuts. Totally reflected
-        light is a specular reflection.
+        Fluxes that add up to `incident`, whatever `ray_control` and `cut_below` leave out. Totally reflected light is a
+        specular reflection.
 
     Examples
     --------
@@ -67,9 +67,9 @@ class FluxSplit(SurfaceLight):
     Recorder of the split of light at surfaces: absorbed, specular and scattered, reflected and transmitted flux.
 
     It is given to `mistray.trace` among ``recorders``. The split fractions are those of the surface: R, T and TIS at
-    the angle, side and polarisation of each ray. Except for absorption that is cut, they do not depend on whether the
-    trace follows the light further, and have no noise of their own. Lenses, mirrors, walls, meshes and Mitsuba's own
-    shapes are treated alike.
+    the angle, side and polarisation of each ray. They do not depend on whether the trace follows the light further or a
+    limit cuts it, and have no noise of their own. Lenses, mirrors, walls, meshes and Mitsuba's own shapes are treated
+    alike.
 
     Parameters
     ----------
