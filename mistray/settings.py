@@ -122,7 +122,7 @@ class Settings:
     max_optical_scatters : int
         Largest number of scatter events at transmitting surfaces along a path.
     max_random_scatters : int
-        Largest number of scatter events that are not aimed at a target along a path. Beyond it, hits send only aimed
+        Largest number of scatter events along a path that are not aimed at a target. Beyond it, hits send only aimed
         rays, and light scattered elsewhere is lost; `Energy.cut` lists it under "max_scatters".
     max_generations : int
         Largest number of reflections and scatter events together along a path.
@@ -279,7 +279,11 @@ class Settings:
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
     def resolved(self, scene: Any) -> Settings:
-        """Return the settings with `polarization` "auto", if so, replaced by the choice for the scene's sources."""
+        """
+        Return the settings with the `polarization` "auto" replaced; other settings are returned as they are.
+
+        It becomes "stokes" if a source of the scene is polarised, else "unpolarized".
+        """
         if self.polarization != "auto":
             return self
         return replace(self, polarization="stokes" if polarized_sources(scene) else "unpolarized")
@@ -288,7 +292,7 @@ class Settings:
         """
         Return the settings with `cut_below_W` merged into `cut_below`, for start rays of `unit_W` watts each.
 
-        The larger of the two holds for each entry. Settings without `cut_below_W` are returned unchanged.
+        The larger of the two holds for each entry, at most 1e30. Settings without `cut_below_W` are returned unchanged.
         """
         if not any(self.cut_below_W):
             return self
@@ -322,5 +326,5 @@ class Settings:
 
 
 def polarized_sources(scene: Any) -> list[str]:
-    """Names of the scene's sources whose light is polarised."""
+    """Return the names of the scene's sources whose light is polarised."""
     return [emitter.name for emitter in scene.emitters() if getattr(emitter, "polarized", False)]

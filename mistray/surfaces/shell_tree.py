@@ -26,7 +26,7 @@ Axis = tuple[int, float, float]
 
 @dataclass(frozen=True)
 class _Body:
-    """Surfaces on one axis, by their indices in the tree, and the bounding box around them, mm."""
+    """Surfaces on one axis, by their positions in the tree, and the low and high corner of a box around them, mm."""
 
     axis: Axis
     members: np.ndarray
@@ -157,7 +157,9 @@ class ShellTree:
 
     def candidates(self, o: np.ndarray, d: np.ndarray, frames: Sequence[np.ndarray]) -> dict[int, np.ndarray]:
         """
-        Return the indices of the rays that enter the bounds of each surface, by surface index; others are left out.
+        Return the indices of the rays that enter the bounds of each surface, by surface index.
+
+        Surfaces whose bounds no ray enters are left out.
 
         Parameters
         ----------

@@ -188,7 +188,7 @@ class InsteadOfArguments(argparse.Action):
     """Action of an option with which positional arguments may be left out."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
-        """Set the option, and require no positional arguments any more."""
+        """Set the option, and require no argument of the parser any more."""
         setattr(namespace, self.dest, values)
         for action in parser._actions:
             action.required = False

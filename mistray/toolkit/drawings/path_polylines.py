@@ -201,7 +201,7 @@ def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0
     trace : Trace
         Trace that gives the detectors, the wavelength (its first) and the seed.
     n : int
-        Rays of each detector.
+        Largest number of rays of each detector; rays of one point are left out.
     beyond_mm : float
         Length by which a ray that leaves the scene is extended, mm.
     """
