@@ -120,7 +120,7 @@ class Settings:
         Largest number of scatter events along a path. With 0, surfaces only reflect and refract, and scattered light is
         lost.
     max_optical_scatters : int
-        Largest number of scatter events at transmitting surfaces along a path.
+        Largest number of scatter events along a path that are at transmitting surfaces.
     max_random_scatters : int
         Largest number of scatter events along a path that are not aimed at a target. Beyond it, hits send only aimed
         rays, and light scattered elsewhere is lost; `Energy.cut` lists it under "max_scatters".
@@ -254,7 +254,7 @@ class Settings:
         Raises
         ------
         MistrayError
-            If there is a purpose, a source is polarised, and `polarization` is "auto".
+            If there is a purpose, a source is polarised, and `polarization` is "auto"; or as `unresolved` does.
         """
         found = cls.unresolved(scene, **given)
         if found.polarization != "auto":

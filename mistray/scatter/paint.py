@@ -136,7 +136,7 @@ class Paint(Placement):
         preset : str
             Name of the paint.
         **options
-            Values of the other attributes.
+            Values of attributes other than `reflectance`.
 
         Raises
         ------

@@ -19,7 +19,11 @@ _GAUSS = np.polynomial.legendre.leggauss(NODES_PER_OCTAVE)
 
 
 def specular_cosine(event: str, cos_i: np.ndarray, n_in: float, n_out: float) -> np.ndarray:
-    """Return the cosine, with the normal, of the reflected or refracted direction; 0 in total reflection."""
+    """
+    Return the cosine with the normal of the specular direction, at cosines of incidence.
+
+    For transmission it is the refracted direction, and the cosine is 0 in total reflection.
+    """
     if event == "reflection":
         return cos_i
     return np.sqrt(np.maximum(0.0, 1 - (n_in / n_out) ** 2 * (1 - cos_i * cos_i)))

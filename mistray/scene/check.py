@@ -249,8 +249,8 @@ def _check_ends(axis: _Axis, around: Mapping[float, str]) -> None:
     """
     Raise `MistrayError` if light along the axis would start and end in glass, as in a lens with swapped faces.
 
-    `around` has, by index, the material in front of each detector. The light would if one material lies outside both
-    outermost surfaces with no detector in it, and a detector stands in the material behind the first of them.
+    `around` has, by index, the material in front of each detector. The light would if the first surface has the same
+    material ahead as the last one behind, no detector stands in it, and one stands in that behind the first surface.
     """
     passed = [item for item in axis.placed if item.inner == 0 and not item.shape.bsdf().opaque]
     if len(passed) < 2 or not around:

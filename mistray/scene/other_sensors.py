@@ -31,9 +31,9 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
         A dict, or text with the properties of the plugin, as
         ``"probe:0,0,17,half_width=20,half_height=20,normal=0 0 -1,pixels=32 32,id=stop"`` or
         ``"far_field:edges_deg=90:180:5,azimuths=8,axis=0 0 1,id=sky"``. Lengths are in mm, pixels are counts across
-        and down, and directions are in the world frame. A probe counts light that travels towards its normal. The text
-        ``"surface_maps:barrel* hood,azimuths=72,id=walls"`` has patterns of surfaces and parts; without one it means
-        all walls. So has ``"flux_split:L1_* hood,id=split"``; without one it means all surfaces.
+        and down, and directions are in the world frame. A probe counts light that travels towards its normal.
+        ``"surface_maps:barrel* hood,azimuths=72,id=walls"`` and ``"flux_split:L1_* hood,id=split"`` have patterns of
+        surfaces and parts. Without one they mean all walls, and all surfaces.
 
     Raises
     ------

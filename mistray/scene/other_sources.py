@@ -142,7 +142,7 @@ def with_parts(
         Scene to change. Its shapes and its integrator move to the result; do not use it afterwards. Shapes that carry
         an emitter keep it.
     sources, sensors : mapping of str to dict
-        Plugin dicts, keyed by id.
+        Plugin dicts, keyed by id; without sources the scene keeps its own.
 
     Raises
     ------

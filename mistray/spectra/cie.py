@@ -33,7 +33,7 @@ def observer() -> tuple[Array, Array]:
 
 
 def luminous_efficiency(wavelength_nm: npt.ArrayLike) -> Array:
-    """Return the luminous efficiency V(λ), 0 … 1, of the eye in daylight (ISO 23539), λ in nm; 0 beyond 360 … 830."""
+    """Return the luminous efficiency V(λ), 0 … 1, of the eye by day (ISO 23539), λ in nm; 0 outside 360 … 830 nm."""
     wavelengths, values = observer()
     return np.interp(np.asarray(wavelength_nm, dtype=np.float64), wavelengths, values[:, 1], left=0.0, right=0.0)
 

@@ -180,7 +180,7 @@ class AxisRay:
         return larger(self.oo, dr.fma(t, dr.fma(t, self.dd, 2 * self.od), self.oo))
 
     def closest(self) -> mi.Float:
-        """Return the distance, mm, at which the ray is closest to the axis; 0 for a ray along it."""
+        """Return the distance, mm, at which the ray is closest to the axis, negative before its origin; 0 along it."""
         return dr.select(self.dd < AXIAL, 0, -self.od / self.dd)
 
     def lateral(self, t: mi.Float) -> tuple[mi.Float, mi.Float]:

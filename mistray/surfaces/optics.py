@@ -181,11 +181,7 @@ def _known_table(
     opaque: bool,
     stokes: bool,
 ) -> AngleTable:
-    """
-    Return the table that `angle_table` describes, from a cache by coating, layer indices and media.
-
-    The layers' indices are part of the key, as a file's contents may change.
-    """
+    """Return the table that `angle_table` describes, cached by coating, layer indices, as files change, and media."""
     sides = n_front, n_back
 
     def refraction(x: np.ndarray) -> np.ndarray:
@@ -239,7 +235,11 @@ def refraction_rows(
 def total_rows(
     coating: Any, wavelength_nm: float, sides: tuple[complex, complex], stokes: bool, cosines: np.ndarray
 ) -> np.ndarray:
-    """Return table rows of R in total reflection, T = 0, (m, 3, c), at cosines in the denser material, (m,)."""
+    """
+    Return table rows of R in total reflection, T = 0, (m, 3, c), at cosines in the denser material, (m,).
+
+    Parameters as in `refraction_rows`.
+    """
     row = _channels(coating.response(wavelength_nm, *sides, cosines, sides[0].real > sides[1].real), True, stokes)
     return np.stack([row, row, np.zeros_like(row)], axis=1)
 
@@ -255,7 +255,7 @@ def unpolarized_shares(
     """
     Return R and T of a coating for unpolarised light, (m,) each, at cosines of incidence: the means of s and p.
 
-    T is 0 at an opaque surface. Both are 0 there for light out of a metal, in which none travels.
+    At an opaque surface T is 0, and so is R for light out of a metal. `sides` are the indices in front and behind.
     """
     if opaque and sides[0 if from_front else 1].imag > METAL_K:  # nothing comes out of a metal
         return np.zeros_like(cosines), np.zeros_like(cosines)
@@ -326,7 +326,7 @@ class Optics:
     words : mi.UInt32
         Kind, flag bits and media of each surface.
     host_words : (s,) uint32
-        Copy of `words` on the host, (s,).
+        Copy of `words` on the host.
     indices : mi.Float
         Refractive index in front and behind, and R and T of an ideal coating, for each surface, (s, 4). An opaque
         surface has the indices 1; R and T are 0 for other coatings.
@@ -551,7 +551,7 @@ class Optics:
         """
         Return the flux left at the end of segments in media, and the flux scattered and absorbed along them.
 
-        `length` is the length of the segments, mm. All three fluxes have the unit of `flux`.
+        `medium` is a position in `media`, and `length` that of the segments, mm. All fluxes have the unit of `flux`.
         """
         coefficient = dr.gather(mi.Float, self.extinction, medium, active)
         left = flux * dr.exp(-coefficient * dr.select(active, length, 0))

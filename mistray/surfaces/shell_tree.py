@@ -132,7 +132,7 @@ class ShellTree:
         return _Body(axis, group, np.array([ends.min(axis=0) - beside, ends.max(axis=0) + beside]))
 
     def _gather(self, nodes: _Nodes, bodies: Sequence[_Body], backwards: bool) -> None:
-        """Add to `nodes` a subtree that holds the surfaces of several bodies."""
+        """Add to `nodes` a subtree of the surfaces of several bodies; `backwards` for rays against the axes."""
         if len(bodies) == 1:
             self._divide(nodes, bodies[0].axis, bodies[0].members, backwards)
             return
@@ -146,7 +146,11 @@ class ShellTree:
             self._gather(nodes, [bodies[k] for k in half], backwards)
 
     def _divide(self, nodes: _Nodes, axis: Axis, members: np.ndarray, backwards: bool) -> None:
-        """Add to `nodes` a subtree of surfaces on one axis, halved until each leaf has one surface."""
+        """
+        Add to `nodes` a subtree of surfaces on one axis, halved until each leaf has one surface.
+
+        `backwards` turns the order for rays against the axis.
+        """
         shells, single = self._shells[members], len(members) == 1
         nodes.add(axis, _around(shells), members[0] if single else len(self.members), 2 * len(members) - 2)
         if single:

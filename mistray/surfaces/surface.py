@@ -234,7 +234,7 @@ class TracedSurface(ABC):
 
     @abstractmethod
     def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Map points (n, 3), mm, of the surface to two coordinates, (n,) each, that run from 0 to 1 over it."""
+        """Return two coordinates, (n,) each, that run from 0 to 1 over the surface, of its points (n, 3), mm."""
 
     @abstractmethod
     def areas(self, first: int, second: int) -> np.ndarray:
@@ -385,7 +385,7 @@ def asphere_crossings(shape: Sequence[Any], o: np.ndarray, d: np.ndarray) -> np.
     shape : sequence
         Curvature, 1/mm, conic constant, and coefficients a4, a6, …, see `mistray.physics.geometry.sag.sag`.
     o, d : (n, 3) float64
-        Points on the lines, mm, and their directions.
+        Points on the lines, mm, and their unit directions.
     """
     curvature, conic, *_ = shape
     t = quadric_crossings((curvature, curvature * (1 + conic), -2.0, 0.0), 0.0, o, d)

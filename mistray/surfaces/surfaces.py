@@ -380,7 +380,7 @@ class SurfaceTable:
         """
         Return the numbers of pixel columns and rows of a detector, and its extent x0, x1, y0, y1 in its own frame, mm.
 
-        By default it is the only detector.
+        `detector` is the index of its surface, by default that of the only detector.
 
         Raises
         ------

@@ -185,7 +185,7 @@ class Pairs:
 
 
 class InsteadOfArguments(argparse.Action):
-    """Action of an option with which positional arguments may be left out."""
+    """Action of an option, such as --request, with which the positional arguments of its command may be left out."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
         """Set the option, and require no argument of the parser any more."""

@@ -124,7 +124,7 @@ class Tabulated(Placement):
     @classmethod
     def read(cls, path: str | Path, anisotropy: str = "error", **options: Any) -> Tabulated:
         """
-        Read a BSDF table: of Zemax (.bsdf), of Speos (.anisotropicbsdf), or a CSV file of angles.
+        Return the model of a BSDF table in a file: of Zemax (.bsdf), of Speos (.anisotropicbsdf), or a CSV of angles.
 
         Parameters
         ----------
@@ -134,7 +134,7 @@ class Tabulated(Placement):
             Whether scatter that differs between rotations of the sample, or between the sides of the plane of
             incidence, is refused, averaged or kept. If it is kept, it depends on how the surface is turned.
         **options
-            Values of the other attributes.
+            Values of attributes other than `samples`.
 
         Raises
         ------
@@ -170,12 +170,12 @@ class Tabulated(Placement):
 
     @cached_property
     def _above(self) -> np.ndarray:
-        """Mask of grid directions above the horizon, (a, b, c)."""
+        """Mask of grid directions above the horizon, (a, b, c), see `BsdfSamples.above`."""
         return self._first.above(self.cosine_corrected)
 
     @cached_property
     def _grid(self) -> np.ndarray:
-        """BSDF at all rotations, (d, a, b, c), 1/sr."""
+        """BSDF at all d rotations, (d, a, b, c), 1/sr, see `BsdfSamples.bsdf`."""
         return np.array([table.bsdf(self.cosine_corrected) for table in self.samples.tables])
 
     @cached_property
@@ -236,7 +236,7 @@ class Tabulated(Placement):
         """
         Return the ratio of an anisotropic table to the radial profile; parameters as in `_still`.
 
-        Its azimuths count from the specular direction or the sample's x axis: from where it varies less.
+        Its azimuths count from the specular direction or from the sample's x axis, whichever makes it change less.
         """
         second, angle = self._second_nodes(axes, TURNED_R_NODES), np.linspace(0, 2 * np.pi, TURNED_PSI_NODES)
         rotations = np.radians(self.samples.rotation_deg)
@@ -321,7 +321,7 @@ class Tabulated(Placement):
         """
         Return the mean relative error of the interpolating model at the table's nodes above the horizon.
 
-        For anisotropic samples the pole is left out.
+        Nodes without scatter are left out, and so is the pole for anisotropic samples.
         """
         lobes = [Lobe("reflection", self._carrier, ratio=ratio)]
         directions, departures = self._first.directions(), []

@@ -61,7 +61,7 @@ def read_abg_data(path: str | Path) -> dict[str, AbgEntry]:
     ------
     MistrayError
         If the file is missing, a line is malformed or out of range, or a name occurs twice or has no line of values.
-        The message names the line.
+        The message gives the number of a wrong line.
     """
     found: dict[str, AbgEntry] = {}
     entry = None

@@ -56,7 +56,7 @@ class _Lines:
         """
         Return the value in the next line, in lower case.
 
-        The line must read `key value`, with a value in `known`; otherwise raise `MistrayError`.
+        The line must read `key value`, in capitals or not, with a value in `known`; otherwise raise `MistrayError`.
         """
         words = self.next(key)
         if words[0].lower() != key.lower() or len(words) != 2:
@@ -174,7 +174,7 @@ def write_zemax_bsdf(samples: BsdfSamples | RotatedSamples, path: str | Path, co
     path : str or Path
         File to write.
     comment : str
-        Comment lines at the head of the file.
+        Comment at the head of the file, in one or several lines.
 
     Raises
     ------

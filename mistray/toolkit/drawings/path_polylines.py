@@ -270,8 +270,8 @@ def _groups_of(choice: RayChoice, trace: Trace, size_mm: float, with_field: bool
     """
     Return the rays to draw from the trace of one field, grouped by path or by class.
 
-    Names begin with the field angle if `with_field`. Raise `MistrayError` as `rows_of` does, or if the filter is not
-    valid.
+    Names begin with the field angle if `with_field`; `size_mm` is that of `ray_groups`. Raise `MistrayError` as
+    `rows_of` does, or if the filter is not valid.
     """
     field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
     if choice.classes is not None:

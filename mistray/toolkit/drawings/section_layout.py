@@ -50,7 +50,7 @@ FORMATS = (".svg", ".pdf", ".eps", ".png")
 
 
 class Drawn(NamedTuple):
-    """Path to draw: its rays, mm, colour and label, and indices of the points where rays are reflected or scattered."""
+    """Path to draw: rays, (k, 3) mm each, colour, label, and indices of points of reflections and scatter events."""
 
     rays: list[Polyline]
     colour: str
