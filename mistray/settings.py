@@ -173,8 +173,8 @@ class Settings:
         a ray ends at the first surface.
     polarization : {"auto", "unpolarized", "stokes"}
         Treatment of polarisation. "unpolarized": R and T are averaged over both polarisations at every hit. "stokes":
-        every branch carries its Stokes vector. "auto" is "stokes" if a source of the scene is polarised, or if a pilot
-        trace finds that this changes a listed path or the stray light by more than 1 %, see
+        every branch carries its Stokes vector. "auto" is "stokes" if a source of the scene is polarised. It is, too, if
+        a pilot trace finds that this changes a listed path or the stray light by more than 1 %, see
         `mistray.trace.host.polarization_choice`. Otherwise it is "unpolarized".
 
     Raises

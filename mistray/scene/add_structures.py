@@ -55,8 +55,8 @@ def add_structures(
     Raises
     ------
     MistrayError
-        If the scene cannot be read or a file cannot be written; if it already has an object named like a structure, or
-        two structures have one name; or if a coating or scatter model of a structure is named like another object.
+        If the scene cannot be read or a file cannot be written. Also if two structures have one name, the scene already
+        has an object named like a structure, or a different one named like its coating or scatter model.
 
     Examples
     --------

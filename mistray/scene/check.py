@@ -31,9 +31,9 @@ def check_values(state: Any) -> None:
     Raises
     ------
     MistrayError
-        If an id, a grid or a part is not a valid name, a string holds invisible characters, a number is NaN, a
-        transform or a vector is not finite, or the last row of a transform is not 0 0 0 1. The message names the place
-        as Mitsuba's own errors do.
+        If an id, a grid or a part is not a valid name, or a string holds invisible characters. Also if a number is NaN,
+        a transform or a vector is not finite, or the last row of a transform is not 0 0 0 1. The message names the
+        place as Mitsuba's own errors do.
     """
     for node in state.nodes:
         kind = node.type.name.lower()
@@ -249,8 +249,8 @@ def _check_ends(axis: _Axis, around: Mapping[float, str]) -> None:
     """
     Raise `MistrayError` if light along the axis would start and end in glass, as in a lens with swapped faces.
 
-    `around` has, by index, the material in front of each detector. The light would if the first surface has the same
-    material ahead as the last one behind, no detector stands in it, and one stands in that behind the first surface.
+    `around` has, by index, the material in front of each detector. The case is: ahead of the first surface is the same
+    material as behind the last, with no detector in it, and a detector stands in that behind the first.
     """
     passed = [item for item in axis.placed if item.inner == 0 and not item.shape.bsdf().opaque]
     if len(passed) < 2 or not around:

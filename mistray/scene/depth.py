@@ -62,9 +62,9 @@ def check_source(path: Path, text: str | None = None) -> None:
     Raises
     ------
     MistrayError
-        If a file cannot be read, elements are nested deeper than `DEEPEST` levels or includes deeper than
-        `DEEPEST_FILE` files, or the scene exceeds `MOST_INCLUDES` or `MOST_TEXT`; if ``filename`` names a pipe or a
-        device; or if a value is given twice, or a number is missing or malformed.
+        If elements are nested deeper than `DEEPEST` levels or includes deeper than `DEEPEST_FILE` files, or the scene
+        exceeds `MOST_INCLUDES` or `MOST_TEXT`. Also if a file cannot be read or is a pipe or a device, a value is given
+        twice, or a number is missing or malformed.
     """
     _Look(path).read(path, [path.parent, Path()], (), text)
 

@@ -140,10 +140,10 @@ class AsphereSearch:
         It comes first if the crossing is within the aperture, second if it is outside; the other one is infinite.
         Without a crossing both are. Parameters as in `first`.
 
-        Along the ray, f(t) = z - sag(r) is monotonic where the ray is steeper than the surface anywhere,
-        |dz| > slope · sqrt(dx² + dy²), or where its slope at the start cannot change sign on the way, as |f''| is at
-        most bend · (dx² + dy²): then the stretch holds one crossing at most. Otherwise it is walked in intervals until
-        f changes sign, or until f turns back in an interval and its extremum lies beyond zero.
+        Along the ray, f(t) = z - sag(r) is monotonic where the ray is steeper than the surface anywhere, |dz| > slope ·
+        sqrt(dx² + dy²). It is, too, where its slope at the start cannot change sign on the way, as |f''| is at most
+        bend · (dx² + dy²). Then the stretch holds one crossing at most. Otherwise it is walked in intervals until f
+        changes sign, or until f turns back in an interval and its extremum lies beyond zero.
         """
         table = self.table
         vertex = dr.gather(mi.Vector4f, table.vertex, number, active)

@@ -216,7 +216,7 @@ def _roots(
     Return two distances, mm, at which a ray crosses a quadric, the ratio (b² - a g)/a, and whether it crosses at all.
 
     The distances are from the ray's origin; for a ray that starts on the surface, `own`, the first is 0. `a`, `b` and
-    `g` are the coefficients of a u² + 2 b u + g = 0, where u is the distance, mm, from the ray's point at `t0`, the one
+    `g` are the coefficients of a u² + 2 b u + g = 0. There u is the distance, mm, from the ray's point at `t0`, the one
     closest to the vertex or the axis.
 
     From a distant origin, the difference of two squares would round away what is small. A ray from 1 m away met a wall

@@ -83,7 +83,7 @@ class Help(argparse.RawDescriptionHelpFormatter):
 @dataclass(frozen=True)
 class Angles:
     """
-    Argument type: one angle in degrees, or a range first:last:step that includes both ends.
+    Argument type: one angle in degrees, or a range first:last:step, with `last` if a whole number of steps leads there.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Angles:
 
     def __call__(self, text: str) -> list[float]:
         """
-        Parse one number or a range first:last:step with both ends; return the values in the unit of `within`.
+        Return the values of one number or of a range first:last:step, ascending, in the unit of `within`.
 
         Anything else, and a range that falls or has too many values, raises `ArgumentTypeError`.
         """
