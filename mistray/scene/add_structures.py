@@ -55,8 +55,8 @@ def add_structures(
     Raises
     ------
     MistrayError
-        If the scene cannot be read or a file cannot be written. Also if two structures have one name, the scene already
-        has an object named like a structure, or a different one named like its coating or scatter model.
+        If the scene cannot be read or a file cannot be written. It is also raised if two structures have one name, the
+        scene already has an object named like a structure, or a different one named like its coating or scatter model.
 
     Examples
     --------

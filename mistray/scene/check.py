@@ -31,9 +31,9 @@ def check_values(state: Any) -> None:
     Raises
     ------
     MistrayError
-        If an id, a grid or a part is not a valid name, or a string holds invisible characters. Also if a number is NaN,
-        a transform or a vector is not finite, or the last row of a transform is not 0 0 0 1. The message names the
-        place as Mitsuba's own errors do.
+        If an id, a grid or a part is not a valid name, or a string holds invisible characters. It is also raised if a
+        number is NaN, a transform or a vector is not finite, or the last row of a transform is not 0 0 0 1. The message
+        names the place as Mitsuba's own errors do.
     """
     for node in state.nodes:
         kind = node.type.name.lower()

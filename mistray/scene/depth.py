@@ -63,8 +63,8 @@ def check_source(path: Path, text: str | None = None) -> None:
     ------
     MistrayError
         If elements are nested deeper than `DEEPEST` levels or includes deeper than `DEEPEST_FILE` files, or the scene
-        exceeds `MOST_INCLUDES` or `MOST_TEXT`. Also if a file cannot be read or is a pipe or a device, a value is given
-        twice, or a number is missing or malformed.
+        exceeds `MOST_INCLUDES` or `MOST_TEXT`. It is also raised if a file cannot be read or is a pipe or a device, a
+        value is given twice, or a number is missing or malformed.
     """
     _Look(path).read(path, [path.parent, Path()], (), text)
 

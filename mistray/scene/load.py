@@ -65,9 +65,9 @@ def load(
     Raises
     ------
     MistrayError
-        If the file is missing, nested too deeply, or too large with its includes, or Mitsuba cannot read it. Also if a
-        number, an id, a part, a source or a sensor is invalid, surfaces overlap, or a command is to replace a file that
-        it has read. The message is one line.
+        If the file is missing, nested too deeply, or too large with its includes, or Mitsuba cannot read it. It is also
+        raised if a number, an id, a part, a source or a sensor is invalid, surfaces overlap, or a command is to replace
+        a file that it has read. The message is one line.
     KeyboardInterrupt
         On Ctrl-C while Mitsuba builds the scene.
 

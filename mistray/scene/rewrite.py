@@ -57,8 +57,8 @@ def rewritten(
     Raises
     ------
     MistrayError
-        If the scene cannot be loaded, or a value has the wrong number of entries or is not finite. Also if a key does
-        not exist, does not belong to a surface, coating or scatter model, or is in another file.
+        If the scene cannot be loaded, or a value has the wrong number of entries or is not finite. It is also raised if
+        a key does not exist, does not belong to a surface, coating or scatter model, or is in another file.
     """
     file = SceneFile(Path(source), None if text is None else text.encode())
     if not values:

@@ -272,8 +272,8 @@ def read_table(path: str | Path) -> tuple[Array, Array]:
     Raises
     ------
     MistrayError
-        If the file cannot be read, or a line is not a wavelength and a value ≥ 0. Also if the wavelengths do not rise,
-        there are fewer than two, or all values are 0.
+        If the file cannot be read, or a line is not a wavelength and a value ≥ 0. It is also raised if the wavelengths
+        do not rise, there are fewer than two, or all values are 0.
     """
     rows: list[tuple[float, float]] = []
     headed = False
