@@ -120,9 +120,9 @@ class Settings:
         Largest number of scatter events along a path. With 0, surfaces only reflect and refract, and scattered light is
         lost.
     max_optical_scatters : int
-        Largest number of scatter events at transmitting surfaces along a path.
+        Largest number of scatter events along a path that are at transmitting surfaces.
     max_random_scatters : int
-        Largest number of scatter events that are not aimed at a target along a path. Beyond it, hits send only aimed
+        Largest number of scatter events along a path that are not aimed at a target. Beyond it, hits send only aimed
         rays, and light scattered elsewhere is lost; `Energy.cut` lists it under "max_scatters".
     max_generations : int
         Largest number of reflections and scatter events together along a path.
@@ -173,8 +173,8 @@ class Settings:
         a ray ends at the first surface.
     polarization : {"auto", "unpolarized", "stokes"}
         Treatment of polarisation. "unpolarized": R and T are averaged over both polarisations at every hit. "stokes":
-        every branch carries its Stokes vector. "auto" is "stokes" if a source of the scene is polarised, or if a pilot
-        trace finds that this changes a listed path or the stray light by more than 1 %, see
+        every branch carries its Stokes vector. "auto" is "stokes" if a source of the scene is polarised. It is, too, if
+        a pilot trace finds that this changes a listed path or the stray light by more than 1 %, see
         `mistray.trace.host.polarization_choice`. Otherwise it is "unpolarized".
 
     Raises
@@ -254,7 +254,7 @@ class Settings:
         Raises
         ------
         MistrayError
-            If there is a purpose, a source is polarised, and `polarization` is "auto".
+            If there is a purpose, a source is polarised, and `polarization` is "auto"; or as `unresolved` does.
         """
         found = cls.unresolved(scene, **given)
         if found.polarization != "auto":
@@ -279,7 +279,11 @@ class Settings:
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
     def resolved(self, scene: Any) -> Settings:
-        """Return the settings with `polarization` "auto", if so, replaced by the choice for the scene's sources."""
+        """
+        Return the settings with the `polarization` "auto" replaced; other settings are returned as they are.
+
+        It becomes "stokes" if a source of the scene is polarised, else "unpolarized".
+        """
         if self.polarization != "auto":
             return self
         return replace(self, polarization="stokes" if polarized_sources(scene) else "unpolarized")
@@ -288,7 +292,7 @@ class Settings:
         """
         Return the settings with `cut_below_W` merged into `cut_below`, for start rays of `unit_W` watts each.
 
-        The larger of the two holds for each entry. Settings without `cut_below_W` are returned unchanged.
+        The larger of the two holds for each entry, at most 1e30. Settings without `cut_below_W` are returned unchanged.
         """
         if not any(self.cut_below_W):
             return self
@@ -322,5 +326,5 @@ class Settings:
 
 
 def polarized_sources(scene: Any) -> list[str]:
-    """Names of the scene's sources whose light is polarised."""
+    """Return the names of the scene's sources whose light is polarised."""
     return [emitter.name for emitter in scene.emitters() if getattr(emitter, "polarized", False)]

@@ -24,9 +24,9 @@ INTERRUPTED = 130  # exit status of a command that a signal has ended; from outs
 
 def heard() -> list[signal.Signals]:
     """
-    Return the signals that end a command.
+    Return the signals that end a command: SIGINT and SIGTERM.
 
-    Those ignored from the start, as Ctrl-C in a background job, stay ignored.
+    A signal that is ignored from the start, as Ctrl-C in a background job, is left out and stays ignored.
     """
     return [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
 
@@ -94,7 +94,7 @@ def _end_as(code: int, first: int | None) -> None:
     """
     End this process with the exit code of the child, or by the child's signal if the code is negative.
 
-    After a signal `first` an interrupted child makes it 128 plus the number of that signal.
+    If a signal `first` came before and interrupted or killed the child, the code is 128 plus the number of `first`.
     """
     if first is not None and code == INTERRUPTED:
         os._exit(128 + first)
@@ -110,7 +110,7 @@ def _end_as(code: int, first: int | None) -> None:
 
 
 def _interrupted(first: int | None) -> None:
-    """Print that the command was interrupted and exit with 128 plus the number of the signal."""
+    """Print that the command was interrupted and exit with 128 plus the number of the signal `first`."""
     try:
         os.write(2, b"mistray: interrupted\n")
     finally:

@@ -56,7 +56,7 @@ def within(seconds: float | None, since: float | None = None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def share(part: float) -> Iterator[None]:
-    """Limit a block to a fraction, 0 … 1, of the time that is left."""
+    """Limit a block to a fraction, > 0 and ≤ 1, of the time that is left; not at all without a budget."""
     now = time.perf_counter()
     before = _end.set(now + part * (_end.get() - now))
     try:
@@ -87,7 +87,7 @@ def can_draw() -> bool:
 
 def searched() -> float:
     """
-    Fraction of its rays that a search before a trace may use, a power of 2 from 1/8 to 1; 1 without a budget.
+    Return the fraction of its rays that a search before a trace may use: 1/8, 1/4, 1/2, or 1, as without a budget.
 
     Such a search, for example for targets, takes seconds. With fewer rays its result is coarser. The trace is then less
     accurate, but still correct.
@@ -132,7 +132,7 @@ class TimeShares:
 
     @contextlib.contextmanager
     def one(self) -> Iterator[None]:
-        """Run a block for one item, with its share of the time."""
+        """Limit a block, which traces one item, to its share of the time, at least 0.25 s, and to the whole budget."""
         began = time.perf_counter()
         seconds = max(self._left() / max(self._count - self._done, 1) - self._each, LEAST)
         before = _end.set(min(_end.get(), began + seconds))

@@ -22,7 +22,7 @@ REFERENCE = Param(
 
 
 def within(value: float, low: float, high: float) -> bool:
-    """True if a value lies between `low` and `high`, within the rounding of a scene's float32 numbers."""
+    """True if a value lies between two positive bounds, within the rounding of a scene's float32 numbers."""
     return low * (1 - SINGLE) <= value <= high * (1 + SINGLE)
 
 
@@ -37,7 +37,7 @@ def unusual(title: str, *texts: str | None, total: float = 0.0) -> str | None:
     *texts : str or None
         Remarks on unusual values; None for no remark.
     total : float
-        Fraction of light scattered at normal incidence.
+        Fraction of the incident light that is scattered at normal incidence.
 
     Returns
     -------

@@ -40,7 +40,7 @@ ROUNDING = 1e-9
 @dataclass(frozen=True)
 class Paint(Placement):
     """
-    Lambertian surface with an optional glossy lobe, f = ρ/π + b0 [1 + (r/l)²]^(s/2) sqrt(F(θi) F(θs))/F(0).
+    Lambertian surface with an optional glossy lobe, BSDF = ρ/π + b0 [1 + (r/l)²]^(s/2) sqrt(F(θi) F(θs))/F(0).
 
     ρ is the reflectance, r = |β - β0|, and F the unpolarised Fresnel reflectance of the binder's index n; without n the
     last factor is 1. Both parts are reciprocal. The total must be at most 1 at every angle of incidence, because the
@@ -62,12 +62,13 @@ class Paint(Placement):
     event, side, name
         Options of `Placement`; by default a paint only reflects.
     relative_to : {"incident", "specular"}
-        Reference of the BSDF. The BSDF of a paint is absolute, and its light is taken from the absorbed light.
+        Reference of the BSDF, see `Placement`. By default it is absolute, and its light is taken from the absorbed
+        light.
 
     Raises
     ------
     MistrayError
-        If a parameter is out of range, or more than all light would be scattered at some angle.
+        If a parameter is out of range, nothing is scattered, or more than all light is scattered at some angle.
     """
 
     reflectance: float = Param("1", SHARE, "reflectance ρ of the Lambertian part").field(0.0)
@@ -116,7 +117,7 @@ class Paint(Placement):
         """
         Return the model with given properties, see `Placement.of`; `preset` sets the reflectance.
 
-        If `spectrum` is given, the reflectance is 1 by default.
+        With `spectrum` and without `preset`, the reflectance is 1 by default.
         """
         if "preset" not in properties:
             usual = {"reflectance": 1.0} if properties.get("spectrum") else {}
@@ -128,19 +129,19 @@ class Paint(Placement):
     @classmethod
     def preset(cls, preset: str, **options: Any) -> Paint:
         """
-        Return a paint of `PRESETS`, which are all Lambertian.
+        Return a paint whose reflectance is one of `PRESETS`; Lambertian, unless `options` add a glossy lobe.
 
         Parameters
         ----------
         preset : str
             Name of the paint.
         **options
-            Values of the other attributes.
+            Values of attributes other than `reflectance`.
 
         Raises
         ------
         MistrayError
-            If no preset has this name.
+            If no preset has this name, or for the reasons of the class.
         """
         if preset not in PRESETS:
             close = difflib.get_close_matches(preset, PRESETS, n=1)
@@ -222,7 +223,11 @@ def _most_scattered(
     s: float,
     n: float | None,
 ) -> tuple[float, float]:
-    """Return the largest fraction of light that a paint scatters, and the angle of incidence where it does, degrees."""
+    """
+    Return the largest fraction of the incident light that a paint scatters, and the angle of incidence, degrees.
+
+    Parameters are attributes of `Paint`; the largest is that at `CHECKED_COSINES`.
+    """
     lobes = _lobes(reflectance, b0, l, s, n, event="reflection")
     total = np.sum([lobe_total(lobe, CHECKED_COSINES, 1.0, 1.0) for lobe in lobes], axis=0)
     worst = int(np.argmax(total))

@@ -51,8 +51,8 @@ class Particulate(Placement):
     level : float, optional
         Cleanliness level, ≥ 1. Give either the level or `coverage_percent`.
     coverage_percent : float, optional
-        Area that the spheres cover, percent; the level follows from it. The formula in the standard itself gives 7.6 %
-        more area at the same level, see `contamination.standard_coverage_percent`.
+        Area that the spheres cover, percent of the surface; the level follows from it. The formula in the standard
+        itself gives 7.6 % more area at the same level, see `contamination.standard_coverage_percent`.
     slope : float
         Slope of the size distribution, > 0; 0.926 for cleaned surfaces, 0.383 for fallout.
     particle : str

@@ -21,7 +21,8 @@ class Phong(Placement):
     Attributes
     ----------
     b0 : float
-        BSDF in the specular direction, 1/sr, ≥ 0; at most (n + 2)/2π, which scatters all light.
+        BSDF in the specular direction, 1/sr, ≥ 0. At (n + 2)/2π all light is scattered at normal incidence; a trace
+        refuses more.
     exponent : float
         Exponent n, ≥ 1. The radial table that a trace reads has an error of 3e-4 in the total, because cos^n α falls
         faster than its linear pieces near 90°.

@@ -46,9 +46,10 @@ def sums_of(coefficients: Mapping[str, Any]) -> tuple[dict[tuple[int, int, int],
 
 def carrier(r: Any, coefficients: Mapping[str, Any], d: Any) -> Any:
     """
-    Return the BSDF, 1/sr, of two directions symmetric about the normal, whose cosines are the distance r apart.
+    Return the BSDF, 1/sr, of two directions symmetric about the normal, whose direction cosines differ by r.
 
-    All other pairs with this distance have a smooth ratio to it.
+    All other pairs with this distance have a smooth ratio to it. Coefficients, by name, and `d` are those of
+    `Polynomial`.
     """
     t = r * r
     return polynomial.bsdf((0.5 * t, 0.0625 * t * t, -0.25 * t), t, *sums_of(coefficients), d)

@@ -16,7 +16,7 @@ RADIAL, R_MIN = (49, 121, 49), 1e-3  # nodes of the cosine of the specular direc
 @dataclass(frozen=True, eq=False)
 class Directions:
     """
-    Cosines of the incident, specular and scattered directions with the normal, and of the azimuth between them.
+    Incident, specular and scattered directions by their cosines, as arrays that broadcast together.
 
     Attributes
     ----------
@@ -77,7 +77,11 @@ def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) ->
 
 
 def _incidence(cosine: np.ndarray, sine_ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cosine of incidence for each specular cosine, and the specular cosine; neither below `GRAZING`."""
+    """
+    Return the cosine of incidence for each specular cosine, and the specular cosine; neither below `GRAZING`.
+
+    `sine_ratio` is that of `over_cosines`.
+    """
     cosine = np.maximum(cosine, GRAZING)
     cos_i = np.sqrt(np.maximum(GRAZING**2, 1 - sine_ratio**2 * (1 - cosine * cosine)))
     return cos_i, np.sqrt(np.maximum(GRAZING**2, 1 - (1 - cos_i * cos_i) / sine_ratio**2))

@@ -62,7 +62,7 @@ class RoughSurface(Placement):
         the last one is correct; the others are too low.
     substrate : complex, optional
         Index n + ik of the reflecting material of a mirror, as a number or a string, for "rayleigh_rice_vector". The
-        default is the medium on the other side.
+        default is the medium beyond the surface.
 
     Raises
     ------
@@ -109,7 +109,11 @@ class RoughSurface(Placement):
         raise NotImplementedError
 
     def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
-        """Return the rms roughness, µm, in the spatial frequencies 0 … n/λ that scatter light at normal incidence."""
+        """
+        Return the rms roughness, µm, in the spatial frequencies 0 … n/λ that scatter light at normal incidence.
+
+        `n` is the index of the medium of the scattered light, and `wavelength_nm` the vacuum wavelength, nm.
+        """
         raise NotImplementedError
 
     @property

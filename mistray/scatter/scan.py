@@ -64,7 +64,7 @@ class IncidentLight:
 
     def sin_specular(self, event: str, angle_deg: float) -> float:
         """
-        Return the sine of the angle between the specular direction and the normal.
+        Return the sine of the angle between specular direction and normal, for an angle of incidence in degrees.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class Scan:
     loss : float
         Fraction of its flux that the specular beam loses.
     rotation_deg : float
-        Rotation of the sample, degrees.
+        Rotation of the sample, degrees, as in `IncidentLight`.
     """
 
     event: str
@@ -144,8 +144,8 @@ def scan(
     Raises
     ------
     MistrayError
-        If the model does not scatter in `event`, an angle is out of range, or the specular beam would lose more light
-        than it has.
+        If the model does not scatter in `event`, or for the reasons of `IncidentLight.sin_specular`, or if the specular
+        beam would lose more light than it has.
     """
     light = light or IncidentLight()
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
@@ -191,7 +191,7 @@ def table(
     Parameters
     ----------
     model, angles_deg, event, light
-        Parameters of `scan`.
+        Parameters of `scan`; the rotation in `light` is not used.
     frame : {"specular", "normal"}
         Direction from which the table's polar angles are counted, see `BsdfSamples`.
 

@@ -19,7 +19,11 @@ _GAUSS = np.polynomial.legendre.leggauss(NODES_PER_OCTAVE)
 
 
 def specular_cosine(event: str, cos_i: np.ndarray, n_in: float, n_out: float) -> np.ndarray:
-    """Return the cosine, with the normal, of the reflected or refracted direction; 0 in total reflection."""
+    """
+    Return the cosine with the normal of the specular direction, at cosines of incidence.
+
+    For transmission it is the refracted direction, and the cosine is 0 in total reflection.
+    """
     if event == "reflection":
         return cos_i
     return np.sqrt(np.maximum(0.0, 1 - (n_in / n_out) ** 2 * (1 - cos_i * cos_i)))
@@ -81,7 +85,11 @@ def _smooth_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return radii and weights, (m, CUT_NODES), of integrals over the radius from low to high, (m,), even in log r."""
+    """
+    Return radii and weights, (m, CUT_NODES), of integrals over the radius r from low to high, (m,).
+
+    In log r the radii are the nodes of `_smooth_nodes`.
+    """
     t, w = _smooth_nodes(CUT_NODES)
     span = np.log(high / low)[:, None]
     r = low[:, None] * np.exp(span * t)
@@ -89,7 +97,11 @@ def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
-    """Return the integral, (m,), of a radial profile over the unit disc of direction cosines, centred at sin θ."""
+    """
+    Return the integrals, (m,), of a radial profile about sin θ over the unit disc of direction cosines.
+
+    `cosine` is cos θ, (m,).
+    """
     b = np.sqrt(np.maximum(0.0, 1 - cosine * cosine))
     # 1 - b without cancellation at grazing incidence
     low = np.maximum(cosine * cosine / (1 + b), 1e-12)
@@ -103,9 +115,9 @@ def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
 
 def _by_angle(table: RadialTable, cosine: np.ndarray, projected: bool) -> np.ndarray:
     """
-    Return the integral over the hemisphere, (m,), of a radial profile of the chord from the direction at θ.
+    Return the integrals over the hemisphere, (m,), of a profile of the chord from the direction at the angle θ.
 
-    The profile is multiplied by cos θs if `projected`.
+    `cosine` is cos θ, (m,). The profile is multiplied by cos θs if `projected`.
     """
     theta = np.arccos(np.clip(cosine, -1, 1))
     low = np.maximum(2 * np.sin((np.pi / 2 - theta) / 2), 1e-12)
@@ -166,7 +178,11 @@ def _rings(
 def _ring_weights(
     lobe: Lobe, cos_i: float, cosine: float, cos_specular: float, rotation: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return radii r and weights, (k,) each, of the sum of `_rings` at one incidence and sample rotation, rad."""
+    """
+    Return radii r and weights, (k,) each, of the sum of `_rings` at one incidence and sample rotation, rad.
+
+    `cosine` and `cos_specular` are the cosines of the lobe's centre and of the specular direction with the normal.
+    """
     b = float(np.sqrt(max(0.0, 1 - cosine * cosine)))
     edge = max(cosine * cosine / (1 + b), 1e-12)
     # Whole circles by octaves, the last one with nodes that take the square root at the horizon; then cut circles
@@ -207,7 +223,7 @@ class Totals:
     Attributes
     ----------
     loss : dict
-        Fraction that the specular beam loses, (m,), by event.
+        Fraction of its flux that the specular beam loses, (m,), by event.
     terms : dict
         Coefficients (3, m) by event: the scattered fraction of the incident flux is terms[0] + terms[1] X + terms[2]
         X², where X is R or T.
@@ -296,7 +312,7 @@ def check_budget(
     title: str, sums: Totals, cos_i: np.ndarray, reflectance: np.ndarray, transmittance: np.ndarray
 ) -> np.ndarray:
     """
-    Return the fraction that a scattering surface absorbs, 1 - specular - scattered, (m,).
+    Return the fraction of the incident light that a scattering surface absorbs, 1 - specular - scattered, (m,).
 
     Parameters
     ----------

@@ -44,8 +44,8 @@ def add_structures(
     note : str
         Comment written before the structures.
     files : mapping of Path to bytes
-        Files that structures refer to, such as the meshes of `Mechanics.beside`. They are written together with the
-        scene.
+        Contents of files that structures refer to, such as the meshes of `Mechanics.beside`, by path. They are written
+        together with the scene.
 
     Returns
     -------
@@ -55,8 +55,8 @@ def add_structures(
     Raises
     ------
     MistrayError
-        If the scene cannot be read or a file cannot be written, if it already has an object named like a structure, or
-        if a coating or scatter model of a structure has the name of a different one in the scene.
+        If the scene cannot be read or a file cannot be written. It is also raised if two structures have one name, the
+        scene already has an object named like a structure, or a different one named like its coating or scatter model.
 
     Examples
     --------
@@ -95,9 +95,9 @@ def add_structures(
 
 def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
     """
-    Return coatings and scatter models with an id at the top level of a scene file, by id.
+    Return the coatings and scatter models that stand at the top level of a scene file with an id, by id.
 
-    Those with values that are not plain are skipped, and so are coatings with values that a `Coating` does not have.
+    Objects with values that `_values` does not read are skipped, and so are coatings with values that no `Coating` has.
     """
     found: dict[str, Shared] = {}
     for element in file.root.children:
@@ -113,7 +113,7 @@ def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
 
 
 def _values(element: Element) -> dict[str, Value] | None:
-    """Return a scene element's property values by name, if all are plain numbers, strings or booleans; else None."""
+    """Return a scene element's values by name if all are numbers, strings or booleans without ``$``; else None."""
     values: dict[str, Value] = {}
     for child in element.children:
         name, text = child.values.get("name"), child.values.get("value")

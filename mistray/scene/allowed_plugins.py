@@ -1,5 +1,5 @@
 """
-Check that a scene names only safe plugins: listed ones of Mitsuba, mistray's, and ones registered in Python.
+Checks that a scene names only safe plugins: listed ones of Mitsuba, mistray's, and ones registered in Python.
 
 Mitsuba takes an unknown type as the name of a library, ``plugins/TYPE.so``, and runs the code in it. It looks in the
 current folder, beside the scene, or wherever a path in the type leads. So mistray checks the types first, and puts
@@ -66,8 +66,8 @@ def check_file(state: Any) -> None:
     Raises
     ------
     MistrayError
-        If a type is not allowed, or a file is a pipe or a device. The message names the place as Mitsuba's own errors
-        do.
+        If a type is not allowed, or a file name is blank or that of a folder, a pipe or a device. The message names the
+        place as Mitsuba's own errors do.
     """
     for node in state.nodes:
         name, kind = node.props.plugin_name(), KINDS.get(node.type.name, node.type.name.lower())
@@ -85,8 +85,8 @@ def check_dict(given: Mapping[str, Any]) -> None:
     Raises
     ------
     MistrayError
-        If a type is not allowed, a file is a pipe or a device, a value is None, which would crash Mitsuba, or the dict
-        is nested deeper than `mistray.scene.xml_file.DEEPEST`. The message names the place as Mitsuba's own errors do.
+        For the reasons of `check_file`, if a value would crash Mitsuba (None, half of a character), or if the dict is
+        nested deeper than `mistray.scene.xml_file.DEEPEST`. The message names the place as Mitsuba's own errors do.
     """
     for path, name, file in _types(given):
         reason = _special(file)
@@ -98,7 +98,7 @@ def check_dict(given: Mapping[str, Any]) -> None:
 
 def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
     """
-    Yield every nested dict that has a type: its path of keys, its type, and the value of its file name entry.
+    Yield every nested dict that has a type: its path of keys, its type, and its value ``filename``, None without one.
 
     An entry that would crash Mitsuba, or dicts nested too deeply, raise `MistrayError`.
     """
@@ -132,7 +132,7 @@ def _special(name: Any) -> str:
     """
     Return the reason why the file that a Mitsuba plugin names must not be opened; "" if it may.
 
-    It is a pipe or device, or its name is blank. A missing file is left to Mitsuba.
+    It is a folder, a pipe or a device, or its name is blank. A missing file is left to Mitsuba.
     """
     if isinstance(name, str) and not name.strip():  # Mitsuba finds its own folder by it
         return f"{FILE} is {name!r}; name a file"
@@ -147,7 +147,11 @@ def _special(name: Any) -> str:
 
 
 def _refusal(name: str) -> str:
-    """Return why a plugin type that is not listed is refused; "" if it is registered or unknown to Mitsuba as well."""
+    """
+    Return why a plugin type that is not listed for its kind is refused; "" if it is not.
+
+    A type that is registered in Python, or that Mitsuba does not know either, is not refused.
+    """
     remedy = "use a plugin of Mitsuba or of mistray, or one that you registered in Python"
     for kind, names in STOCK.items():
         if name in names:

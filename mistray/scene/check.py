@@ -31,9 +31,9 @@ def check_values(state: Any) -> None:
     Raises
     ------
     MistrayError
-        If an id or a part is not a valid name, a string holds invisible characters, a number is NaN, a transform or a
-        vector is not finite, or the last row of a transform is not 0 0 0 1. The message names the place as Mitsuba's
-        own errors do.
+        If an id, a grid or a part is not a valid name, or a string holds invisible characters. It is also raised if a
+        number is NaN, a transform or a vector is not finite, or the last row of a transform is not 0 0 0 1. The message
+        names the place as Mitsuba's own errors do.
     """
     for node in state.nodes:
         kind = node.type.name.lower()
@@ -57,7 +57,11 @@ def property_of(node: Any, key: str) -> Any:
 
 
 def _check_value(key: str, value: Any, kind: str) -> None:
-    """Raise `MistrayError` if a property value is invalid for every plugin, such as NaN or an empty name."""
+    """
+    Raise `MistrayError` if a property value is invalid for every plugin, such as NaN or an empty name.
+
+    `key` is the name of the property, and `kind` is Mitsuba's name for the type of the value.
+    """
     if isinstance(value, str):
         if key in NAMES and not value.strip():
             raise MistrayError(f"{key} is {value!r}; give a name, or leave it out")
@@ -86,9 +90,9 @@ def _first_strange(numbers: np.ndarray) -> str:
 
 def require_scene(scene: Any, function: str) -> None:
     """
-    Raise `MistrayError` if an argument is not a loaded scene, for example its name.
+    Raise `MistrayError` if an argument is not a loaded scene, but for example the name of one.
 
-    `function` is for the message.
+    `function` is the name of the function that got it, for the message.
     """
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"{function}() got {type(scene).__name__}; load the scene first: mistray.load(path)")
@@ -96,7 +100,11 @@ def require_scene(scene: Any, function: str) -> None:
 
 @dataclass(frozen=True)
 class _Placed:
-    """`asphere` on a common axis: vertex z, mm; sign, -1 if reversed; inner and outer radius of its aperture, mm."""
+    """
+    `asphere` on a common axis: vertex z along it, mm; sign, -1 if reversed; inner and outer radius of its aperture, mm.
+
+    The outer radius of a rectangle is half of its shorter side.
+    """
 
     shape: Any
     z: float
@@ -126,7 +134,7 @@ class _Placed:
 
 @dataclass
 class _Axis:
-    """Common axis of aspheres: a point, mm, a unit vector, and the aspheres centred on it."""
+    """Common axis of aspheres in the world: a point, mm, a unit vector, and the aspheres centred on it."""
 
     foot: np.ndarray
     along: np.ndarray
@@ -150,7 +158,7 @@ def check_overlaps(scene: mi.Scene) -> None:
     The check compares `asphere` shapes with a common axis, within the aperture that they share. Surfaces may touch, at
     the vertex or at the rim. Structure made of `frustum` shapes is not checked, because walls are often drawn into one
     another. If nothing else on the axis refracts, the materials must also fit together along it. This finds two
-    surfaces that have changed places. It is not checked where a shape has a BSDF of Mitsuba's own.
+    surfaces that have changed places. Materials are not checked if any shape has a BSDF of Mitsuba's own.
 
     Parameters
     ----------
@@ -198,7 +206,7 @@ def _signs(feet: np.ndarray, along: np.ndarray, shape: Any) -> np.ndarray:
 
 
 def _check_crossings(axis: _Axis) -> None:
-    """Raise `MistrayError` if two surfaces of an axis cross or lie in the wrong order."""
+    """Raise `MistrayError` if two surfaces of an axis cross, coincide or lie in the wrong order."""
     heights = [item.height(np.linspace(item.inner, item.outer, SAMPLES)) for item in axis.placed]
     low, high = [height.min() for height in heights], [height.max() for height in heights]
     for i, j in combinations(range(len(heights)), 2):
@@ -241,7 +249,8 @@ def _check_ends(axis: _Axis, around: Mapping[float, str]) -> None:
     """
     Raise `MistrayError` if light along the axis would start and end in glass, as in a lens with swapped faces.
 
-    It would if the detector stands in the material between these surfaces, and nothing is checked without one.
+    `around` has, by index, the material in front of each detector. The case is: ahead of the first surface is the same
+    material as behind the last, with no detector in it, and a detector stands in that behind the first.
     """
     passed = [item for item in axis.placed if item.inner == 0 and not item.shape.bsdf().opaque]
     if len(passed) < 2 or not around:

@@ -48,7 +48,7 @@ class Coated:
     changes : dict of str to Change
         Changes, keyed by the name of the surface.
     left : tuple of Left
-        Surfaces that match a pattern and that stay as they are.
+        Surfaces that a rule leaves as they are although they match its pattern.
     notes : tuple of str
         Notes on the reflectance of coating presets on the substrates that they are put on.
 
@@ -132,8 +132,8 @@ def coat(
     Raises
     ------
     MistrayError
-        If a pattern matches no surface, or none that can take the coating, paint or model; if one of these is unknown;
-        or if `mistray.load` raises.
+        If a pattern matches no surface, or none that can take the coating, paint or model; if one of these is unknown
+        or not valid; or if `mistray.load` raises.
 
     Examples
     --------
@@ -187,12 +187,12 @@ def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated
     Returns
     -------
     Coated
-        Changes to the surfaces, and surfaces that stay as they are.
+        Changes to the surfaces, and surfaces that rules leave as they are.
 
     Raises
     ------
     MistrayError
-        If `coat` would raise; nothing is written then.
+        If `coat` would raise, or the file cannot be written; an old file then stays.
 
     Examples
     --------
@@ -284,9 +284,9 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
 
 def faces_of(file: SceneFile) -> list[Face]:
     """
-    Return a `Face` for each shape of a scene file that has an id.
+    Return a `Face` for each shape that has an id in a scene file.
 
-    That of a shape without an interface states this as its fault.
+    The face of a shape without an ``interface`` or ``thinfilm`` states this as its fault.
     """
     found = []
     for name, shape in file.ids.items():

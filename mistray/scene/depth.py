@@ -63,8 +63,8 @@ def check_source(path: Path, text: str | None = None) -> None:
     ------
     MistrayError
         If elements are nested deeper than `DEEPEST` levels or includes deeper than `DEEPEST_FILE` files, or the scene
-        exceeds `MOST_INCLUDES` or `MOST_TEXT`. Also if an attribute ``filename`` names a pipe or a device, or a number
-        is missing or malformed.
+        exceeds `MOST_INCLUDES` or `MOST_TEXT`. It is also raised if a file cannot be read or is a pipe or a device, a
+        value is given twice, or a number is missing or malformed.
     """
     _Look(path).read(path, [path.parent, Path()], (), text)
 
@@ -82,7 +82,7 @@ class _Look:
     contents : dict of Path to bytes
         Contents of the files read so far.
     includes, text : int
-        Number of includes so far, and of bytes of text, parameters in place.
+        Number of includes so far, and length of their text and of all values with parameters in place.
     """
 
     def __init__(self, path: Path) -> None:
@@ -95,7 +95,8 @@ class _Look:
         """
         Check a file, or `text` in its place, and the files that it includes; `folders` are searched for these in order.
 
-        Raise `MistrayError` as `check_source` does; broken XML is left to Mitsuba.
+        `within` are the files that include this one, the outermost first. Raise `MistrayError` as `check_source` does;
+        broken XML is left to Mitsuba.
         """
         data = self._content(path) if text is None else text.encode()
         self._grow(len(data), f"scene '{self.path}'")
@@ -158,9 +159,9 @@ class _Look:
 
     def _filled(self, text: str, where: str) -> str:
         """
-        Return a property value with its ``$name`` parameters substituted.
+        Return an attribute with its ``$name`` parameters substituted.
 
-        Raise `MistrayError`, naming the place `where`, if it grows too long.
+        Raise `MistrayError`, naming the place `where`, if it or the whole scene grows too long.
         """
         if "$" not in text:
             return text
@@ -202,7 +203,11 @@ def _twice(element: SceneElement) -> str:
 
 
 def _mistake(element: SceneElement, values: Mapping[str, str]) -> str:
-    """Return a message on the first invalid number of a scene element; "" if all are valid, or hold a ``$``."""
+    """
+    Return a message on the first invalid number of a scene element; "" if there is none.
+
+    `values` are its attributes with parameters in place. One that still holds a ``$`` is not checked.
+    """
     tag = element.tag
     for key in NUMBERS.get(tag, ()):
         name = printable(element.name) if tag == "float" else f"{key} of {_named(element)}"

@@ -71,7 +71,7 @@ def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
 
 
 def _names(text: str) -> Iterator[str]:
-    """Yield possible file names in a string: the whole text, and runs of its words with or without ``:entry``."""
+    """Yield possible file names in a string: the whole text, and runs of words, also without ``:entry`` or ``key=``."""
     found = {text}
     for part in re.split(r"[,;\n]", text):
         words = part.split()

@@ -21,7 +21,8 @@ def improbable(scene: mi.Scene) -> list[str]:
     Returns
     -------
     list of str
-        One line for each unusual model or source: its name, its values and the usual range.
+        One line for each unusual model or source: its name, its values and the usual range. For a model it begins with
+        the surfaces that have it.
     """
     found: dict[int, tuple[str, list[str]]] = {}
     for shape in scene.shapes():

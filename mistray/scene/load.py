@@ -53,7 +53,7 @@ def load(
         scene dict.
     sources : str, dict or sequence of them, optional
         Sources instead of the emitters of the scene, such as ``"point:0,0,-500"`` or ``"sun:field_deg=30"``, see
-        docs/sources.md; shapes that carry an emitter keep it.
+        docs/sources.md; shapes that carry an emitter keep it. By default the scene keeps its emitters.
     sensors : str, dict or sequence of them, optional
         Further sensors beside those of the scene, such as ``"probe:0,0,17,half_width=20"``, see docs/detectors.md.
 
@@ -65,9 +65,9 @@ def load(
     Raises
     ------
     MistrayError
-        If the file is missing, nested too deeply, or too large with its includes; if a number, an id or a part is
-        invalid; if Mitsuba cannot read it; if surfaces overlap; or if a command is to replace a file that it has read.
-        The message is one line.
+        If the file is missing, nested too deeply, or too large with its includes, or Mitsuba cannot read it. It is also
+        raised if a number, an id, a part, a source or a sensor is invalid, surfaces overlap, or a command is to replace
+        a file that it has read. The message is one line.
     KeyboardInterrupt
         On Ctrl-C while Mitsuba builds the scene.
 
@@ -124,7 +124,11 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
 
 
 def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], more: list[Any]) -> mi.Scene:
-    """Read and check a scene from a file, its text or a dict, with sources and sensors added. Raise as `load` does."""
+    """
+    Read and check a scene from a file, its text or a dict. Raise as `load` does.
+
+    Sources `others`, if there are any, replace its own; the sensors `more` are added.
+    """
     if isinstance(given, Path):
         check_source(given, text)
         name = _utf8(given)
@@ -147,7 +151,7 @@ def _light_interfaces(scene: mi.Scene) -> None:
     """
     Set the reference wavelength of every interface: the first wavelength, nm, of the scene's first source.
 
-    Without a source nothing is set.
+    It is `DEFAULT_NM` if that source states none. Without a source nothing is set.
     """
     lines = [getattr(emitter, "wavelengths_nm", (DEFAULT_NM,)) for emitter in scene.emitters()]
     for shape in scene.shapes():
@@ -157,7 +161,7 @@ def _light_interfaces(scene: mi.Scene) -> None:
 
 def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part]) -> mi.Scene:
     """
-    Return the scene with its sources replaced, if others are given, and further sensors added.
+    Return the scene with its sources replaced, if `sources` holds any, and further sensors added.
 
     Raise `MistrayError` if one is not valid, and KeyboardInterrupt on Ctrl-C.
     """

@@ -51,7 +51,7 @@ class SceneElement:
     values : dict
         Values of the object by name, as written.
     parent : SceneElement or None
-        Enclosing element.
+        Enclosing element; None for the outermost.
     """
 
     tag: str = ""
@@ -80,7 +80,7 @@ def explain(error: Exception, source: Path | dict[str, Any], content: str | None
     Parameters
     ----------
     error : Exception
-        Exception that Mitsuba raised while loading.
+        Exception that Mitsuba or a check raised while loading.
     source : Path or dict
         Scene that was loaded.
     content : str, optional
@@ -120,7 +120,11 @@ def is_interrupt(error: Exception) -> bool:
 
 
 def _reason(text: str, element: SceneElement, source: Path | dict[str, Any]) -> str:
-    """Return the part of an error message that says what is wrong with an element and how to correct it."""
+    """
+    Return what is wrong with an element and how to correct it, from the text of an error.
+
+    `source` is that of `explain`.
+    """
     own = text.rpartition("MistrayError: ")[2].strip() if "MistrayError: " in text else ""
     unknown = dict(re.findall(r"- \w+ \"([^\"]+)\": (.*)", text)) if "unreferenced" in text else {}
     known = parameters(element.plugin)
@@ -267,7 +271,7 @@ def _in_file(path: Path, line: int, column: int, data: bytes | None) -> SceneEle
     """
     Return the element at a line and column of an XML file, None if there is none or the file cannot be read.
 
-    Mitsuba counts columns from the name of the tag.
+    `data` replaces the content of the file. Mitsuba counts columns from the name of the tag.
     """
     try:
         file = SceneFile(path, data)
@@ -281,7 +285,7 @@ def _in_file(path: Path, line: int, column: int, data: bytes | None) -> SceneEle
 
 
 def _of_file(found: Element) -> SceneElement:
-    """Convert an element of a scene file to a `SceneElement`, with its values and parents."""
+    """Return an element of a scene file as a `SceneElement`, with its values and parents."""
     get = found.values.get
     parent = _of_file(found.parent) if found.parent is not None else None
     element = SceneElement(found.tag, get("type", ""), get("id", ""), get("name", ""), {}, parent)
@@ -292,7 +296,7 @@ def _of_file(found: Element) -> SceneElement:
 
 
 def _in_dict(scene: dict[str, Any], path: list[str]) -> SceneElement:
-    """Return the element of a scene dict that a path of keys leads to."""
+    """Return the element of a scene dict that a path of keys leads to; the scene itself for ``root``."""
     element, here = SceneElement(tag="scene", plugin="scene"), scene
     for key in path if path != ["root"] else []:
         here = here.get(key, {})

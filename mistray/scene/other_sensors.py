@@ -28,16 +28,17 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     sensor : str or mapping
-        A dict, or text: ``"probe:0,0,17,half_width=20,half_height=20,normal=0 0 -1,pixels=32 32,id=stop"`` or
-        ``"far_field:edges_deg=90:180:5,azimuths=8,axis=0 0 1,id=sky"``, with the properties of the plugin. Lengths are
-        in mm, pixels are counts across and down, and directions are in the world frame. A probe counts light that
-        travels towards its normal. Or ``"surface_maps:barrel* hood,azimuths=72,id=walls"``, with patterns of surfaces
-        and parts; without one, all walls. Or ``"flux_split:L1_* hood,id=split"``; without a pattern, all surfaces.
+        A dict, or text with the properties of the plugin, as
+        ``"probe:0,0,17,half_width=20,half_height=20,normal=0 0 -1,pixels=32 32,id=stop"`` or
+        ``"far_field:edges_deg=90:180:5,azimuths=8,axis=0 0 1,id=sky"``. Lengths are in mm, pixels are counts across
+        and down, and directions are in the world frame. A probe counts light that travels towards its normal.
+        ``"surface_maps:barrel* hood,azimuths=72,id=walls"`` and ``"flux_split:L1_* hood,id=split"`` have patterns of
+        surfaces and parts. Without one they mean all walls, and all surfaces.
 
     Raises
     ------
     MistrayError
-        If the text is not understood.
+        If the text is not understood, or the dict has no type.
     """
     if not isinstance(sensor, str):
         return given_dict("sensor", sensor, "probe:0,0,17")
@@ -78,7 +79,7 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
 
 def _of_surfaces(text: str) -> dict[str, Any]:
     """
-    Parse the text of a sensor `surface_maps` or `flux_split` into the dict of its plugin.
+    Return the dict of a plugin `surface_maps` or `flux_split` from the text of `sensor_dict`.
 
     Raise `MistrayError` for an unknown name or a count that is not whole.
     """
@@ -103,7 +104,7 @@ def _numbers(text: str, what: str, owner: str) -> np.ndarray:
     """
     Return the vector, (3,), of three numbers in a string, scaled so that the largest magnitude is 1.
 
-    Raise `MistrayError` if it is not three finite numbers, or all are 0.
+    Raise `MistrayError` if it is not three finite numbers, or all are 0; `what` and `owner` are for its message.
     """
     try:
         numbers = np.array([float(part) for part in text.split(",") if part])
@@ -116,9 +117,9 @@ def _numbers(text: str, what: str, owner: str) -> np.ndarray:
 
 def _whole(text: str, owner: str) -> tuple[int, int]:
     """
-    Parse the numbers of pixels across and down, and return them; a single number stands for both.
+    Return the numbers of pixels across and down in a string; a single number stands for both.
 
-    Raise `MistrayError` if they are not whole numbers above 0.
+    Raise `MistrayError` if they are not whole numbers above 0; `owner` is for its message.
     """
     parts = [part for part in text.split(",") if part]
     if not 1 <= len(parts) <= 2 or not all(part.isdecimal() and int(part) for part in parts):
@@ -129,6 +130,6 @@ def _whole(text: str, owner: str) -> tuple[int, int]:
 
 
 def sensor_dicts(sensors: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return sensor dicts keyed by id; raise `MistrayError` if one is malformed, or two have the same id."""
+    """Return the dicts of sensors keyed by id; raise `MistrayError` for the reasons of `sensor_dict` and `keyed`."""
     described = [sensor_dict(sensor) for sensor in sensors]
     return keyed("sensor", described, [one["type"] for one in described])

@@ -42,7 +42,7 @@ def source_dict(source: str | Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     MistrayError
-        If the text is not understood.
+        If the text is not understood, or the dict has no type.
     """
     if not isinstance(source, str):
         return given_dict("source", source, "point:0,0,-500")
@@ -97,12 +97,16 @@ def parsed(
 
 
 def source_dicts(sources: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return source dicts by id; raise `MistrayError` if one is not understood, or two have the same id."""
+    """Return the dicts of sources by id; raise `MistrayError` for the reasons of `source_dict` and `keyed`."""
     return keyed("source", [source_dict(source) for source in sources], ["source"] * len(sources))
 
 
 def given_dict(what: str, part: Any, example: str) -> dict[str, Any]:
-    """Return a source or sensor given as a dict; raise `MistrayError` if it is not a dict or has no type."""
+    """
+    Return a copy of a source or sensor that is given as a dict.
+
+    Raise `MistrayError` if it is not a dict or has no type; `what` and `example` are for its message.
+    """
     if not isinstance(part, Mapping) or "type" not in part:
         raise MistrayError(f"{what} {part!r}: give a text such as '{example}', or a dict with a 'type'")
     return dict(part)
@@ -110,10 +114,10 @@ def given_dict(what: str, part: Any, example: str) -> dict[str, Any]:
 
 def keyed(what: str, parts: Sequence[dict[str, Any]], words: Sequence[str]) -> dict[str, dict[str, Any]]:
     """
-    Return sources or sensors by id.
+    Return the dicts of sources or sensors by id, which is taken out of them.
 
     One without id is named by its word in `words`, numbered if the word repeats. Raise `MistrayError` if two have the
-    same id, or a plugin is not allowed.
+    same id, or a plugin is not allowed; `what` is for its message.
     """
     result: dict[str, dict[str, Any]] = {}
     for number, (found, word) in enumerate(zip(parts, words, strict=True)):
@@ -138,7 +142,7 @@ def with_parts(
         Scene to change. Its shapes and its integrator move to the result; do not use it afterwards. Shapes that carry
         an emitter keep it.
     sources, sensors : mapping of str to dict
-        Plugin dicts, keyed by id.
+        Plugin dicts, keyed by id; without sources the scene keeps its own.
 
     Raises
     ------

@@ -42,14 +42,14 @@ def read_optics(source: str | Path) -> tuple[Prescription, tuple[str, ...]]:
     Returns
     -------
     prescription : Prescription
-        Surfaces in the order of the file, without structure.
+        Surfaces in the order of the file, stop, detector and source, without other structure.
     left_out : tuple of str
         Names of the shapes that are not in `prescription`.
 
     Raises
     ------
     MistrayError
-        If the file is missing or broken, or a value of an optical surface is not understood.
+        If the file is missing or broken, has two sources or two detectors, or holds a value that is not understood.
     """
     path = find(source)
     return _Reader(path, str(source)).read()
@@ -131,9 +131,9 @@ class _Reader:
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
         """
-        Return the values of a `thinfilm` or `interface` that define its coating; R and T as numbers (fractions).
+        Return the values of a `thinfilm` or `interface` that define its coating, as arguments of `Coating`.
 
-        A value that is no number raises `MistrayError`.
+        R and T are fractions of the incident light. A value of them that is no number raises `MistrayError`.
         """
         recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table") if key in values}
         return recipe | {key: self._number(where, values, key) for key in ("R", "T") if key in values}

@@ -92,7 +92,7 @@ def refitted(
     """
     Return the text of a scene whose surfaces have other coatings or scatter models.
 
-    Shared coatings that nothing refers to any more are removed.
+    Shared coatings of these surfaces that nothing refers to any more are removed.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def refitted(
     Raises
     ------
     MistrayError
-        If a shape is missing or has no ``interface``.
+        If a shape is missing or has no ``interface`` or ``thinfilm``.
     """
     places = [_interface(file, surface)[0] for surface in refits]
     # A shared interface may have other users, so each surface gets one of its own
@@ -148,7 +148,7 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
     Raises
     ------
     MistrayError
-        If the file cannot be read, a shape is missing or given twice, or a shape has no ``interface``.
+        If the file cannot be read, a shape is missing or given twice, or has no ``interface`` or ``thinfilm``.
     """
     file = SceneFile(Path(source))
     refits: dict[str, Refit] = {}
@@ -253,7 +253,7 @@ def _is_coating(file: SceneFile, child: Element) -> bool:
 
 
 def _names(file: SceneFile, coatings: Sequence[SharedCoating]) -> list[str]:
-    """Return new ids for coatings, none of them used in the file, except by shared coatings that will be removed."""
+    """Return one new id for each coating, not used in the file except by shared coatings that will be removed."""
     recoated_shapes = {surface for coating in coatings for surface in coating.surfaces}
     taken = set(file.ids) - {element.values["id"] for element in _forsaken(file, recoated_shapes)}
     names = []

@@ -45,20 +45,20 @@ def rewritten(
     source : str or Path
         Scene XML file.
     values : mapping of str to float or sequence of float
-        Key in ``mi.traverse(scene)`` → value; for a coating, one number per layer. A scene loaded from the text has
-        exactly these values, but only to single precision outside shapes.
+        Key in ``mi.traverse(scene)`` → value in the unit of the parameter; for layers of a coating, one number each. A
+        scene loaded from the text has exactly these values, but only to single precision outside shapes.
     folder : str or Path
         Folder in which the text will be stored, see `SceneFile.edited`.
     note : str
-        Beginning of the comment that lists the old and new values.
+        Text in the head of the comment that lists the new and old values.
     text : str, optional
         Text to change instead of the content of the file.
 
     Raises
     ------
     MistrayError
-        If the scene cannot be loaded; if a key does not exist, does not belong to a surface, coating or scatter model,
-        or is in another file; if a value has the wrong number of entries or is not finite.
+        If the scene cannot be loaded, or a value has the wrong number of entries or is not finite. It is also raised if
+        a key does not exist, does not belong to a surface, coating or scatter model, or is in another file.
     """
     file = SceneFile(Path(source), None if text is None else text.encode())
     if not values:
@@ -147,9 +147,9 @@ def _curvature(element: Element, curvature: float) -> str:
 
 def _layers(file: SceneFile, element: Element, film: Any, thickness_nm: np.ndarray) -> dict[str, str]:
     """
-    Return the XML values of a layered coating with these thicknesses, nm.
+    Return the XML of the layers of a coating with these thicknesses, nm, under the key ``thickness_nm``.
 
-    They say ``opaque`` if the coating is so and the file does not say it.
+    If the coating is opaque and the file does not say so, the XML of ``opaque`` comes with it.
     """
     given = {child.values.get("name"): child.values.get("value", "") for child in element.children}
     numbers = [_number(value) for value in thickness_nm.astype(np.float32)]

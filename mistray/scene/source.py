@@ -41,9 +41,9 @@ class PackedScene:
     checked : dict of str to str
         SHA-256 hashes of files that the scene names by an absolute path, keyed by path. They do not travel.
     sources : tuple
-        Sources that replace those of the file, see `mistray.scene.load`.
+        Sources that replace those of the file, see `mistray.scene.load`; empty if none do.
     sensors : tuple
-        Sensors that were added to those of the file.
+        Sensors that are added to those of the file.
     """
 
     name: str
@@ -72,7 +72,11 @@ class PackedScene:
         return scene
 
     def unpack(self, folder: Path) -> Path:
-        """Write the files into a folder and return the path of the scene file; raise as `load` does."""
+        """
+        Write the files into a folder and return the path of the scene file.
+
+        Raise `MistrayError` if a file of `checked` is missing here or has other contents, or a path leads outside.
+        """
         for path, digest in self.checked.items():
             found = file_fingerprint(Path(path)) if os.path.isfile(path) else None
             if found != digest:
@@ -91,7 +95,7 @@ class PackedScene:
 
 @dataclass(frozen=True)
 class SceneDict:
-    """Scene given as a dict, with replaced sources and added sensors."""
+    """Scene given as a dict, with sources that replace its own, if there are any, and sensors that are added."""
 
     given: Mapping[str, Any]
     sources: tuple[Any, ...] = ()
@@ -181,7 +185,7 @@ def source_of(scene: mi.Scene) -> PackedScene | SceneDict:
     Raises
     ------
     MistrayError
-        If the scene was not loaded by `mistray.load`, or its files are gone.
+        If the scene was not loaded by `mistray.load`, has no plugin of mistray, or its files are gone.
     """
     origin = _origin_of(scene)
     if origin is not None:
@@ -207,9 +211,9 @@ def _owners(scene: mi.Scene) -> Iterator[Any]:
 
 def _packed(path: Path, text: bytes) -> PackedScene:
     """
-    Return a scene file packed together with the contents of all files that it names.
+    Return a scene file, with `text` as its content, packed together with all files that it names.
 
-    Raise `MistrayError` if one cannot be read.
+    Files named by an absolute path are not packed, only their hashes. Raise `MistrayError` if one cannot be read.
     """
     require_file(path, "scene")
     first, *others = scene_files(path, text)

@@ -129,7 +129,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Left:
-    """Surface that matches a pattern of a rule but keeps its coating and scatter, with the reason."""
+    """Surface that a rule leaves as it is although it matches the pattern; `why` is the reason, as "is opaque"."""
 
     surface: str
     pattern: str
@@ -163,7 +163,7 @@ class Painter:
     changes : dict of str to Change
         Changes, keyed by the name of the surface.
     left : list of Left
-        Matched surfaces that stay as they are.
+        Surfaces that a rule leaves as they are although they match its pattern.
     notes : list of str
         Notes on the reflectance of presets on the substrates that they are put on.
     """
@@ -192,11 +192,13 @@ class Painter:
         """
         Determine the changes to all surfaces: later patterns override earlier ones, and paint overrides coatings.
 
+        Scatter models come last.
+
         Raises
         ------
         MistrayError
-            If a pattern matches no surface, or none that can take the coating or model, or a coating or model is
-            unknown.
+            If a pattern matches no surface, or none that can take the coating or model, or a coating, paint or model
+            is unknown or not valid.
         """
         for pattern, given in rules.coatings.items():
             wanted = coating_of(given, self._coatings, self._design_nm) if isinstance(given, str) else given
@@ -227,10 +229,9 @@ class Painter:
         """
         Return the surfaces that a pattern matches and that can take the coating, paint or scatter model of a rule.
 
-        A surface given by its exact name must be able to take it, and so must the only match, and at least one of
-        several; else `MistrayError` is raised. It is also raised if nothing matches. With `coats` the rule is a
-        coating, with `transmits` one that transmits light, which opaque surfaces refuse. Other surfaces that cannot
-        take it are left as they are.
+        Raise `MistrayError` if nothing matches, if the only match or a surface given by its exact name cannot take it,
+        or if no match can. Other surfaces that cannot take it are added to `left`. With `coats` the rule is a coating,
+        and with `transmits` one that transmits light, see `_refusal`. `rule` is for messages.
         """
         fitting = [face for face in self._faces if face.fits(pattern)]
         if not fitting:

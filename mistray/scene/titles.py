@@ -20,7 +20,7 @@ def title_of_file(path: Path) -> str:
 
 def scene_name(source: Any) -> str:
     """
-    Return the name of what was analysed, for results; empty if it has none.
+    Return the name of an analysed scene, for results; empty if it is not known.
 
     Parameters
     ----------

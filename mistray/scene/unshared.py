@@ -87,7 +87,11 @@ def _scatters(file: SceneFile, element: Element) -> bool:
 
 
 def _references(file: SceneFile, within: str) -> Iterator[Element]:
-    """Yield references to shared scatter models directly in elements with tag `within`: shapes or BSDFs in them."""
+    """
+    Yield references to the objects of `_shared` that stand directly in a shape, or in a BSDF of a shape.
+
+    `within` is the tag of that element, "shape" or "bsdf".
+    """
     shared = _shared(file)
     for element in file.root.walk():
         if element.tag == "ref" and element.values.get("id") in shared and element.parent is not None:

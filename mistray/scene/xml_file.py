@@ -35,7 +35,7 @@ class Element:
     """
     XML element with its byte offsets in the file.
 
-    ``<tag …>`` spans start … inside, and ``</tag>`` spans close … end.
+    ``<tag …>`` spans start … inside, and ``</tag>`` spans close … end. `values` are the attributes of the tag.
     """
 
     tag: str
@@ -48,7 +48,7 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def walk(self) -> Iterator[Element]:
-        """Yield the element and all elements within it."""
+        """Yield the element and then all elements within it, in the order of the file."""
         yield self
         for child in self.children:
             yield from child.walk()
@@ -76,12 +76,12 @@ class SceneFile:
     root : Element
         Element ``scene``.
     ids : dict of str to Element
-        Elements with an id, but references, by id.
+        Elements that have an id and are no references, by id.
 
     Raises
     ------
     MistrayError
-        If the file cannot be read or is not XML in UTF-8.
+        If the file cannot be read, is not XML in UTF-8, or is nested deeper than `DEEPEST`.
     """
 
     def __init__(self, path: Path, data: bytes | None = None) -> None:
@@ -317,7 +317,7 @@ class SceneFile:
         return self.changed(edits).data.decode("utf-8")
 
     def _names_files(self) -> bool:
-        """True if any value in the scene is, or contains, the name of a file relative to the scene's folder."""
+        """True if any value in the scene names a file relative to the scene's folder, see `names_a_file`."""
         return any(
             names_a_file(element.values.get(key, ""), self.path.parent)
             for element in self.root.walk()
@@ -331,7 +331,7 @@ def too_deep(path: Path, line: int, tag: str) -> MistrayError:
 
 
 def names_a_file(text: str, folder: Path) -> bool:
-    """True if a string is, or contains, the name of an existing file relative to a folder."""
+    """True if a string, or one of its words, is the name of an existing file relative to a folder."""
     words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
     # os.path.isfile, because that of Path raises for a text that is too long for a name, such as a list of layers
     return any(not os.path.isabs(word) and os.path.isfile(folder / word) for word in words)

@@ -33,14 +33,14 @@ def observer() -> tuple[Array, Array]:
 
 
 def luminous_efficiency(wavelength_nm: npt.ArrayLike) -> Array:
-    """Return the luminous efficiency V(λ) of the eye in daylight (ISO 23539), λ in nm; 0 outside 360 … 830 nm."""
+    """Return the luminous efficiency V(λ), 0 … 1, of the eye by day (ISO 23539), λ in nm; 0 outside 360 … 830 nm."""
     wavelengths, values = observer()
     return np.interp(np.asarray(wavelength_nm, dtype=np.float64), wavelengths, values[:, 1], left=0.0, right=0.0)
 
 
 @functools.lru_cache(maxsize=1024)
 def luminous_efficacy(wavelength_nm: float) -> float:
-    """Return the luminous efficacy, lm/W, at a wavelength in nm: 683.002 lm/W times V(λ)."""
+    """Return the luminous efficacy of light of one wavelength in nm: 683.002 lm/W times V(λ)."""
     return LUMENS_PER_WATT * float(luminous_efficiency(wavelength_nm))
 
 

@@ -47,7 +47,8 @@ class SpectrumSamples:
     wavelengths_nm, weights : (n,) float64
         Wavelengths, nm, and their shares of the flux, which add up to 1.
     band : (Spectrum, float) or None
-        Continuous spectrum that they represent, and the energy of the band; None for lines.
+        Continuous spectrum that they represent, and the energy of the traced band, in the unit of `Spectrum.energy`;
+        None for lines.
     """
 
     wavelengths_nm: Array
@@ -93,7 +94,9 @@ class Spectrum:
 
     def energy(self, low_nm: float, high_nm: float) -> float:
         """
-        Return the integral over a band: W/mm² for "am0", W/(mm² sr) for a blackbody, else unit of the values times nm.
+        Return the integral over a band, whose ends are in nm.
+
+        Its unit is W/mm² for "am0" and W/(mm² sr) for a blackbody, else that of the values times nm.
 
         Raises
         ------
@@ -117,7 +120,8 @@ class Spectrum:
         Raises
         ------
         MistrayError
-            If the ends do not rise, the spectrum is not known over the band, or there is no light in it.
+            If an argument is out of range, the ends do not rise, the spectrum is not known over the whole band, or
+            there is no light in it.
         """
         low, high = self._band(band_nm)
         edges = np.linspace(low, high, int(BANDS.check("bands", bands)) + 1)
@@ -131,7 +135,7 @@ class Spectrum:
 
     @property
     def lumens(self) -> float:
-        """Luminous flux of the whole spectrum, in lm if `energy` is in W; 0 if none of it is visible."""
+        """Luminous flux of the whole spectrum, in the unit of `energy` with lm for W; 0 if none of it is visible."""
         visible = observer()[0]
         low, high = max(self.low_nm, float(visible[0])), min(self.high_nm, float(visible[-1]))
         if not low < high:
@@ -219,7 +223,7 @@ def light_of(
     Raises
     ------
     MistrayError
-        If the spectrum is not known, or an argument does not apply to it.
+        If the spectrum is not known, or an argument does not apply to it or is out of range.
     """
     words = [word for word in re.split(r"[\s,]+", text.strip()) if word]
     if not words or any(word not in LINES for word in words):
@@ -268,8 +272,8 @@ def read_table(path: str | Path) -> tuple[Array, Array]:
     Raises
     ------
     MistrayError
-        If the file cannot be read, a line is not a wavelength and a value, the wavelengths do not rise, there are fewer
-        than two, or all values are 0.
+        If the file cannot be read, or a line is not a wavelength and a value ≥ 0. It is also raised if the wavelengths
+        do not rise, there are fewer than two, or all values are 0.
     """
     rows: list[tuple[float, float]] = []
     headed = False
@@ -305,7 +309,11 @@ def _am0() -> Spectrum:
 
 
 def _of_table(name: str, wavelengths: Array, values: Array, band_nm: tuple[float, float]) -> Spectrum:
-    """Return a spectrum that is linear between the wavelengths of a table, nm, with values in any unit."""
+    """
+    Return a spectrum that is linear between the wavelengths of a table, nm, with values in any unit per nm.
+
+    `band_nm` is the band that is traced by default, nm.
+    """
 
     def nodes(low_nm: float, high_nm: float) -> tuple[Array, Array]:
         inside = wavelengths[(wavelengths > low_nm) & (wavelengths < high_nm)]

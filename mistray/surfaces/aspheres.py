@@ -58,13 +58,15 @@ class AsphereSearch:
         Parameters
         ----------
         o, d : mi.Vector3f
-            Origins, mm, and unit directions of the rays.
+            Origins relative to `SurfaceTable.centre`, mm, and unit directions of the rays.
         last : mi.UInt32
             Index of the surface that each ray starts on.
         entries : list of mi.Float
             Distance at which the ray enters the bounds of each asphere, mm; infinite if it need not be searched.
         best, surface : mi.Float, mi.UInt32
             Distance of the nearest hit so far, mm, and the index of its surface.
+        active : mi.Bool
+            Lanes that have a ray.
         """
 
         def choose(best: mi.Float, searched: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
@@ -106,8 +108,9 @@ class AsphereSearch:
         """
         Return the distance, mm, to the first crossing within the aperture that is nearer than `best`; else infinity.
 
-        A ray may cross the full surface outside a rectangular aperture, or in a central hole, before it crosses the
-        aperture.
+        `number` is the index of each lane's asphere, `own` is true for rays that start on it, and `best`, mm, bounds
+        the search; other parameters as in `nearest`. A ray may cross the full surface outside a rectangular aperture,
+        or in a central hole, before it crosses the aperture.
         """
         if not self.clipped:
             return self._crossing(o, d, number, own, best, active)[0]
@@ -132,15 +135,15 @@ class AsphereSearch:
         self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
     ) -> tuple[mi.Float, mi.Float]:
         """
-        Return the distances, mm, to the first crossing nearer than `best`, by bracketing and safeguarded Newton steps.
+        Return the distance, mm, to the first crossing nearer than `best`, by bracketing and safeguarded Newton steps.
 
-        Two distances are returned: to a crossing within the aperture, and to one outside it. Either is infinite if
-        there is no such crossing.
+        It comes first if the crossing is within the aperture, second if it is outside; the other one is infinite.
+        Without a crossing both are. Parameters as in `first`.
 
-        Along the ray, f(t) = z - sag(r) is monotonic where the ray is steeper than the surface anywhere,
-        |dz| > slope · sqrt(dx² + dy²), or where its slope at the start cannot change sign on the way, as |f''| is at
-        most bend · (dx² + dy²): then the stretch holds one crossing at most. Otherwise it is walked in intervals until
-        f changes sign, or until f turns back in an interval and its extremum lies beyond zero.
+        Along the ray, f(t) = z - sag(r) is monotonic where the ray is steeper than the surface anywhere, |dz| > slope ·
+        sqrt(dx² + dy²). It is, too, where its slope at the start cannot change sign on the way, as |f''| is at most
+        bend · (dx² + dy²). Then the stretch holds one crossing at most. Otherwise it is walked in intervals until f
+        changes sign, or until f turns back in an interval and its extremum lies beyond zero.
         """
         table = self.table
         vertex = dr.gather(mi.Vector4f, table.vertex, number, active)

@@ -42,7 +42,7 @@ class Bodies:
         """
         Return the thickness in front of and behind a surface, (2,), mm: the least distance along its normals.
 
-        It is infinite on a side where the normals meet no other surface.
+        It is infinite on a side where the normals meet no surface. `surface` is an index in the table.
         """
         if surface not in self._thickness:
             points, normal = self._points(surface)

@@ -42,7 +42,7 @@ class Numbers:
     curvature, one_plus_conic : mi.Float
         Curvature, 1/mm, and 1 plus the conic constant.
     r0, slope : mi.Float
-        Radius of a cone at z = 0, mm, and its slope dr/dz; for an asphere, the largest slope of its sag.
+        Radius of a cone at its vertex, mm, and its slope dr/dz; for an asphere, the largest slope |dz/dr| of its sag.
     outer2, inner2 : mi.Float
         Squares of the outer radius (of a rectangle, half its diagonal) and of the inner radius, mm².
     half_width, half_height : mi.Float
@@ -98,8 +98,8 @@ class Numbers:
         """
         Return the parameters of surfaces other than aspheres, read from the rows of a table; those not read are 0.
 
-        `fours` are the groups of four parameters that the family of the surfaces needs. `place` is the row that each
-        lane reads.
+        `fours` are the groups of four parameters of `ROW` that the family of the surfaces needs. `place` is the row
+        that each lane reads.
         """
         values = dict.fromkeys((field.name for field in fields(cls)), mi.Float(0))
         for four in fours:
@@ -132,16 +132,20 @@ def _values(surface: TracedSurface) -> dict[str, Any]:
 
 def turned(turn: Sequence[mi.Float], v: mi.Vector3f) -> mi.Vector3f:
     """
-    Return a vector of the scene in a local frame.
+    Return a vector of the scene's frame in a local frame.
 
-    `turn` has the nine elements of a matrix whose columns are the frame's axes.
+    `turn` has the nine elements, row by row, of a matrix whose columns are the local frame's axes.
     """
     return mi.Vector3f(*(turn[k] * v.x + turn[3 + k] * v.y + turn[6 + k] * v.z for k in range(3)))
 
 
 @dataclass
 class AxisRay:
-    """Ray in the frame of a surface axis, with products that all surfaces on the axis share; lengths in mm."""
+    """
+    Ray in the frame of a surface axis, with products that all surfaces on the axis share; lengths in mm.
+
+    ox, oy, oz is its origin, and dx, dy, dz its unit direction; z runs along the axis.
+    """
 
     ox: mi.Float
     oy: mi.Float
@@ -176,7 +180,7 @@ class AxisRay:
         return larger(self.oo, dr.fma(t, dr.fma(t, self.dd, 2 * self.od), self.oo))
 
     def closest(self) -> mi.Float:
-        """Return the distance, mm, at which the ray is closest to the axis; 0 for a ray along it."""
+        """Return the distance, mm, at which the ray is closest to the axis, negative before its origin; 0 along it."""
         return dr.select(self.dd < AXIAL, 0, -self.od / self.dd)
 
     def lateral(self, t: mi.Float) -> tuple[mi.Float, mi.Float]:
@@ -195,7 +199,11 @@ def _inside(ray: AxisRay, t: mi.Float, p: SagSurface, n: Numbers) -> mi.Bool:
 
 
 def plane_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.Float:
-    """Return the distance to a ray's crossing with a plane within its aperture, mm; infinite for none."""
+    """
+    Return the distance to a ray's crossing with a plane within its aperture, mm; infinite for none.
+
+    `own` is true for rays that start on it and so do not meet it again.
+    """
     t = (n.z - ray.oz) * ray.inv_dz
     ok = (t > 0) & ~own & _inside(ray, t, p, n)
     return dr.select(ok, t, dr.inf)
@@ -208,7 +216,7 @@ def _roots(
     Return two distances, mm, at which a ray crosses a quadric, the ratio (b² - a g)/a, and whether it crosses at all.
 
     The distances are from the ray's origin; for a ray that starts on the surface, `own`, the first is 0. `a`, `b` and
-    `g` are the coefficients of a u² + 2 b u + g = 0, where u is the distance, mm, from the ray's point at `t0`, the one
+    `g` are the coefficients of a u² + 2 b u + g = 0. There u is the distance, mm, from the ray's point at `t0`, the one
     closest to the vertex or the axis.
 
     From a distant origin, the difference of two squares would round away what is small. A ray from 1 m away met a wall
@@ -236,7 +244,11 @@ def _first(ta: mi.Float, tb: mi.Float, ok_a: mi.Bool, ok_b: mi.Bool) -> mi.Float
 
 
 def conic_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.Float:
-    """Return the distance to a ray's first crossing with a conic within its aperture, mm; infinite for none."""
+    """
+    Return the distance to a ray's first crossing with a conic within its aperture, mm; infinite for none.
+
+    `own` is true for rays that start on it, which may meet it again.
+    """
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
     ta, tb, _, real = _conic_roots(ray, n, own)
     nearest = dr.select(own, n.self_hit, 0)
@@ -254,8 +266,8 @@ def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple
     Return the distance, mm, at which a ray hits an asphere close to its conic, and a mask of unsafe rays.
 
     One or two Newton steps lead there from the conic's hit; the distance is infinite without a hit. A ray is unsafe if
-    it meets the conic twice within the aperture, nearly touches it, or could come back to the surface that it leaves.
-    It is unsafe, too, if the steps do not converge. Unsafe rays need the full search.
+    it meets the conic twice within the aperture, nearly touches it, or could come back to the asphere when it starts on
+    it (`own`). It is unsafe, too, if the steps do not converge. Unsafe rays need the full search.
     """
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
     ta, tb, shallow, real = _conic_roots(ray, n, own)
@@ -286,7 +298,11 @@ def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple
 
 
 def cone_crossing(ray: AxisRay, p: Cone, n: Numbers, own: mi.Bool) -> mi.Float:
-    """Return the distance to a ray's first crossing with a cone between its ends, mm; infinite for none."""
+    """
+    Return the distance to a ray's first crossing with a cone between its ends, mm; infinite for none.
+
+    `own` is true for rays that start on it, which may meet it again.
+    """
     # Counted from the point between the ends of the cone that is closest to the axis
     oz = ray.oz - n.z
     low, high = (n.z_low - oz) * ray.inv_dz, (n.z_high - oz) * ray.inv_dz
@@ -311,8 +327,8 @@ def stretch(
     """
     Return the distances, mm, at which a ray enters and leaves a cylinder about z with flat ends.
 
-    `oz` is the ray's height at its origin, mm. If the second is not greater than the first, the ray misses the
-    cylinder.
+    `outer2` is the square of its radius, mm²; `z_low` and `z_high` are its ends, and `oz` is the z of the ray's origin
+    over the same plane, mm. If the second distance is not greater than the first, the ray misses the cylinder.
     """
     t0 = ray.closest()
     x, y = ray.lateral(t0)
@@ -325,7 +341,11 @@ def stretch(
 
 
 def asphere_entry(ray: AxisRay, n: Numbers, own: mi.Bool) -> mi.Float:
-    """Return the distance, mm, at which a ray enters the cylinder that bounds an asphere; infinity if it misses."""
+    """
+    Return the distance, mm, at which a ray enters the cylinder that bounds an asphere; infinity if it misses.
+
+    It is infinite, too, for rays that start on the asphere (`own`) and are too steep to come back to it.
+    """
     oz = ray.oz - n.z
     start, end = stretch(ray, oz, n.outer2, n.z_low, n.z_high)
     # A ray steeper than the surface is anywhere cannot come back to it

@@ -44,7 +44,7 @@ class FamilyTable:
         return bool(self.families)
 
     def members(self, s: mi.UInt32, active: mi.Bool) -> Iterator[tuple[mi.Bool, Any]]:
-        """Yield each family of the scene's surfaces with a mask of the lanes whose surface s belongs to it."""
+        """Yield a mask of the lanes whose surface s belongs to a family, and the family, for each in the scene."""
         number = dr.gather(mi.UInt32, self._numbers, s, active) if self.families else None
         for k, family in enumerate(self.families, start=1):
             yield active & (number == k), family

@@ -33,7 +33,7 @@ _known: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
 class FreeSpace:
     """
-    Radius, mm, free of Mitsuba shapes about the axis of most analytic surfaces, for each slice of z.
+    Radius, mm, free of Mitsuba shapes about the axis that most analytic surfaces share, for each slice of z.
 
     Parameters
     ----------
@@ -70,7 +70,11 @@ class FreeSpace:
         self._x, self._y, self._z, self._per_mm = (dr.opaque(mi.Float, float(v)) for v in (x, y, self._first, per_mm))
 
     def holds(self, o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Bool:
-        """Return a mask of segments of length t, mm, that stay clear of all Mitsuba shapes; False for infinite ones."""
+        """
+        Return a mask of segments that stay clear of all Mitsuba shapes for certain; False for infinite ones.
+
+        They start at o, mm, relative to `SurfaceTable.centre`, and have the unit direction d and the length t, mm.
+        """
         a = [dr.dot(row, o) for row in self._rows]
         b = [dr.fma(t, dr.dot(row, d), start) for row, start in zip(self._rows, a, strict=True)]
         outer = dr.maximum(*(dr.square(p[0] - self._x) + dr.square(p[1] - self._y) for p in (a, b)))
@@ -86,9 +90,9 @@ def stock_extents(
     shapes: Sequence[Any], centre: np.ndarray, rotation: np.ndarray, axis: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the extents along an axis and the least distances from it, mm, of Mitsuba shapes.
+    Return the extents along an axis and the least distances from it, mm, of the triangles of Mitsuba shapes.
 
-    The extents are those of the triangles of meshes, and of triangles within the bounding boxes of other shapes.
+    A shape that is no mesh has all triangles between corners of its bounding box, which fill the box.
 
     Parameters
     ----------
@@ -104,9 +108,9 @@ def stock_extents(
     Returns
     -------
     low, high : (n,) float64
-        Smallest and largest z of each shape, mm.
+        Smallest and largest z of each triangle of all shapes, mm.
     radius : (n,) float64
-        Least distance of each shape from the axis, mm.
+        Least distance of each triangle from the axis, mm.
     """
     found = []
     for shape in shapes:
@@ -127,7 +131,8 @@ def _triangles(shape: Any) -> tuple[np.ndarray, np.ndarray]:
     """
     Return corners (n, 3), mm, and triangles (m, 3), as indices of corners, of a mesh in the world frame.
 
-    For any other shape these are the corners of its bounding box, and all triangles between them.
+    For any other shape, and a mesh without triangles, these are the corners of its bounding box, and all triangles
+    between them.
     """
     if isinstance(shape, mi.Mesh) and not str(shape).startswith("Rectangle"):  # which keeps its triangles to itself
         points, faces = mesh_arrays(shape)

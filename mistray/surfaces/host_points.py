@@ -44,7 +44,11 @@ def box_corners(boxes: Iterable[Any]) -> np.ndarray:
 
 
 def stock_points(shape: Any, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (n, 3), mm, and unit normals of one of Mitsuba's own shapes, for u and v in 0 … 1, (n,) each."""
+    """
+    Return world points (n, 3), mm, on one of Mitsuba's own shapes, and the unit normals there.
+
+    `u` and `v` are numbers of 0 … 1, (n,) each, such as random ones.
+    """
     found = shape.sample_position(0.0, mi.Point2f(upload(mi.Float, u), upload(mi.Float, v)))
     p, n = (np.broadcast_to(download(one), (len(u), 3)).copy() for one in (found.p, found.n))
     return p, n
@@ -55,6 +59,17 @@ def surface_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Return random points of a surface, approximately uniform over its area, and the unit normals there.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+        Surfaces of the scene.
+    surface : int
+        Index of the surface in the table.
+    count : int
+        Number of points.
+    rng : Generator
+        Source of random numbers.
 
     Returns
     -------
@@ -98,7 +113,7 @@ def even_points(
 
 
 def area(table: SurfaceTable, surface: int) -> float:
-    """Return the area of a surface, mm²."""
+    """Return the area of the surface with a given index in a table, mm²."""
     if surface >= len(table.pieces):
         return float(np.array(table.shapes[surface].surface_area()).ravel()[0])
     return float(_shares(table, surface).mean())

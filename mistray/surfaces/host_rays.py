@@ -33,7 +33,7 @@ TINY = 1e-150  # least direction cosine; a ray with a smaller one counts as para
 
 
 def local(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Transform points, mm, and directions, (n, 3) each, from world to vertex frame of an analytic surface."""
+    """Return world points, mm, and directions, (n, 3) each, in the vertex frame of an analytic surface."""
     return _place(table, surface, o), d @ table.rotations[surface]
 
 
@@ -63,9 +63,9 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
 
 def inside(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
     """
-    Return a mask of world points (n, 3), mm, on an analytic surface's sheet, that lie within its bounds.
+    Return a mask, (n,), of world points (n, 3), mm, on an analytic surface's sheet, that lie within its bounds.
 
-    The result is False for NaN.
+    It is False for NaN.
     """
     with np.errstate(invalid="ignore"):
         return table.pieces[surface].inside(_place(table, surface, p))
@@ -125,7 +125,7 @@ def first_hit(
 
 
 def _place(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
-    """Transform points (n, 3), mm, from the world into the vertex frame of an analytic surface."""
+    """Return world points (n, 3), mm, in the vertex frame of an analytic surface."""
     return np.asarray((p - table.vertices[surface]) @ table.rotations[surface])
 
 
@@ -196,7 +196,11 @@ class _Boxes:
         )
 
     def entries(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """Return the distances, (n, m), mm, at which rays enter the boxes; infinity for those that they miss."""
+        """
+        Return the distances, (n, m), mm, at which rays enter the boxes; infinity for boxes that they miss.
+
+        A distance is negative if the ray starts in the box. `o`, mm, and `d` are (n, 3) in the world.
+        """
         first, last = np.full((len(o), len(self.members)), -np.inf), np.full((len(o), len(self.members)), np.inf)
         for start, way, middle, corner in zip(
             (o @ self.frame).T, (d @ self.frame).T, self.middle.T, self.corners.T, strict=True
@@ -320,7 +324,11 @@ class HostSurfaces:
 def _stock_hit(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, before: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return distances, (n,), mm, surface indices and normals of hits with Mitsuba shapes; infinity for none."""
+    """
+    Return the hits of rays with Mitsuba shapes: distances, (n,), mm, surface indices, (n,), and unit normals, (n, 3).
+
+    Without a hit the distance is infinite and the index `NO_SURFACE`. `before` is not used.
+    """
     start = o + table.mitsuba_epsilon * d
     assert table.mitsuba_scene is not None
     origin, direction = ([upload(mi.Float, column) for column in v.T] for v in (start, d))

@@ -67,9 +67,11 @@ class Intersector:
         Parameters
         ----------
         o, d : mi.Vector3f
-            Origin (mm) and unit direction.
+            Origin, mm, relative to `SurfaceTable.centre`, and unit direction.
         last : mi.UInt32
             Index of the surface that the origin lies on; it is hit again only if its shape allows that.
+        active : mi.Bool
+            Lanes that have a ray.
 
         Returns
         -------
@@ -219,7 +221,7 @@ class _Group:
 
 @dataclass
 class _Stack:
-    """Groups of surfaces of one orientation, except walls, ordered along z from front to back."""
+    """Groups of surfaces of one orientation, ordered along its z axis in ascending order of their vertices."""
 
     frame: int
     groups: list[_Group]
@@ -227,7 +229,7 @@ class _Stack:
 
 def _stacks(pieces: list[TracedSurface], singles: list[int]) -> list[_Stack]:
     """
-    Return one stack of groups of surfaces for each orientation; walls are left out.
+    Return one stack of groups of the surfaces with the indices `singles` for each orientation.
 
     Each surface is a group of its own, except rectangles that share no axis with another surface. These mostly form the
     board around the detector and are tested together.
@@ -244,7 +246,7 @@ def _stacks(pieces: list[TracedSurface], singles: list[int]) -> list[_Stack]:
 
 
 def _groups(pieces: list[TracedSurface], walls: list[int]) -> list[_Group]:
-    """Return groups of at most `GROUP` walls on each axis, from front to back."""
+    """Return groups of at most `GROUP` of the surfaces with the indices `walls` on each axis, in order along it."""
     groups = []
     for axis in sorted({pieces[k].axis for k in walls}):
         here = [k for k in walls if pieces[k].axis == axis]

@@ -32,7 +32,7 @@ def mosaics(pieces: Sequence[object], members: Sequence[int]) -> list[list[int]]
     """
     Return groups of freeforms that share kernel code, for `MosaicSearch`, as lists of at most `BITS` surface indices.
 
-    Sorts with fewer than `FEWEST` members form no group.
+    `members` are the indices of the surfaces that may be grouped. Sorts with fewer than `FEWEST` form no group.
     """
     sorts: dict[tuple[object, ...], list[int]] = {}
     for k in members:
@@ -95,11 +95,13 @@ class MosaicSearch:
         Parameters
         ----------
         o, d : mi.Vector3f
-            Origins, mm, and unit directions of the rays.
+            Origins relative to `SurfaceTable.centre`, mm, and unit directions of the rays.
         last : mi.UInt32
             Index of the surface that each ray starts on.
         best, surface : mi.Float, mi.UInt32
             Distance of the nearest hit so far, mm, and the index of its surface.
+        active : mi.Bool
+            Lanes that have a ray.
         """
         near = dr.select(active, self._near(o, d, best), mi.UInt32(0))
 

@@ -71,7 +71,7 @@ class AngleTable:
         Values in the same order, for light from the denser side, at uniform nodes of w; zeros where there is no
         critical angle.
     refraction_error, total_error : float
-        Upper bounds of the interpolation error of either part.
+        Largest interpolation error of either part, as estimated at the midpoints of its nodes.
     """
 
     refraction: np.ndarray
@@ -150,9 +150,8 @@ def angle_table(
     """
     Return the table of R and T of a coating over the angle of incidence.
 
-    Without a critical angle the part for total reflection holds zeros.
-
-    The table has as many nodes as `TABLE_ERROR` requires, at most `LAST_INTERVALS` + 1 in each part.
+    It has as many nodes as `TABLE_ERROR` requires, at most `LAST_INTERVALS` + 1 in each part. Without a critical angle,
+    and for an opaque surface, the part for total reflection holds zeros.
 
     Parameters
     ----------
@@ -182,11 +181,7 @@ def _known_table(
     opaque: bool,
     stokes: bool,
 ) -> AngleTable:
-    """
-    Return the table that `angle_table` describes, from a cache by coating, layer indices and media.
-
-    The layers' indices are part of the key, as a file's contents may change.
-    """
+    """Return the table that `angle_table` describes, cached by coating, layer indices, as files change, and media."""
     sides = n_front, n_back
 
     def refraction(x: np.ndarray) -> np.ndarray:
@@ -216,8 +211,9 @@ def refraction_rows(
     """
     Return R from the front and the back, and T, of a coating in refraction, (m, 3, c), as rows of a table.
 
-    `at_front` and `at_back` are the cosines of incidence in the front and in the back material, (m,) each. T is 0 if
-    the surface is `opaque`; next to an absorbing medium it is at most 1 - R.
+    `at_front` and `at_back` are the cosines of incidence in the front and in the back material, (m,) each. `sides` are
+    their indices; other parameters as in `angle_table`. T is 0 if the surface is `opaque`; next to an absorbing medium
+    it is at most 1 - R.
     """
 
     def side(cosines: np.ndarray, from_front: bool) -> Response:
@@ -239,7 +235,11 @@ def refraction_rows(
 def total_rows(
     coating: Any, wavelength_nm: float, sides: tuple[complex, complex], stokes: bool, cosines: np.ndarray
 ) -> np.ndarray:
-    """Return table rows of R in total reflection, T = 0, (m, 3, c), at cosines in the denser material, (m,)."""
+    """
+    Return table rows of R in total reflection, T = 0, (m, 3, c), at cosines in the denser material, (m,).
+
+    Parameters as in `refraction_rows`.
+    """
     row = _channels(coating.response(wavelength_nm, *sides, cosines, sides[0].real > sides[1].real), True, stokes)
     return np.stack([row, row, np.zeros_like(row)], axis=1)
 
@@ -255,7 +255,7 @@ def unpolarized_shares(
     """
     Return R and T of a coating for unpolarised light, (m,) each, at cosines of incidence: the means of s and p.
 
-    T is 0 at an opaque surface. Both are 0 there for light out of a metal, in which none travels.
+    At an opaque surface T is 0, and so is R for light out of a metal. `sides` are the indices in front and behind.
     """
     if opaque and sides[0 if from_front else 1].imag > METAL_K:  # nothing comes out of a metal
         return np.zeros_like(cosines), np.zeros_like(cosines)
@@ -264,7 +264,7 @@ def unpolarized_shares(
 
 
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """Return values of a function at enough uniform nodes of 0 … 1, a constant at the ends alone, and the error."""
+    """Return values of a function at enough uniform nodes of 0 … 1 (of a constant: 0 and 1 alone), and their error."""
     intervals = FIRST_INTERVALS
     # All of the first levels in one call, which costs as much as a thousand values
     known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))
@@ -326,7 +326,7 @@ class Optics:
     words : mi.UInt32
         Kind, flag bits and media of each surface.
     host_words : (s,) uint32
-        Copy of `words` on the host, (s,).
+        Copy of `words` on the host.
     indices : mi.Float
         Refractive index in front and behind, and R and T of an ideal coating, for each surface, (s, 4). An opaque
         surface has the indices 1; R and T are 0 for other coatings.
@@ -360,9 +360,9 @@ class Optics:
     absorbs, scatters : bool
         Whether any medium attenuates light, and whether any medium scatters it.
     error : float
-        Largest interpolation error of the tables.
+        Largest interpolation error of the tables, see `AngleTable`.
     notes : list of Note
-        Notes on media that were treated as opaque, with the reason; metals are named only if they are thin.
+        Notes on media that were treated as opaque (of metals thin ones only), and on presets on foreign substrates.
     """
 
     def __init__(
@@ -551,7 +551,7 @@ class Optics:
         """
         Return the flux left at the end of segments in media, and the flux scattered and absorbed along them.
 
-        `length` is the length of the segments, mm. All three fluxes have the unit of `flux`.
+        `medium` is a position in `media`, and `length` that of the segments, mm. All fluxes have the unit of `flux`.
         """
         coefficient = dr.gather(mi.Float, self.extinction, medium, active)
         left = flux * dr.exp(-coefficient * dr.select(active, length, 0))
@@ -577,7 +577,7 @@ class Optics:
         """
         Return the exact R and T of a surface in unpolarised light, (m,) each, at cosines of incidence, (m,).
 
-        T of an opaque surface is 0. So is R for light out of a metal, in which none travels.
+        At an opaque surface T is 0, and so is R for light out of a metal, in which none travels.
         """
         opaque = bool(self.host_words[surface] & OPAQUE)
         coating, sides = self.bsdfs[surface].coating, self.complex_indices[surface]

@@ -26,7 +26,7 @@ Axis = tuple[int, float, float]
 
 @dataclass(frozen=True)
 class _Body:
-    """Surfaces on one axis, by their indices in the tree, and the bounding box around them, mm."""
+    """Surfaces on one axis, by their positions in the tree, and the low and high corner of a box around them, mm."""
 
     axis: Axis
     members: np.ndarray
@@ -132,7 +132,7 @@ class ShellTree:
         return _Body(axis, group, np.array([ends.min(axis=0) - beside, ends.max(axis=0) + beside]))
 
     def _gather(self, nodes: _Nodes, bodies: Sequence[_Body], backwards: bool) -> None:
-        """Add to `nodes` a subtree that holds the surfaces of several bodies."""
+        """Add to `nodes` a subtree of the surfaces of several bodies; `backwards` for rays against the axes."""
         if len(bodies) == 1:
             self._divide(nodes, bodies[0].axis, bodies[0].members, backwards)
             return
@@ -146,7 +146,11 @@ class ShellTree:
             self._gather(nodes, [bodies[k] for k in half], backwards)
 
     def _divide(self, nodes: _Nodes, axis: Axis, members: np.ndarray, backwards: bool) -> None:
-        """Add to `nodes` a subtree of surfaces on one axis, halved until each leaf has one surface."""
+        """
+        Add to `nodes` a subtree of surfaces on one axis, halved until each leaf has one surface.
+
+        `backwards` turns the order for rays against the axis.
+        """
         shells, single = self._shells[members], len(members) == 1
         nodes.add(axis, _around(shells), members[0] if single else len(self.members), 2 * len(members) - 2)
         if single:
@@ -157,7 +161,9 @@ class ShellTree:
 
     def candidates(self, o: np.ndarray, d: np.ndarray, frames: Sequence[np.ndarray]) -> dict[int, np.ndarray]:
         """
-        Return the indices of the rays that enter the bounds of each surface, by surface index; others are left out.
+        Return the indices of the rays that enter the bounds of each surface, by surface index.
+
+        Surfaces whose bounds no ray enters are left out.
 
         Parameters
         ----------

@@ -234,7 +234,7 @@ class TracedSurface(ABC):
 
     @abstractmethod
     def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Map points (n, 3), mm, of the surface to two coordinates, (n,) each, that run from 0 to 1 over it."""
+        """Return two coordinates, (n,) each, that run from 0 to 1 over the surface, of its points (n, 3), mm."""
 
     @abstractmethod
     def areas(self, first: int, second: int) -> np.ndarray:
@@ -300,7 +300,11 @@ class TracedSurface(ABC):
 
     @abstractmethod
     def rim_point(self, rim: int) -> np.ndarray:
-        """Return the radius of a circular rim and its position along the axis, (2,), mm."""
+        """
+        Return the radius of a circular rim and its position along the axis, (2,), mm.
+
+        `rim` is its position in `RIM_COLUMNS`.
+        """
 
     @abstractmethod
     def tangent(self, point: np.ndarray) -> np.ndarray:
@@ -329,7 +333,7 @@ class TracedSurface(ABC):
         """
         Return the distance to rays' first crossing within the bounds, mm; infinite for none.
 
-        `own` is True for rays that start on this surface.
+        `numbers` are those of the method `numbers`, and `own` is True for rays that start on this surface.
         """
 
 
@@ -340,7 +344,8 @@ def quadric_crossings(quadric: Sequence[Any], sheet: Any, o: np.ndarray, d: np.n
     """
     Return the distances, (n, 2), mm, at which lines cross a sheet of a quadric, without cancellation.
 
-    They are NaN or infinite where a line does not cross the sheet, for which see `Bounds`.
+    They are NaN or infinite where a line does not cross the sheet. `quadric` holds a, b, e and g of
+    `TracedSurface.quadric`, and `sheet` is that of `Bounds`; `o` and `d` are (n, 3) points, mm, and unit directions.
     """
     (a, b, e, g), (x, y, z), (dx, dy, dz) = quadric, o.T, d.T
     A = a * (dx**2 + dy**2) + b * dz**2
@@ -380,7 +385,7 @@ def asphere_crossings(shape: Sequence[Any], o: np.ndarray, d: np.ndarray) -> np.
     shape : sequence
         Curvature, 1/mm, conic constant, and coefficients a4, a6, …, see `mistray.physics.geometry.sag.sag`.
     o, d : (n, 3) float64
-        Points on the lines, mm, and their directions.
+        Points on the lines, mm, and their unit directions.
     """
     curvature, conic, *_ = shape
     t = quadric_crossings((curvature, curvature * (1 + conic), -2.0, 0.0), 0.0, o, d)

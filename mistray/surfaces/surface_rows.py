@@ -27,7 +27,7 @@ class SurfaceRow:
         Coefficients a, b, e, g of the surface's quadric F; zeros if the surface is none. For a sag F is in mm, so that
         a and b are in 1/mm. For a cone it is in mm², so that e is in mm and g in mm².
     vertex : mi.Vector4f
-        Position, mm, and a number whose sign turns the gradient of the shape into its normal.
+        Position relative to `SurfaceTable.centre`, mm, and a number whose sign turns the gradient of F into the normal.
     optics : mi.Vector4f
         Refractive indices in front and behind, 1 at an opaque surface, and R and T of an ideal coating, else 0.
     word : mi.UInt32

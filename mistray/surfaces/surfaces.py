@@ -244,7 +244,7 @@ class SurfaceTable:
 
     def asphere_row(self, s: mi.UInt32, active: mi.Bool | bool = True) -> list[mi.Float]:
         """
-        Return the parameters of the aspheres s: curvature, 1/mm, conic constant, coefficients and bounds, mm.
+        Return the parameters of the aspheres s: curvature, 1/mm, conic constant, coefficients, bounds, mm, and slope.
 
         Their order, and the unit of the coefficients, are given at `POLYNOMIAL_VECTORS`.
         """
@@ -350,7 +350,11 @@ class SurfaceTable:
         self.free_space = free_space if free_space is not None and free_space.some else None
 
     def mitsuba_normals(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Return the unit normals, (n, 3), of the Mitsuba shapes that rays along `directions` meet at `points`, mm."""
+        """
+        Return the unit normals, (n, 3), of the Mitsuba shapes that rays meet at world points, (n, 3), mm.
+
+        `directions`, (n, 3), are the unit directions of the rays.
+        """
         assert self.mitsuba_scene is not None
         starts = points - 8 * self.mitsuba_epsilon * directions
         # From memory: as literals in the code they would make each ray a kernel to compile
@@ -376,7 +380,7 @@ class SurfaceTable:
         """
         Return the numbers of pixel columns and rows of a detector, and its extent x0, x1, y0, y1 in its own frame, mm.
 
-        By default it is the only detector.
+        `detector` is the index of its surface, by default that of the only detector.
 
         Raises
         ------
@@ -398,7 +402,11 @@ class SurfaceTable:
         return width, height, (-half[0], half[0], -half[1], half[1])
 
     def _detector_frame(self, detector: int) -> np.ndarray:
-        """Return centre and half sides along x and y, as rows (3, 3), mm, of a detector that is a Mitsuba rectangle."""
+        """
+        Return centre and half sides along x and y, as rows (3, 3), mm, of a detector that is a Mitsuba rectangle.
+
+        They are in the world. Another Mitsuba shape raises `MistrayError`.
+        """
         matrix = _rectangle_matrix(self.shapes[detector], self.ids[detector])
         return matrix[:3, [3, 0, 1]].T
 

@@ -61,11 +61,13 @@ class TreeSearch:
         Parameters
         ----------
         o, d : mi.Vector3f
-            Origins, mm, and unit directions of the rays.
+            Origins relative to `SurfaceTable.centre`, mm, and unit directions of the rays.
         last : mi.UInt32
             Index of the surface that each ray starts on.
         best, surface : mi.Float, mi.UInt32
             Distance of the nearest hit so far, mm, and the index of its surface.
+        active : mi.Bool
+            Lanes that have a ray.
         """
 
         def step(k: mi.UInt32, best: mi.Float, surface: mi.UInt32) -> tuple[mi.UInt32, mi.Float, mi.UInt32]:
@@ -119,7 +121,11 @@ class TreeSearch:
 
 
 def _meets(ray: AxisRay, bounds: mi.Vector4f, best: mi.Float) -> mi.Bool:
-    """Return a mask of rays that enter a shell nearer than `best`, mm, neither missing it nor passing its hole."""
+    """
+    Return a mask of rays that enter a shell nearer than `best`, mm, neither missing it nor passing its hole.
+
+    `bounds` are those of `ShellTree`.
+    """
     low, high, inner2, outer2 = bounds
     first, second = (low - ray.oz) * ray.inv_dz, (high - ray.oz) * ray.inv_dz
     start = larger(smaller(first, second) * (1 - ROUNDING), 0)

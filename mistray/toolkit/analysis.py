@@ -86,9 +86,9 @@ def analysis(
 
 def _check_type(parameter: inspect.Parameter, value: Any, names: Mapping[str, Any]) -> None:
     """
-    Raise `MistrayError` if an argument of an analysis that is not a request field has the wrong type.
+    Raise `MistrayError` if the value of a parameter of `run`, such as a path, has the wrong type.
 
-    `names` maps annotations to classes.
+    Fields of the request are not checked here. None is allowed. `names` maps annotations to classes.
     """
     text = type_of(parameter.annotation).replace(" | None", "")
     kind, words = _TYPES.get(text) or (names.get(text), f"a {text}")
@@ -101,7 +101,11 @@ def _check_type(parameter: inspect.Parameter, value: Any, names: Mapping[str, An
 def _arguments(
     subject: inspect.Parameter, declared: list[Declared], further: list[inspect.Parameter]
 ) -> list[inspect.Parameter]:
-    """Return the parameters of the signature: analysed object, fields, further keywords, and fields of parts."""
+    """
+    Return the parameters of the signature: analysed object, fields, further keywords, and fields of parts.
+
+    `declared` is from `flat_fields`. Fields of parts are keywords with None for the default.
+    """
     kinds = inspect.Parameter
     parameters = [subject]
     settings: list[inspect.Parameter] = []
@@ -123,7 +127,11 @@ def _in_order(known: list[inspect.Parameter], positional: Sequence[str]) -> list
 
 
 def _docstring(doc: str, declared: list[Declared], signature: inspect.Signature) -> str:
-    """Return the docstring of `run` with the fields of the request listed as parameters instead of the request."""
+    """
+    Return the docstring `doc` of `run` with the fields of the request as parameters instead of the request.
+
+    `declared` is from `flat_fields`; the parameters have the order of `signature`.
+    """
     lines = inspect.cleandoc(doc).splitlines()
     first = lines.index("Parameters") + 2
     last = next((k - 1 for k in range(first, len(lines)) if lines[k].startswith("---")), len(lines))

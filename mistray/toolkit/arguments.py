@@ -83,7 +83,7 @@ class Help(argparse.RawDescriptionHelpFormatter):
 @dataclass(frozen=True)
 class Angles:
     """
-    Argument type: one angle in degrees, or a range first:last:step that includes both ends.
+    Argument type: one angle in degrees, or a range first:last:step, with `last` if a whole number of steps leads there.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Angles:
 
     def __call__(self, text: str) -> list[float]:
         """
-        Parse one number or a range first:last:step with both ends; return the values in the unit of `within`.
+        Return the values of one number or of a range first:last:step, ascending, in the unit of `within`.
 
         Anything else, and a range that falls or has too many values, raises `ArgumentTypeError`.
         """
@@ -185,10 +185,10 @@ class Pairs:
 
 
 class InsteadOfArguments(argparse.Action):
-    """Action of an option with which positional arguments may be left out."""
+    """Action of an option, such as --request, with which the positional arguments of its command may be left out."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
-        """Set the option, and require no positional arguments any more."""
+        """Set the option, and require no argument of the parser any more."""
         setattr(namespace, self.dest, values)
         for action in parser._actions:
             action.required = False

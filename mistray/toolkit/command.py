@@ -21,7 +21,7 @@ class Option:
     Attributes
     ----------
     name : str
-        Name such as "--out", or "-o --output"; without dashes for a positional argument.
+        Name or names, such as "--out" or "-o --output"; without dashes for a positional argument.
     help : str
         Description in the help.
     type : callable or tuple of str, optional
@@ -31,7 +31,7 @@ class Option:
     nargs : int or str, optional
         Number of values, in the notation of argparse.
     default
-        Value if the option is not given.
+        Value if the option is not given; of a flag it is False.
     extends : bool
         Whether values given later are added to those given before.
     writes : tuple of str, optional
@@ -125,7 +125,7 @@ class Command:
 
     @property
     def options(self) -> Iterator[Option]:
-        """Yield all options of the command, from every group."""
+        """All options of the command, from every group, in the order of the help."""
         for part in self._made:
             yield from part.options if isinstance(part, Group) else (part,)
 

@@ -38,7 +38,7 @@ class Keyword:
     name : str
         Key.
     options : tuple of Option
-        Option that sets it; for an object that of each of its fields.
+        Option that sets it; for an object, the option of each of its fields.
     """
 
     name: str
@@ -164,7 +164,7 @@ def _is_given(value: Any) -> bool:
 
 
 def keywords(command: Command) -> dict[str, Keyword]:
-    """Return the keys of the request of a command, in the order of its help, without those about request files."""
+    """Return the keys of a command's request by name, in the order of its help, without those about request files."""
     found: dict[str, Keyword] = {}
     names = [option.dest for option in command.options]
     for option in command.options:
@@ -197,9 +197,9 @@ def schema_of_request(command: Command) -> dict[str, Any]:
 
 def schema_of_result(command: Command) -> dict[str, Any]:
     """
-    Return the JSON schema of what a command prints with --json; of another package what all results have.
+    Return the JSON schema of what a command prints with --json.
 
-    Raise `MistrayError` if the command prints none.
+    For a command of another package it has only what all results have. Raise `MistrayError` if the command prints none.
     """
     if not any(option.name == "--json" for option in command.options):
         raise MistrayError(f"{command.name} prints no JSON; --schema request is that of its arguments")

@@ -90,8 +90,8 @@ def _metavar(demand: Any) -> Any:
     """
     Return the placeholder of an option's value in the help text.
 
-    It is the unit of a number, or N for a whole and F for another number without unit; NAME, or NAME=…, for names; a
-    pair for an interval; else the word that the demand itself states, or WHAT.
+    It is the unit of a number, or N for a whole and F for another number without unit. It is NAME, or NAME=…, for
+    names, and a pair for an interval; else the word that the demand itself states, or WHAT.
     """
     if isinstance(demand, Interval):
         return "LOW", "HIGH"

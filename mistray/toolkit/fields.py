@@ -134,7 +134,7 @@ def field(
 
 
 def field_of(kind: Any, name: str, default: Any) -> Any:
-    """Declare a request field that copies the field `name` of another dataclass, with its own default."""
+    """Return the declaration of a request field like the field `name` of the dataclass `kind`, with another default."""
     return dataclasses.field(default=default, metadata=kind.__dataclass_fields__[name].metadata)
 
 
@@ -206,7 +206,7 @@ def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Convert a request, or a value in it, to JSON-serialisable values; optional fields that are None are left out."""
+    """Return a request, or a value in it, in JSON-serialisable values, without fields that are None as by default."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, tuple | list):
@@ -238,7 +238,7 @@ def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSu
 
 
 def from_flat(request: type, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert values by keyword into values by field of a request; those of a `FieldSubset` form a mapping."""
+    """Return values by keyword as values by field of a request; those of a `FieldSubset` form a mapping."""
     found: dict[str, Any] = {}
     for declared in dataclasses.fields(request):
         part = demand_of(declared)

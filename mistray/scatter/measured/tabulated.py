@@ -51,18 +51,20 @@ class Tabulated(Placement):
     samples : BsdfSamples or RotatedSamples
         Table from `read`, or made from arrays.
     cosine_corrected : bool
-        Whether the values are BSDF times cos θs, scattered intensity divided by incident flux.
+        Whether the values are BSDF times cos θs, that is scattered intensity divided by incident flux, 1/sr.
     beyond : {"error", "hold", "zero"}
         Treatment of directions past the last polar angle: refused, last value held, or 0.
     event, side, name
         Options of `Placement`; if the file declares one event, "both" means that event.
     relative_to : {"incident", "specular"}
-        Reference of the BSDF. A measured BSDF is absolute, and its light is taken from the absorbed light.
+        Reference of the BSDF, see `Placement`. By default it is absolute, as measured, and its light is taken from the
+        absorbed light.
 
     Raises
     ------
     MistrayError
-        If the table does not cover the hemisphere, scatters more than all light, or scatters none.
+        If the table holds another event, scatters more than all light or none, or does not cover the hemisphere and
+        `beyond` is "error".
     """
 
     samples: BsdfSamples | RotatedSamples
@@ -122,7 +124,7 @@ class Tabulated(Placement):
     @classmethod
     def read(cls, path: str | Path, anisotropy: str = "error", **options: Any) -> Tabulated:
         """
-        Read a BSDF table: of Zemax (.bsdf), of Speos (.anisotropicbsdf), or a CSV file of angles.
+        Return the model of a BSDF table in a file: of Zemax (.bsdf), of Speos (.anisotropicbsdf), or a CSV of angles.
 
         Parameters
         ----------
@@ -132,7 +134,7 @@ class Tabulated(Placement):
             Whether scatter that differs between rotations of the sample, or between the sides of the plane of
             incidence, is refused, averaged or kept. If it is kept, it depends on how the surface is turned.
         **options
-            Values of the other attributes.
+            Values of attributes other than `samples`.
 
         Raises
         ------
@@ -168,12 +170,12 @@ class Tabulated(Placement):
 
     @cached_property
     def _above(self) -> np.ndarray:
-        """Mask of grid directions above the horizon, (a, b, c)."""
+        """Mask of grid directions above the horizon, (a, b, c), see `BsdfSamples.above`."""
         return self._first.above(self.cosine_corrected)
 
     @cached_property
     def _grid(self) -> np.ndarray:
-        """BSDF at all rotations, (d, a, b, c), 1/sr."""
+        """BSDF at all d rotations, (d, a, b, c), 1/sr, see `BsdfSamples.bsdf`."""
         return np.array([table.bsdf(self.cosine_corrected) for table in self.samples.tables])
 
     @cached_property
@@ -224,14 +226,18 @@ class Tabulated(Placement):
         """
         Return the ratio of an isotropic table to the radial profile, at nodes of `axes`, see `RatioTable`.
 
-        `relative` holds the ratio at the nodes of the table.
+        `relative` holds the ratio at the nodes of the table of each rotation of the sample, (a, b, c) each.
         """
         nodes = self._second_nodes(axes, R_NODES), np.linspace(0, np.pi, PSI_NODES)
         planes = self._planes(relative[0], self._first, axes, *nodes)
         return RatioTable(self._over_incidence(planes, INCIDENCE_NODES), self._r_min, axes, fixed=True)
 
     def _turned(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """Return the ratio of an anisotropic table to the radial profile, in the frame where it varies least."""
+        """
+        Return the ratio of an anisotropic table to the radial profile; parameters as in `_still`.
+
+        Its azimuths count from the specular direction or from the sample's x axis, whichever makes it change less.
+        """
         second, angle = self._second_nodes(axes, TURNED_R_NODES), np.linspace(0, 2 * np.pi, TURNED_PSI_NODES)
         rotations = np.radians(self.samples.rotation_deg)
 
@@ -257,7 +263,7 @@ class Tabulated(Placement):
         return max(SMALLEST_R, 0.5 * float(np.min(self._distances[self._above & (self._distances > SMALLEST_R)])))
 
     def _second_nodes(self, axes: str, count: int) -> np.ndarray:
-        """Return `count` nodes of r, logarithmic up to 2, for axes "radial", else nodes of cos θs in 0 … 1."""
+        """Return `count` nodes of r, logarithmic up to 2, for axes "radial", else `COS_NODES` of cos θs in 0 … 1."""
         return np.geomspace(self._r_min, 2, count) if axes == "radial" else np.linspace(0, 1, COS_NODES)
 
     def _planes(
@@ -268,8 +274,8 @@ class Tabulated(Placement):
 
         Parameters
         ----------
-        relative : ndarray
-            Ratio of the measured BSDF to the carrier lobe at the points of `table`.
+        relative : (a, b, c) float64
+            Ratio of the measured BSDF to `_carrier` at the nodes of `table`.
         table : BsdfSamples
             Measurement at one rotation of the sample.
         axes : str
@@ -282,8 +288,7 @@ class Tabulated(Placement):
         Returns
         -------
         (a, m, k) float64
-            Values of `relative` for each measured angle of incidence, node of `second` and node of
-        `angle`.
+            Values of `relative` for each measured angle of incidence, node of `second` and node of `angle`.
         """
         planes, second = [], second[:, None]
         for index, specular in enumerate(np.radians(table.specular_deg)):
@@ -300,7 +305,11 @@ class Tabulated(Placement):
         return np.array(planes)
 
     def _over_incidence(self, planes: np.ndarray, nodes: int) -> np.ndarray:
-        """Return the ratios of `_planes`, (nodes, m, k), at even steps of the cosine of the specular angle."""
+        """
+        Return the ratios of `_planes`, (nodes, m, k), at even steps 0 … 1 of the cosine of the specular angle.
+
+        If only one angle of incidence was measured, there are two equal nodes.
+        """
         angle = np.degrees(np.arccos(np.linspace(0, 1, nodes if len(planes) > 1 else 2)))
         place = np.interp(angle, self._first.specular_deg, np.arange(len(planes)))
         low = np.minimum(place.astype(int), max(len(planes) - 2, 0))
@@ -312,7 +321,7 @@ class Tabulated(Placement):
         """
         Return the mean relative error of the interpolating model at the table's nodes above the horizon.
 
-        For anisotropic samples the pole is left out.
+        Nodes without scatter are left out, and so is the pole for anisotropic samples.
         """
         lobes = [Lobe("reflection", self._carrier, ratio=ratio)]
         directions, departures = self._first.directions(), []
@@ -327,7 +336,11 @@ class Tabulated(Placement):
 
 
 def _all_round(rotations: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """Return functions of the sample's rotation (rad), (d, …), interpolated at uniform steps over a closed turn."""
+    """
+    Return values given at ascending rotations of a sample, (d,), rad, at even steps over a turn from the first.
+
+    `planes`, (d, …), are the values. The last one repeats the first; there are at most `MOST_ROTATIONS` steps.
+    """
     steps = np.diff(rotations, append=rotations[0] + 2 * np.pi)
     count = min(MOST_ROTATIONS, int(np.ceil(2 * np.pi / float(np.min(steps)) - 1e-6)))
     wanted = rotations[0] + np.linspace(0, 2 * np.pi, max(count, 1) + 1)

@@ -39,7 +39,7 @@ class AbgEntry:
     wavelength_um : float
         Vacuum wavelength at which A and B hold, µm; 0 if they hold at all wavelengths.
     rows : list of tuple
-        Angle of incidence, degrees, A, B and g of each line.
+        Angle of incidence, degrees, then A, 1/sr, B and g as in `ABg`; one tuple for each line.
     """
 
     name: str
@@ -60,8 +60,8 @@ def read_abg_data(path: str | Path) -> dict[str, AbgEntry]:
     Raises
     ------
     MistrayError
-        If the file is missing, a line has another form, or a name occurs twice or has no line of values; with the
-        number of the line.
+        If the file is missing, a line is malformed or out of range, or a name occurs twice or has no line of values.
+        The message gives the number of a wrong line.
     """
     found: dict[str, AbgEntry] = {}
     entry = None

@@ -30,7 +30,12 @@ NORMAL_OF_INCIDENCE_DEG = 90.0  # azimuth of the axis from which SampleRotation 
 
 @dataclass
 class _Lines:
-    """Reader of the lines of a Zemax BSDF file, one after the other, without empty lines and comments."""
+    """
+    Reader of a Zemax BSDF file, line by line.
+
+    `lines` yields the number and the words of each line that is neither empty nor a comment. `number` is the number of
+    the line read last.
+    """
 
     path: str | Path
     lines: Iterator[tuple[int, list[str]]]
@@ -51,7 +56,7 @@ class _Lines:
         """
         Return the value in the next line, in lower case.
 
-        The line must read `key value`, with a value in `known`; otherwise raise `MistrayError`.
+        The line must read `key value`, in capitals or not, with a value in `known`; otherwise raise `MistrayError`.
         """
         words = self.next(key)
         if words[0].lower() != key.lower() or len(words) != 2:
@@ -89,8 +94,8 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     Raises
     ------
     MistrayError
-        If the file is missing or malformed, with the number of the line, or if it has colours. It is also raised for
-        the reasons of `BsdfSamples` and `by_rotation`.
+        If the file is missing, malformed or in colours, or for the reasons of `BsdfSamples` and `by_rotation`. The
+        message names a malformed line by its number.
     """
     rows = (
         (n, line.split())
@@ -165,11 +170,11 @@ def write_zemax_bsdf(samples: BsdfSamples | RotatedSamples, path: str | Path, co
     Parameters
     ----------
     samples : BsdfSamples or RotatedSamples
-        Table in the frame "specular" that declares its event.
+        Table in the frame "specular" that declares its event. Its values are BSDF, 1/sr, without a factor cos θs.
     path : str or Path
         File to write.
     comment : str
-        Comment lines at the head of the file.
+        Comment at the head of the file, in one or several lines.
 
     Raises
     ------

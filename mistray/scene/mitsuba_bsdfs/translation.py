@@ -2,7 +2,8 @@
 Translation of Mitsuba's own BSDFs into interfaces of the same reflectance, transmittance and scatter.
 
 It works on a parsed scene, because an object of Mitsuba has its spectra as three colours. What has no exact
-translation stays as it is: Mitsuba's integrators take it, and a trace refuses it by name.
+translation stays as it is: Mitsuba's integrators take it, and a trace refuses it by name. Only a lone
+`conductor` differs: Mitsuba's is black from behind, the interface reflects there, too.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ DIGITS = 7  # of numbers that Mitsuba holds in single precision
 @dataclass(frozen=True)
 class _Scene:
     """
-    Parsed scene with the facts that a translation of its BSDFs needs.
+    Parsed scene, and the gas around it, for the translation of its BSDFs.
 
     Attributes
     ----------
     nodes : list of mi.parser.SceneNode
         Objects of the scene, with all references resolved.
     gas : float
-        Index of the gas around the scene, as Mitsuba counts it.
+        Index of the gas around the scene, as Mitsuba counts it: 1.000277 for air.
     """
 
     nodes: list[Any]
@@ -73,7 +74,9 @@ class _Scene:
 
 def translate_bsdfs(state: Any) -> None:
     """
-    Replace the BSDFs of the shapes of a parsed scene by interfaces, where these do exactly the same.
+    Replace the BSDFs of the shapes of a parsed scene by interfaces that do the same, see the module.
+
+    A shape that emits light and has no BSDF gets a black interface.
 
     Parameters
     ----------
@@ -83,7 +86,7 @@ def translate_bsdfs(state: Any) -> None:
     Raises
     ------
     MistrayError
-        If a reflectance is not 0 … 1. The message names the place as Mitsuba's own errors do.
+        If a reflectance is not 0 … 1, or a metal is unknown. The message names the place as Mitsuba's own errors do.
     """
     nodes = list(state.nodes)
     scene = _Scene(nodes, next(_gases(nodes), AIR))
@@ -108,7 +111,7 @@ def translate_bsdfs(state: Any) -> None:
 
 
 def _properties(given: Mapping[str, Any], name: str) -> mi.Properties:
-    """Return the properties of a plugin from its dict; nested plugins are built."""
+    """Return the properties of a plugin from its dict, with the id `name`; nested plugins are built."""
     props = mi.Properties(given["type"])
     props.set_id(name)
     for key, value in given.items():
@@ -118,7 +121,12 @@ def _properties(given: Mapping[str, Any], name: str) -> mi.Properties:
 
 
 def _translated(scene: _Scene, node: Any, side: str) -> dict[str, Any] | None:
-    """Return the dict of a mistray interface that scatters as a Mitsuba BSDF does; None if none does so exactly."""
+    """
+    Return the dict of a mistray interface that acts as a Mitsuba BSDF does; None if there is none.
+
+    `side` is the side, or both, on which a diffuse BSDF scatters, see `_diffuse`. Raise `MistrayError` as
+    `translate_bsdfs` does.
+    """
     kind = node.props.plugin_name()
     values = scene.values(node)
     if kind == "twosided":
@@ -142,7 +150,9 @@ def _translated(scene: _Scene, node: Any, side: str) -> dict[str, Any] | None:
 
 def _diffuse(reflectance: Any, side: str) -> dict[str, Any] | None:
     """
-    Return a Lambertian paint of this reflectance on one side or both; another side is black, as in Mitsuba.
+    Return the dict of an interface with a Lambertian paint on `side`; the other side is black, as in Mitsuba.
+
+    `side` is `NORMAL_SIDE`, to which the normal points, `OTHER_SIDE` or `BOTH_SIDES`.
 
     A reflectance of 0 gives a black surface, and a colour or a texture None. One outside 0 … 1 raises `MistrayError`.
     """
@@ -173,7 +183,7 @@ def _both(first: dict[str, Any] | None, second: dict[str, Any] | None) -> dict[s
 
 def _dielectric(values: Mapping[str, Any], gas: float) -> dict[str, Any] | None:
     """
-    Return a bare refracting surface; its indices are relative to the gas around it.
+    Return the dict of a bare refracting interface; its indices are relative to `gas`, or to a gas beside it.
 
     It is None if an index is not known, or if a specular factor is not 1.
     """
@@ -187,7 +197,7 @@ def _dielectric(values: Mapping[str, Any], gas: float) -> dict[str, Any] | None:
 
 def _conductor(values: Mapping[str, Any]) -> dict[str, Any] | None:
     """
-    Return a bare surface with a metal behind it, as seen from the side of the normal.
+    Return the dict of a bare interface with a metal behind it, as seen from the side of the normal.
 
     Mitsuba's perfect mirror becomes an ideal one with its factor as R. Without a metal that is known as numbers or
     tables, or with a factor other than 1, the result is None. A mirror's factor outside 0 … 1 raises `MistrayError`.
@@ -256,7 +266,7 @@ def _ior(value: Any) -> float | None:
 
 
 def _number(value: Any) -> float | None:
-    """Return a property value that is equal at all wavelengths as a number; None for a colour, table or texture."""
+    """Return a property value as a number if it is the same at all wavelengths; else None, as for a texture."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return _plain(value)
     if type(value).__name__ == SPECTRUM:

@@ -44,7 +44,7 @@ class Cone(TracedSurface):
         return cls(sign=1.0, z_range=ends, wall=True, r0=r0, slope=(r1 - r0) / length)
 
     def radius(self, z: Any) -> Any:
-        """Return the cone's distance from its axis, mm, at the coordinate z along it, mm."""
+        """Return the cone's radius, mm, at the coordinate z along its axis, mm; negative past its apex."""
         return self.r0 + self.slope * z
 
     @property

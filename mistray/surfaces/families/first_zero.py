@@ -42,7 +42,7 @@ def first_zero(
     size : mi.Float
         Size of the surface, mm.
     own : mi.Bool
-        Whether the ray starts on the surface.
+        Whether the ray starts on the surface; its start then does not count as a zero.
     active : mi.Bool
         Whether the lane has a ray.
     intervals : int
@@ -55,7 +55,7 @@ def first_zero(
     s : mi.Float
         Distance of the zero from the start of the stretch, mm.
     found : mi.Bool
-        Whether there is a zero.
+        Whether a zero was found on the stretch.
     """
     stride = length / intervals
     f0, g0 = f(mi.Float(0))

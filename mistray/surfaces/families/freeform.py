@@ -47,7 +47,7 @@ class Freeform(TracedSurface):
     half : (2,) float
         Half width and half height of the outline's box, mm.
     slope : float
-        Upper bound of the surface's slope, dz/dr.
+        Upper bound of the surface's slope |dz/dr|.
     outermost : float
         Upper bound of the distance of the surface's points from the middle, mm.
     way : int

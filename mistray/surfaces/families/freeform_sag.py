@@ -68,12 +68,14 @@ class FreeformSag:
         """
         Return the two distances, mm, at which lines meet the quadric, the lesser first; NaN or infinite for none.
 
+        For a plane both are the same.
+
         Parameters
         ----------
         q, d : (3,) arrays
             Points near the quadric, mm, and unit directions of the lines.
         n : mapping
-            Values of the sag's parameters by name. For a plane both distances are the same.
+            Values of the sag's parameters by name.
         """
         (x, y, z), (dx, dy, dz) = q, d
         if not self.curved:
@@ -197,7 +199,11 @@ class LocalSag:
     def moved(
         self, n: Mapping[str, Any], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
     ) -> LocalSag:
-        """Return the sag for changed parameters, in the form of this one so that the kernel code stays the same."""
+        """
+        Return the sag for changed parameters, in the form of this one so that the kernel code stays the same.
+
+        Parameters as in `of`.
+        """
         return self._at(n, middle, half, x, y, self.sag)
 
     @classmethod

@@ -25,7 +25,7 @@ class GridPatches:
     grid: Grid
 
     def evaluate(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Return the height, mm, and the slopes in x and y at points x, y, mm; for NumPy or Dr.Jit arrays."""
+        """Return the height, mm, and the slopes dz/dx and dz/dy at points x, y, mm; for NumPy or Dr.Jit arrays."""
         grid = self.grid
         if isinstance(x, np.ndarray | np.generic | float):
             return grid.evaluate(x, y)

@@ -52,11 +52,11 @@ class FreeformFamily:
         return (*self.sag.numbers, *self.names)
 
     def residual(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Return the implicit function F = z - sag, mm, at points; 0 on the surface."""
+        """Return the implicit function F = z - sag, mm, at points, mm; 0 on the surface."""
         return self.sag.residual(x, y, z, n)
 
     def gradient(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """Return the derivatives of F = z - sag with respect to x, y and z."""
+        """Return the derivatives of F = z - sag with respect to x, y and z, dimensionless, at points, mm."""
         return self.sag.gradient(x, y, z, n)
 
     def coordinate(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
@@ -163,7 +163,7 @@ _DEPTHS = {"circle": _circle, "ellipse": _ellipse, "rectangle": _rectangle}
 
 def _polygon(u: Any, v: Any, n: Mapping[str, Any], count: int) -> Any:
     """
-    Return the signed distance of points from the nearest side of a polygon, mm; positive inside.
+    Return the signed distance of points from the nearest side of a polygon of `count` corners, mm; positive inside.
 
     If a corner is nearest, the sign is that of the corner and not of the lines beyond it. Points next to a convex
     corner lie outside, points next to a concave one inside.

@@ -70,7 +70,11 @@ def _turned(faces: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def _cut(outline: Outline, a: np.ndarray, b: np.ndarray, a_inside: bool) -> np.ndarray:
-    """Return the points, (n, 2), mm, at which segments from a to b cross the edge of the outline, by bisection."""
+    """
+    Return the points, (n, 2), mm, at which segments from a to b, (n, 2), cross the edge of the outline, by bisection.
+
+    `a_inside` says whether the points a lie inside, and b outside, or the reverse.
+    """
     low, high = np.zeros(len(a)), np.ones(len(a))
     for _ in range(HALVINGS):
         half = 0.5 * (low + high)

@@ -303,7 +303,11 @@ def _nodes(parts: int) -> np.ndarray:
 
 @lru_cache(maxsize=1024)
 def _mild_departure(c: float, k: float, coefficients: tuple[float, ...], outer: float) -> float:
-    """Return an asphere's largest axial distance from its conic, mm; 0 if too large for `mild_asphere`."""
+    """
+    Return an asphere's largest axial distance from its conic, mm; 0 if it is not one for `mild_asphere`.
+
+    That is if the distance or its slope is too large, the curvature `c` is 0, or the conic ends within `outer`, mm.
+    """
     r = np.linspace(0.0, MILD_MARGIN * outer, 513)
     if c == 0 or (1 + k) * (c * r[-1]) ** 2 >= 1:
         return 0.0

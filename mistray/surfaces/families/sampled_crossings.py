@@ -32,7 +32,7 @@ def sampled_crossings(
     samples, most : int
         Samples of the part of a line in the ball, and crossings that a line may have.
     met : (n,) bool
-        Whether lines may meet the surface at all.
+        Whether lines may meet the surface at all; by default all may.
     """
     found = np.full((len(o), most), np.nan)
     middle = -np.einsum("ij,ij->i", o, d)

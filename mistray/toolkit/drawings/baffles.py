@@ -31,8 +31,8 @@ def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float =
     Return a drawing of the section of a tube with vanes, or of two stages, mm, with the rays of the construction.
 
     Rays are above the axis. For each vane, a blue ray leads from the far rim of the optic past its tip; the wall before
-    it is hidden. An orange ray is the steepest from outside past its tip; the wall behind it is lit. Colours along the
-    walls mark zones that are lit, zones that are seen, and in red zones that are both.
+    it is hidden. From the second vane on, an orange ray is the steepest from outside past its tip; the wall behind it
+    is lit. Colours along the walls mark zones that are lit, zones that are seen, and in red zones that are both.
 
     Parameters
     ----------
@@ -162,7 +162,11 @@ def _draw(axes: Axes, shape: Structure | Surface, width: float, colour: str = BL
 
 
 def _draw_rays(axes: Axes, tube: BaffleTube) -> None:
-    """Draw for each vane, above the axis, the rays that bound the hidden wall before it and the lit wall behind."""
+    """
+    Draw for each vane, above the axis, the rays that bound the hidden wall before it and the lit wall behind.
+
+    The first vane has only the first of these rays.
+    """
     for k, vane in enumerate(tube.vanes):
         hides = (vane.radius + tube.optic_radius) / (tube.z_rear - vane.z)
         _draw_line(axes, (tube.z_rear, -tube.optic_radius), -hides, _meeting(tube, vane.z, vane.radius, -hides), BLUE)
@@ -175,7 +179,7 @@ def _draw_rays(axes: Axes, tube: BaffleTube) -> None:
 
 def _meeting(tube: BaffleTube, z: float, r: float, slope: float) -> float:
     """
-    Return z, mm, at which a line through (z, r) meets the wall, limited to the tube.
+    Return z, mm, at which a line through (z, r), mm, of slope dr/dz meets the wall, limited to the tube.
 
     For a line parallel to the wall it is `z` itself.
     """

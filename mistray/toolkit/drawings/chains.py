@@ -1,4 +1,4 @@
-"""Shortest connections along line segments between two points, such as along the edges of a lens from rim to rim."""
+"""Connections of two points along the fewest line segments, such as the edges of a lens from rim to rim."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TOLERANCE = 1e-5  # of the distance of the points from the origin, within which 
 
 def route(start: Array, end: Array, steps: Sequence[Array]) -> list[tuple[int, bool]] | None:
     """
-    Return the shortest way along line segments from a start to an end point.
+    Return the way from a start to an end point along the fewest line segments.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ def route(start: Array, end: Array, steps: Sequence[Array]) -> list[tuple[int, b
 
 def chain(start: Array, end: Array, steps: Sequence[Array]) -> Array:
     """
-    Return the points, mm, at which the shortest way of `route` passes from one segment to the next.
+    Return the ends of the segments of `route`, in the order of the way; parameters are described there.
 
     Returns
     -------
     (n, 2) float
-        Points between the two ends, mm; empty if no way leads there.
+        Points after `start`, mm, the last within rounding of `end`; empty if no way leads there.
     """
     found = route(start, end, steps) or []
     return np.array([steps[number][int(forwards)] for number, forwards in found]).reshape(-1, 2)

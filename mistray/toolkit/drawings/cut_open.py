@@ -137,7 +137,7 @@ def open_surfaces(scene: Any, cut: CutPlane | None) -> list[OpenSurface]:
 
 def triangles(shape: Any, name: str) -> tuple[Points, Faces]:
     """
-    Return vertices (n, 3), mm, and faces (m, 3) of a whole shape.
+    Return the triangle mesh of a whole shape: vertices (n, 3) in the world, mm, and their indices by face (m, 3).
 
     A shape without formula or triangles raises `MistrayError`, in which `name` is its name.
     """
@@ -265,7 +265,7 @@ def _of_revolution(shape: Any) -> bool:
 
 def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.float64]:
     """
-    Return generatrix points (r, z), (n, 2), mm.
+    Return points (r, z) of a shape's generatrix, one for each ring of its mesh, (n, 2), mm.
 
     A plane parallel to the axis adds the point where it touches a circle, if it does between the rims.
     """

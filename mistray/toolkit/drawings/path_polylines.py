@@ -201,7 +201,7 @@ def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0
     trace : Trace
         Trace that gives the detectors, the wavelength (its first) and the seed.
     n : int
-        Rays of each detector.
+        Largest number of rays of each detector; rays of one point are left out.
     beyond_mm : float
         Length by which a ray that leaves the scene is extended, mm.
     """
@@ -270,8 +270,8 @@ def _groups_of(choice: RayChoice, trace: Trace, size_mm: float, with_field: bool
     """
     Return the rays to draw from the trace of one field, grouped by path or by class.
 
-    Names begin with the field angle if `with_field`. Raise `MistrayError` as `rows_of` does, or if the filter is not
-    valid.
+    Names begin with the field angle if `with_field`; `size_mm` is that of `ray_groups`. Raise `MistrayError` as
+    `rows_of` does, or if the filter is not valid.
     """
     field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
     if choice.classes is not None:

@@ -50,7 +50,7 @@ FORMATS = (".svg", ".pdf", ".eps", ".png")
 
 
 class Drawn(NamedTuple):
-    """Path to draw: its rays, mm, colour and label, and indices of the points where rays are reflected or scattered."""
+    """Path to draw: rays, (k, 3) mm each, colour, label, and indices of points of reflections and scatter events."""
 
     rays: list[Polyline]
     colour: str
@@ -82,7 +82,7 @@ def section(scene: Any) -> list[SectionLine]:
     """
     Return the section of every shape of a scene with the plane x = 0.
 
-    Surfaces of revolution whose axis lies in the plane are cut exactly (their profile and its mirror image); all other
+    Surfaces with a profile whose axis lies in the plane are cut exactly: their profile and its mirror image. All other
     shapes are cut as triangle meshes.
     """
     return [SectionLine(name, _cut(shape, name), role_of(shape)) for name, shape in surface_names(scene)]
@@ -153,9 +153,9 @@ def layout(
 
 def _drawn(report: GhostReport, paths: Sequence[tuple[float, int, str, str]]) -> list[Drawn]:
     """
-    Return drawn paths from tuples of field angle (degrees), path id, colour and label.
+    Return the paths to draw from tuples of field angle (degrees), path id, colour and label.
 
-    Each has its own pupil heights.
+    Rays of each path have their own heights in the pupil, see `meridional`.
     """
     return [
         Drawn(
@@ -218,7 +218,8 @@ def layout_figure(
     Raises
     ------
     MistrayError
-        If a row is unknown, rows come without a trace, or there are fewer than 0 paths or 1 ray.
+        If a row is unknown, no row passes the filter, rows come without a trace, or there are fewer than 0 paths or 1
+        ray.
 
     Examples
     --------

@@ -20,7 +20,7 @@ LONGEST_NAME = 60  # letters beside a bar
 
 def bars(values: Mapping[str, Estimate], colours: Sequence[str], label: str) -> Figure:
     """
-    Return a figure of values as horizontal bars on a log10 scale, the first at the top.
+    Return a figure of values and their standard errors as horizontal bars on a log10 scale, the first at the top.
 
     There is no bar for a value that is not above 0.
 
@@ -61,7 +61,7 @@ def magnitude_bars(values: Mapping[str, Estimate], label: str) -> Figure:
     """
     Return a figure of the `BARS` largest magnitudes as horizontal bars on a log10 scale.
 
-    Values below 0 are orange. Values that are 0 or not finite are left out.
+    Values below 0 are orange, others blue. Values that are 0 or not finite are left out. `label` is as in `bars`.
     """
     known = {name: one for name, one in values.items() if np.isfinite(one.value) and one.value}
     shown = dict(sorted(known.items(), key=lambda item: -abs(item[1].value))[:BARS])

@@ -78,9 +78,10 @@ class Figure(figure.Figure):
     def of_panels(
         cls, width: float, height: float, rows: int = 1, columns: int = 1, dpi: int = 120, **panels: Any
     ) -> tuple[Self, Any]:
-        """Return a figure of a size in inches and its panels, which do not overlap.
+        """
+        Return a figure of a size in inches and its panels, which do not overlap.
 
-        There are `rows` and `columns` of them: a single Axes, or an array. `dpi` is the resolution, pixels per inch,
+        The panels are in `rows` and `columns`: a single Axes, or an array. `dpi` is the resolution, pixels per inch,
         and `panels` are keywords of `subplots`.
         """
         made = cls(figsize=(width, height), dpi=dpi, layout="constrained")
@@ -108,7 +109,7 @@ class Figure(figure.Figure):
         return self
 
     def in_pyplot(self) -> tuple[Axes, ...]:
-        """Make the figure the current one of pyplot, which shows it, and return the axes of its panels."""
+        """Make the figure the current one of pyplot, and return the axes of its panels, but not of colour bars."""
         from matplotlib import pyplot  # takes a backend, which files need not
 
         pyplot.figure(FigureClass=lambda *_, **__: self)  # type: ignore[arg-type]  # a function that returns a figure
