@@ -120,8 +120,8 @@ def _spot(params: Any, owner: str) -> dict[str, Any]:
     cutoff, beam = (float(np.array(params[key]).ravel()[0]) for key in ("cutoff_angle", "beam_width"))
     if not np.allclose(np.array(params["texture.value"]), 1.0):
         raise MistrayError(f"{owner}: it has a texture; leave it out")
-    # Mitsuba's falloff is linear in the angle from the beam width to the cutoff; the light may have a sharp edge, or fall
-    # off from its axis
+    # Mitsuba's falloff is linear in the angle from the beam width to the cutoff. The light may also have a sharp edge,
+    # or fall off from its axis
     profile = ["0:1"] + [f"{beam!r}:1"] * (beam > 0) + [f"{cutoff!r}:0"] * (cutoff > beam)
     return {
         "type": "point_source",

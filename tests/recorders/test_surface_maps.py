@@ -307,6 +307,11 @@ def test_the_command_maps_parts_of_the_light(tmp_path, capsys):
         x0, x1, y0, y1 = one.extent
         power = float(one.irradiance.sum()) * (x1 - x0) * (y1 - y0) / one.irradiance.size
         assert power == pytest.approx(row.power_W, rel=1e-6)
+    probe = "0,0,-1,half_width=0.5,half_height=0.25,id=ghost"
+    succeeds(capsys, *COMMAND, "--maps", "ghost", "--probe", probe, "--formats", "npy", "--out", tmp_path / "two")
+    assert {file.name for file in (tmp_path / "two").glob("irradiance_ghost*")} == {
+        f"irradiance_ghost{number}_0deg.{end}" for number in ("", "_2") for end in ("npy", "json")
+    }
     paths = pd.read_csv(out / "paths.csv")
     own = paths[(paths.kind != DIRECT)].power_W.sum()
     assert table.power_W[4] == pytest.approx(own, rel=1e-6)

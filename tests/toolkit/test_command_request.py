@@ -358,6 +358,8 @@ def test_round_trips(kind: type[Request], given: dict[str, Any]) -> None:
     plain = asked.to_dict()
     assert kind.of(**json.loads(json.dumps(plain))) == asked
     assert takes(kind, plain)
+    with refused("alias 'part' stands for all surfaces"):
+        GhostTables(alias=["part", ("L1_*", "L1")])
 
 
 def test_values() -> None:

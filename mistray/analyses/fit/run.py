@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from mistray.analyses.pst.metrics.pst_bands import Modelled
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
-from mistray.ranges import FINITE, POSITIVE, ByName, shown
+from mistray.ranges import FINITE, POSITIVE, ByName, Words, shown
 from mistray.result import KeyNumber, Result
 
 Model = Callable[[np.ndarray], Modelled]
@@ -273,7 +273,7 @@ class Fit(Result, table=".page:parameter_table", figure=".figures:residual_figur
         (float, float)
             Ends in the unit of the parameter; its bounds, perhaps infinite, if it is undetermined, see `untold`.
         """
-        k = self.names.index(name)
+        k = self.names.index(Words(self.names).check("name", name))
         rows, aims = _whitened(self.slope, self.residual, self.noise)
         if not np.any(rows[:, k]):
             return float(self.low[k]), float(self.high[k])

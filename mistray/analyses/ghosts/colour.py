@@ -143,8 +143,8 @@ def develop(light: Array, exposure: float, white: Array | None = None) -> Develo
         If `white` is too saturated to be a white: one of its cone responses is not positive.
     """
     linear, outside = linear_rgb(light, white)
-    linear = exposure * linear
     count = max(int(np.count_nonzero(linear.max(axis=-1) > 0)), 1)
+    linear = exposure * linear
     over = linear.max(axis=-1) > 1 + ROUNDING
     encode = cie.colour_science().RGB_COLOURSPACES["sRGB"].cctf_encoding
     rgb = np.asarray(encode(np.clip(linear, 0.0, 1.0)), dtype=np.float64)

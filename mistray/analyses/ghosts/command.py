@@ -162,13 +162,7 @@ def run(options: Options) -> int:
 
 
 def _refuse(options: Options) -> None:
-    """
-    Raise `MistrayError` for options given without another one that they need, or output without a destination.
-
-    An alias that stands for all surfaces raises it, too, if there is another alias.
-    """
-    from mistray.analyses.ghosts.request import ALL_SURFACES
-
+    """Raise `MistrayError` for options given without another one that they need, or output without a destination."""
     for words, needed, why in (
         (["least_share"], options.path_analysis, "the path analysis; add --path-analysis power_W, or leave it out"),
         (["most_rays"], options.rays_at, "the rays of --rays-at; add it, or leave this out"),
@@ -181,9 +175,6 @@ def _refuse(options: Options) -> None:
     if options.out is None:
         options.refuse(["rays_at"], " writes rays_at.csv; say with --out where it shall go")
         options.refuse(["colour"], " draws pictures; say with --out where they shall go")
-    alone = [word for word in options.alias or () if word in ALL_SURFACES]
-    if alone and len(options.alias) > 1:
-        raise MistrayError(f"--alias {alone[0]} stands for all surfaces; give it alone")
 
 
 def _seconds_of_trace(options: Options, request: GhostsRequest) -> float | None:

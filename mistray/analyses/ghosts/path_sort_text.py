@@ -160,8 +160,8 @@ def parse_path_sort(text: str) -> list[SortedPath]:
     entries = []
     for line in lines[start:end]:
         path_id, rays, *numbers, _ = line.split("\t")
-        if int(path_id) not in events:
-            raise MistrayError(f"path-sort file: path {path_id} has no representative ray; the file is cut off")
+        if not events.get(int(path_id)) or events[int(path_id)][-1][0] != ENDS[1]:
+            raise MistrayError(f"path-sort file: path {path_id} has no whole representative ray; the file is cut off")
         absorbed, se, percent, wavelength = map(float, numbers)
         entries.append(SortedPath(int(path_id), int(rays), absorbed, se, percent, wavelength, events[int(path_id)]))
     return entries

@@ -189,6 +189,12 @@ class GhostTables(Request):
     colour: bool = field(FLAG, False, "draw the ghosts as a photograph would show them")
     look: Look | None = field(Nested(Look), None, "how colour pictures are developed")
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        words = [word for word in self.alias or () if isinstance(word, str)]
+        if words and len(self.alias or ()) > 1:
+            raise MistrayError(f"alias '{words[0]}' stands for all surfaces; give it alone")
+
     @property
     def aliases(self) -> Mapping[str, str] | str | None:
         """Aliases in the form that `mistray.trace.PathTable.by_way` takes; None if none are requested."""

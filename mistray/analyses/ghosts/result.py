@@ -311,7 +311,10 @@ class GhostReport(
     def spectrum(self, field_deg: float, path_id: int) -> pd.DataFrame:
         """Return the rows of one path at each of its wavelengths, ascending, with the columns of `table`."""
         whole = self.table(field_deg)
-        (members,) = whole.path_ids[whole.path_id == path_id]
+        found = whole.path_ids[whole.path_id == path_id]
+        if len(found) != 1:
+            raise MistrayError(f"path {path_id!r} is not in the table of field {field_deg:g} deg; see report.table")
+        (members,) = found
         rows = self.table(field_deg, per_wavelength=True)
         return rows[rows.path_id.isin(members)].sort_values("wavelength_nm")
 

@@ -117,7 +117,7 @@ def run(scene: mi.Scene, request: ImageRequest, *, progress: Progress | None = N
     aperture = sphere_of(outline(table.shapes[found.steps[0].surface]))
     axis = field_bundle(scene, 0.0, azimuth_deg, aperture)
     notes = _notes(scene)
-    done, steps = 0, (len(angles) + 1) * len(wavelengths)
+    done, steps = 0, len(angles) * len(wavelengths)
 
     def step() -> None:
         nonlocal done
@@ -134,6 +134,8 @@ def run(scene: mi.Scene, request: ImageRequest, *, progress: Progress | None = N
         if region is None:
             raise MistrayError(f"{names[0]}: no light reaches the detector by the design path; choose other fields")
         notes.append("no light reaches the detector on the axis: relative illumination is over that of the first field")
+    if first is axis and 0 not in angles:  # the field on the axis is the reference
+        steps += len(wavelengths)
     rim = find_stop(paths[reference], first, region, request.stop)
     middle = chief_ray(paths[reference], axis, region, rim, AXIS)
     system = _System(scene, paths, aperture, reference, azimuth_deg, rim, middle.exit_pupil)

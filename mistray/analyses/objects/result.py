@@ -267,7 +267,8 @@ class Objects(Result, table=".page:main_table", figure=".figures:objects_layout"
         MistrayError
             If no object has this id and side.
         """
-        number = self.numbers.get((id, side), self.numbers.get((id, "both")))
+        known = self.numbers.get((id, "both")) if side in ("front", "back") else None
+        number = self.numbers.get((id, side), known)
         if number is None:
             raise MistrayError(f"'{id}' has no side '{side}', or there is no such shape; see Objects.illuminated")
         return [Estimate(*view.area(number)) for view in self.lit]

@@ -61,7 +61,7 @@ class _Lines:
         return numbers(words, count, self.where)
 
     def counts(self, count: int, least: int = 0) -> list[int]:
-        """Return the whole numbers ≥ `least` of the next line; raise `MistrayError` unless there are `count` of them."""
+        """Return the whole numbers ≥ `least` of the next line; raise `MistrayError` unless there are `count`."""
         values = self.values(count)
         if any(value != int(value) or not least <= value <= _LONGEST for value in values):
             raise MistrayError(f"{self.where}: {values}; whole numbers from {least} to {_LONGEST} are needed")

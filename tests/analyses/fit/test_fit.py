@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from example_scripts import script
-from refusals import each_refused
+from refusals import each_refused, refused
 
 import mistray
 from mistray.errors import MistrayError
@@ -97,6 +97,8 @@ class TestScales:
         value = weak(np.array(list(WEAK.values()))).value
         data = value * (1 + 0.05 * np.random.default_rng(7).standard_normal(20))
         found = fit(weak, data, 0.05 * value, dict(WEAK), **SCALES)
+        with refused("name is 'nope'"):
+            found.interval("nope")
         for k, name in enumerate(WEAK):
             for end in found.interval(name):
                 step = np.square([end, found.value[k]]) if k == 0 else np.array([end, found.value[k]])

@@ -317,7 +317,9 @@ def test_random_and_aimed_light_is_one_path(scattering):
     assert ghost.events[:2] == (("Emitted", "", ""), ("SpecTran", "window", "window_front"))
     assert ghost.events[-1] == ("Absorbed", "detector", "detector")
     title, cut = "the title or the column line is missing", text[: text.index("Path 4: ")]
-    for wrong, words in ((cut, "path 4 has no representative ray"), ("", title), ("something else\n", title)):
+    missing = "path 4 has no whole representative ray"
+    last = text[: text.rindex("\n", 0, len(text.rstrip()))]
+    for wrong, words in ((cut, missing), (last, "no whole"), ("", title), ("something else\n", title)):
         with pytest.raises(MistrayError, match=words):
             parse_path_sort(wrong)
     t = scatter_trace_at(0.0)

@@ -439,6 +439,8 @@ def test_without_adaptation_it_is_srgb():
     assert got.overexposed == pytest.approx(1 / 3)
     got = develop(np.zeros((2, 2, 3)), 1.0)
     assert ((got.rgb == 0).all(), got.outside, got.overexposed) == (True, 0, 0)
+    line = np.tile(xyz([1], [520.0]), (3, 4, 1))  # outside sRGB, and not exposed
+    assert develop(line, 0.0).outside == 1
 
 
 @pytest.mark.parametrize("white", [None, xyz([1, 2, 1], [450.0, 550.0, 650.0])])

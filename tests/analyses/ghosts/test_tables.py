@@ -406,6 +406,8 @@ def test_a_path_occurs_once_for_all_wavelengths(colours):
     assert spectrum.power_W.sum() == pytest.approx(lens.power_W)
     assert sorted(spectrum.path_id) == sorted(lens.path_ids)
     assert list(colours.spectrum(10.0, window.path_id).wavelength_nm) == [550.0, 650.0]
+    with refused("path 999 is not in the table"):
+        colours.spectrum(10.0, 999)
     worst = colours.top(10.0, 1).iloc[0]
     whole = colours[10.0].irradiance_of(worst.path_ids)
     np.testing.assert_allclose(colours.map(10.0, worst.path_id), whole, rtol=1e-12)

@@ -102,7 +102,12 @@ def test_scales(scale):
 
 
 def test_table():
-    found = mistray.image_quality(mistray.load(paraboloid()), [0.0, 0.1], wavelength_nm=[500, 600], weights=[1, 2])
+    steps: list[tuple[int, int]] = []
+    found = mistray.image_quality(
+        mistray.load(paraboloid()), [0.0, 0.1], wavelength_nm=[500, 600], weights=[1, 2],
+        progress=lambda *of: steps.append(of),
+    )  # fmt: skip
+    assert steps == [(k, 4) for k in range(1, 5)]
     table = found.to_pandas([50.0])
     assert table.mtf_tangential_50_per_mm.between(0, 1).all()
     assert list(table.field_deg) == [0.0, 0.1]

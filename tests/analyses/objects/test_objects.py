@@ -10,7 +10,7 @@ from oracles.scatter_integrals import disc_to_disc, element_to_disc
 from oracles.scatter_scenes import beam_xml, bsdf_xml, discs_text, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import interface_xml, plates_text
 from oracles.statistics import assert_z, z_limit
-from refusals import each_refused
+from refusals import each_refused, refused
 
 import mistray
 from mistray.analyses.objects.estimates import surface_bsdf
@@ -74,7 +74,11 @@ def test_a_tube_seen_from_its_end(load_scene):
     plate = row(found.critical, "plate")
     assert_z("plate", plate.power, element_to_disc(1.2, 2.0, 0.0), plate.power_se, floor=1e-5)
     assert found.common == []  # its other side is lit
-    assert row(found.illuminated, "plate").side != plate.side
+    lit = row(found.illuminated, "plate").side
+    assert lit != plate.side
+    assert found.illumination("plate", lit)[0].value > 0
+    with refused("'plate' has no side 'nope'"):
+        found.illumination("plate", "nope")
 
 
 @pytest.mark.parametrize("angle", [0.0, 10.0, -25.0, 60.0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 from mistray.analyses.ghosts.maps.light_maps import LightMap
@@ -39,8 +39,8 @@ def light_maps_section(report: GhostReport) -> Section | None:
     return Section("light", "Parts of the light", parts, "Parts")
 
 
-def light_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Return irradiance maps, W/mm², of parts of the light, by file name without suffix."""
+def light_map_files(report: GhostReport, taken: Collection[str]) -> dict[str, IrradianceMap]:
+    """Return irradiance maps, W/mm², of parts of the light, by file name without suffix; none is in `taken`."""
     files: dict[str, IrradianceMap] = {}
     for field in report:
         detectors = set(report[field].detectors)
@@ -48,7 +48,7 @@ def light_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
             where = "" if one.surface in detectors else f"_{one.surface}"
             base = plain_name(f"{one.selection[:NAME_LETTERS]}{where}")
             name, number = f"irradiance_{base}_{field:g}deg", 2
-            while name in files:
+            while name in files or name in taken:
                 name, number = f"irradiance_{base}_{number}_{field:g}deg", number + 1
             facts = plain({"light": one.selection, "surface": one.surface, **report[field].settings})
             files[name] = IrradianceMap(one.irradiance, one.se, one.unrolled_mm, facts)
