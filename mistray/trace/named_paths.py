@@ -61,7 +61,7 @@ class Whole:
     columns: ClassVar = frozenset({"events"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return masks of the table rows whose path has exactly these events."""
+        """Return masks of the rows whose path has exactly these events; raise `UnknownError` for unknown ones."""
         _check_events(event_words(self.text), rows)
         requested = way_text([" ".join(event_words(self.text))])[0]
         return exactly(np.array([one == requested for one in way_text(rows.columns["events"])], dtype=bool))

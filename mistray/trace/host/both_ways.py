@@ -88,7 +88,7 @@ class Branches:
 
     @property
     def bright(self) -> npt.NDArray[np.bool_]:
-        """Return a mask of branches, (n,), whose flux in either mode is above the floor for being followed."""
+        """Mask of the branches, (n,), whose flux in either mode is above their `floor`."""
         return np.asarray(np.maximum(self.mean, self.light[:, 0]) > self.floor)
 
     @staticmethod
@@ -97,7 +97,11 @@ class Branches:
         return Branches(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Branches)))
 
     def after(self, code: Whole, d: Floats, axis: Floats, mean: Floats, light: Floats) -> Branches:
-        """Return the branches after one more event `code`, with flux `mean` and `light` in units of a start ray's."""
+        """
+        Return the branches after one more event, whose codes, (n,), are `code`, see `codes`.
+
+        Directions, axes and fluxes after it are those given, see the attributes of these names. Origins remain.
+        """
         codes = np.concatenate([self.codes, code[:, None]], axis=1)
         return replace(self, d=d, axis=axis, mean=mean, light=light, last=code >> EVENT_BITS, codes=codes)
 
@@ -165,7 +169,7 @@ class Arrivals:
 
 
 def started(run: Run, rays: int) -> tuple[Branches, float]:
-    """Return start rays of a run as `Branches`, and the flux, W, of a start ray of weight 1."""
+    """Return about `rays` start rays of a run as `Branches`, and the flux, W, of a start ray of weight 1."""
     pilot = replace(run, rays=run.source.count(rays), seed=SEED, parts=None)
     start = pilot.start_pass(0)
     if (given := dr.width(start.lane)) > 2 * rays:  # a source may have rays of its own
@@ -255,8 +259,9 @@ class _Tree:
 
     Attributes
     ----------
-    ends : list
-        Branches that arrived at a detector, with the flux that it absorbs of each in either mode.
+    ends : list of (Branches, (n,) float64, (n,) float64)
+        Branches that arrived at a detector, and the flux that it absorbs of each, by the mean of s and p and by Stokes
+        vectors, in units of a start ray.
     dim : list of _Lit
         Hits of surfaces that scatter so far.
     hits : int
@@ -384,7 +389,12 @@ class _Tree:
         return Branches.together(children)
 
     def _kept(self, surface: Whole, from_front: np.ndarray, event: str, cosine: Floats) -> Floats:
-        """Return the fraction, (n,), of the coating's R or T that stays in the specular beam after scatter."""
+        """
+        Return the fraction, (n,), of R or T of the surfaces that stays in the specular beam beside scattered light.
+
+        `event` is "reflection" or "transmission". `cosine` is that of the angle of incidence, in transmission that of
+        the angle in the rarer medium.
+        """
         kept = np.ones(len(surface))
         for (number, side, name), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side))
@@ -419,7 +429,11 @@ class _Tree:
             self.dim.append(_Lit(case, b.take(here), outward, X[here].mean(axis=1), own))
 
     def _rays(self, lit: _Lit, chosen: Whole, weight: Floats) -> Branches:
-        """Return one scattered ray for each chosen hit, aimed at a flat target if there is one, else Lambertian."""
+        """
+        Return one scattered ray for each chosen hit, aimed at a flat target if there is one, else Lambertian.
+
+        `chosen`, (m,), holds indices of hits in `lit`; `weight`, (m,), is 1 over how often each is drawn on average.
+        """
         case, b, outward = lit.case, lit.branches.take(chosen), lit.outward[chosen]
         to_back = case.from_front == (case.event == "transmission")
         d, per_sr = self._directions(b.o, outward, self._aims.get((case.surface, to_back)))
@@ -477,7 +491,11 @@ class _Tree:
 
 
 def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[Arrivals]:
-    """Return the flux of each path to the detector, W, from branches; `unit` is the flux of a start ray, W."""
+    """
+    Return the light of each path at the detector, from branches that arrived there.
+
+    `mean` and `stokes`, (n,), are the absorbed flux in either mode, in units of a start ray, whose flux is `unit`, W.
+    """
     paths, number = np.unique(end.codes, axis=0, return_inverse=True)
     number = number.ravel()
     found = []
@@ -534,7 +552,7 @@ def _child(light: Floats, X: Floats) -> Floats:
     """
     Return Stokes vectors (flux, q, u, v), (n, 4), after reflection or transmission at a surface.
 
-    `X` holds R or T of s and p, and Re and Im of the amplitude product.
+    `X`, (n, 4), holds R or T of s and p, and Re and Im of the amplitude product, see `CoatingShares.shares`.
     """
     flux, q, u, v = light.T
     s, p, re, im = X.T

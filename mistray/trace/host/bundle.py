@@ -53,9 +53,10 @@ class PointBundle:
 
     def density(self, x: Array) -> Array:
         """
-        Return relative flux per area of the ray coordinates (n, 2), (n,), for a uniform beam or isotropic point.
+        Return the relative flux per area of the coordinates, (n,), at coordinates x, (n, 2): mm or slopes.
 
-        It is 1 for a point at infinity. For a near one the coordinates are slopes, and it falls off as they grow.
+        The beam is uniform, or the near point radiates alike in all directions. It is 1 for a point at infinity. For a
+        near one it is 1 at x = 0 and falls off as the slopes grow.
         """
         if not self.near:
             return np.ones(len(x))
