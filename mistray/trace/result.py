@@ -48,7 +48,8 @@ class Trace(
         trace, "polarization_reason" the reason for it, "polarization_change" the largest relative change by Stokes
         vectors.
     rays_traced, rays_planned : int
-        Number of start rays that were traced and planned; fewer where workers were lost, see `mistray.distribute`.
+        Numbers of start rays that were traced and planned. Fewer were traced if the time was up, the trace was
+        interrupted, or workers were lost.
     paths : PathTable
         Paths from the sources to the detectors, the strongest first; traced with ``ledger=False`` there are none, and
         reading them raises `MistrayError`.
@@ -171,7 +172,8 @@ class Trace(
         Return the result for one detector alone: its irradiance, its paths and its energy ledger.
 
         Only those methods trace again that always do (`maps`, `box`, `history`, `rays`, gradients). Light that the
-        other detectors absorb then counts as absorbed by surfaces. With a single detector, the result is this trace.
+        other detectors absorb then counts as absorbed by surfaces. The result has no recorders. With a single detector,
+        it is this trace.
 
         Parameters
         ----------
@@ -296,16 +298,16 @@ class Trace(
 
     def energy_at(self, wavelength_nm: float) -> Energy:
         """
-        Return the energy ledger, W, of one of the wavelengths of the trace, nm.
+        Return the energy ledger of the light of one wavelength, nm.
 
-        Any other wavelength raises `MistrayError`.
+        A wavelength that was not traced raises `MistrayError`.
         """
         runs = self._runs_at(wavelength_nm)
         return energy_ledger(runs, flux_report(runs))
 
     def energy_of(self, source: str) -> Energy:
         """
-        Return the energy ledger, W, of one source, by its name in the path table.
+        Return the energy ledger of the light of one source, given by its name in the path table.
 
         Raises
         ------
@@ -320,9 +322,9 @@ class Trace(
 
     def surfaces_at(self, wavelength_nm: float) -> FluxReport:
         """
-        Return the flux at every surface, W, at one of the wavelengths of the trace, nm.
+        Return the flux at every surface, W, of the light of one wavelength, nm.
 
-        Any other wavelength raises `MistrayError`.
+        A wavelength that was not traced raises `MistrayError`.
         """
         return flux_report(self._runs_at(wavelength_nm))
 

@@ -128,8 +128,8 @@ class TracedAgain:
         groups : int or sequence of int or of sequences of int
             Path ids; a path may be in one group only.
         with_noise : bool or sequence of bool
-            Whether all maps, or each, get their noise; without it is NaN. During the sum a pixel of a map takes
-            8 bytes, with noise 8 bytes for each group of batches (`mistray.recorders.film.groups_of`).
+            Whether all maps, or each of them, get their noise, which is NaN otherwise. During the sum a pixel of a map
+            takes 8 bytes, with noise 8 bytes for each group of batches (`mistray.recorders.film.groups_of`).
 
         Yields
         ------
@@ -199,7 +199,8 @@ class TracedAgain:
         Returns
         -------
         dict
-            Rays by path; none of a path that no ray of the sample follows. When the time is up the sample is smaller.
+            Rays by path id; an empty list for a path that no ray of the sample follows. When the time is up the sample
+            is smaller.
 
         Raises
         ------
@@ -220,7 +221,7 @@ class TracedAgain:
         Returns
         -------
         dict
-            Light cones by path; none of a path that is too rare to occur twice in the sample.
+            Light cones by path id; a path that occurs less than twice in the sample is left out.
 
         Raises
         ------
@@ -238,7 +239,7 @@ class TracedAgain:
         start_rays : int
             Largest number of start rays of each source and wavelength.
         n : int
-            Largest number of rays of each path; a path that is rare has few or none.
+            Largest number of rays of each path; a rare path has few or none.
 
         Returns
         -------
@@ -305,8 +306,8 @@ class TracedAgain:
         """
         Return a table of rays that arrive at any surface or leave the scene, by tracing them again.
 
-        A row has the last node of a ray, or with `events` one of its nodes, with the columns of `RayHistory.to_pandas`,
-        and source, kind, key and history.
+        A row has the last node of a ray, or with `events` one of its nodes. Its columns are those of
+        `RayHistory.to_pandas`, source, kind, key, and without `events` history.
 
         Parameters
         ----------

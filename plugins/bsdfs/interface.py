@@ -518,14 +518,14 @@ class Interface(mi.BSDF):
 
 
 def _resolve(path: str) -> str:
-    """Return the absolute path of a file named relative to the scene file; unchanged if the file is not found."""
+    """Return the path of a file named relative to the scene file, as Mitsuba resolves it; unchanged if not found."""
     found = Path(str(mi.file_resolver().resolve(path)))
     # A folder that is left by ".." may be gone when the file is read again
     return str(found.resolve() if ".." in found.parts and found.exists() else found)
 
 
 def _chances(shares: list[mi.Float]) -> list[mi.Float]:
-    """Return the probability of drawing each component, in proportion to its fraction of the flux."""
+    """Return the probability of drawing each component, in proportion to its fraction of the flux; 0 without flux."""
     total = dr.detach(sum(shares, mi.Float(0)))
     return [dr.select(total > 0, dr.detach(share) / dr.select(total > 0, total, 1), 0) for share in shares]
 

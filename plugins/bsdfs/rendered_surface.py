@@ -162,9 +162,10 @@ class RenderedScattering(Scattering):
 
     def draw(self, reflect: mi.Bool, u: mi.Float, v: mi.Point2f) -> mi.Vector3f:
         """
-        Return a unit scatter direction sampled with u, v in 0 … 1.
+        Return a unit direction of scatter in the local frame, drawn with random numbers u and v in 0 … 1.
 
-        A direction that points into the surface carries no light.
+        Light is scattered in reflection where `reflect` is True, else in transmission. A direction on the other side of
+        the surface carries no light.
         """
         _, lobes, total, frame = self._lobes(reflect)
         # The remainder of the first number after the choice of the lobe places the direction within a table cell
@@ -176,7 +177,11 @@ class RenderedScattering(Scattering):
         return self._random(lobes, total, [u, v.x, v.y, dr.minimum(left, ONE_LESS)], frame)
 
     def evaluate(self, reflect: mi.Bool, direction: mi.Vector3f, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
-        """Return BSDF · cosine for a direction, 1/sr, and the pdf with which it is drawn, 1/sr."""
+        """
+        Return BSDF · cosine for a local unit direction, 1/sr, and the pdf with which `draw` draws it, 1/sr.
+
+        Both are 0 for directions on the other side, see `draw` for `reflect`.
+        """
         _, lobes, total, frame = self._lobes(reflect)
         cos_s = dr.dot(direction, frame.outward)
         value, _, pdf = self._evaluate(lobes, total, direction, cos_s, frame)
@@ -246,9 +251,11 @@ class RenderedSurface:
         self, radiance: bool, d: mi.Vector3f, it: Interaction, x_axis: mi.Vector3f | None
     ) -> RenderedScattering | None:
         """
-        Return the scatter at a hit, of forward light or backward rays, with derivatives; None without scatter.
+        Return the scatter at a hit, with derivatives; None without scatter.
 
-        Raise `MistrayError` if a parameter with a derivative belongs to a model that scatters nothing here.
+        It is that of rays traced backward from the sensor if `radiance`, else of forward light. For other parameters
+        see `RenderedScattering`. Raise `MistrayError` if a parameter with a derivative belongs to a model that scatters
+        nothing here.
         """
         tables = self._tables[radiance]
         moving = [

@@ -106,12 +106,13 @@ class Collimated(LightSource):
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
         """
-        Return the beam in world coordinates, float64.
+        Return the beam at a field angle and azimuth, degrees, in world coordinates; None: those of the source.
 
         Returns
         -------
-        pivot, direction, u, v : (3,) float
-            Pivot, mm; unit vector along the beam; and vectors u and v that span the plane of the cross-section.
+        pivot, direction, u, v : (3,) float64
+            Pivot, mm; unit vector along which the light travels; unit vectors u and v that span the plane of the
+            cross-section.
         """
         pivot, direction, u, v = super().frame(field_deg, azimuth_deg)
         if self.plane == "axis":
@@ -140,8 +141,8 @@ class Collimated(LightSource):
         """
         Return the distance from the pivot upstream, mm, to the start of the rays: `distance` if it is given.
 
-        Otherwise a plane across the beam clears the bounding box there. Raise `MistrayError` for a scene without
-        shapes.
+        Otherwise a plane across the beam, which goes along the unit vector `direction` through `pivot`, mm, clears the
+        scene's bounding box there. Raise `MistrayError` for a scene without shapes.
         """
         if self.distance > 0:
             return self.distance

@@ -30,7 +30,11 @@ class RaySource(Protocol):
         """Name of the ray source in tables."""
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
-        """Return the start points of n rays, mm, with unit directions and weights, see `mistray.trace.host.ray_sources`."""
+        """
+        Return the start points of n rays, mm, with unit directions and weights.
+
+        For the unit of the weights see `mistray.trace.host.ray_sources`.
+        """
 
 
 @dataclass(frozen=True, eq=False)

@@ -240,8 +240,8 @@ class ChainTracer:
         """
         Return masks of the n rays that go on transmitted and reflected, and the fraction of its weight that each keeps.
 
-        `R` and `T` are the specular fractions at their hits of the surfaces `s`, without scattered light. If both events
-        are allowed, one is drawn in proportion to them and keeps the flux of both.
+        `R` and `T` are the specular fractions at their hits of the surfaces `s`, without scattered light. If both
+        events are allowed, one is drawn in proportion to them and keeps the flux of both.
         """
         opaque = (it.word & OPAQUE) != 0
         mirror = ((it.word & MIRROR) != 0) | dr.gather(mi.Bool, self.mirrors, s, active)
