@@ -195,7 +195,7 @@ def log_range(maps: list[Map], decades: float = 10.0) -> tuple[float, float] | N
 
 def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]:
     """
-    Return the difference of a map from its mirror image x → -x, as a check of the sampling.
+    Return the relative difference of a map from its mirror image x → -x, as a check of the sampling.
 
     A system of revolution with the source in the y-z plane (azimuth 0 or 180 degrees) gives a map that is symmetric
     about its vertical centre line. What remains is noise, so the measured value should be about the expected one.
@@ -203,8 +203,8 @@ def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]
     Returns
     -------
     measured : float
-        Σ|E - E'| / Σ(E + E'), 0 … 1, over the pixels whose error, and that of whose mirror image, is known. E' is the
-        mirrored map. Both numbers are NaN if there is no light in these pixels.
+        Σ|E - E'| / Σ(E + E'), 0 … 1, where E' is the mirrored map. The sums are over pixels that have a known error, as
+        their mirror images have. Both numbers are NaN if there is no light in these pixels.
     expected : float
         Expected value of `measured` for Gaussian noise of the standard errors alone: the mean of |N(0, s)| is
         s·sqrt(2/π).

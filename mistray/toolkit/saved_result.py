@@ -319,8 +319,8 @@ class _Decoder:
         """
         Return an instance of a class with its state, as copies are made: nothing is computed or checked.
 
-        The state of a dataclass has all fields that it declares and no others, else `ValueError` is raised. So it is
-        for a name of another class that `_is_part_of` refuses.
+        `ValueError` is raised if the state of a dataclass lacks a field, or has another attribute than its fields. So
+        it is if the state of another class has a name that `_is_part_of` refuses.
         """
         kind = _class(value["of"])
         self._known[value["number"]] = made = object.__new__(kind)

@@ -177,7 +177,11 @@ class TomlSection:
         return tuple(float(v) for v in values)
 
     def texts(self, key: str, form: str) -> tuple[str, ...]:
-        """Return the list of non-empty strings at a key; raise `MistrayError` for anything else: "give" and `form`."""
+        """
+        Return the non-empty strings in the list at a key.
+
+        Anything else raises `MistrayError`, whose message asks for `form`.
+        """
         value = self.content.get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
             raise self.fail(key, f"is {value!r}; give {form}")

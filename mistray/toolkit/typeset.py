@@ -34,8 +34,8 @@ def typeset(text: str) -> str:
     """
     Return text with its numbers as in print: "1.2e-06 ± 3e-08 W" becomes "(1.20 ± 0.03)·10⁻⁶ W".
 
-    No line breaks within a number or before its unit. A hyphen before a number becomes a minus sign, and "log10"
-    becomes "log₁₀"; other words remain unchanged.
+    Blanks within a number and before its unit become no-break spaces. A hyphen before a number becomes a minus sign,
+    and "log10" becomes "log₁₀"; other words remain unchanged.
     """
     text = _PAIR.sub(_pair, text)
     text = _SINGLE.sub(lambda found: _single(found[1], int(found[2])), text)

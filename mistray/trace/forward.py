@@ -405,7 +405,7 @@ def _explain(error: UnfinishedError, result: Callable[[list[Run]], Trace]) -> No
     """
     Replace the runs in `error.partial` by a `Trace` of them, or by None.
 
-    It is None if their rays are too few for a fair sample of all light; the message says which.
+    It is None if their rays are too few for a fair sample of all light. The message says how many rays are finished.
     """
     runs, error.partial = error.partial, None
     planned = sum(run.rays for run in runs)

@@ -299,7 +299,7 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
 
 def _requested(recorder: BranchRecorder, keys: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
     """
-    Return the recorder slots, (n,) int, of at most `most` branches of each path whose number is in `keys`.
+    Return the recorder slots, (n,) int, of at most `most` branches of each path whose key is in `keys`, (p,) uint64.
 
     They are those of the first start rays. `starts`, (b,) int, is the place of each recorded branch's start ray in the
     sample: the order of the slots is that of threads, and differs from call to call.

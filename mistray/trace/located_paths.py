@@ -30,7 +30,7 @@ class LocatedPaths(NamedTuple):
     @property
     def sums(self) -> np.ndarray:
         """
-        Flux sums of the paths by batch, (n, BATCHES, SUMS), see `mistray.recorders.ledger`.
+        Flux sums of the paths by batch, (n, BATCHES, SUMS or STOKES_SUMS), see `mistray.recorders.ledger`.
 
         Their unit of flux is the flux of a start ray.
         """

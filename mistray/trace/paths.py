@@ -218,7 +218,7 @@ class PathTable(
         """
         Return the ids of all direct paths if `direct`, else of all stray ones, (n,).
 
-        If `wavelength_nm` is given, only paths of that wavelength count.
+        With `wavelength_nm`, nm, only paths of that wavelength count; None: those of all wavelengths.
         """
         chosen = (self._columns["kind"] == DIRECT) == direct
         if wavelength_nm is not None:

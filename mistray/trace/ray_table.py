@@ -65,9 +65,9 @@ def ray_table(
     Return a table of rays that reach the detector, one row for each ray, or for each node of each ray if `events`.
 
     `n` is the most rays that are returned, spread over the beam; None: all. `box` is x0, x1, y0, y1 on the detector,
-    mm; `pixels` are first and end of its columns and rows; None: the whole detector. Flux is in W, positions and
-    optical path lengths in mm; see `mistray.trace.Trace.rays` for the columns. An `n` below 1, an empty box and pixels
-    out of range raise `MistrayError`.
+    mm; `pixels` is c0, c1, r0, r1 for its columns c0 … c1 - 1 and rows r0 … r1 - 1. None: the whole detector. Flux is
+    in W, positions and optical path lengths in mm; see `mistray.trace.Trace.rays` for the columns. An `n` below 1, an
+    empty box, pixels out of range and several detectors raise `MistrayError`.
     """
     import pandas as pd
 

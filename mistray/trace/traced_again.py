@@ -61,7 +61,7 @@ class TracedAgain:
         Raises
         ------
         MistrayError
-            If there is no such path, or the trace has no path table.
+            If there is no such path, or the trace has no path table or several detectors.
         """
         return self.maps([path_ids])[0]
 
@@ -94,6 +94,8 @@ class TracedAgain:
         MistrayError
             If a number is out of range, a name does not exist, no surface can be unrolled, or a filter is not valid or
             compares another column.
+        UnfinishedError
+            If the time is up before all rays are traced.
         """
         filters = [PathFilter(text) for text in Several(TEXT, least=0).check("selections", selections)]
         return light_maps(self.runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
@@ -115,7 +117,7 @@ class TracedAgain:
         Raises
         ------
         MistrayError
-            If there is no such path, a path is in two groups, or the trace has no path table.
+            If there is no such path, a path is in two groups, or the trace has no path table or several detectors.
         """
         return [found.with_se for found in self.each_map(groups, True)]
 
@@ -139,7 +141,7 @@ class TracedAgain:
         Raises
         ------
         MistrayError
-            If there is no such path, a path is in two groups, or the trace has no path table.
+            If there is no such path, a path is in two groups, or the trace has no path table or several detectors.
         """
         return path_images(self.paths, self.task, groups, with_noise)
 
@@ -226,7 +228,7 @@ class TracedAgain:
         Raises
         ------
         MistrayError
-            If there is no such path, or the trace has no path table.
+            If there is no such path, or the trace has no path table or several detectors.
         """
         return light_cones(self.paths, path_ids)
 
@@ -296,7 +298,7 @@ class TracedAgain:
         ------
         MistrayError
             For a filter that cannot be parsed or names something that does not exist, an empty box, pixels out of
-            range, n below 1, and a trace without a path table.
+            range, n below 1, and a trace without a path table or with several detectors.
         """
         return ray_table(self.paths, PathFilter(selection), n, box, pixels, events)
 

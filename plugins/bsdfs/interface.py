@@ -373,7 +373,7 @@ class Interface(mi.BSDF):
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: mi.Mask
     ) -> tuple[Interaction, RenderedScattering | None, list[mi.Float]]:
         """
-        Return the interaction at a hit, its scatter, and the fraction of flux in each of `COMPONENTS`.
+        Return the interaction at a hit, its scatter, and the fraction of the incident flux in each of `COMPONENTS`.
 
         Without scatter the second is None, and the third has two entries.
         """
@@ -457,7 +457,7 @@ class Interface(mi.BSDF):
         wo: mi.Vector3f,
         active: mi.Mask,
     ) -> tuple[mi.Float, mi.Float]:
-        """Return BSDF · cosine for the direction wo, 1/sr, and the pdf of wo, 1/sr."""
+        """Return BSDF · cosine for the local direction wo, 1/sr, and the pdf with which `sample` draws it, 1/sr."""
         reflect = wo.z * si.wi.z > 0
         enabled = [ctx.is_enabled(COMPONENTS[k], k) for k in (2, 3)]
         lit = mi.Bool(active) & dr.select(reflect, *map(mi.Bool, enabled))

@@ -123,11 +123,11 @@ class RenderedScattering(Scattering):
     surface : RenderedSurface
         Surface that is hit.
     d : mi.Vector3f
-        Direction of the ray in the local frame of the hit.
+        Unit direction in which the ray travels, in the local frame of the hit.
     it : Interaction
         Interaction of the ray with the surface.
     x_axis : mi.Vector3f or None
-        Direction of the sample's x axis; None if no model depends on it.
+        Unit vector along the sample's x axis, in the local frame; None if no model depends on it.
     """
 
     def __init__(
@@ -216,7 +216,11 @@ class RenderedSurface:
         self._moving: dict[bool, ModelTables] = {}
 
     def coating(self, from_front: mi.Bool, cos_i: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """Return R, T and cos θt, with derivatives with respect to R and T of an ideal coating."""
+        """
+        Return R, T and cos θt at hits with cosines of the angle of incidence `cos_i`, from the front or the back.
+
+        cos θt is 0 in total reflection. Derivatives are carried with respect to R and T of an ideal coating.
+        """
         table: Any = self
         # Copies, since Dr.Jit may widen a literal in place where a mask is one as well
         ideal = mi.Float(self._interface.R), mi.Float(self._interface.T)
@@ -224,7 +228,7 @@ class RenderedSurface:
         return shares_at(table, mi.UInt32(NUMBER), word, from_front, cos_i, active, row)
 
     def meet(self, d: mi.Vector3f, active: mi.Bool) -> Interaction:
-        """Return the interaction of a ray with direction d with the surface, in the local frame of the hit."""
+        """Return the interaction of the surface with a ray along the unit vector d, in the local frame of the hit."""
         # A detector's mesh has its normals towards the front
         to_back = -1 if self._interface.turned else 1
         from_front, cos_i = d.z * to_back > 0, dr.minimum(dr.abs(d.z), 1)

@@ -67,7 +67,7 @@ class SampleAxis:
 
     def local(self, si: mi.SurfaceInteraction3f, turned: bool) -> mi.Vector3f:
         """
-        Return the direction of the axis at a hit, in the local frame.
+        Return the unit vector along the axis at a hit, in the local frame.
 
         For a shape without a frame of its own, "x" is the x axis of Mitsuba's shading frame, as on a ``rectangle``.
         `turned` is True if the normals of the mesh point to the front.

@@ -120,7 +120,7 @@ class Collimated(LightSource):
         return pivot, direction, u, v
 
     def source(self, request: SourceRequest, **facts: Any) -> Beam:
-        """Return the beam as the start ray source of a trace at one wavelength."""
+        """Return the beam as the start ray source of a trace at one wavelength, see `LightSource.source`."""
         return Beam(distance=self.start_distance(request.bounds, facts["direction"], facts["pivot"]), **facts)
 
     def positions(self, sample: mi.Point2f) -> tuple[mi.Float, mi.Float]:
@@ -171,9 +171,9 @@ class Collimated(LightSource):
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
         """
-        Return, for Mitsuba's integrators, the direction towards the beam from a point and its irradiance, W/mm².
+        Return, for Mitsuba's integrators, a sample of the direction against the beam, and its irradiance, W/mm².
 
-        The irradiance is 0 outside the beam.
+        The irradiance is that across the beam at the point of `it`, and 0 outside the beam.
         """
         pivot, direction, u, v = self.frame()
         normal = np.cross(u, v)

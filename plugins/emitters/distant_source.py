@@ -20,9 +20,10 @@ class DistantSource(LightSource):
     Attributes
     ----------
     densities : tuple of str
-        Names of the quantities that may give its flux; the first is the default, with the value 1.
+        Names of the quantities that may give its flux, ``irradiance`` (W/mm²) and ``radiance`` (W/mm²/sr). The first is
+        the default, with the value 1.
     given : tuple of (str, float)
-        Quantity that gives its flux, and its value.
+        Quantity that gives its flux, and its value in this unit.
     """
 
     densities: ClassVar[tuple[str, ...]] = ("irradiance", "radiance")

@@ -36,9 +36,9 @@ class NearSource(LightSource):
     Attributes
     ----------
     densities : tuple of str
-        Names of quantities that may give its flux, instead of ``power``.
+        Names of quantities that may give its flux, instead of ``power``, such as ``radiance``.
     given : tuple of (str, float)
-        Quantity that gives its flux, and its value.
+        Quantity that gives its flux, and its value, of ``power`` in W, else in the unit of its property.
     in_object_plane : bool
         Whether a field angle displaces it in the plane of its ``z``, as an object of a lens, instead of rotating it.
     """

@@ -224,7 +224,7 @@ class Thermal(LightSource):
     def sample_ray(
         self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
-        """Return no light for Mitsuba's own integrators."""
+        """Return rays without light to Mitsuba's own integrators."""
         return dr.zeros(mi.Ray3f, dr.width(sample2)), mi.Spectrum(0)
 
 

@@ -263,7 +263,7 @@ def curvature_of(shape: FormulaShape, props: mi.Properties, radius: str, curvatu
 
 
 def check_reach(vertices: np.ndarray, name: str) -> None:
-    """Raise `MistrayError` if a world coordinate of the vertices of a shape, mm, is not below `FARTHEST_MM`."""
+    """Raise `MistrayError` if a world coordinate of a vertex, mm, is `FARTHEST_MM` or more in size; name the shape."""
     farthest = float(np.abs(vertices).max())
     if not farthest < FARTHEST_MM:
         raise MistrayError(

@@ -114,7 +114,7 @@ class Table(PagePart):
     name : str
         Id on a page, and name of the table in JSON and of its CSV file.
     sortable : bool
-        Whether a click on a heading sorts it on a page.
+        Whether a click on a heading sorts the table on a page.
     filter : (str, str), optional
         Placeholder and screen-reader label of a `Filter` above the table; None: there is none.
     fold : str
@@ -191,11 +191,9 @@ class Filter(PagePart):
 @dataclass(frozen=True)
 class NotePart(PagePart):
     """
-    Text in a report; `style` "" is a paragraph, "note" small print, "h3" a heading, "pre" a command.
+    Text in a report: a paragraph, or by `style` small print ("note"), a heading ("h3") or a command ("pre").
 
-    `style` "sub" is the computed quantity.
-
-    A heading with an `anchor` can be linked to.
+    The style "sub" is for the computed quantity. A heading with an `anchor` can be linked to.
     """
 
     text: str
@@ -314,7 +312,11 @@ class PartGroup(PagePart):
 
 
 def without_groups(parts: Iterable[PagePart]) -> Iterator[PagePart]:
-    """Yield parts in order, those of groups and folds in place of these, and before a fold's its summary as a note."""
+    """
+    Yield parts in order, with the parts of groups and folds in place of these.
+
+    The summary of a fold comes before its parts, as a note.
+    """
     for part in parts:
         if isinstance(part, Folded):
             yield NotePart(part.summary)

@@ -28,7 +28,7 @@ OPTIC, BEVEL, OTHER_OPTIC, STRUCTURE, DETECTOR = "optic", "bevel or edge", "othe
 
 def role(table: SurfaceTable, path: DesignPath | None, surface: int) -> str:
     """
-    Return the role of the surface of an index: optic, bevel or edge, other optic, structure, detector.
+    Return the role of a surface, given by its index: optic, bevel or edge, other optic, structure, detector.
 
     An optic belongs to the design path `path`; None: there is none.
     """
@@ -95,9 +95,10 @@ def _totals(
     table: SurfaceTable, surface: int, models: Sequence[LobeModel], from_front: bool, cosine: float = 1.0
 ) -> Totals:
     """
-    Return the `Totals` of scatter models at the surface of an index, for one cosine of the angle of incidence.
+    Return the `Totals` of scatter models at a surface, for one cosine of the angle of incidence.
 
-    Light arrives from the front if `from_front`, else from the back. Through an opaque surface nothing is scattered.
+    `surface` is its index. Light arrives from the front if `from_front`, else from the back. Through an opaque surface
+    nothing is scattered.
     """
     opaque = bool(table.optics.host_words[surface] & OPAQUE)
     sides = light_indices(table.optics, surface, from_front)

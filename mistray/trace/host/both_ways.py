@@ -53,7 +53,7 @@ class Branches:
     Attributes
     ----------
     o, d, axis : (n, 3) float64
-        Origins (mm), directions, and unit vectors across these to which the Stokes vectors refer.
+        Origins (mm), unit directions, and unit vectors across these to which the Stokes vectors refer.
     mean : (n,) float64
         Flux by the mean of s and p, in units of a start ray.
     light : (n, 4) float64
@@ -61,8 +61,8 @@ class Branches:
     floor : (n,) float64
         Flux below which branches end, in units of a start ray.
     last, medium, reflections, ray : (n,) int
-        Index of the surface that they come from (-1: none), index of their material, number of reflections that count,
-        and index of the start ray.
+        Index of the surface that they come from (-1: none), index of their material, number of reflections that count
+        for `max_reflections`, and index of the start ray.
     scattered : (n,) bool
         Whether a surface has scattered them.
     codes : (n, k) int
@@ -126,7 +126,7 @@ class Arrivals:
     scattered : bool
         Whether a surface scatters the light.
     reflections : int
-        Number of reflections that count.
+        Number of reflections that count for `max_reflections`.
     name : str
         Name of the light for messages.
     """
@@ -263,7 +263,7 @@ class _Tree:
         Branches that arrived at a detector, and the flux that it absorbs of each, by the mean of s and p and by Stokes
         vectors, in units of a start ray.
     dim : list of _Lit
-        Hits of surfaces that scatter so far.
+        Hits so far of surfaces that scatter.
     hits : int
         Number of hits of surfaces.
     """
@@ -414,8 +414,8 @@ class _Tree:
         """
         Record branches that meet scattering surfaces, unless they were scattered before.
 
-        `sent` maps an event to R or T for s and p, (n, 2), and to the children's Stokes vectors. Events that the
-        settings do not allow are left out.
+        The hits are at `surface`, (n,), with unit normals to the back, (n, 3). `sent` maps an event to R or T for s and
+        p, (n, 2), and to the children's Stokes vectors, (n, 4). Events that the settings do not allow are left out.
         """
         for (number, side, event), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side) & ~b.scattered)
@@ -537,7 +537,8 @@ def _turned(b: Branches, normal: Floats) -> Branches:
     """
     Return branches whose Stokes vectors refer to axes normal to the plane of incidence.
 
-    At normal incidence, where there is no such plane, they keep their axes.
+    `normal`, (n, 3), are unit normals of the surfaces. At normal incidence, where there is no such plane, branches keep
+    their axes.
     """
     s = _cross(b.d, normal)
     size = np.sqrt(np.einsum("ij,ij->i", s, s))[:, None]

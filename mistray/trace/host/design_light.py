@@ -25,7 +25,7 @@ class DesignLight:
     last, hit : (n, 3) float64
         Points on the last surface before the detector (or at the start) and on the detector, mm.
     direction : (n, 3) float64
-        Unit direction between these points.
+        Unit direction from the former to the latter.
     normal : (n, 3) float64
         Unit normal of the detector.
     opl_mm : (n,) float64

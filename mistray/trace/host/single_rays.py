@@ -35,7 +35,7 @@ class StartPoints:
     o, d : (n, 3) float64
         Origins, mm, and unit directions.
     weight : (n,) float64
-        Weights of the rays.
+        Weights of the rays, see `mistray.trace.host.ray_sources` for their unit.
     left : int
         Index of the surface that all of them start on; -1 for none.
     normal : (n, 3) float64, optional

@@ -100,7 +100,7 @@ class PupilStop:
     centre, u, v : (3,) float64
         Centre of the surface's opening, mm, and unit vectors in its plane, roughly along x and y of the entering light.
     radius : float
-        Largest distance from the centre at which light on the axis crosses the stop, mm.
+        Largest distance from the centre at which the light that `find_stop` is given crosses the stop, mm.
     """
 
     name: str
@@ -154,7 +154,7 @@ class PupilStop:
 
 def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str | None) -> PupilStop:
     """
-    Return the aperture stop: the surface that blocks most of the rays just outside the light on the axis.
+    Return the aperture stop: the surface that blocks most of the rays just outside a beam that gets through.
 
     If it is a mount around a lens or mirror, this lens or mirror is the stop.
 
@@ -163,7 +163,7 @@ def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str |
     path : DesignPath
         Design path of the scene.
     bundle : PointBundle
-        Light on the axis.
+        Light on the axis, or at the first field if none on the axis gets through.
     region : Region
         Region of this light.
     name : str or None
@@ -250,7 +250,7 @@ def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Regi
 
 
 def _sized(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """Return the stop with the radius, mm, that the on-axis light fills, the largest of `SECTORS` directions."""
+    """Return the stop with the radius, mm, that the light of `region` fills, the largest of `SECTORS` directions."""
     at = stop.coordinates(path, bundle, region.points)
     sector = np.floor((np.arctan2(at[:, 1], at[:, 0]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     reach = np.linalg.norm(at, axis=1)
