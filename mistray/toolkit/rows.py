@@ -25,7 +25,11 @@ _COLUMN = "column"
 
 @dataclass(frozen=True)
 class _Shown:
-    """Display of a row's field in tables: heading, number format and unit; see `column` for the attributes."""
+    """
+    Display of a row's field in tables: heading, number format and unit.
+
+    `kind` is the type of the field, as written. For the other attributes see `column`.
+    """
 
     doc: str
     head: str = ""
@@ -59,14 +63,14 @@ class _Shown:
 
 def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     """
-    Declare a field of a result's row, with the way it is shown in tables.
+    Return a dataclass field of a result's row, with the way it is shown in tables.
 
     Parameters
     ----------
     doc : str
         Meaning of the field, one sentence.
     default
-        Default value of the field.
+        Default value of the field; without one the field is required.
     **how
         ``head``, heading of the column, such as "share [n²]"; by default it is made from the name: "temperature_K" is
         headed "temperature [K]". ``digits``, format of a number that has no error (".4g"). ``empty``, text in place of

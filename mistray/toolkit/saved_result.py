@@ -75,7 +75,7 @@ def save_result(result: Result, path: str | Path) -> Path:
 
 def load_result(path: str | Path) -> Result:
     """
-    Load a result that `Result.save` has saved.
+    Return a result that `Result.save` has saved.
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ class TomlSection:
 
     def make(self, kind: type[T], read: Mapping[str, Any] | None = None, /, **missing: Any) -> T:
         """
-        Create a dataclass from the table, see `keys_of`; its constructor checks the values.
+        Return an object of a dataclass made from the table, see `keys_of`; its constructor checks the values.
 
         Parameters
         ----------

@@ -87,9 +87,9 @@ def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 def undeclared_images(trace: Trace) -> list[Note]:
     """
-    Return notes on detectors without a design path whose light comes by one path alone, without scatter.
+    Return notes on detectors without a design path that get nearly all of their light by one path without scatter.
 
-    The share of that path in the detector's power is above `IMAGE`. The trace must have a path table.
+    The share of this path in the detector's power is above `IMAGE`. The trace must have a path table.
     """
     found = []
     table, design = trace.runs[0].table, trace.runs[0].design
@@ -358,7 +358,8 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
     """
     Return the surfaces and media whose scattered light never reached the detector, most flux first.
 
-    The list is empty if paths were not kept, or if `max_scatters` is 0 or `ray_control` other than "allow_all".
+    They were hit at least `FEWEST_HITS` times. The list is empty if paths were not kept, `max_scatters` is 0, or
+    `ray_control` is not "allow_all".
     """
     lit: dict[str, np.ndarray] = {}
     heard: set[str] = set()

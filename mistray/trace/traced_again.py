@@ -315,7 +315,8 @@ class TracedAgain:
         ----------
         where : str or sequence of str
             Surfaces or parts, with * for any letters and ? for one; or "blocked" (all opaque ones but detectors),
-            "escaped", or "returned" (escaped backwards). Light that misses all surfaces is left out.
+            "escaped", or "returned" (escaped at over 90° to its first direction). Light that misses all surfaces is
+            left out.
         selection, n, events
             Filter, largest number of rays (None: all), and whether there is a row for each node, see `rays`. The filter
             may compare kind, order and the like, wavelength_nm, source, surface.

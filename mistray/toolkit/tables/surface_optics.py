@@ -46,8 +46,8 @@ def surface_optics(table: SurfaceTable, path: DesignPath | None) -> tuple[pd.Dat
     """
     Return R, T, A, scatter models and total integrated scatter (TIS) of every surface at normal incidence, percent.
 
-    Optics of the design path are given for the side of the incoming light, all others for both sides, in one row
-    if both are alike. Percentages are of the incident light.
+    Optics of the design path are given for the side from which its light meets them, the last time, all others for both
+    sides, in one row if both are alike. Percentages are of the incident light.
 
     Parameters
     ----------

@@ -142,7 +142,11 @@ class Arrivals:
     name: str = ""
 
     def plus(self, other: Arrivals) -> Arrivals:
-        """Return two arrivals added up: flux, W, hits and residual; the spread is the larger of the two."""
+        """
+        Return two arrivals added up: flux, W, hits and residual.
+
+        The spread is the larger of the two; all else is that of this one.
+        """
         sums = {name: getattr(self, name) + getattr(other, name) for name in ("mean", "stokes", "residual", "hits")}
         return replace(self, **sums, spread=max(self.spread, other.spread))
 

@@ -62,8 +62,8 @@ class PolarizationChoice:
     reason : str
         Reason for the mode, as a phrase.
     change : float
-        Largest relative change of the flux of a listed path, or of the stray light, by Stokes vectors instead of the
-        means of s and p; above 0: it is more by Stokes vectors. 0 where nothing polarises, NaN if not measured.
+        Relative change of the flux of a listed path, or of the stray light, by Stokes vectors instead of the means of s
+        and p, the largest in size. Above 0: more by Stokes vectors. It is 0 where nothing polarises, NaN if not measured.
 
     Examples
     --------
