@@ -63,7 +63,8 @@ class PolarizationChoice:
         Reason for the mode, as a phrase.
     change : float
         Relative change of the flux of a listed path, or of the stray light, by Stokes vectors instead of the means of s
-        and p, the largest in size. Above 0: more by Stokes vectors. It is 0 where nothing polarises, NaN if not measured.
+        and p, the largest in size. It is above 0 if Stokes vectors give more flux, 0 where nothing polarises, and NaN
+        if it was not measured.
 
     Examples
     --------
