@@ -121,7 +121,7 @@ def described(kind: type) -> dict[str, str]:
 
 def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     """
-    Return rows as a DataFrame, which has all columns of their class even without rows.
+    Return rows as a DataFrame with all columns of their class, also if there are no rows.
 
     Parameters
     ----------

@@ -176,7 +176,7 @@ class PathTable(
         requested : PathFilter
             Filter.
         by_ray : frozenset of str
-            Names of columns of rays, whose values a path does not determine.
+            Names of columns that a ray has and a path does not.
 
         Raises
         ------

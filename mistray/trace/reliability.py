@@ -67,7 +67,8 @@ def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """
     Return a note for each reason for which flux was cut, with the indices of the traces that it is about.
 
-    These have cut more than `LEAST_CUT` of the launched flux for this reason; without any there is no note.
+    These have cut more than `LEAST_CUT` of the launched flux for this reason. There is no note without such traces, nor
+    for reasons of `ZERO_ON_AVERAGE`.
     """
     found = []
     for reason in dict.fromkeys(reason for t in traces for reason in t.energy.cut if reason not in ZERO_ON_AVERAGE):

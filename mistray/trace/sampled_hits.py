@@ -205,7 +205,7 @@ def light_cones(paths: PathTable, path_ids: int | Sequence[int]) -> dict[int, Li
 
 def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
     """
-    Return the `LightCone` of the rays of a bundle, which are those of one path, at the detector.
+    Return the `LightCone` at the detector of a bundle, the rays of one path.
 
     A spot in the detector plane is the Fourier transform of the pupil over the direction cosines along that plane,
     times n/λ, with the index n before the detector and the vacuum wavelength λ. The direction cosines of a round,

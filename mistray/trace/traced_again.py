@@ -187,7 +187,7 @@ class TracedAgain:
 
     def sampled_rays(self, path_ids: int | Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
         """
-        Return rays of many paths, found by tracing a sample of the start rays again that is spread over the beam.
+        Return rays of many paths, found by tracing again a sample of the start rays, spread over the beam.
 
         `history` looks for rays of one path until it has enough; here a path that is rare has few rays or none.
 

@@ -375,7 +375,7 @@ class Interface(mi.BSDF):
         """
         Return the interaction at a hit, its scatter, and the fraction of the incident flux in each of `COMPONENTS`.
 
-        Without scatter the second is None, and the third has two entries.
+        Without scatter the second is None, and the third has two entries. It is 0 for components that `ctx` disables.
         """
         surface, active = self._rendered_surface(), mi.Bool(active)
         it, scattering = surface.meet(-si.wi, active), None

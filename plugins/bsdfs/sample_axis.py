@@ -62,7 +62,7 @@ class SampleAxis:
         self._known: tuple[list[np.ndarray], mi.Float] | None = None
 
     def carried(self, by: Any) -> None:
-        """Register a shape that carries the interface, whose ``matrix`` gives its own frame."""
+        """Register a shape that carries the interface; the frame of the shape is its ``matrix``."""
         self._shapes.append(weakref.ref(by))
 
     def local(self, si: mi.SurfaceInteraction3f, turned: bool) -> mi.Vector3f:

@@ -39,7 +39,7 @@ def properties_of(model: Any, own: Mapping[str, Param]) -> dict[str, Param]:
 
 class Scatterer(Interface):
     """
-    Base class of the scatter plugins: an interface without layers whose light one model scatters.
+    Base class of the scatter plugins: an interface without layers, and one model that scatters its light.
 
     A plugin names its model in `model_type`. The parameters of the model are those of the plugin, and `ALONE`.
 

@@ -100,7 +100,7 @@ class Collimated(LightSource):
         return min(self.pupil_area / self.area, 1.0)
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the flux of the beam, W, at its own field angle or another one, degrees."""
+        """Return the flux of the beam, W, at a field angle, degrees; None: its own."""
         theta = np.radians(self.field_deg if field_deg is None else field_deg)
         return float(self.irradiance * self.area * (np.cos(theta) if self.plane == "axis" else 1.0))
 
@@ -141,8 +141,8 @@ class Collimated(LightSource):
         """
         Return the distance from the pivot upstream, mm, to the start of the rays: `distance` if it is given.
 
-        Otherwise a plane across the beam, which goes along the unit vector `direction` through `pivot`, mm, clears the
-        scene's bounding box there. Raise `MistrayError` for a scene without shapes.
+        The beam goes along the unit vector `direction` through `pivot`, mm. Without `distance`, a plane across it at
+        the start clears the scene's bounding box. Raise `MistrayError` for a scene without shapes.
         """
         if self.distance > 0:
             return self.distance

@@ -65,7 +65,7 @@ class DistantDisc(DistantSource):
 
     @property
     def solid_angle(self) -> float:
-        """Effective solid angle of the disc, sr: π sin² ρ₀ (1 - ``limb``/3)."""
+        """Effective solid angle of the disc, sr: π sin² ρ₀ (1 - ``limb``/3) for the angular radius ρ₀."""
         return float(np.pi * np.sin(np.radians(self.values["diameter_deg"]) / 2) ** 2 * (1 - self.values["limb"] / 3))
 
     def directions(self, sample: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:

@@ -172,7 +172,7 @@ class LightSource(mi.Emitter):
         return self.stokes is not None
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the emitted flux, W, at the source's own field angle or another one, degrees."""
+        """Return the emitted flux, W, at a field angle, degrees; None: the source's own."""
         raise NotImplementedError
 
     def rays(self, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]) -> tuple[mi.Vector3f, mi.Vector3f]:

@@ -175,7 +175,7 @@ def write_figure(figure: Figure, path: str | Path) -> Path:
 
 def as_svg(figure: Figure, text: str = "") -> str:
     """
-    Return a figure as an SVG element for HTML, without metadata, which contains web addresses.
+    Return a figure as an SVG element for HTML, without Matplotlib's metadata and its web addresses.
 
     Text remains text, in the fonts of the reader. Coordinates are rounded to 0.01 point.
 
@@ -184,7 +184,7 @@ def as_svg(figure: Figure, text: str = "") -> str:
     figure : Figure
         Matplotlib figure.
     text : str
-        Description of the figure for screen readers.
+        Description of the figure for screen readers; empty: none.
     """
     buffer = io.StringIO()
     with rc_context({"svg.fonttype": "none"}):

@@ -153,7 +153,7 @@ def row_of(item: Any, *names: str) -> dict[str, Any]:
 
 def table_frame(table: Table) -> pd.DataFrame:
     """
-    Return a table as a DataFrame, whose columns are named by its headings and end in their units.
+    Return a table as a DataFrame with a column for each heading, named after it and its unit: "power_W".
 
     A column with an `Estimate` becomes two, value and standard error; its other cells are NaN. In other columns with a
     unit, text is read as a number, or is NaN if it is none.

@@ -98,7 +98,7 @@ class Branches:
 
     def after(self, code: Whole, d: Floats, axis: Floats, mean: Floats, light: Floats) -> Branches:
         """
-        Return the branches after one more event, whose codes, (n,), are `code`, see `codes`.
+        Return the branches after one more event; `code`, (n,), is that of each branch, see `codes`.
 
         Directions, axes and fluxes after it are those given, see the attributes of these names. Origins remain.
         """

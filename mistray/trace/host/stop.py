@@ -29,7 +29,7 @@ MET = 1e-10  # of the stop's radius, by which a chief ray may miss its middle
 @dataclass(frozen=True)
 class Region:
     """
-    Part of the entrance beam of a field point whose light reaches the detector.
+    Part of a field point's entrance beam that reaches the detector.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Region:
 
 def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Region | None:
     """
-    Return the part of the entrance beam whose light reaches the detector; None if no light does.
+    Return the part of the entrance beam that reaches the detector; None if no light does.
 
     `aperture`, mm, contains the first surface of the path; light is looked for within it.
     """
