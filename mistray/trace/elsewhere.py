@@ -125,7 +125,7 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
     """
     Return a mask of the surfaces that words name, (s,) bool: ids, parts, patterns or `BLOCKED`.
 
-    `BLOCKED` stands for all opaque surfaces but detectors. A word that names nothing raises `MistrayError`.
+    `BLOCKED` stands for all opaque surfaces but detectors. Another word that names nothing raises `MistrayError`.
     """
     ids, parts = run.table.ids, run.table.parts
     chosen = np.zeros(len(ids), dtype=bool)

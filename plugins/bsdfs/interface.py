@@ -338,7 +338,11 @@ class Interface(mi.BSDF):
         return self._glasses.known_indices(self.wavelength_nm)
 
     def indices(self, wavelength_nm: float) -> tuple[float, float]:
-        """Return the real refractive indices of the front and the back material at a wavelength, nm."""
+        """
+        Return the real refractive indices of the front and the back material at a wavelength, nm.
+
+        Raise `MistrayError` if one is not known there.
+        """
         return refractive_index(self.front, wavelength_nm), refractive_index(self.back, wavelength_nm)
 
     def complex_indices(self, wavelength_nm: float) -> tuple[complex, complex]:

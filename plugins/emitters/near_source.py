@@ -281,7 +281,7 @@ class ConeSource(NearSource):
         return self.offset(place, n), laws.direction(height, cosine, sine)
 
     def density(self, place: mi.Point2d, d: mi.Vector3d, n: Mapping[str, mi.Float64]) -> mi.Float64:
-        """Return the pdf of emission directions d, 1/sr: unit vectors in the frame of the source before the tilts."""
+        """Return the pdf, 1/sr, of emission directions d, unit vectors in the frame of the source before the tilts."""
         local = mi.Vector3d(*(dr.dot(d, axis) for axis in tilted_axes(n)))
         if self.table is not None:
             return self.table.density(local)

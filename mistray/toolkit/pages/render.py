@@ -87,7 +87,7 @@ def _hovering(figure: model.FigurePart) -> Markup:
 
 
 def drawn_map(given: model.Map) -> model.FigurePart:
-    """Return a map as a figure on a log10 scale."""
+    """Return the part of a report that shows a map as a drawn figure, on a log10 scale."""
     return model.FigurePart(functools.partial(_map_figure, given), given.title)
 
 
