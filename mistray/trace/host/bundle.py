@@ -34,7 +34,8 @@ class PointBundle:
     near : bool
         Whether the object point is near, so that coordinates are slopes.
     along : (3,) float64
-        Unit vector towards larger field angles: the change of the light's direction, or the motion of a near point.
+        Unit vector along which the field grows: the change of a distant point's light with the field angle; for a near
+        point the direction of positive object heights, y of its object plane turned by the azimuth.
     """
 
     origin: Array
