@@ -138,8 +138,8 @@ def trace(
     Raises
     ------
     MistrayError
-        If the scene lacks a source, a detector or an ``interface``, an argument is out of range, arguments exclude each
-        other, two recorders have the same name, or all rays of an emitter miss every surface.
+        If the scene lacks a source, a detector or an ``interface``, or an argument is out of range. Also if arguments
+        exclude each other, two recorders have the same name, or all rays of an emitter miss every surface.
     Interrupted
         On Ctrl-C, after rays of every source and wavelength were traced: ``partial`` is a `Trace` of them.
     KeyboardInterrupt

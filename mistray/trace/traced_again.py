@@ -298,7 +298,7 @@ class TracedAgain:
         ------
         MistrayError
             For a filter that cannot be parsed or names something that does not exist, an empty box, pixels out of
-            range, n below 1, and a trace without a path table or with several detectors.
+            range and n below 1. Also for a trace without a path table or with several detectors.
         """
         return ray_table(self.paths, PathFilter(selection), n, box, pixels, events)
 
@@ -314,7 +314,7 @@ class TracedAgain:
         Parameters
         ----------
         where : str or sequence of str
-            Surfaces or parts, with * for any letters and ? for one; or "blocked" (all opaque ones but detectors),
+            Surfaces or parts, with * for any letters and ? for one. Or "blocked" (all opaque ones but detectors),
             "escaped", or "returned" (escaped at over 90° to its first direction). Light that misses all surfaces is
             left out.
         selection, n, events

@@ -264,8 +264,8 @@ class _Tree:
     Attributes
     ----------
     ends : list of (Branches, (n,) float64, (n,) float64)
-        Branches that arrived at a detector, and the flux that it absorbs of each, by the mean of s and p and by Stokes
-        vectors, in units of a start ray.
+        Branches that arrived at a detector, and the flux that it absorbs of each, in units of a start ray: first by the
+        mean of s and p, then by Stokes vectors.
     dim : list of _Lit
         Hits so far of surfaces that scatter.
     hits : int

@@ -34,8 +34,9 @@ class PointBundle:
     near : bool
         Whether the object point is near, so that coordinates are slopes.
     along : (3,) float64
-        Unit vector along which the field grows: the change of a distant point's light with the field angle; for a near
-        point the direction of positive object heights, y of its object plane turned by the azimuth.
+        Unit vector along which the field grows. For a distant point it is the change of the light's direction with the
+        field angle. For a near point it is the direction of positive object heights: y of the object plane, turned by
+        the azimuth.
     """
 
     origin: Array
