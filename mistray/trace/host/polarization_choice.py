@@ -113,9 +113,9 @@ def chosen_polarization(
     settings : Settings
         Settings with `polarization` "auto"; any other mode is returned as it is.
     beams : sequence of Light
-        Light of each trace. At most `MOST_RUNS` of their sources and wavelengths are tested, spread over all.
+        Light of each trace. `MOST_RUNS` of their sources and wavelengths are tested, spread over all.
     runs_of : callable, optional
-        Function that prepares the runs of settings and light; None: `mistray.execute.tracer.prepare`.
+        Function that prepares the runs of settings and light; by default `mistray.execute.tracer.prepare`.
     """
     # Cases that need no trace
     if settings.polarization != "auto":
