@@ -94,7 +94,7 @@ def brightest(image: Sampled) -> Sampled:
 
 
 def highest_cell(value: npt.NDArray[np.float64], se: npt.NDArray[np.float64]) -> tuple[tuple[int, ...], Estimate]:
-    """Return the index of the largest value of an array, and that value with its standard error from `se`."""
+    """Return the index of the largest value of an array, and that value with its error from `se`, of the same shape."""
     place = tuple(int(k) for k in np.unravel_index(int(np.argmax(value)), value.shape))
     return place, Estimate(float(value[place]), float(se[place]))
 
@@ -113,7 +113,7 @@ def pixels_averaged(image: Map, cells: int) -> int:
 
 def averaged(image: Map, extent: Extent, cells: int) -> tuple[Map, Extent]:
     """
-    Return a map of fewer pixels: means over squares of `pixels_averaged` pixels.
+    Return a map of fewer pixels: means over squares whose side in pixels is `pixels_averaged`.
 
     Parameters
     ----------
@@ -181,8 +181,9 @@ def log_range(maps: list[Map], decades: float = 10.0) -> tuple[float, float] | N
     Returns
     -------
     (float, float) or None
-        Exponents of ten of floor and top, whole numbers, for W/mm². The floor is the 1 % quantile of the lit pixels or
-        ``decades`` below the top, whichever is higher. None when no pixel is lit.
+        Exponents of ten of floor and top, W/mm². The top is the largest irradiance, rounded up to a power of ten. The
+        floor is the 1 % quantile of the pixels above 0, rounded down. It lies at least one decade below the top, and at
+        most ``decades``. None when no pixel is above 0.
     """
     lit = np.concatenate([m[m > 0] for m in maps]) if maps else np.empty(0)
     if not lit.size:
@@ -194,7 +195,7 @@ def log_range(maps: list[Map], decades: float = 10.0) -> tuple[float, float] | N
 
 def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]:
     """
-    Return the difference of a map from its mirror image x → -x, as a check of the sampling.
+    Return the relative difference of a map from its mirror image x → -x, as a check of the sampling.
 
     A system of revolution with the source in the y-z plane (azimuth 0 or 180 degrees) gives a map that is symmetric
     about its vertical centre line. What remains is noise, so the measured value should be about the expected one.
@@ -202,10 +203,11 @@ def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]
     Returns
     -------
     measured : float
-        Σ|E - E'| / Σ(E + E'), 0 … 1, E' being the mirrored map, over the pixels whose errors are known. Both numbers
-        are NaN if there is no light in them.
+        Σ|E - E'| / Σ(E + E'), 0 … 1, where E' is the mirrored map. The sums are over pixels that have a known error, as
+        their mirror images have. Both numbers are NaN if there is no light in these pixels.
     expected : float
-        Value expected from the standard errors alone, for Gaussian noise: the mean of |N(0, s)| is s·sqrt(2/π).
+        Expected value of `measured` for Gaussian noise of the standard errors alone: the mean of |N(0, s)| is
+        s·sqrt(2/π).
 
     Examples
     --------

@@ -17,12 +17,12 @@ _TYPES: Mapping[type, Mapping[str, Any]] = {bool: {"type": "boolean"}, str: {"ty
 
 def schema_of(kind: type) -> dict[str, Any]:
     """
-    Return the schema of an object with the keywords of a request, or with the fields of an object within one.
+    Return the JSON schema of an object with the keywords of a request, or with the fields of an object within one.
 
     Parameters
     ----------
     kind : type
-        Dataclass with demands on its fields.
+        Dataclass of the request or of the object within it, with demands on its fields.
     """
     fields = list(flat_fields(kind))
     return {

@@ -20,7 +20,11 @@ Rows = tuple[type, Sequence[Any]]
 
 
 class Tabled(Protocol):
-    """Interface of a result that a `PlainPage` can show; its attributes `notes` and `facts` are optional."""
+    """
+    Interface of a result that a `PlainPage` can show.
+
+    It may also have attributes `notes`, its warnings, and `facts`, its settings by name.
+    """
 
     def tables(self) -> Mapping[str, Rows]:
         """Return the row class and the rows of each table, by name of the table."""
@@ -56,7 +60,11 @@ class PlainPage:
         return dict(plain(found | {"notes": _notes(result), "facts": _facts(result)}))
 
     def page(self, result: Tabled, title: str, command: str) -> Report:
-        """Return the report: a section for each figure and each table, with the CSV, JSON and PNG files."""
+        """
+        Return the report: a section for each figure and each table, with the CSV, JSON and PNG files.
+
+        `title` is the name of the optical system, and `command` the command line; empty: none.
+        """
         drawn, tables = result.figures(), result.tables()
         pictures = [Section(f"figure-{name}", _words(name), [FigurePart(draw)]) for name, draw in drawn.items()]
         shown = [

@@ -75,9 +75,10 @@ class ProgressBar:
 
 def _share(state: tuple[Any, ...]) -> tuple[float, float]:
     """
-    Return the amount done and the total, from the progress of a trace (rays), a PST, or counted steps.
+    Return the amount done and the total, in one unit, from what a function passes to `progress`.
 
-    Of any other state nothing is done.
+    Two numbers are these already: rays or steps. A last item with `share_done`, as of a PST, or a last number is the
+    fraction done of 1. Any other state gives 0 and 1.
     """
     last = state[-1] if state else 0.0
     if hasattr(last, "share_done"):

@@ -25,7 +25,11 @@ _COLUMN = "column"
 
 @dataclass(frozen=True)
 class _Shown:
-    """Display of a row's field in tables: heading, number format and unit; see `column` for the attributes."""
+    """
+    Display of a row's field in tables: heading, number format and unit.
+
+    `kind` is the type of the field, as written. For the other attributes see `column`.
+    """
 
     doc: str
     head: str = ""
@@ -59,21 +63,21 @@ class _Shown:
 
 def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     """
-    Declare a field of a result's row, with the way it is shown in tables.
+    Return a dataclass field of a result's row, with the way it is shown in tables.
 
     Parameters
     ----------
     doc : str
         Meaning of the field, one sentence.
     default
-        Default value of the field.
+        Default value of the field; without one the field is required.
     **how
-        ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
-        ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``absent``,
-        value that is shown as missing; ``percent``, whether a fraction is shown in percent: the column of "change" is
-        then "change_percent"; "shown" does so in tables of pages only; ``between``, separator of several strings. A
-        table shows a number with its standard error, which is an `Estimate` or stands in a column of its own,
-        "power_se_W".
+        ``head``, heading of the column, such as "share [n²]"; by default it is made from the name: "temperature_K" is
+        headed "temperature [K]". ``digits``, format of a number that has no error (".4g"). ``empty``, text in place of
+        an empty string or None. ``absent``, value that is shown as missing. ``percent``, whether a fraction is shown in
+        percent: the column of "change" is then "change_percent". With "shown" it is so in tables of pages only.
+        ``between``, separator of several strings. The error of a number is part of an `Estimate`, or stands in a column
+        of its own, "power_se_W"; a table shows the number with it.
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
 
@@ -117,7 +121,7 @@ def described(kind: type) -> dict[str, str]:
 
 def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     """
-    Return rows as a DataFrame, which has all columns of their class even without rows.
+    Return rows as a DataFrame with all columns of their class, also if there are no rows.
 
     Parameters
     ----------
@@ -150,11 +154,12 @@ def table(
     kind : type
         Dataclass of the rows.
     rows : sequence or DataFrame
-        A DataFrame has the columns of the kind that are shown; of those with an error also "power_se_W" and the like.
+        Rows, all of this class, or a DataFrame. This has the columns that are shown, by the names of the fields; for
+        those with an error also "power_se_W" and the like.
     name : str
         Id of the table in the page.
     only : sequence of str
-        Columns that are shown; all by default, an error with its value.
+        Names of the fields that are shown, an error with its value; empty: all.
     **how
         Further attributes of `Table`.
     """

@@ -47,7 +47,7 @@ _DAMAGES = (
 
 
 class _NotSaved(Exception):
-    """Exception for a value that a result file cannot hold, such as rays or a scene."""
+    """Exception for a value that a result file cannot hold, such as a function; its text names the value."""
 
 
 def save_result(result: Result, path: str | Path) -> Path:
@@ -75,7 +75,7 @@ def save_result(result: Result, path: str | Path) -> Path:
 
 def load_result(path: str | Path) -> Result:
     """
-    Load a result that `Result.save` has saved.
+    Return a result that `Result.save` has saved.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def load_result(path: str | Path) -> Result:
     Raises
     ------
     MistrayError
-        If there is no such file, it is damaged or not a result, or another version of mistray has written it.
+        If there is no such file, it is damaged or not a result, or its format is that of another version of mistray.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def load_result(path: str | Path) -> Result:
 
 @contextmanager
 def _told(path: str | Path) -> Iterator[None]:
-    """Turn any exception from reading a result file in a `with` block into a one-line `MistrayError`."""
+    """Turn what reading a missing, unreadable or damaged result file raises in a `with` block into a `MistrayError`."""
     try:
         yield
     except MistrayError as error:
@@ -226,9 +226,10 @@ class _Encoder:
 
     def _state(self, value: Any) -> dict[str, Any]:
         """
-        Return the attributes of an object in JSON form; fields that belong to the process become None where allowed.
+        Return the attributes of an object in JSON form, by name.
 
-        Where they must not be None, it raises `_NotSaved`.
+        A value that files cannot hold becomes None in a field that is not compared and whose default is None. Elsewhere
+        it raises `_NotSaved`.
         """
         kind = type(value)
         declared = {field.name: field for field in dataclasses.fields(value)} if dataclasses.is_dataclass(kind) else {}
@@ -318,7 +319,8 @@ class _Decoder:
         """
         Return an instance of a class with its state, as copies are made: nothing is computed or checked.
 
-        Attributes that the class does not declare raise `ValueError`.
+        `ValueError` is raised if the state of a dataclass lacks a field, or has another attribute than its fields. So
+        it is if the state of another class has a name that `_is_part_of` refuses.
         """
         kind = _class(value["of"])
         self._known[value["number"]] = made = object.__new__(kind)
@@ -361,9 +363,10 @@ def _name(kind: type) -> str:
 
 def _class(name: str, base: type = object) -> Any:
     """
-    Return a class of mistray by module and name.
+    Return a class of mistray by its name, "module:Class".
 
-    Raise `ValueError` for any other, or without the base, and what the import raises if there is no such one.
+    Raise `ValueError` for any other class, or one that does not derive from `base`. If it does not exist, raise what
+    its import raises.
     """
     found = _CLASS.fullmatch(name)
     kind: Any = getattr(importlib.import_module(found[1]), found[2]) if found else None

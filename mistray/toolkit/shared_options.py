@@ -21,7 +21,7 @@ NAMES = tuple(setting.name for setting in fields(Settings))
 
 
 def setting(name: str, default: str = "") -> Option:
-    """Return the option for a trace setting. `default` is the text of the default, where the command's differs."""
+    """Return the option for a trace setting; `default` is the text of the default, if empty that of `Settings`."""
     usual = getattr(Settings, name)
     return option_of(
         Settings.__dataclass_fields__[name], default or {NO_LIMIT: "no limit", NOTHING_CUT: "none"}.get(usual, "")
@@ -29,7 +29,11 @@ def setting(name: str, default: str = "") -> Option:
 
 
 def ray_tree(rays: str | type[Request], *more: Option) -> Group:
-    """Return the group of options for the ray tree. `rays` is the help text of --rays, or the request that has it."""
+    """
+    Return the group of options for the ray tree, followed by `more` options.
+
+    `rays` is the help text of --rays, or the class of requests whose field it is.
+    """
     names = NAMES[NAMES.index("rays") + 1 : NAMES.index("max_scatters")]
     own = Option("--rays", rays, RAYS, "N") if isinstance(rays, str) else option_of(rays.__dataclass_fields__["rays"])
     return Group(f"ray tree {ELSE}", (own, *map(setting, names), *MACHINE, *more))

@@ -28,9 +28,9 @@ MOST_ROWS = 10  # of the table
 
 def one_line(result: Result) -> str:
     """
-    Return class, scene and key numbers of a result in one line; numbers that do not fit in are left out.
+    Return class, scene and key numbers of a result in one line of at most `MOST_LETTERS` letters.
 
-    If it is still too long, it is cut.
+    The last numbers are left out if they do not fit in, and the line is cut if it is still too long.
     """
     name = " ".join(result.scene_name.split())
     parts = [name if len(name) <= MOST_OF_NAME else f"{name[: MOST_OF_NAME - 1]}…"] if name else []
@@ -116,9 +116,9 @@ def has_figure(result: Result) -> bool:
 
 def main_figure(result: Result, title: str = "") -> Figure:
     """
-    Return the figure shown in the summary of a result that has one, see `has_figure`, with the heading `title`.
+    Return the figure shown in the summary of a result that has one, see `has_figure`. Its heading begins with `title`.
 
-    The first of `figures` has its own heading.
+    A result without a figure of its class shows the first of its `figures`, which has its own heading.
     """
     if "figure" in result.shown_by:
         drawn: Figure = _function(result, "figure")(result, title)
@@ -128,16 +128,16 @@ def main_figure(result: Result, title: str = "") -> Figure:
 
 
 def _function(result: Result, what: str) -> Any:
-    """Return the function that a result's class names for its `what`: "table" or "figure"."""
+    """Return the function by which a result's class shows its table or figure; `what` is "table" or "figure"."""
     module, _, name = result.shown_by[what].partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 def plotted(result: Result, title: str = "") -> Axes | tuple[Axes, ...]:
     """
-    Draw the figure of a result with pyplot, under `title` or the name of its scene, and return the axes of its panels.
+    Draw the figure of a result with pyplot and return the axes of its panels, several as a tuple.
 
-    Several panels come as a tuple. Raise `MistrayError` if the result has no figure.
+    The heading begins with `title`; empty: the name of its scene. Raise `MistrayError` if the result has no figure.
     """
     if not has_figure(result):
         raise MistrayError(f"{type(result).__name__} has no figure; use its numbers, see help({type(result).__name__})")

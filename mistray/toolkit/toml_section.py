@@ -50,7 +50,7 @@ class TomlSection:
         Parameters
         ----------
         source : str, Path or mapping
-            The file, or its content.
+            TOML file, or its content; file names in a mapping are relative to the current folder.
         kind : str
             Kind of content, for messages.
 
@@ -119,10 +119,10 @@ class TomlSection:
 
     def value(self, key: str, demand: Demand, default: Any = dataclasses.MISSING) -> Any:
         """
-        Return the checked value of a key; numbers become float unless whole.
+        Return the value of a key, checked against a demand; a number is a float unless the demand is for whole ones.
 
-        If the key is missing it is the default; without one, or for a value that is not allowed, `MistrayError` is
-        raised.
+        If the key is missing, `default` is returned. A missing key without a default, or a value that is not allowed,
+        raises `MistrayError`.
         """
         value = self.content.get(key)
         if value is None:
@@ -134,16 +134,16 @@ class TomlSection:
 
     def make(self, kind: type[T], read: Mapping[str, Any] | None = None, /, **missing: Any) -> T:
         """
-        Create a dataclass from the table, see `keys_of`; its constructor checks the values.
+        Return an object of a dataclass made from the table, see `keys_of`; its constructor checks the values.
 
         Parameters
         ----------
         kind : type
             Dataclass.
         read : mapping, optional
-            Fields that are known already. Without any, keys that are not fields are refused.
+            Fields that are known already. None: keys that are not fields are refused.
         **missing
-            Values of fields whose keys are missing, where they are not the defaults.
+            Defaults of fields whose keys are missing, where they are not those of the class.
 
         Raises
         ------
@@ -164,9 +164,9 @@ class TomlSection:
 
     def numbers(self, key: str, value: Any = None) -> tuple[float, ...]:
         """
-        Return a number or a list of numbers, all finite, as a tuple, from `value` or else from the key.
+        Return a number or a list of numbers, all finite, as a tuple of float.
 
-        Anything else raises `MistrayError`.
+        It is `value`; None: the value of the key. Anything else raises `MistrayError`.
         """
         value = self.content.get(key) if value is None else value
         values = value if isinstance(value, list | tuple) else [value]
@@ -177,7 +177,11 @@ class TomlSection:
         return tuple(float(v) for v in values)
 
     def texts(self, key: str, form: str) -> tuple[str, ...]:
-        """Return the non-empty strings listed at a key; raise `MistrayError` for anything else, with remedy `form`."""
+        """
+        Return the non-empty strings in the list at a key.
+
+        Anything else raises `MistrayError`, whose message asks for `form`.
+        """
         value = self.content.get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
             raise self.fail(key, f"is {value!r}; give {form}")
@@ -185,9 +189,9 @@ class TomlSection:
 
     def spaced(self, key: str, within: Range) -> tuple[float, ...]:
         """
-        Return the distinct numbers of a key, given as a number, a list, or start, stop and step.
+        Return the distinct numbers of a key, given as a number, a list, or start, stop (included) and step.
 
-        All must lie `within` the range. Anything else raises `MistrayError`.
+        All must lie `within` the range. Anything else raises `MistrayError`, and a missing key `KeyError`.
         """
         value = self.content[key]
         if isinstance(value, Mapping):

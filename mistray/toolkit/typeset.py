@@ -32,9 +32,10 @@ def power_of_ten(exponent: int) -> str:
 
 def typeset(text: str) -> str:
     """
-    Return text with its numbers as in print: "1.2e-06 ± 3e-08 W" becomes "(1.20 ± 0.03)·10⁻⁶ W", without line breaks.
+    Return text with its numbers as in print: "1.2e-06 ± 3e-08 W" becomes "(1.20 ± 0.03)·10⁻⁶ W".
 
-    Words remain unchanged, with two exceptions: "log10" becomes "log₁₀", and a minus before a digit the sign of print.
+    Blanks within a number and before its unit become no-break spaces. A hyphen before a number becomes a minus sign,
+    and "log10" becomes "log₁₀"; other words remain unchanged.
     """
     text = _PAIR.sub(_pair, text)
     text = _SINGLE.sub(lambda found: _single(found[1], int(found[2])), text)
@@ -53,7 +54,7 @@ def typeset_html(text: str) -> Markup:
 
 def value_and_error(text: str) -> tuple[str, str]:
     """
-    Return the value and the error, with its sign ±, of a number as `with_error` writes it, each as in print.
+    Return the value, and the error with its sign ±, as in print, from a number as `with_error` writes it.
 
     The error is empty if there is none.
     """
@@ -72,7 +73,7 @@ def _pair(found: re.Match[str]) -> str:
 
 
 def _on_one_power(found: re.Match[str]) -> tuple[str, str, str]:
-    """Return value and error over the larger of their powers of ten, to the last digit of the error, and the power."""
+    """Return a match of `_PAIR` as value and error, both over the larger of their powers of ten, and that power."""
     exponent = max(int(found[2]), int(found[4]))
     value, error = (Decimal(f"{found[k]}e{found[k + 1]}").scaleb(-exponent) for k in (1, 3))
     return f"{value.quantize(error, ROUND_HALF_EVEN):f}", f"{error:f}", power_of_ten(exponent)

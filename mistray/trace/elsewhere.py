@@ -46,8 +46,9 @@ def rays_elsewhere(
     Return a table of rays that arrive at surfaces or leave the scene, one row for each ray.
 
     With `events` it has a row for each node of each ray. `n` is the most rays that are returned, spread over the beam;
-    None: all. Columns and units are those of `RayHistory.to_pandas` (mm, W), with source, kind and key; see
-    `mistray.trace.Trace.rays_at`. An `n` below 1 raises `MistrayError`.
+    None: all. `where` names the surfaces, and `requested` is the filter, see `mistray.trace.Trace.rays_at`. Columns and
+    units are those of `RayHistory.to_pandas` (mm, W), with source, kind and key. An `n` below 1, or a `where` that does
+    not exist or combines leaving light with surfaces, raises `MistrayError`.
     """
     if n is not None and n < 1:
         raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
@@ -92,8 +93,8 @@ def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) 
     """
     Return rays of a run that reach named places and pass the filter, by tracing more and more start rays.
 
-    It stops once there are `n` of them; if `n` is None or the run has fewer, all are returned. Raise `MistrayError` for
-    places that do not go together.
+    It stops once there are at least `n` of them; if `n` is None or the run has fewer, all are returned. `words` are the
+    places, see `check_where` and `_chosen`, which raise `MistrayError`.
     """
     check_where(words)
     departs = any(word in (ESCAPED, RETURNED) for word in words)
@@ -110,7 +111,11 @@ def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) 
 
 
 def check_where(words: Sequence[str]) -> list[str]:
-    """Return the surface names among `words`; raise `MistrayError` if leaving light is combined with other places."""
+    """
+    Return the words that name surfaces, without those of `ELSEWHERE`.
+
+    Raise `MistrayError` if `ESCAPED` or `RETURNED` is combined with other words.
+    """
     if len(words) > 1 and any(word in (ESCAPED, RETURNED) for word in words):
         raise MistrayError(f"where is {', '.join(words)}; give {ESCAPED} or {RETURNED} alone, or names of surfaces")
     return [word for word in words if word not in ELSEWHERE]
@@ -120,7 +125,7 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
     """
     Return a mask of the surfaces that words name, (s,) bool: ids, parts, patterns or `BLOCKED`.
 
-    `BLOCKED` stands for all opaque surfaces but detectors. A word that names nothing raises `MistrayError`.
+    `BLOCKED` stands for all opaque surfaces but detectors. Another word that names nothing raises `MistrayError`.
     """
     ids, parts = run.table.ids, run.table.parts
     chosen = np.zeros(len(ids), dtype=bool)
@@ -138,8 +143,8 @@ def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilt
     """
     Return the rays among the first `count` recorded branches that pass the filter.
 
-    If the recorder holds rays that leave the scene, their last direction and flux are those after the last hit. Raise
-    as `passing` does.
+    They are in the order of their start rays. If the recorder holds rays that leave the scene, their last direction and
+    flux are those after the last hit. Raise as `passing` does.
     """
     slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
     slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
@@ -189,9 +194,10 @@ def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFil
 
 def _flux_of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[Sampled]:
     """
-    Return the flux that each filter selects in every cell of the maps, with its noise, W, (cells,) each.
+    Return the flux that each filter selects in every cell of the maps, with its noise, W, (cells,) for each filter.
 
-    Incident flux comes first, then absorbed flux. If the time is up before, it raises `UnfinishedError`.
+    The incident flux of all cells comes first, then the absorbed flux. If the time is up before all rays are traced, it
+    raises `UnfinishedError`.
     """
     maps.attach(run.scene)
     sums = np.zeros((len(filters), maps.groups, maps.cells))

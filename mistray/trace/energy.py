@@ -34,7 +34,7 @@ class Energy(Result, table="..toolkit.tables.traces:energy_table", figure="..too
     absorbed : dict of str to (float, float)
         Surface id → absorbed flux and its standard error, W, the detectors left out.
     absorbed_in : dict of str to (float, float)
-        Material → flux absorbed along the way through it and its standard error, W; absorbing materials only.
+        Material → flux absorbed along the way through it and its standard error, W; only materials that absorb flux.
     cut : dict of str to float
         Reason → flux of the branches that were not followed, W:
 

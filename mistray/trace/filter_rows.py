@@ -63,7 +63,7 @@ class Rows:
 
 
 class UnknownError(Exception):
-    """Raised if a filter names a surface, medium or column that the scene or the table does not have."""
+    """Exception for a filter with the name of a surface, medium or column that the scene or the table does not have."""
 
 
 def places(name: str, rows: Rows) -> np.ndarray:
@@ -76,7 +76,11 @@ def places(name: str, rows: Rows) -> np.ndarray:
 
 
 def named_like(name: str, ids: Sequence[str], parts: Sequence[str]) -> np.ndarray:
-    """Return a mask of surfaces or media whose id or part matches a name, (s,) bool. * is any text, ? one character."""
+    """
+    Return a mask of surfaces or media whose id or part matches a name, (s,) bool; all False if none does.
+
+    In the name * is any text, ? one character.
+    """
     # A surface has both an id and a part, and either may be meant
     fits = like_pattern(name)
     return np.array([any(map(fits, pair)) for pair in zip(ids, parts, strict=True)], dtype=bool)

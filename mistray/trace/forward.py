@@ -128,7 +128,7 @@ def trace(
         rest.
     recorders : Recorder or sequence of Recorder
         Recorders of all events of the rays: probes and far fields, see docs/detectors.md, or your own, see
-        docs/extending.md; not where workers trace. The probes and far fields of the scene come before these.
+        docs/extending.md; not where workers trace. The recorders of the scene's sensors come before these.
 
     Returns
     -------
@@ -138,8 +138,8 @@ def trace(
     Raises
     ------
     MistrayError
-        If the scene lacks a source, a detector or an ``interface``, an argument is out of range, two recorders have the
-        same name, or the beam misses every surface.
+        If the scene lacks a source, a detector or an ``interface``, or an argument is out of range. Also if arguments
+        exclude each other, two recorders have the same name, or all rays of an emitter miss every surface.
     Interrupted
         On Ctrl-C, after rays of every source and wavelength were traced: ``partial`` is a `Trace` of them.
     KeyboardInterrupt
@@ -214,10 +214,11 @@ def _traced(
     result: Callable[..., Trace],
 ) -> Trace:
     """
-    Return the result of the runs, traced in this process or on workers.
+    Return the result of the planned runs, traced in this process or on workers.
 
-    An interrupt here raises `Interrupted` with a partial result, or KeyboardInterrupt without one. Workers that do not
-    finish raise `UnfinishedError`, with a partial result if there is one. With workers, recorders raise `MistrayError`.
+    `result` makes the `Trace` of traced runs; other parameters are those of `trace`. An interrupt here raises
+    `Interrupted` with a partial result, or KeyboardInterrupt without one. Workers that do not finish raise
+    `UnfinishedError`, with a partial result if there is one. With workers, recorders raise `MistrayError`.
     """
     workers = current_workers()
     if workers is None:
@@ -259,9 +260,10 @@ def _spectral_choices(
     runs_of: Callable[[Settings, Light], list[Run]],
 ) -> tuple[Light, WavelengthChoice | None, PolarizationChoice]:
     """
-    Resolve "auto" for polarisation, and choose wavelengths if the time is `limited`.
-
     Return the light to trace, the choice of its wavelengths (None if all are traced), and the polarisation.
+
+    `made` is a choice of polarisation that was made before; None: "auto" is resolved here. Wavelengths are chosen if
+    the time is `limited` and the light has no choice yet. `runs_of` prepares runs, see `_preparing`.
     """
     lines = light.wavelength_nm if isinstance(light.wavelength_nm, WavelengthChoice) else None
     light = replace(light, **lines.arguments) if lines else light
@@ -297,7 +299,7 @@ def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> 
 
 
 def _refuse_recorders(recorders: Sequence[Recorder]) -> None:
-    """Raise `MistrayError` if recorders were given for a trace on workers, which cannot run them."""
+    """Raise `MistrayError` if there are recorders, given or of the scene; for traces on workers, which have none."""
     if recorders:
         names = ", ".join(f"'{recorder.name}'" for recorder in recorders if recorder.name)
         raise MistrayError(
@@ -325,8 +327,8 @@ def _execute(
     """
     Trace runs in this process one by one and return those traced, with their paths if `ledger`.
 
-    Stop at an interrupt; a run cut short is scaled to its full flux. An emitter whose rays all miss the scene raises
-    `MistrayError`.
+    An interrupt ends the trace; a run cut short is scaled to its full flux. An emitter whose rays all miss the scene
+    raises `MistrayError`. For `progress` and `recorders` see `trace`.
     """
     planned = sum(run.rays for run in runs)
     forecast = Forecast(planned, not is_limited())
@@ -403,7 +405,7 @@ def _explain(error: UnfinishedError, result: Callable[[list[Run]], Trace]) -> No
     """
     Replace the runs in `error.partial` by a `Trace` of them, or by None.
 
-    It is None if their rays are too few for a fair sample of all light; the message says which.
+    It is None if their rays are too few for a fair sample of all light. The message says how many rays are finished.
     """
     runs, error.partial = error.partial, None
     planned = sum(run.rays for run in runs)
@@ -425,7 +427,9 @@ def _result(
     """
     Return the `Trace` of finished runs, with all settings needed to repeat it.
 
-    `ledger` says whether they hold paths. If they are dark at the sources' own field, a note says where the light went.
+    `field` holds the angles of the field in degrees by keyword of `trace`; None: the source's own. `ledger` is True if
+    the runs hold paths, and `task` is what workers traced, or None. If no light is detected at the source's own field,
+    a note says where it went.
     """
     emitter = source_emitters(scene)[0]
     # Everything that determines the result, so that it can be repeated

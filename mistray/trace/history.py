@@ -105,7 +105,11 @@ class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..t
         return [ray.points for ray in self._rays]
 
     def with_facts(self, facts: Mapping[str, np.ndarray]) -> pd.DataFrame:
-        """Return the ray history table with further columns after ``node``; `facts` has one value per ray."""
+        """
+        Return the ray history table with further columns after ``node``.
+
+        `facts` holds an array (n,) by column name, with a value for each of the n rays, repeated at all its nodes.
+        """
         table = self.to_pandas()
         for place, (name, values) in enumerate(FACTS.check("facts", facts).items(), start=2):
             table.insert(place, name, np.asarray(values)[table.ray.to_numpy(np.int64)].tolist())
@@ -116,9 +120,9 @@ class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..t
         Return the ray history table: one row for each node of each ray.
 
         Columns: ray, node, start_ray, intercept (Emitted, SpecTran, SpecRefl, TIR, RandTran, RandRefl, ImpTran,
-        ImpRefl, Absorbed), object, surface, wavelength_nm, x_mm, y_mm, z_mm, flux_W (arriving), opl_mm (from the
-        start), dx, dy, dz (leaving, unit vector). At the last node of a ray that leaves the scene flux_W is that after
-        the hit.
+        ImpRefl, Absorbed), object (part, at the start the source), surface, wavelength_nm, x_mm, y_mm, z_mm, flux_W
+        (arriving), opl_mm (from the start), dx, dy, dz (leaving, unit vector; 0 at an end). At the last node of a ray
+        that leaves the scene flux_W is that after the hit.
         """
         import pandas as pd
 
@@ -139,7 +143,11 @@ class RayHistory(Result, table="..toolkit.tables.traces:rays_table", figure="..t
 
 
 def joined_histories(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Return the ray history tables of several runs as one table, with rays numbered consecutively."""
+    """
+    Return the ray history tables of several runs, at least one, as one table, with rays numbered consecutively.
+
+    The column ray of the given tables is renumbered, too.
+    """
     import pandas as pd
 
     done = 0
@@ -159,9 +167,9 @@ def spread(count: int, most: int | None) -> np.ndarray:
 
 def path_history(table: PathTable, path_id: int, most: int) -> RayHistory:
     """
-    Return up to `most` rays of a path, spread over the beam, with hit points recomputed in float64, mm.
+    Return up to `most` rays of the path of an id, spread over the beam, with hit points recomputed in float64, mm.
 
-    `path_id` is that of the table. Raise `MistrayError` if there is no such path, or if `most` is below 1.
+    Raise `MistrayError` if the table has no such path, or if `most` is below 1.
     """
     if most < 1:
         raise MistrayError(f"n is {most}; ask for at least one ray")
@@ -291,10 +299,10 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
 
 def _requested(recorder: BranchRecorder, keys: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
     """
-    Return the recorder slots, (n,) int, of at most `most` branches of each path whose key is in `keys`.
+    Return the recorder slots, (n,) int, of at most `most` branches of each path whose key is in `keys`, (p,) uint64.
 
-    These come from the first start rays, by the place of each branch's start ray in the sample, `starts`: the threads
-    claim slots in any order.
+    They are those of the first start rays. `starts`, (b,) int, is the place of each recorded branch's start ray in the
+    sample: the order of the slots is that of threads, and differs from call to call.
     """
     paths = np.array(recorder.path)[: recorder.kept]
     order = np.lexsort((starts, paths))

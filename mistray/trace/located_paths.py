@@ -29,7 +29,11 @@ class LocatedPaths(NamedTuple):
 
     @property
     def sums(self) -> np.ndarray:
-        """Flux sums of the paths by batch, (n, BATCHES, SUMS), in start rays' flux, see `mistray.recorders.ledger`."""
+        """
+        Flux sums of the paths by batch, (n, BATCHES, SUMS or STOKES_SUMS), see `mistray.recorders.ledger`.
+
+        Their unit of flux is the flux of a start ray.
+        """
         return np.asarray(self.run.paths.sums[self.places])
 
     @property

@@ -61,7 +61,7 @@ class Whole:
     columns: ClassVar = frozenset({"events"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return masks of the table rows whose path has exactly these events."""
+        """Return masks of the rows whose path has exactly these events; raise `UnknownError` for unknown ones."""
         _check_events(event_words(self.text), rows)
         requested = way_text([" ".join(event_words(self.text))])[0]
         return exactly(np.array([one == requested for one in way_text(rows.columns["events"])], dtype=bool))
@@ -110,9 +110,9 @@ class Named:
 
 def read_name(text: str) -> Kind | Whole | Named | None:
     """
-    Parse a string that is a kind, an event list or a path name into its filter.
+    Return the filter that a kind, a list of events or a path name means.
 
-    The result is None for any other string, such as an expression.
+    It is None for any other string, such as an expression.
     """
     text = text.strip()
     if text in KINDS:
@@ -127,9 +127,9 @@ def read_name(text: str) -> Kind | Whole | Named | None:
 
 def read_events(text: str) -> Whole | Named | None:
     """
-    Parse a list of events: one exact path if it ends at a detector, else all paths of that name.
+    Return the filter that a list of events means: one exact path if it ends at a detector, else all of that name.
 
-    The result is None for any other string.
+    It is None for any other string.
     """
     text = text.strip()
     if not (":" in text and all(_EVENT.fullmatch(word) for word in _name_words(text))):

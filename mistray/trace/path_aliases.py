@@ -43,7 +43,7 @@ def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[s
     Raises
     ------
     MistrayError
-        For a pattern that fits nothing, a name that cannot be an id, or another word.
+        For a pattern that fits nothing, a name that cannot be an id, or a string other than these two.
     """
     ids, parts = table.event_ids, table.event_parts
     if isinstance(aliases, str) and aliases == PART:

@@ -279,7 +279,7 @@ class _Parser:
 
     def filter(self) -> _Term:
         """
-        Parse the whole expression into a filter; a bare event list is accepted where it cannot be an expression.
+        Return the filter of the whole expression; a bare event list is accepted where it cannot be an expression.
 
         Empty text gives a filter that everything passes, and text outside the language raises `MistrayError`.
         """

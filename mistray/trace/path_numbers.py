@@ -65,7 +65,7 @@ class HitSums(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Return the number of hits of each path and Σ Φᵏ of their absorbed flux Φ for k = 1, 2, 4, in Wᵏ; (p, 4)."""
+        """Number of hits of each path, and Σ Φᵏ over them for k = 1, 2, 4, in Wᵏ, of the absorbed flux Φ; (p, 4)."""
         powers = self.unit ** np.array([0.0, 1.0, 2.0, 4.0])
         return np.asarray(powers * self.sums[:, :, [RAYS, ABSORBED, SQUARES, FOURTHS]].sum(axis=1))
 
@@ -78,7 +78,7 @@ class PathNumbers:
     Attributes
     ----------
     columns : dict
-        Columns of `PathRow` from ``rays`` to ``s3_se`` but for the percentages, (p,) each.
+        Columns of `PathRow` from ``rays`` to ``s3_se``, (p,) each, but for the percentages and what `judged` adds.
     light, density : Sampled
         Power, W, and RMS irradiance, W/mm², with their correlation to other numbers of the same trace.
     weights : (p, 4) float64
@@ -203,9 +203,9 @@ def _shape(sums: np.ndarray) -> np.ndarray:
 
 def percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndarray]:
     """
-    Return the columns ``percent`` and ``percent_se``: powers as percentages of `of`.
+    Return the columns ``percent`` and ``percent_se``, (p,): the powers `light`, W, as percentages of one power `of`, W.
 
-    The error is NaN where `few` is True.
+    The error is NaN where `few`, (p,) bool, is True.
     """
     found = light.over(of[None]).scaled(100.0)
     return {"percent": found.value, "percent_se": np.where(few, np.nan, found.se)}

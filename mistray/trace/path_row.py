@@ -91,9 +91,9 @@ class PathRow:
     x_mm, y_mm : float
         Centroid of the absorbed flux in the detector's frame, mm.
     rms_radius_mm : float
-        RMS distance from the centroid, mm.
+        RMS distance of the absorbed flux from its centroid, mm.
     rms_irradiance_W_mm2 : float
-        power / (π · rms_radius²), W/mm².
+        power / (π · rms_radius²), W/mm²; NaN for a single ray.
     polarization : float
         Degree of polarisation of all light of the path together, 0 … 1; NaN if traced unpolarised.
     s1, s2, s3 : float

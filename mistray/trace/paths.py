@@ -169,14 +169,14 @@ class PathTable(
 
     def chosen(self, requested: PathFilter, by_ray: frozenset[str] = frozenset()) -> list[LocatedPaths]:
         """
-        Return, for each run, the paths that a filter may select, as `LocatedPaths`.
+        Return, for each run, the paths that a filter may select; warn if it is a name of none or several of them.
 
         Parameters
         ----------
         requested : PathFilter
             Filter.
         by_ray : frozenset of str
-            Columns of rays, whose values a path does not determine.
+            Names of columns that a ray has and a path does not.
 
         Raises
         ------
@@ -218,7 +218,7 @@ class PathTable(
         """
         Return the ids of all direct paths if `direct`, else of all stray ones, (n,).
 
-        If `wavelength_nm` is given, only paths of that wavelength count.
+        With `wavelength_nm`, nm, only paths of that wavelength count; None: those of all wavelengths.
         """
         chosen = (self._columns["kind"] == DIRECT) == direct
         if wavelength_nm is not None:
@@ -236,9 +236,9 @@ class PathTable(
 
     def numbers(self, groups: int | Sequence[int | Sequence[int]]) -> PathNumbers:
         """
-        Return power, centroid, radius and polarisation, with each group of paths treated as one path.
+        Return power, centroid, radius and polarisation, with each group of paths treated as one path, in their order.
 
-        `groups` has path ids, or lists of them with one at least.
+        `groups` holds path ids, each a group of its own, or lists of at least one path id.
         """
         groups = self._groups(groups)
         counts = np.array([len(group) for group in groups], dtype=np.int64)
@@ -354,11 +354,11 @@ class PathTable(
 
     @cached_property
     def _by_way(self) -> pd.DataFrame:
-        """Return `by_way` without aliases, cached because several parts of a report read it."""
+        """Table of `by_way` without aliases, cached because several parts of a report read it."""
         return self._merged(None)
 
     def _merged(self, aliases: Mapping[str, str] | str | None) -> pd.DataFrame:
-        """Compute the table of `by_way` for given aliases; raise as `by_way` does."""
+        """Return the table of `by_way` for given aliases, None for none; raise as `by_way` does."""
         table = {name: column.copy() for name, column in self._columns.items()}
         for name, text in (("events", way_text), ("path", way_letters)):
             table[name][:] = text(table[name])

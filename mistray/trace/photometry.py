@@ -74,7 +74,7 @@ def illuminance(runs: Sequence[Run]) -> Pixels:
     """
     Return the illuminance map of the detector with its noise, (height, width), lx, from the absorbed flux.
 
-    If no wavelength is visible, it raises `MistrayError`.
+    It raises `MistrayError` if no wavelength is visible, or if there are several detectors.
     """
     check_visible([run.source.wavelength_nm for run in runs])
     pixel_m2 = runs[0].pixel_area / MM2_PER_M2

@@ -64,10 +64,10 @@ def ray_table(
     """
     Return a table of rays that reach the detector, one row for each ray, or for each node of each ray if `events`.
 
-    `n` is the most rays that are returned, spread over the beam; None: all. `box` is in mm, `pixels` are ranges of
-    columns and rows; None: the whole detector. Flux is in W, positions and optical path lengths in mm; see
-    `mistray.trace.Trace.rays` for the columns. An `n` below 1, an empty box and pixels out of range raise
-    `MistrayError`.
+    `n` is the most rays that are returned, spread over the beam; None: all. `box` is x0, x1, y0, y1 on the detector,
+    mm; `pixels` is c0, c1, r0, r1 for its columns c0 … c1 - 1 and rows r0 … r1 - 1. None: the whole detector. Flux is
+    in W, positions and optical path lengths in mm; see `mistray.trace.Trace.rays` for the columns. An `n` below 1, an
+    empty box, pixels out of range and several detectors raise `MistrayError`.
     """
     import pandas as pd
 
@@ -117,7 +117,12 @@ def _check_pixels(pixels: Sequence[int], run: Run) -> Sequence[int]:
 
 
 class _Search:
-    """Search of one run for rays of given paths that pass a filter and hit a box (mm) or a range of pixels."""
+    """
+    Search of one run for rays of given paths that pass a filter and hit a box (mm) and a range of pixels.
+
+    `own` are its paths, and `paths` the table of all. `peak` is the flux of the strongest ray, W, for a filter of
+    relative flux. For `box`, `pixels` and `events` see `ray_table`.
+    """
 
     def __init__(
         self,
@@ -134,7 +139,7 @@ class _Search:
         self._box = _corners(own.run, box, pixels)
 
     def rays(self, n: int | None) -> tuple[Columns, list[Ray]]:
-        """Return columns of up to `n` selected rays, and the rays themselves if events were requested; None: all."""
+        """Return columns of up to `n` (None: all) selected rays, and the rays themselves if events were requested."""
         parts, rays, found = [self._facts(Events.of(self._run.table, self._run.design, *padded([])), {})], [], 0
         if len(self._own.ids):
             recorder = self._run.recorder(CAPACITY, self._own.slots)
@@ -247,7 +252,7 @@ def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None
 
 def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Recorder | None) -> Iterator[int]:
     """
-    Trace start rays into a recorder, in halves if they overflow it.
+    Trace start rays into a recorder, in halves if they overflow it; the recorders `before` see each event first.
 
     Yields
     ------
@@ -276,9 +281,9 @@ def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Reco
 
 def portions(run: Run, grow: Callable[[int], int] = lambda size: 2 * size) -> Iterator[StartRays]:
     """
-    Yield the start rays of a run in portions of growing size, each spread over the whole beam.
+    Yield the start rays of a run in portions of growing size, each spread over all rays of a pass.
 
-    `grow` maps a portion's size to the next.
+    `grow` maps the number of rays of a portion to that of the next.
     """
     for _, start in run.starts():
         count = dr.width(start.lane)

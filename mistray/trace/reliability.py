@@ -64,7 +64,12 @@ def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
-    """Return a note on flux not followed for each reason in the energy ledger, with the indices of the traces."""
+    """
+    Return a note for each reason for which flux was cut, with the indices of the traces that it is about.
+
+    These have cut more than `LEAST_CUT` of the launched flux for this reason. There is no note without such traces, nor
+    for reasons of `ZERO_ON_AVERAGE`.
+    """
     found = []
     for reason in dict.fromkeys(reason for t in traces for reason in t.energy.cut if reason not in ZERO_ON_AVERAGE):
         shares = [abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for t in traces]
@@ -82,7 +87,11 @@ def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def undeclared_images(trace: Trace) -> list[Note]:
-    """Return notes on detectors without design path. One unscattered path must carry over `IMAGE` of their light."""
+    """
+    Return notes on detectors without a design path that get nearly all of their light by one path without scatter.
+
+    The share of this path in the detector's power is above `IMAGE`. The trace must have a path table.
+    """
     found = []
     table, design = trace.runs[0].table, trace.runs[0].design
     for detector in table.detectors:
@@ -142,7 +151,7 @@ class SamplingCheck:
     Attributes
     ----------
     rows : tuple of AimedRow
-        Surfaces that aimed rays, in the order of the trace.
+        Surfaces and media that aimed rays, in the order of the trace.
     hits_per_start : float
         Number of hits of the detector by scattered rays, per start ray.
     largest_share : float
@@ -320,7 +329,7 @@ def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
 
 
 def _covers(target: Target, detector: Target) -> bool:
-    """True if a target holds the centre of a detector, within a tolerance, and is at least as large."""
+    """True if a target has the same centre as a detector, within a tolerance, and is at least as large."""
     size = max(detector.size)
     return (
         float(np.linalg.norm(target.centre - detector.centre)) < SAME_SIZE * size
@@ -350,7 +359,8 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
     """
     Return the surfaces and media whose scattered light never reached the detector, most flux first.
 
-    The list is empty if paths were not kept, or if the settings allow no scatter or restrict it to some rays.
+    They were hit at least `FEWEST_HITS` times. The list is empty if paths were not kept, `max_scatters` is 0, or
+    `ray_control` is not "allow_all".
     """
     lit: dict[str, np.ndarray] = {}
     heard: set[str] = set()
@@ -378,9 +388,10 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
 
 def _lit_places(table: SurfaceTable, sums: np.ndarray) -> dict[int, np.ndarray]:
     """
-    Return hits and incident flux, W, of each scattering surface or medium, by its index.
+    Return hits and incident flux, W, of each scattering surface or medium, (2,), by its place: media follow surfaces.
 
-    A medium has those of its brightest surface.
+    `sums`, (s, 2), holds them for all surfaces. A medium has those of its surface with most flux. Detectors are left
+    out.
     """
     lit = {i: sums[i] for i in table.listed if table.interfaces[i].scatter and i not in table.detectors}
     if table.optics.scatters:

@@ -48,7 +48,8 @@ class Trace(
         trace, "polarization_reason" the reason for it, "polarization_change" the largest relative change by Stokes
         vectors.
     rays_traced, rays_planned : int
-        Number of start rays that were traced and planned; fewer where workers were lost, see `mistray.distribute`.
+        Numbers of start rays that were traced and planned. Fewer were traced if the time was up, the trace was
+        interrupted, or workers were lost.
     paths : PathTable
         Paths from the sources to the detectors, the strongest first; traced with ``ledger=False`` there are none, and
         reading them raises `MistrayError`.
@@ -57,11 +58,11 @@ class Trace(
     surfaces : FluxReport
         Hits, incident and absorbed flux, W, at every surface.
     irradiance, irradiance_se : (height, width) float64
-        Absorbed flux density of the detector and its standard error, W/mm²; row 0 is at the smallest y. The error comes
-        from the spread of 32 batches of start rays, or of 16 or 8 groups of them where the detector has more than
-        65 536 or 131 072 pixels. So several hits of a pixel by light of one start ray are one sample. From 32 batches
-        an error is known to 13 %, from 8 to 27 %. It is NaN where too few rays meet a pixel, see
-        `mistray.recorders.film.Pixels.few_rays`.
+        Absorbed flux density of the detector and its standard error, W/mm²; row 0 is at the smallest y. Reading them
+        raises `MistrayError` if the trace has several detectors, see `on`. The error comes from the spread of 32
+        batches of start rays, or of 16 or 8 groups of them where the detector has more than 65 536 or 131 072 pixels.
+        So several hits of a pixel by light of one start ray are one sample. From 32 batches an error is known to 13 %,
+        from 8 to 27 %. It is NaN where too few rays meet a pixel, see `mistray.recorders.film.Pixels.few_rays`.
     coating_error : float
         Bound of the error of R and T, 0 … 1, by interpolation over the angle of incidence, for the worst coating.
     scattered_rays_per_start : float
@@ -171,7 +172,8 @@ class Trace(
         Return the result for one detector alone: its irradiance, its paths and its energy ledger.
 
         Only those methods trace again that always do (`maps`, `box`, `history`, `rays`, gradients). Light that the
-        other detectors absorb then counts as absorbed by surfaces. With a single detector, the result is this trace.
+        other detectors absorb then counts as absorbed by surfaces. The result has no recorders. With a single detector,
+        it is this trace.
 
         Parameters
         ----------
@@ -195,17 +197,29 @@ class Trace(
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Bounds of the irradiance map in the detector's frame: x0, x1, y0, y1, mm."""
+        """
+        Bounds of `irradiance` in the detector's frame: x0, x1, y0, y1, mm.
+
+        Raise as `irradiance` does.
+        """
         return self.runs[0].table.film()[2]
 
     @property
     def irradiance(self) -> np.ndarray:
-        """Absorbed flux density on the detector, (height, width), W/mm²; row 0 is at the smallest y."""
+        """
+        Absorbed flux density on the detector, (height, width), W/mm²; row 0 is at the smallest y.
+
+        Raise `MistrayError` for a trace of several detectors; `on` returns that of one.
+        """
         return self._map[0]
 
     @property
     def irradiance_se(self) -> np.ndarray:
-        """Standard error of `irradiance`, (height, width), W/mm²; NaN where too few rays meet a pixel."""
+        """
+        Standard error of `irradiance`, (height, width), W/mm²; NaN where too few rays meet a pixel.
+
+        Raise as `irradiance` does.
+        """
         return self._map[1]
 
     @cached_property
@@ -214,7 +228,11 @@ class Trace(
 
     @property
     def light(self) -> Pixels:
-        """Absorbed flux density of all light on the detector with its noise, (height, width), W/mm²."""
+        """
+        Absorbed flux density of all light on the detector with its noise, (height, width), W/mm².
+
+        Raise as `irradiance` does.
+        """
         return irradiance_of_runs(self.runs, [run.film for run in self.runs])
 
     @property
@@ -253,7 +271,7 @@ class Trace(
         Raises
         ------
         MistrayError
-            If xarray is not installed.
+            If xarray is not installed, or the trace has several detectors.
         """
         from mistray.files.labelled import irradiance_dataset
 
@@ -264,7 +282,7 @@ class Trace(
         """
         Illuminance of the detector by absorbed light and its standard error, (height, width) each, lx.
 
-        Raise `MistrayError` if no wavelength is visible.
+        Raise `MistrayError` if no wavelength is visible, or for a trace of several detectors.
         """
         return illuminance(self.runs).with_se
 
@@ -289,23 +307,23 @@ class Trace(
         Raises
         ------
         MistrayError
-            If the wavelength was not traced.
+            If the wavelength was not traced, or the trace has several detectors.
         """
         runs = self._runs_at(wavelength_nm)
         return irradiance_of_runs(runs, [run.film for run in runs]).with_se
 
     def energy_at(self, wavelength_nm: float) -> Energy:
         """
-        Return the energy ledger, W, of one of the wavelengths of the trace, nm.
+        Return the energy ledger of the light of one wavelength, nm.
 
-        Any other wavelength raises `MistrayError`.
+        A wavelength that was not traced raises `MistrayError`.
         """
         runs = self._runs_at(wavelength_nm)
         return energy_ledger(runs, flux_report(runs))
 
     def energy_of(self, source: str) -> Energy:
         """
-        Return the energy ledger, W, of one source, by its name in the path table.
+        Return the energy ledger of the light of one source, given by its name in the path table.
 
         Raises
         ------
@@ -320,9 +338,9 @@ class Trace(
 
     def surfaces_at(self, wavelength_nm: float) -> FluxReport:
         """
-        Return the flux at every surface, W, at one of the wavelengths of the trace, nm.
+        Return the flux at every surface, W, of the light of one wavelength, nm.
 
-        Any other wavelength raises `MistrayError`.
+        A wavelength that was not traced raises `MistrayError`.
         """
         return flux_report(self._runs_at(wavelength_nm))
 

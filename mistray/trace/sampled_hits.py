@@ -59,7 +59,8 @@ class SampledHits:
     start : (r, 3) float64
         Start points, mm.
     points, arrival, normal : (r, k, 3) float64
-        Hits (mm), directions of arrival, and normals from front to back; the last are 0 within a medium.
+        Hits (mm), unit directions of arrival, and unit normals from front to back, 0 within a medium. Entries after the
+        last hit have no meaning.
     """
 
     path_ids: Whole
@@ -185,7 +186,7 @@ def light_cones(paths: PathTable, path_ids: int | Sequence[int]) -> dict[int, Li
     """
     Return the cone in which each path's light arrives at the detector, by path id.
 
-    Paths of fewer than two rays are left out. An unknown id raises `MistrayError`.
+    Paths of fewer than two rays in the sample are left out. An unknown id raises `MistrayError`.
     """
     found: dict[int, LightCone] = {}
     for own in paths.located(path_ids):
@@ -204,7 +205,7 @@ def light_cones(paths: PathTable, path_ids: int | Sequence[int]) -> dict[int, Li
 
 def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
     """
-    Return the numerical aperture and standard error of the light of one path at the detector, as a `LightCone`.
+    Return the `LightCone` at the detector of a bundle, the rays of one path.
 
     A spot in the detector plane is the Fourier transform of the pupil over the direction cosines along that plane,
     times n/λ, with the index n before the detector and the vacuum wavelength λ. The direction cosines of a round,
@@ -224,7 +225,7 @@ def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
 
 
 def _axes(table: SurfaceTable) -> Floats:
-    """Return the unit vectors along x and y of the detector in scene coordinates, (2, 3)."""
+    """Return the unit vectors along x and y of the detector in world coordinates, (2, 3)."""
     if table.detector in table.detector_frames:
         axes = table.detector_frames[table.detector][1:]
         return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))

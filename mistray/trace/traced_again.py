@@ -61,7 +61,7 @@ class TracedAgain:
         Raises
         ------
         MistrayError
-            If there is no such path, or the trace has no path table.
+            If there is no such path, or the trace has no path table or several detectors.
         """
         return self.maps([path_ids])[0]
 
@@ -94,6 +94,8 @@ class TracedAgain:
         MistrayError
             If a number is out of range, a name does not exist, no surface can be unrolled, or a filter is not valid or
             compares another column.
+        UnfinishedError
+            If the time is up before all rays are traced.
         """
         filters = [PathFilter(text) for text in Several(TEXT, least=0).check("selections", selections)]
         return light_maps(self.runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
@@ -115,7 +117,7 @@ class TracedAgain:
         Raises
         ------
         MistrayError
-            If there is no such path, a path is in two groups, or the trace has no path table.
+            If there is no such path, a path is in two groups, or the trace has no path table or several detectors.
         """
         return [found.with_se for found in self.each_map(groups, True)]
 
@@ -128,8 +130,8 @@ class TracedAgain:
         groups : int or sequence of int or of sequences of int
             Path ids; a path may be in one group only.
         with_noise : bool or sequence of bool
-            Whether all maps, or each, get their noise; without it is NaN. During the sum a pixel of a map takes
-            8 bytes, with noise 8 bytes for each group of batches (`mistray.recorders.film.groups_of`).
+            Whether all maps, or each of them, get their noise, which is NaN otherwise. During the sum a pixel of a map
+            takes 8 bytes, with noise 8 bytes for each group of batches (`mistray.recorders.film.groups_of`).
 
         Yields
         ------
@@ -139,7 +141,7 @@ class TracedAgain:
         Raises
         ------
         MistrayError
-            If there is no such path, a path is in two groups, or the trace has no path table.
+            If there is no such path, a path is in two groups, or the trace has no path table or several detectors.
         """
         return path_images(self.paths, self.task, groups, with_noise)
 
@@ -185,7 +187,7 @@ class TracedAgain:
 
     def sampled_rays(self, path_ids: int | Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
         """
-        Return rays of many paths, found by tracing a sample of the start rays again that is spread over the beam.
+        Return rays of many paths, found by tracing again a sample of the start rays, spread over the beam.
 
         `history` looks for rays of one path until it has enough; here a path that is rare has few rays or none.
 
@@ -199,7 +201,8 @@ class TracedAgain:
         Returns
         -------
         dict
-            Rays by path; none of a path that no ray of the sample follows. When the time is up the sample is smaller.
+            Rays by path id; an empty list for a path that no ray of the sample follows. When the time is up the sample
+            is smaller.
 
         Raises
         ------
@@ -220,12 +223,12 @@ class TracedAgain:
         Returns
         -------
         dict
-            Light cones by path; none of a path that is too rare to occur twice in the sample.
+            Light cones by path id; a path that occurs less than twice in the sample is left out.
 
         Raises
         ------
         MistrayError
-            If there is no such path, or the trace has no path table.
+            If there is no such path, or the trace has no path table or several detectors.
         """
         return light_cones(self.paths, path_ids)
 
@@ -238,7 +241,7 @@ class TracedAgain:
         start_rays : int
             Largest number of start rays of each source and wavelength.
         n : int
-            Largest number of rays of each path; a path that is rare has few or none.
+            Largest number of rays of each path; a rare path has few or none.
 
         Returns
         -------
@@ -295,7 +298,7 @@ class TracedAgain:
         ------
         MistrayError
             For a filter that cannot be parsed or names something that does not exist, an empty box, pixels out of
-            range, n below 1, and a trace without a path table.
+            range and n below 1. Also for a trace without a path table or with several detectors.
         """
         return ray_table(self.paths, PathFilter(selection), n, box, pixels, events)
 
@@ -305,14 +308,15 @@ class TracedAgain:
         """
         Return a table of rays that arrive at any surface or leave the scene, by tracing them again.
 
-        A row has the last node of a ray, or with `events` one of its nodes, with the columns of `RayHistory.to_pandas`,
-        and source, kind, key and history.
+        A row has the last node of a ray, or with `events` one of its nodes. Its columns are those of
+        `RayHistory.to_pandas`, source, kind, key, and without `events` history.
 
         Parameters
         ----------
         where : str or sequence of str
-            Surfaces or parts, with * for any letters and ? for one; or "blocked" (all opaque ones but detectors),
-            "escaped", or "returned" (escaped backwards). Light that misses all surfaces is left out.
+            Surfaces or parts, with * for any letters and ? for one. Or "blocked" (all opaque ones but detectors),
+            "escaped", or "returned" (escaped at over 90° to its first direction). Light that misses all surfaces is
+            left out.
         selection, n, events
             Filter, largest number of rays (None: all), and whether there is a row for each node, see `rays`. The filter
             may compare kind, order and the like, wavelength_nm, source, surface.

@@ -10,10 +10,11 @@ from mistray.scatter.abg import ABg as Model
 
 class ABg(Scatterer):
     r"""
-    ABg scatter (:monosp:`abg`): BSDF = A/(B + r^g), with r = \|β - β0\|.
+    ABg scatter (:monosp:`abg`): BSDF = A/(B + r^g), 1/sr, with r = \|β - β0\|.
 
-    Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an
-    interface with constant R and T.
+    β and β0 are the direction cosines along the surface of the scattered and of the specular ray. Nested in an
+    ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an interface
+    with constant R and T.
 
     .. parameters::
 

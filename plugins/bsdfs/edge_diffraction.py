@@ -12,10 +12,12 @@ class EdgeDiffraction(Scatterer):
     r"""
     Edge diffraction (:monosp:`edge_diffraction`): far from the beam, BSDF = λ/(4π³ w r³) · (1 - β0·β)/(cos θ0 cos θ).
 
-    r = \|β - β0\|. It is nested in the ``interface`` (R = 0, T = 1, one material) of a ring. The ring is a ``frustum``
-    of no height that lies in an opening along its edge. It deflects all light that meets it. Beyond the angle λ/(16 w)
-    the diffracted light does not depend on the width. The model is for unpolarised light, averaged over all directions
-    of the edge. It is right for the far field of an evenly lit round opening, or for the image of that by a lens.
+    β and β0 are the direction cosines along the ring of the scattered and of the incident ray, at the angles θ and θ0
+    to its normal. Their distance is r = \|β - β0\|. The wavelength is λ, and the width of the ring w. The BSDF is in
+    1/sr. It is nested in the ``interface`` (R = 0, T = 1, one material) of a ring. The ring is a ``frustum`` of no
+    height that lies in an opening along its edge. It deflects all light that meets it. Beyond the angle λ/(16 w) the
+    diffracted light does not depend on the width. The model is for unpolarised light, averaged over all directions of
+    the edge. It is right for the far field of an evenly lit round opening, or for the image of that by a lens.
 
     .. parameters::
 

@@ -10,10 +10,11 @@ from mistray.scatter.gaussian import Gaussian as Model
 
 class GaussianLobe(Scatterer):
     r"""
-    Gaussian scatter (:monosp:`gaussian_lobe`): BSDF = f0 exp(-(r/w)²), with r = \|β - β0\|.
+    Gaussian scatter (:monosp:`gaussian_lobe`): BSDF = f0 exp(-(r/w)²), 1/sr, with r = \|β - β0\|.
 
-    Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an
-    interface with constant R and T.
+    β and β0 are the direction cosines along the surface of the scattered and of the specular ray, w is ``width``, and
+    f0 follows from ``total``. Nested in an ``interface`` it scatters a fraction of the light that this reflects and
+    transmits. By itself it is an interface with constant R and T.
 
     .. parameters::
 

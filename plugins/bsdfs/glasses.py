@@ -102,8 +102,8 @@ class Glasses:
         """
         Return the wavelength, nm, nearest to a given one at which both materials and their coating are known.
 
-        Mitsuba's kernels call the BSDFs of all scenes in the process, and a scene that is not rendered must not stop
-        the rendering of another one.
+        If there is none, one of them is not known at the wavelength. That is no error here: Mitsuba's kernels call the
+        BSDFs of all scenes in the process, and a scene that is not rendered must not stop the rendering of another.
         """
         for material in self._names:
             wavelength_nm = nearest_known_nm(material, wavelength_nm)

@@ -10,12 +10,13 @@ from mistray.scatter.harvey_shack import HarveyShack as Model
 
 class HarveyShack(Scatterer):
     r"""
-    Harvey-Shack scatter (:monosp:`harvey_shack`): BSDF = b0 [1 + (r/l)²]^(s/2), with r = \|β - β0\|.
+    Harvey-Shack scatter (:monosp:`harvey_shack`): BSDF = b0 [1 + (r/l)²]^(s/2), 1/sr, with r = \|β - β0\|.
 
-    Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an
-    interface with constant R and T. Exactly one of ``b0`` and ``rms_nm`` determines how much is scattered. With
-    ``rms_nm`` b0 follows from the indices on both sides, with Δn = 2 n in reflection and the difference of the indices
-    in transmission. A surface that is not smooth is refused.
+    β and β0 are the direction cosines along the surface of the scattered and of the specular ray. Nested in an
+    ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an interface
+    with constant R and T. Exactly one of ``b0`` and ``rms_nm`` determines how much is scattered. With ``rms_nm`` b0
+    follows from the indices on both sides, with Δn = 2 n in reflection and the difference of the indices in
+    transmission. A surface that is not smooth is refused.
 
     .. parameters::
 

@@ -338,7 +338,11 @@ class Interface(mi.BSDF):
         return self._glasses.known_indices(self.wavelength_nm)
 
     def indices(self, wavelength_nm: float) -> tuple[float, float]:
-        """Return the real refractive indices of the front and the back material at a wavelength, nm."""
+        """
+        Return the real refractive indices of the front and the back material at a wavelength, nm.
+
+        Raise `MistrayError` if one is not known there.
+        """
         return refractive_index(self.front, wavelength_nm), refractive_index(self.back, wavelength_nm)
 
     def complex_indices(self, wavelength_nm: float) -> tuple[complex, complex]:
@@ -373,9 +377,9 @@ class Interface(mi.BSDF):
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: mi.Mask
     ) -> tuple[Interaction, RenderedScattering | None, list[mi.Float]]:
         """
-        Return the interaction at a hit, its scatter, and the fraction of flux in each of `COMPONENTS`.
+        Return the interaction at a hit, its scatter, and the fraction of the incident flux in each of `COMPONENTS`.
 
-        Without scatter the second is None, and the third has two entries.
+        Without scatter the second is None, and the third has two entries. It is 0 for components that `ctx` disables.
         """
         surface, active = self._rendered_surface(), mi.Bool(active)
         it, scattering = surface.meet(-si.wi, active), None
@@ -457,7 +461,7 @@ class Interface(mi.BSDF):
         wo: mi.Vector3f,
         active: mi.Mask,
     ) -> tuple[mi.Float, mi.Float]:
-        """Return BSDF · cosine for the direction wo, 1/sr, and the pdf of wo, 1/sr."""
+        """Return BSDF · cosine for the local direction wo, 1/sr, and the pdf with which `sample` draws it, 1/sr."""
         reflect = wo.z * si.wi.z > 0
         enabled = [ctx.is_enabled(COMPONENTS[k], k) for k in (2, 3)]
         lit = mi.Bool(active) & dr.select(reflect, *map(mi.Bool, enabled))
@@ -518,14 +522,14 @@ class Interface(mi.BSDF):
 
 
 def _resolve(path: str) -> str:
-    """Return the absolute path of a file named relative to the scene file; unchanged if the file is not found."""
+    """Return the path of a file named relative to the scene file, as Mitsuba resolves it; unchanged if not found."""
     found = Path(str(mi.file_resolver().resolve(path)))
     # A folder that is left by ".." may be gone when the file is read again
     return str(found.resolve() if ".." in found.parts and found.exists() else found)
 
 
 def _chances(shares: list[mi.Float]) -> list[mi.Float]:
-    """Return the probability of drawing each component, in proportion to its fraction of the flux."""
+    """Return the probability of drawing each component, in proportion to its fraction of the flux; 0 without flux."""
     total = dr.detach(sum(shares, mi.Float(0)))
     return [dr.select(total > 0, dr.detach(share) / dr.select(total > 0, total, 1), 0) for share in shares]
 

@@ -12,6 +12,7 @@ class KCorrelation(Scatterer):
     r"""
     Scatter of a roughness spectrum (:monosp:`k_correlation`): PSD = A'/[1 + (B f)²]^(S/2).
 
+    The PSD is in µm⁴. f is the spatial frequency, 1/µm, B is ``B_um``, S is ``slope``, and A' follows from ``rms_nm``.
     Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an
     interface with constant R and T. The scatter follows from the indices on both sides by the generalised Harvey-Shack
     or the Rayleigh-Rice theory. A surface that is too rough for the theory is refused.

@@ -12,9 +12,11 @@ class Paint(Scatterer):
     r"""
     Paint (:monosp:`paint`): BSDF = ρ/π + b0 [1 + (r/l)²]^(s/2) · sqrt(F(θi) F(θs))/F(0), with r = \|β - β0\|.
 
-    F is the Fresnel reflectance of the binder's index n; without n the last factor is 1. The BSDF is absolute, and its
-    light is taken from the absorbed light. An ``interface`` around it needs an R that is the specular reflectance,
-    without the scatter, ``R`` = 0 for a matt paint. By itself it has R = T = 0.
+    The BSDF is in 1/sr, ρ is ``reflectance``, and θi and θs are the angles of incidence and of scatter. β and β0 are
+    the direction cosines along the surface of the scattered and of the specular ray. F is the Fresnel reflectance of
+    the binder's index n; without n the last factor is 1. The BSDF is absolute, and its light is taken from the absorbed
+    light. An ``interface`` around it needs an R that is the specular reflectance, without the scatter, ``R`` = 0 for a
+    matt paint. By itself it has R = T = 0.
 
     .. parameters::
 

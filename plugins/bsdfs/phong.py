@@ -10,10 +10,10 @@ from mistray.scatter.phong import Phong as Model
 
 class PhongLobe(Scatterer):
     r"""
-    Phong scatter (:monosp:`phong`): BSDF = b0 cos^n α, with the angle α to the specular direction.
+    Phong scatter (:monosp:`phong`): BSDF = b0 cos^n α, 1/sr, with the angle α to the specular direction.
 
-    Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an
-    interface with constant R and T.
+    n is ``exponent``. Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits.
+    By itself it is an interface with constant R and T.
 
     .. parameters::
 

@@ -16,7 +16,8 @@ class Polynomial(Scatterer):
     r"""
     Polynomial scatter (:monosp:`polynomial`): log10 BSDF = Σ c (U+W)^i (U W)^j V^k + Σ l V^k log10(1 + d^j T).
 
-    U = \|β\|², W = \|β0\|², V = β·β0 and T = \|β - β0\|². These are the invariants of an isotropic surface, as in
+    The BSDF is in 1/sr. U = \|β\|², W = \|β0\|², V = β·β0 and T = \|β - β0\|², with the direction cosines β and β0
+    along the surface of the scattered and of the specular ray. These are the invariants of an isotropic surface, as in
     FRED's Polynomial and Binomial (no j in the first sum). Nested in an ``interface`` it scatters a fraction of the
     light that this reflects and transmits. By itself it is an interface with constant R and T.
 

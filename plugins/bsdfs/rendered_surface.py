@@ -123,11 +123,11 @@ class RenderedScattering(Scattering):
     surface : RenderedSurface
         Surface that is hit.
     d : mi.Vector3f
-        Direction of the ray in the local frame of the hit.
+        Unit direction in which the ray travels, in the local frame of the hit.
     it : Interaction
         Interaction of the ray with the surface.
     x_axis : mi.Vector3f or None
-        Direction of the sample's x axis; None if no model depends on it.
+        Unit vector along the sample's x axis, in the local frame; None if no model depends on it.
     """
 
     def __init__(
@@ -162,9 +162,10 @@ class RenderedScattering(Scattering):
 
     def draw(self, reflect: mi.Bool, u: mi.Float, v: mi.Point2f) -> mi.Vector3f:
         """
-        Return a unit scatter direction sampled with u, v in 0 … 1.
+        Return a unit direction of scatter in the local frame, drawn with random numbers u and v in 0 … 1.
 
-        A direction that points into the surface carries no light.
+        Light is scattered in reflection where `reflect` is True, else in transmission. A direction on the other side of
+        the surface carries no light.
         """
         _, lobes, total, frame = self._lobes(reflect)
         # The remainder of the first number after the choice of the lobe places the direction within a table cell
@@ -176,7 +177,11 @@ class RenderedScattering(Scattering):
         return self._random(lobes, total, [u, v.x, v.y, dr.minimum(left, ONE_LESS)], frame)
 
     def evaluate(self, reflect: mi.Bool, direction: mi.Vector3f, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
-        """Return BSDF · cosine for a direction, 1/sr, and the pdf with which it is drawn, 1/sr."""
+        """
+        Return BSDF · cosine for a local unit direction, 1/sr, and the pdf with which `draw` draws it, 1/sr.
+
+        Both are 0 for directions on the other side, see `draw` for `reflect`.
+        """
         _, lobes, total, frame = self._lobes(reflect)
         cos_s = dr.dot(direction, frame.outward)
         value, _, pdf = self._evaluate(lobes, total, direction, cos_s, frame)
@@ -211,7 +216,11 @@ class RenderedSurface:
         self._moving: dict[bool, ModelTables] = {}
 
     def coating(self, from_front: mi.Bool, cos_i: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """Return R, T and cos θt, with derivatives with respect to R and T of an ideal coating."""
+        """
+        Return R, T and cos θt at hits with cosines of the angle of incidence `cos_i`, from the front or the back.
+
+        cos θt is 0 in total reflection. Derivatives are carried with respect to R and T of an ideal coating.
+        """
         table: Any = self
         # Copies, since Dr.Jit may widen a literal in place where a mask is one as well
         ideal = mi.Float(self._interface.R), mi.Float(self._interface.T)
@@ -219,7 +228,7 @@ class RenderedSurface:
         return shares_at(table, mi.UInt32(NUMBER), word, from_front, cos_i, active, row)
 
     def meet(self, d: mi.Vector3f, active: mi.Bool) -> Interaction:
-        """Return the interaction of a ray with direction d with the surface, in the local frame of the hit."""
+        """Return the interaction of the surface with a ray along the unit vector d, in the local frame of the hit."""
         # A detector's mesh has its normals towards the front
         to_back = -1 if self._interface.turned else 1
         from_front, cos_i = d.z * to_back > 0, dr.minimum(dr.abs(d.z), 1)
@@ -246,9 +255,11 @@ class RenderedSurface:
         self, radiance: bool, d: mi.Vector3f, it: Interaction, x_axis: mi.Vector3f | None
     ) -> RenderedScattering | None:
         """
-        Return the scatter at a hit, of forward light or backward rays, with derivatives; None without scatter.
+        Return the scatter at a hit, with derivatives; None without scatter.
 
-        Raise `MistrayError` if a parameter with a derivative belongs to a model that scatters nothing here.
+        It is that of rays traced backward from the sensor if `radiance`, else of forward light. For other parameters
+        see `RenderedScattering`. Raise `MistrayError` if a parameter with a derivative belongs to a model that scatters
+        nothing here.
         """
         tables = self._tables[radiance]
         moving = [

@@ -62,12 +62,12 @@ class SampleAxis:
         self._known: tuple[list[np.ndarray], mi.Float] | None = None
 
     def carried(self, by: Any) -> None:
-        """Register a shape that carries the interface, whose ``matrix`` gives its own frame."""
+        """Register a shape that carries the interface; the frame of the shape is its ``matrix``."""
         self._shapes.append(weakref.ref(by))
 
     def local(self, si: mi.SurfaceInteraction3f, turned: bool) -> mi.Vector3f:
         """
-        Return the direction of the axis at a hit, in the local frame.
+        Return the unit vector along the axis at a hit, in the local frame.
 
         For a shape without a frame of its own, "x" is the x axis of Mitsuba's shading frame, as on a ``rectangle``.
         `turned` is True if the normals of the mesh point to the front.

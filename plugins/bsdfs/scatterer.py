@@ -39,7 +39,7 @@ def properties_of(model: Any, own: Mapping[str, Param]) -> dict[str, Param]:
 
 class Scatterer(Interface):
     """
-    Base class of the scatter plugins: an interface without layers whose light one model scatters.
+    Base class of the scatter plugins: an interface without layers, and one model that scatters its light.
 
     A plugin names its model in `model_type`. The parameters of the model are those of the plugin, and `ALONE`.
 
@@ -80,7 +80,7 @@ class Scatterer(Interface):
         self.scatterers = (self,)
 
     def _read_model(self, props: mi.Properties) -> Placement:
-        """Create the scatter model from the scene's properties."""
+        """Return the scatter model made from the scene's properties; raise `MistrayError` if one is not valid."""
         known = {key: self.model_type.param(key) for key in list(props.keys())}
         given = {key: param.of(props, key, self.title) for key, param in known.items() if param is not None}
         return self.model_type.of(_resolve, **given, name=self.name)

@@ -100,18 +100,19 @@ class Collimated(LightSource):
         return min(self.pupil_area / self.area, 1.0)
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the flux of the beam, W, at its own field angle or another one, degrees."""
+        """Return the flux of the beam, W, at a field angle, degrees; None: its own."""
         theta = np.radians(self.field_deg if field_deg is None else field_deg)
         return float(self.irradiance * self.area * (np.cos(theta) if self.plane == "axis" else 1.0))
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
         """
-        Return the beam in world coordinates, float64.
+        Return the beam at a field angle and azimuth, degrees, in world coordinates; None: those of the source.
 
         Returns
         -------
-        pivot, direction, u, v : (3,) float
-            Pivot, mm; unit vector along the beam; and vectors u and v that span the plane of the cross-section.
+        pivot, direction, u, v : (3,) float64
+            Pivot, mm; unit vector along which the light travels; unit vectors u and v that span the plane of the
+            cross-section.
         """
         pivot, direction, u, v = super().frame(field_deg, azimuth_deg)
         if self.plane == "axis":
@@ -119,7 +120,7 @@ class Collimated(LightSource):
         return pivot, direction, u, v
 
     def source(self, request: SourceRequest, **facts: Any) -> Beam:
-        """Return the beam as the start ray source of a trace at one wavelength."""
+        """Return the beam as the start ray source of a trace at one wavelength, see `LightSource.source`."""
         return Beam(distance=self.start_distance(request.bounds, facts["direction"], facts["pivot"]), **facts)
 
     def positions(self, sample: mi.Point2f) -> tuple[mi.Float, mi.Float]:
@@ -140,8 +141,8 @@ class Collimated(LightSource):
         """
         Return the distance from the pivot upstream, mm, to the start of the rays: `distance` if it is given.
 
-        Otherwise a plane across the beam clears the bounding box there. Raise `MistrayError` for a scene without
-        shapes.
+        The beam goes along the unit vector `direction` through `pivot`, mm. Without `distance`, a plane across it at
+        the start clears the scene's bounding box. Raise `MistrayError` for a scene without shapes.
         """
         if self.distance > 0:
             return self.distance
@@ -170,9 +171,9 @@ class Collimated(LightSource):
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
         """
-        Return, for Mitsuba's integrators, the direction towards the beam from a point and its irradiance, W/mm².
+        Return, for Mitsuba's integrators, a sample of the direction against the beam, and its irradiance, W/mm².
 
-        The irradiance is 0 outside the beam.
+        The irradiance is that across the beam at the point of `it`, and 0 outside the beam.
         """
         pivot, direction, u, v = self.frame()
         normal = np.cross(u, v)

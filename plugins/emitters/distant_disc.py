@@ -25,7 +25,8 @@ class DistantDisc(DistantSource):
 
     The light of its centre travels along Rz(``azimuth_deg``) · (0, sin θ, cos θ) with θ = ``field_deg``, as for
     `collimated`, and lights the whole scene. Towards the limb the radiance falls as 1 - ``limb`` (1 - μ) with μ = √(1 -
-    (ρ/ρ₀)²). This is linear limb darkening, 0.6 for the sun in the green.
+    (ρ/ρ₀)²), at the angle ρ from the centre of a disc of angular radius ρ₀. This is linear limb darkening, 0.6 for the
+    sun in the green.
 
     .. parameters::
 
@@ -64,7 +65,7 @@ class DistantDisc(DistantSource):
 
     @property
     def solid_angle(self) -> float:
-        """Effective solid angle of the disc, sr: π sin² ρ₀ (1 - ``limb``/3)."""
+        """Effective solid angle of the disc, sr: π sin² ρ₀ (1 - ``limb``/3) for the angular radius ρ₀."""
         return float(np.pi * np.sin(np.radians(self.values["diameter_deg"]) / 2) ** 2 * (1 - self.values["limb"] / 3))
 
     def directions(self, sample: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:

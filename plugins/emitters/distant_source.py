@@ -20,9 +20,10 @@ class DistantSource(LightSource):
     Attributes
     ----------
     densities : tuple of str
-        Names of the quantities that may give its flux; the first is the default, with the value 1.
+        Names of the quantities that may give its flux, ``irradiance`` (W/mm²) and ``radiance`` (W/mm²/sr). The first is
+        the default, with the value 1.
     given : tuple of (str, float)
-        Quantity that gives its flux, and its value.
+        Quantity that gives its flux, and its value in this unit.
     """
 
     densities: ClassVar[tuple[str, ...]] = ("irradiance", "radiance")
@@ -52,7 +53,11 @@ class DistantSource(LightSource):
         return self.irradiance
 
     def directions(self, sample: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
-        """Map points of the unit square to unit directions of equal flux, in the source's frame with z as its axis."""
+        """
+        Return unit directions of equal flux for points of the unit square, in the source's frame with z as its axis.
+
+        `n` maps names to values as in `LightSource.rays`.
+        """
         raise NotImplementedError
 
     def direction_motion(self, name: str, d: mi.Vector3d) -> mi.Vector3d:
@@ -64,7 +69,7 @@ class DistantSource(LightSource):
         raise NotImplementedError
 
     def source(self, request: SourceRequest, **facts: Any) -> SceneSource:
-        """Return the source of start rays of a trace at one wavelength."""
+        """Return the source of start rays of a trace at one wavelength, with the flux through the scene's sphere, W."""
         scene = request.scene
         away = float((facts["pivot"] - scene.centre) @ facts["direction"]) + 1.01 * scene.radius
         facts["power"] *= np.pi * scene.radius**2

@@ -23,9 +23,10 @@ class GaussianBeam(NearSource):
     r"""
     Gaussian beam (:monosp:`gaussian_beam`): light of a laser or a single-mode fibre.
 
-    Across the beam the irradiance is exp(-2 x²/w² - 2 y²/w²) with w(z)² = w₀² + (M² λ (z - z₀) / (π w₀))². Each of x
-    and y has its own waist, position of the waist and quality. The rays have the second moments of the beam everywhere.
-    Position and slope at the waist are independent and normal, of widths w₀/2 and M² λ / (2 π w₀).
+    Across the beam the irradiance is proportional to exp(-2 x²/w_x² - 2 y²/w_y²). Each of x and y has its own waist w₀,
+    position z₀ of the waist and quality M², so that w(z)² = w₀² + (M² λ (z - z₀) / (π w₀))². The rays have the second
+    moments of the beam everywhere. Position and slope at the waist are independent and normally distributed, with
+    standard deviations w₀/2 and M² λ / (2 π w₀).
 
     .. parameters::
 
@@ -90,7 +91,11 @@ class GaussianBeam(NearSource):
 
 
 def _normal(point: mi.Point2d) -> tuple[mi.Float64, mi.Float64, mi.Float64]:
-    """Map a point of the unit square to two independent normal variables; return radius, cosine and sine of azimuth."""
+    """
+    Return two independent standard normal variables for points of the unit square, in polar coordinates.
+
+    They are the radius, and cosine and sine of the azimuth.
+    """
     square, cosine, sine = polar(point)
     return gaussian(square), cosine, sine
 

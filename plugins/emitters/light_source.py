@@ -172,7 +172,7 @@ class LightSource(mi.Emitter):
         return self.stokes is not None
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the emitted flux, W, at the source's own field angle or another one, degrees."""
+        """Return the emitted flux, W, at a field angle, degrees; None: the source's own."""
         raise NotImplementedError
 
     def rays(self, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]) -> tuple[mi.Vector3f, mi.Vector3f]:
@@ -236,7 +236,7 @@ class LightSource(mi.Emitter):
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
         """
-        Return the position and the axes of the source in the world, float64.
+        Return position and axes of the source in the world at a field angle and azimuth, degrees; None: its own.
 
         Returns
         -------
@@ -280,7 +280,7 @@ class LightSource(mi.Emitter):
         ]
 
     def source(self, request: SourceRequest, **facts: Any) -> SceneSource:
-        """Return the start ray source of a trace at one wavelength."""
+        """Return the start ray source of a trace at one wavelength; `facts` are fields of `SceneSource` by name."""
         return EmittedRays(scene=request.scene, **facts)
 
     def _keep_parameters(self, names: Container[str]) -> None:
@@ -364,7 +364,7 @@ class LightSource(mi.Emitter):
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
         """
-        Return no light to integrators that look for the source from a surface point.
+        Return a sample without light to integrators that look for the source from a surface point.
 
         Subclasses may override this.
         """
@@ -403,6 +403,10 @@ def out_of(axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector
 
 
 def tilt_motion(name: str, axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector3d) -> mi.Vector3d:
-    """Return the derivative, per degree, of a vector in a tilted frame with respect to ``tilt_x`` or ``tilt_y``."""
+    """
+    Return the derivative of a vector that turns with a tilted frame, per degree of ``tilt_x`` or ``tilt_y``.
+
+    `axes` are those of `tilted_axes`; `vector` is given in the frame in which they are stated.
+    """
     about = mi.Vector3d(1, 0, 0) if name == "tilt_x" else axes[1]
     return dr.cross(about * (dr.pi / 180), vector)

@@ -36,9 +36,9 @@ class NearSource(LightSource):
     Attributes
     ----------
     densities : tuple of str
-        Names of quantities that may give its flux, instead of ``power``.
+        Names of quantities that may give its flux, instead of ``power``, such as ``radiance``.
     given : tuple of (str, float)
-        Quantity that gives its flux, and its value.
+        Quantity that gives its flux, and its value, of ``power`` in W, else in the unit of its property.
     in_object_plane : bool
         Whether a field angle displaces it in the plane of its ``z``, as an object of a lens, instead of rotating it.
     """
@@ -234,15 +234,15 @@ class ConeSource(NearSource):
         return mi.Vector3d(0)
 
     def offset_motion(self, name: str, o: mi.Vector3d) -> mi.Vector3d:
-        """Return the derivatives of the start points of `offset`, mm, with respect to the parameter `name`."""
+        """Return the derivatives of start points `o` of `offset`, mm, per unit of the source's parameter `name`."""
         raise NotImplementedError
 
     def _limit_cone(self, props: mi.Properties, sizes: Sequence[str] = ()) -> None:
         """
-        Limit a cone of cosⁿ θ to a hemisphere.
+        Limit the half angle of the cone to 90° if the exponent is not 0.
 
-        If a density sets the flux, derivatives with respect to parameters that change it are excluded. Raise
-        `MistrayError` if a scene gives a larger half angle.
+        If a density sets the flux, the half angle and the parameters `sizes`, which change it, have no derivatives.
+        Raise `MistrayError` if a scene gives a larger half angle.
         """
         exponent, angle = self.values["exponent"], self.values["half_angle_deg"]
         if exponent and angle > 90:
@@ -281,7 +281,7 @@ class ConeSource(NearSource):
         return self.offset(place, n), laws.direction(height, cosine, sine)
 
     def density(self, place: mi.Point2d, d: mi.Vector3d, n: Mapping[str, mi.Float64]) -> mi.Float64:
-        """Return the pdf of emission directions d, 1/sr; d is in the frame before the tilts."""
+        """Return the pdf, 1/sr, of emission directions d, unit vectors in the frame of the source before the tilts."""
         local = mi.Vector3d(*(dr.dot(d, axis) for axis in tilted_axes(n)))
         if self.table is not None:
             return self.table.density(local)

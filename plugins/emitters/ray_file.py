@@ -26,9 +26,9 @@ class RayFile(LightSource):
     Rays of a file (:monosp:`ray_file`): a measured lamp, light of another program, or rays of a trace.
 
     CSV and Parquet files have the columns x_mm, y_mm, z_mm (or in m, cm, um, in, ft), dx, dy, dz, flux_W and optionally
-    wavelength_nm. `Trace.rays` and `mistray.files.ray_sets.save_ray_set` write such files. Zemax source files (.dat,
-    binary or text) and IES TM-25 files (.tm25ray) are read, too. Rays are drawn in proportion to their flux, so that
-    all traced rays carry the same flux.
+    wavelength_nm. A table of `Trace.rays` has them, and `mistray.files.ray_sets.save_ray_set` writes such files. Zemax
+    source files (.dat, binary or text) and IES TM-25 files (.tm25ray) are read, too. Rays are drawn in proportion to
+    their flux, so that all traced rays carry the same flux.
 
     .. parameters::
 

@@ -93,9 +93,10 @@ class Sky(DistantSource):
 
     def lay(self, radiance: Callable[[np.ndarray], np.ndarray], height: int) -> None:
         """
-        Set a relative radiance by direction, in the frame of ``to_world``, from a picture of `height` rows.
+        Set the relative radiance of the sky from a picture of `height` rows.
 
-        Raise `MistrayError` if the picture is dark.
+        `radiance` maps unit vectors along which the light travels, (n, 3), in the frame of ``to_world``, to relative
+        radiances, (n,). Raise `MistrayError` if the picture is dark.
         """
         self.picture = SkyMap(radiance, FINER * height)
         if not 0 < self.picture.irradiance < np.inf:

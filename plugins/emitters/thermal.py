@@ -163,7 +163,7 @@ class Thermal(LightSource):
         return found
 
     def _tell_of_bulk(self, table: SurfaceTable, wavelength_nm: float) -> None:
-        """Warn of absorbing media, whose own thermal emission is not traced."""
+        """Warn of absorbing media other than metals, whose own thermal emission is not traced."""
         for material in table.optics.media[1:]:
             if 0 < complex_index(material, wavelength_nm).imag <= METAL_K:
                 warnings.warn(
@@ -185,7 +185,11 @@ class Thermal(LightSource):
     def _rays(
         self, request: SourceRequest, table: SurfaceTable, surface: int, side: int, law: IntensityTable, power: float
     ) -> WarmRays:
-        """Return the thermal rays of one side of a surface, of `power` W, as a source."""
+        """
+        Return the thermal rays of one side of a surface as a source of the flux `power`, W.
+
+        `side` is `FRONT` or `BACK`, and `law` the intensity by the angle from the normal on that side.
+        """
         axes = np.eye(3)
         return WarmRays(
             emitter=self,
@@ -220,12 +224,12 @@ class Thermal(LightSource):
     def sample_ray(
         self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
-        """Return no light for Mitsuba's own integrators."""
+        """Return rays without light to Mitsuba's own integrators."""
         return dr.zeros(mi.Ray3f, dr.width(sample2)), mi.Spectrum(0)
 
 
 def _law(theta_deg: np.ndarray, emitted: np.ndarray) -> IntensityTable:
-    """Return a rotationally symmetric intensity table from values at angles from the normal, degrees."""
+    """Return the table of a rotationally symmetric intensity, `emitted`, (n,), at angles from the normal, degrees."""
     return IntensityTable(theta_deg, np.array([0.0, 360.0]), np.repeat(emitted[:, None], 2, axis=1))
 
 

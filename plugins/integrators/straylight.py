@@ -190,7 +190,7 @@ class StrayLight(mi.CppADIntegrator):
                 dr.backward(first_order)
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        """Expose no parameters: the settings are Python numbers."""
+        """Expose no parameters to `mi.traverse`: the settings are Python numbers."""
 
     def to_string(self) -> str:
         inside = ", ".join(f"{f.name} = {getattr(self.settings, f.name)}" for f in fields(Settings))
@@ -199,7 +199,11 @@ class StrayLight(mi.CppADIntegrator):
 
 
 def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
-    """Return kind ("source", …) and value of each scene parameter that carries derivatives, by plugin and name."""
+    """
+    Return kind and value of each scene parameter that carries derivatives, by id() of its plugin and name.
+
+    The kind is "source", "shape", "index", "coating" or "scatter".
+    """
     found = {
         (id(emitter), name): ("source", value)
         for emitter in source_emitters(scene)
@@ -221,7 +225,11 @@ def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
 
 
 def _check_differentiable(params: Any, tracked: dict[tuple[int, str], tuple[str, mi.Float]]) -> None:
-    """Raise `MistrayError` if a requested gradient would silently be 0."""
+    """
+    Raise `MistrayError` if a value in `params` carries derivatives but is not `tracked`, see `_tracked`.
+
+    Its derivative would silently be 0.
+    """
     known = {value.index_ad for _, value in tracked.values()}
     for key in params.keys() if params is not None else ():
         value = peek(params, key)

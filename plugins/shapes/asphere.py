@@ -42,9 +42,10 @@ class Asphere(Revolution):
 
         z(r) = \frac{c r^2}{1 + \sqrt{1 - (1 + k) c^2 r^2}} + \sum_{i=2}^{10} a_{2i} r^{2i}.
 
-    The vertex is the origin of the local frame, and the normal at the vertex is +z. The side at -z is the ``front`` of
-    the nested ``interface``, the side at +z its ``back``. The ray tree intersects the formula. Mitsuba's own
-    integrators and viewers use a triangle mesh, which is remade when a parameter changes.
+    Here r is the distance from the axis, c the ``curvature`` and k the ``conic`` constant. The vertex is the origin of
+    the local frame, and the normal at the vertex is +z. The side at -z is the ``front`` of the nested ``interface``,
+    the side at +z its ``back``. The ray tree intersects the formula. Mitsuba's own integrators and viewers use a
+    triangle mesh, which is remade when a parameter changes.
 
     .. parameters::
 

@@ -241,7 +241,7 @@ def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray,
 
 
 def take_names(shape: Any, props: mi.Properties) -> None:
-    """Set the name, the part and the optical space of a shape from its properties."""
+    """Set `name`, `owner` for messages, `part` and optical `space` of a shape from its properties."""
     shape.name = str(props.id())
     shape.owner = f"shape '{shape.name}'"
     part, shape.space = (NAMES[key].of(props, key, shape.owner) for key in ("part", "space"))
@@ -250,9 +250,9 @@ def take_names(shape: Any, props: mi.Properties) -> None:
 
 def curvature_of(shape: FormulaShape, props: mi.Properties, radius: str, curvature: str) -> float:
     """
-    Return a curvature, 1/mm, given directly or by its radius, mm; radius 0 or inf is a plane.
+    Return the curvature, 1/mm, of a shape from the property named `curvature`, or `radius`, mm; 0 without either.
 
-    Raise `MistrayError` if both are given.
+    A radius of 0 or inf is a plane. Raise `MistrayError` if both are given.
     """
     if radius in props and curvature in props:
         raise MistrayError(f"{shape.owner}: give {radius} or {curvature}, not both")
@@ -263,7 +263,7 @@ def curvature_of(shape: FormulaShape, props: mi.Properties, radius: str, curvatu
 
 
 def check_reach(vertices: np.ndarray, name: str) -> None:
-    """Raise `MistrayError` if vertices of a shape, mm in the world, are farther away than any real system is large."""
+    """Raise `MistrayError` if a world coordinate of a vertex, mm, is `FARTHEST_MM` or more in size; name the shape."""
     farthest = float(np.abs(vertices).max())
     if not farthest < FARTHEST_MM:
         raise MistrayError(

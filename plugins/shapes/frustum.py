@@ -82,14 +82,14 @@ class Frustum(Revolution):
 
     @staticmethod
     def vertex_frame(values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:
-        """Return the frame, (4, 4), mm, whose origin lies on the axis at the first rim."""
+        """Return the frame, (4, 4) float64, mm, with the axes of `matrix` and its origin on the axis at z = ``z0``."""
         vertex = matrix.copy()
         vertex[:3, 3] += matrix[:3, 2] * values["z0"]
         return vertex
 
     @property
     def differentiable(self) -> tuple[str, ...]:
-        """Names of parameters with a derivative, without ``z0`` and ``z1`` of a flat annulus and a radius of 0."""
+        """Names of the parameters with derivatives: all but radii that are 0, and ``z0`` and ``z1`` of an annulus."""
         without = {name for name in ("r0", "r1") if self.values[name] == 0}
         without |= {"z0", "z1"} if self.flat else set()
         return tuple(name for name in self.values if name not in without)

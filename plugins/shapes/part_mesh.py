@@ -21,7 +21,7 @@ class PartMesh(mi.Mesh):
 
     Mitsuba's ``ply`` with an ``interface`` is traced in the same way; this plugin also declares the part and the
     optical space. Normals are those of the triangles, counter-clockwise, towards the ``back`` of the nested
-    ``interface``, which is the outside of a closed body. Hits are found in single precision.
+    ``interface``, the outside of a closed body. Hits are found in single precision.
 
     .. parameters::
 

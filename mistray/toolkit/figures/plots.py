@@ -47,7 +47,7 @@ def image_colours() -> Colormap:
 
 def scaled_map(axes: Axes, image: Pixels, extent: Extent, limits: Range | None, cells: int) -> None:
     """
-    Draw one map on a log10 scale with its own colour bar, which is left out if nothing exceeds its floor.
+    Draw one map on a log10 scale with its own colour bar. If no pixel reaches the floor, "no light" is written instead.
 
     Parameters
     ----------
@@ -58,9 +58,14 @@ def scaled_map(axes: Axes, image: Pixels, extent: Extent, limits: Range | None, 
     extent : (float, float, float, float)
         Extent x0, x1, y0, y1, mm.
     limits : (float, float) or None
-        Exponents of ten of floor and top in W/mm²; None: those of this map.
+        Exponents of ten of floor and top, W/mm²; None: those of this map.
     cells : int
         Largest number of cells along a side; pixels are averaged in squares to stay within it.
+
+    Raises
+    ------
+    MistrayError
+        If a pixel reaches the floor, and the floor does not lie below the top.
     """
     coarse, whole = averaged(image.value, extent, cells)
     few = image.few_in_squares(pixels_averaged(image.value, cells))
@@ -89,13 +94,13 @@ def draw_map(
     axes : Axes
         Axes to draw in.
     image : (H, W) float
-        Irradiance or another quantity; row 0 at the smallest y.
+        Irradiance, W/mm², or another quantity in its unit; row 0 at the smallest y.
     extent : (float, float, float, float)
         Extent x0, x1, y0, y1, mm.
     limits : (float, float) or None
         Exponents of ten of floor and top, in the unit of the map; None: there is no light.
     few : (H, W) bool, optional
-        Pixels that few rays reach; those above the floor are hatched.
+        True for pixels that few rays reach; those at or above the floor are hatched. None: none is.
 
     Returns
     -------
@@ -135,7 +140,7 @@ def _hatch(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
 
 
 def as_png(figure: Figure, of_maps: bool = False) -> bytes:
-    """Return a figure as PNG; with `of_maps` it gets a palette of 256 colours, which makes it a third as large."""
+    """Return a figure as PNG; with `of_maps` it has the 256 colours of maps and greys, and is a third as large."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", bbox_inches="tight", pad_inches=0.1)
     if not of_maps:
@@ -170,7 +175,7 @@ def write_figure(figure: Figure, path: str | Path) -> Path:
 
 def as_svg(figure: Figure, text: str = "") -> str:
     """
-    Return a figure as an SVG element for HTML, without metadata, which contains web addresses.
+    Return a figure as an SVG element for HTML, without Matplotlib's metadata and its web addresses.
 
     Text remains text, in the fonts of the reader. Coordinates are rounded to 0.01 point.
 
@@ -179,7 +184,7 @@ def as_svg(figure: Figure, text: str = "") -> str:
     figure : Figure
         Matplotlib figure.
     text : str
-        Description of the figure for screen readers.
+        Description of the figure for screen readers; empty: none.
     """
     buffer = io.StringIO()
     with rc_context({"svg.fonttype": "none"}):

@@ -19,7 +19,11 @@ LEDGER_COLOURS = {"detected": BLUE, "absorbed": GREY, "escaped": GREEN, "cut": O
 
 
 def trace_figure(trace: Trace, title: str = "") -> Figure:
-    """Draw the irradiance of all light on the detector, W/mm², on a log10 scale, under the heading `title`."""
+    """
+    Return a figure of the irradiance of all light on the detector, W/mm², on a log10 scale.
+
+    The heading begins with `title`. A trace of several detectors raises `MistrayError`, see `Trace.on`.
+    """
     x0, x1, y0, y1 = trace.extent
     made, axes = Figure.of_panels(5.6, 0.9 + 4.3 * max((y1 - y0) / (x1 - x0), 0.45), dpi=110)
     scaled_map(axes, trace.light, trace.extent, None, CELLS)
@@ -30,9 +34,9 @@ def trace_figure(trace: Trace, title: str = "") -> Figure:
 
 def paths_figure(paths: PathTable, title: str = "") -> Figure:
     """
-    Draw the power of the strongest paths, W, as bars with standard errors, under the heading `title`.
+    Return a figure of the power of the strongest paths, W, as bars with standard errors.
 
-    At most `BARS` paths are drawn.
+    At most `BARS` paths are drawn. The heading begins with `title`.
     """
     rows = paths[:BARS]
     powers = {f"{row.path_id}  {row.label}": Estimate(row.power_W, row.power_se_W) for row in rows}
@@ -45,9 +49,9 @@ def paths_figure(paths: PathTable, title: str = "") -> Figure:
 
 def energy_figure(energy: Energy, title: str = "") -> Figure:
     """
-    Draw the shares of the launched flux by destination, percent, as bars with standard errors.
+    Return a figure of the shares of the launched flux by destination, percent, as bars with standard errors.
 
-    At most `BARS` destinations with flux are drawn, under the heading `title`.
+    At most `BARS` destinations with flux are drawn. The heading begins with `title`.
     """
     flux = sorted(ledger(energy).items(), key=lambda item: -item[1].value)[:BARS]
     shares = {name: one.times(100 / energy.launched_W) for name, one in flux if one.value > 0}
@@ -57,9 +61,9 @@ def energy_figure(energy: Energy, title: str = "") -> Figure:
 
 def flux_figure(found: FluxReport, title: str = "") -> Figure:
     """
-    Draw the flux that surfaces absorb, W, as bars with standard errors, under the heading `title`.
+    Return a figure of the flux that surfaces absorb, W, as bars with standard errors.
 
-    At most `BARS` surfaces that absorb flux are drawn.
+    At most `BARS` surfaces that absorb flux are drawn. The heading begins with `title`.
     """
     rows = sorted((row for row in found if row.absorbed_W > 0), key=lambda row: -row.absorbed_W)[:BARS]
     fluxes = {row.id: Estimate(row.absorbed_W, row.absorbed_se_W) for row in rows}
@@ -67,7 +71,11 @@ def flux_figure(found: FluxReport, title: str = "") -> Figure:
 
 
 def rays_figure(rays: RayHistory, title: str = "") -> Figure:
-    """Draw recorded rays projected onto the y-z plane, mm; dots mark their events, and `title` begins the heading."""
+    """
+    Return a figure of recorded rays projected onto the plane of z and y, mm, with dots at their starts and events.
+
+    The heading begins with `title`.
+    """
     made, axes = Figure.of_panels(8.6, 4.2)
     for points in rays.rays:
         axes.plot(points[:, 2], points[:, 1], color=BLUE, lw=0.8, marker=".", ms=4)

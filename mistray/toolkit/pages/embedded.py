@@ -2,8 +2,8 @@
 Embedding of numbers and pictures in an HTML file: maps with 16 bits per pixel, PNG files, and JSON for scripts.
 
 A power P in W is stored as the whole number c of steps of 1/600 decade above 1e-100 W, c = round(600 (100 + log10 P)).
-0 means no power. This covers 1e-100 … 1e9 W with an error of at most 0.2 %. Of all numbers of a page together the high
-bytes come first, then the low ones, compressed (zlib) and as base64.
+0 means no power. This covers 1e-100 … 1e9 W with an error of at most 0.2 %. The high bytes of all numbers of a page
+come first, then the low ones, compressed (zlib) and as base64.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ class MapStore:
 
     def add(self, found: PathMap) -> list[int]:
         """
-        Add a power map and return its position in the store, for the page's script.
+        Add a power map and return its position on the detector and in the store, for the page's script.
 
         Returns
         -------
         list of int
-            Pixels per cell, first column, first row, number of columns and rows, and place of its first number in the
-            store.
+            Pixels along the side of a cell; indices of the first column and row, in cells; numbers of columns and rows;
+            place of its first number in the store.
         """
         height, width = found.power_W.shape
         place = self._count
@@ -73,7 +73,11 @@ def _compressed(data: bytes) -> str:
 
 
 def power_codes(power_W: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
-    """Return powers, W, as uint16 codes for storage: steps of 1/600 decade above 1e-100 W; 0 for no power."""
+    """
+    Return powers, W, as uint16 codes of the same shape: steps of 1/600 decade above 1e-100 W; 0 for no power.
+
+    Powers outside of 1e-100 … 1e9 W get the lowest or highest code.
+    """
     codes = np.zeros(power_W.shape, dtype=np.uint16)
     lit = power_W > 0
     steps = np.rint(STEPS_PER_DECADE * (np.log10(power_W[lit]) - LOWEST_DECADE))
@@ -82,16 +86,21 @@ def power_codes(power_W: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
 
 
 def decimals(low: npt.ArrayLike, high: npt.ArrayLike) -> int:
-    """Return the number of decimals for coordinates in a box, such that its longest side has `DIGITS` digits."""
+    """
+    Return the number of decimals, ≥ 0, for coordinates in a box, such that its longest side has `DIGITS` digits.
+
+    `low` and `high` are its smallest and largest coordinates, in one unit.
+    """
     size = max(float(np.max(np.subtract(high, low))), 1e-9)
     return max(DIGITS - 1 - math.floor(math.log10(size)), 0)
 
 
 def section_data(scene: Any) -> dict[str, Any]:
     """
-    Return the drawing of a system's section (mm), its bounds and map colours as data for page scripts.
+    Return a system's section at x = 0, its bounds and the colours of maps as JSON-serialisable data for page scripts.
 
-    All are JSON-serialisable; coordinates are rounded to `DIGITS` digits of the system's size.
+    Coordinates are z and y, mm, rounded to `DIGITS` digits of the system's size. The bounds are the smallest z and y,
+    then the largest.
     """
     lines = section(scene)
     low, high = bounds(lines)
@@ -141,5 +150,5 @@ def palette_png(index: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8]) ->
 
 
 def rounded(lines: Sequence[npt.NDArray[np.float64]], digits: int) -> list[list[float]]:
-    """Return polylines, (n, 2) each, as flat lists x, y, x, y, …, each number rounded to `digits` decimals."""
+    """Return polylines, (n, 2) each, as flat lists of their pairs, each number rounded to `digits` decimals."""
     return [np.round(line, digits).ravel().tolist() for line in lines]

@@ -72,7 +72,7 @@ def write_formats(
     facts : mapping, optional
         Facts stored with the tables, see `write_parquet`.
     report : Report, optional
-        Report for "pdf", under the name of its page, and for the rays of "dat"; without one neither is written.
+        Report for "pdf", under the name of its page, and for the rays of "dat"; None: neither is written.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def write_formats(
     Raises
     ------
     MistrayError
-        If a file cannot be written, or for the reasons of `require_formats`.
+        If an argument is of a wrong type, a file cannot be written, or for the reasons of `require_formats`.
 
     Examples
     --------

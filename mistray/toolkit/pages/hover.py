@@ -41,7 +41,7 @@ def hover_figure(
     titles : sequence of str
         Heading of each place.
     values : sequence of sequence of (str, str)
-        Names and values of each place.
+        Pairs of a name and a value, for each place.
     caption : str
         Caption below the figure.
     text : str

@@ -30,9 +30,9 @@ def cell(text: str, kind: str = "") -> str:
 
 def number_cell(estimate: Estimate, note: str = "") -> str:
     """
-    Return a table cell with a value, its standard error and a note below, which sorts by the value.
+    Return the HTML of a table cell with a value, its standard error and, below, a note.
 
-    A value that is not finite is shown as "–", without a note.
+    The cell sorts by the value. A value that is not finite is shown as "–", without a note.
     """
     if not math.isfinite(estimate.value):
         return cell(ABSENT)

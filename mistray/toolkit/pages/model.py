@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fold:
-    """Text on a page that unfolds on a click: a summary, and the text shown when open."""
+    """Text of a table cell that unfolds on a click: a summary, the text shown when open, and the cell's CSS class."""
 
     summary: str
     text: str
@@ -34,7 +34,7 @@ class Fold:
 
     @property
     def of_letters(self) -> bool:
-        """Whether the summary is the letters of a path's events, of use only beside the text."""
+        """True if the summary is the letters of a path's events, of use only beside the text."""
         return self.style.startswith("path")
 
 
@@ -83,7 +83,7 @@ class Column:
 
     @classmethod
     def of(cls, text: str) -> Column:
-        """Return a column from "head [unit]"; "<head [unit]" is flush left."""
+        """Return a column from "head [unit]", or left-aligned from "<head [unit]"; the unit may be missing."""
         found = re.fullmatch(r"(<?)(.*?)(?: ?\[(.*)\])?", text)
         assert found is not None
         return cls(found[2], found[3] or "", "t" if found[1] else "")
@@ -114,9 +114,9 @@ class Table(PagePart):
     name : str
         Id on a page, and name of the table in JSON and of its CSV file.
     sortable : bool
-        Whether a click on a heading sorts it on a page.
+        Whether a click on a heading sorts the table on a page.
     filter : (str, str), optional
-        Placeholder and screen-reader label of a `Filter` above the table.
+        Placeholder and screen-reader label of a `Filter` above the table; None: there is none.
     fold : str
         Text of the line that opens the table on a page; empty: it is open.
     most : int, optional
@@ -160,9 +160,9 @@ class Table(PagePart):
 
     def beside(self, *others: Table) -> Table:
         """
-        Return the table with the columns of other tables, which have as many rows, on its right.
+        Return the table with the columns of other tables on its right; all have as many rows, else `ValueError`.
 
-        If it has a row `rest`, the cells of others without one stay empty there.
+        The row `rest` is that of all tables if this one has it. The cells of others without one are empty there.
         """
         rows = [[*chain(*parts)] for parts in zip(self.rows, *(one.rows for one in others), strict=True)]
         more = chain(*(one.rest or [""] * len(one.columns) for one in others))
@@ -176,7 +176,11 @@ class Table(PagePart):
 
 @dataclass(frozen=True)
 class Filter(PagePart):
-    """Input field on a page that filters table rows by words; `label` is for screen readers."""
+    """
+    Input field on a page that filters the rows of a table by words.
+
+    `table` is the id of the table, `label` is for screen readers.
+    """
 
     table: str
     placeholder: str
@@ -187,9 +191,9 @@ class Filter(PagePart):
 @dataclass(frozen=True)
 class NotePart(PagePart):
     """
-    Paragraph of text; `style` "note" is small print, "h3" a heading, "pre" a command, "sub" the computed quantity.
+    Text in a report: a paragraph, or by `style` small print ("note"), a heading ("h3") or a command ("pre").
 
-    A heading with an `anchor` can be linked to.
+    The style "sub" is for the computed quantity. A heading with an `anchor` can be linked to.
     """
 
     text: str
@@ -203,7 +207,7 @@ Note = NotePart  # its name before version 0.3
 
 @dataclass(frozen=True)
 class Items(PagePart):
-    """List of short texts; `style` "warnings" shows a box, "verdict" the result in a few sentences."""
+    """List of short texts; `style` "warnings" shows them in a box, "verdict" as the result in a few sentences."""
 
     texts: Sequence[str]
     style: str = ""
@@ -220,7 +224,7 @@ class Terms(PagePart):
 
 @dataclass(frozen=True)
 class Hover:
-    """Values that a plot shows at the pointer: positions along x, a heading for each, and named values."""
+    """Values that a plot shows at the pointer; for the attributes see the parameters of `hover_figure`."""
 
     name: str
     x: Sequence[float]
@@ -240,7 +244,7 @@ class FigurePart(PagePart):
     caption, text : str
         Caption below the picture, and description for screen readers (default: the caption).
     hover : Hover, optional
-        Values along x of the first axes of a drawn figure.
+        Values along x of the first axes of a drawn figure; None: it shows none.
     """
 
     picture: bytes | Callable[[], Drawing]
@@ -285,7 +289,11 @@ class Html(PagePart):
 
 @dataclass(frozen=True)
 class Folded(PagePart):
-    """Parts of a page that unfold on a click on a line, with an optional `anchor` for links."""
+    """
+    Parts of a page that unfold on a click on a line, the `summary`.
+
+    `style` is a CSS class, and `anchor` an id for links; empty: there is none.
+    """
 
     summary: str
     parts: Sequence[PagePart]
@@ -304,7 +312,11 @@ class PartGroup(PagePart):
 
 
 def without_groups(parts: Iterable[PagePart]) -> Iterator[PagePart]:
-    """Yield parts, with those of groups and folds in place of these; the summary of a fold is a note before them."""
+    """
+    Yield parts in order, with the parts of groups and folds in place of these.
+
+    The summary of a fold comes before its parts, as a note.
+    """
     for part in parts:
         if isinstance(part, Folded):
             yield NotePart(part.summary)
@@ -330,7 +342,7 @@ class Section:
     link : str
         Name in the links at the top of a page; empty: no link.
     folded : {"", "screen", "always"}
-        Whether a page shows the title alone until it is opened; "screen": on paper it is open.
+        "": the chapter is open. Otherwise a page shows only its title until a click; with "screen" it is open on paper.
     """
 
     anchor: str
@@ -360,7 +372,7 @@ class Report:
     contents : bool
         Whether the links form a list of contents above the warnings.
     scripts : sequence of {"report", "hover", "drawing", "explorer"}
-        Scripts of the page: sort and filter tables, show values of plots, explore the paths of a field.
+        Scripts of the page: sort and filter tables, show values of plots, draw the section, explore paths.
     csv : mapping of str to DataFrame
         Tables with full precision by file name.
     json : mapping of str to mapping

@@ -20,7 +20,7 @@ PROBE = 1 << 16  # bytes for which there must be room
 
 def writable_directory(directory: str | Path) -> Path:
     """
-    Check that a folder can be written, before a long trace, and return its path.
+    Return the absolute path of a folder, checked to be writable before a long trace. It is not created.
 
     Raises
     ------
@@ -90,8 +90,8 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
     Raises
     ------
     MistrayError
-        If the folder or a file cannot be written, or may not be replaced, or a table of a section that a user added has
-        no name.
+        If the folder or a file cannot be written, or may not be replaced. Also if a table in a section that a user
+        added has no name, or one that is taken.
     """
     from mistray.toolkit.pages.own_sections import with_own_sections
     from mistray.toolkit.pages.render import html_page
@@ -119,5 +119,5 @@ def told(directory: str | Path) -> Iterator[None]:
 
 
 def nearest_directory(path: Path) -> Path:
-    """Return the path itself or its nearest existing parent."""
+    """Return an absolute path itself if it exists, else its nearest existing parent."""
     return next(place for place in (path, *path.parents) if place.exists())

@@ -59,7 +59,7 @@ def with_own_sections(report: Report) -> Report:
     """
     Return a report with the user's sections for its result before its last section.
 
-    Their tables and values are added to its CSV and JSON files. A table without a name of its own raises
+    Their tables and values are added to its CSV and JSON files. A table without a name, or with a taken one, raises
     `MistrayError`.
     """
     own = own_sections(report.result)

@@ -37,8 +37,8 @@ def settings_section(
     assumptions : sequence of str
         Assumptions of the computation, one sentence each.
     before, after : sequence of PagePart
-        Parts at the top, and between the settings and the command.
-    link, folded
+        Parts at the top of the section, and parts between the settings and the command.
+    link, folded : str
         Link name and folding, see `Section`.
     """
     parts: list[PagePart] = list(before)
@@ -56,7 +56,7 @@ def settings_section(
 
 @functools.cache
 def terms(report: str) -> dict[str, str]:
-    """Return the definitions of the words that a report uses, in order of display; see assets/terms.toml."""
+    """Return the definitions of the words that a report uses, in order; `report` is its table in assets/terms.toml."""
     text = files("mistray.toolkit.pages").joinpath("assets", "terms.toml").read_text(encoding="utf-8")
     return dict(tomllib.loads(text)[report])
 

@@ -1,6 +1,7 @@
 """Report as a PDF document of A4 pages, made without a browser from the same `Report` as its page.
 
-Folded parts appear only on the page; the document holds their title, or the line that opens them.
+Sections that are always folded, `Folded` parts and HTML appear only on the page. The document names these sections, and
+holds the summaries of these parts.
 """
 
 from __future__ import annotations
@@ -120,7 +121,7 @@ class _Writer:
         """
         Write parts of a report; pictures are at most `most` mm high.
 
-        Of a folded part, only the summary is written.
+        Of a `Folded` part only the summary is written, of `Html` and `Filter` nothing.
         """
         for part in parts:
             if isinstance(part, model.Table):
@@ -141,7 +142,11 @@ class _Writer:
                 self.text(f"▸ {part.summary}", SMALL, SOFT)
 
     def heading(self, text: str, size: float, level: int, room: float = ROOM) -> None:
-        """Write a heading and its outline entry, keeping `room` mm for the text below it on the page."""
+        """
+        Write a heading, `size` points high, and its entry in the outline, with `room` mm left below it on the page.
+
+        `level` is its level in the outline: 0 for the title, 1 for a section, which gets a line below.
+        """
         self.room(room)
         if level:
             self.pdf.ln(3)
@@ -237,10 +242,10 @@ class _Writer:
 
     def table(self, table: model.Table) -> None:
         """
-        Write a table as wide as needed; if it is wider than the page, columns of text are wrapped.
+        Write a table as wide as needed; if it is wider than the page, its font shrinks, then text is wrapped.
 
-        A table without rows is left out, and so are columns of event letters. Of long tables the rows are written that
-        are also printed.
+        A table without rows is left out, and so are columns of event letters. A long table is cut as in printed text,
+        see `Table.most`.
         """
         from fpdf.enums import TableBordersLayout
         from fpdf.fonts import FontFace
@@ -273,7 +278,8 @@ class _Writer:
         """
         Return the size of the font, points, and the widths of the columns, mm, that fit a table on the page.
 
-        If no size fits, the smallest is used, and columns of text are narrowed before all others.
+        The first of `rows` holds the headings; `left` is True for columns of text. If no size fits, the smallest is
+        used and columns of text are narrowed. All are if that is not enough.
         """
         room, widths = self.pdf.epw, [0.0]
         for size in TABLE_SIZES:

@@ -73,7 +73,7 @@ def _cell(value: model.Value, column: model.Column) -> str:
 
 
 def runs(letters: str) -> str:
-    """Return letters with the length of each run of equal ones: "TTTRA" becomes "T×3 R A"."""
+    """Return letters with the length of each run of two or more equal ones: "TTTRA" becomes "T×3 R A"."""
     groups = ((letter, len(list(same))) for letter, same in itertools.groupby(letters))
     return " ".join(letter if count == 1 else f"{letter}×{count}" for letter, count in groups)
 
@@ -87,7 +87,7 @@ def _hovering(figure: model.FigurePart) -> Markup:
 
 
 def drawn_map(given: model.Map) -> model.FigurePart:
-    """Return a map as a figure on a log10 scale."""
+    """Return the part of a report that shows a map as a drawn figure, on a log10 scale."""
     return model.FigurePart(functools.partial(_map_figure, given), given.title)
 
 

@@ -24,7 +24,7 @@ ABSENT_BELOW_0 = ("space",)  # columns whose negative numbers say that there is 
 
 
 def heading_of(column: str) -> tuple[str, str]:
-    """Return the heading and the unit of a column from its name."""
+    """Return the heading and the unit of a column from its name: "z_mm" → "z", "mm"; the unit is empty without one."""
     name, unit = unit_of(column)
     words = [ABBREVIATIONS.get(word, word) for word in name.split("_") if word]
     return " ".join(words) or "share", unit
@@ -32,9 +32,9 @@ def heading_of(column: str) -> tuple[str, str]:
 
 def error_of(column: str, known: Sequence[str]) -> str | None:
     """
-    Return the name of the column with a column's standard error: "pst" → "pst_se", "x_mm" → "x_se_mm".
+    Return the name of the column with a column's standard error: "pst" → "pst_se", "x_mm" → "x_se_mm" or "x_mm_se".
 
-    It is None if `known` has no such column.
+    It is None if the column names `known` include neither.
     """
     name, _ = unit_of(column)
     end = column[len(name) :]
@@ -43,7 +43,7 @@ def error_of(column: str, known: Sequence[str]) -> str | None:
 
 def frame_table(name: str, frame: pd.DataFrame) -> Table:
     """
-    Return a DataFrame as a table of a report, standard errors beside their values.
+    Return a DataFrame as a table of a report, with standard errors in the cells of their values.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def frame_table(name: str, frame: pd.DataFrame) -> Table:
 
 def chosen(frame: pd.DataFrame, heads: Mapping[str, str], name: str = "") -> Table:
     """
-    Return some columns of a DataFrame as a table with given headings, standard errors beside their values.
+    Return some columns of a DataFrame as a table with given headings, standard errors in the cells of their values.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def value_text(value: Any) -> str:
     """
     Return a value of a table or of a setting as a report shows it.
 
-    None and NaN are "–", True is "yes", False is empty.
+    None and NaN are "–", True is "yes", False is empty. A whole number from 10 000 on has all its digits.
     """
     if isinstance(value, str):
         return value
@@ -153,10 +153,10 @@ def row_of(item: Any, *names: str) -> dict[str, Any]:
 
 def table_frame(table: Table) -> pd.DataFrame:
     """
-    Return a table as a DataFrame, whose columns are named by its headings and end in their units.
+    Return a table as a DataFrame with a column for each heading, named after it and its unit: "power_W".
 
-    An `Estimate` becomes two columns, value and standard error. In a column with a unit, text is read as a number, or
-    is missing.
+    A column with an `Estimate` becomes two, value and standard error; its other cells are NaN. In other columns with a
+    unit, text is read as a number, or is NaN if it is none.
     """
     ends = {unit: end for end, unit in UNITS}
     found: dict[str, list[Any]] = {}

@@ -10,7 +10,11 @@ from mistray.toolkit.pages.model import Table, columns
 
 
 def derivatives(found: Gradient) -> dict[str, Estimate]:
-    """Return derivatives other than exactly 0, with standard errors, by parameter key, or key and entry of an array."""
+    """
+    Return derivatives with standard errors, in metric per unit of the parameter, by parameter key.
+
+    The key of an array is followed by the index of the entry. `Gradient.untouched` parameters are left out.
+    """
     return {
         f"{key}[{entry}]" if len(values) > 1 else key: Estimate(float(value), float(se))
         for key, values in found.gradient.items()
@@ -20,7 +24,7 @@ def derivatives(found: Gradient) -> dict[str, Estimate]:
 
 
 def gradient_table(found: Gradient) -> Table:
-    """Return the table of derivatives, in metric per unit of the parameter, the most significant first."""
+    """Return the table of derivatives, in metric per unit of the parameter, the largest relative to its error first."""
     rows = sorted(derivatives(found).items(), key=lambda item: -_significance(item[1]))
     heads = columns("<parameter", "derivative [metric per unit of the parameter]")
     return Table(heads, [[key, value] for key, value in rows], empty="the metric depends on no parameter")

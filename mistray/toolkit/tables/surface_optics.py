@@ -27,7 +27,11 @@ OPTIC, BEVEL, OTHER_OPTIC, STRUCTURE, DETECTOR = "optic", "bevel or edge", "othe
 
 
 def role(table: SurfaceTable, path: DesignPath | None, surface: int) -> str:
-    """Return a surface's role: optic (of the design path), bevel or edge, other optic, structure, detector."""
+    """
+    Return the role of a surface, given by its index: optic, bevel or edge, other optic, structure, detector.
+
+    An optic belongs to the design path `path`; None: there is none.
+    """
     word = int(table.optics.host_words[surface])
     if surface == table.detector:
         return DETECTOR
@@ -42,15 +46,15 @@ def surface_optics(table: SurfaceTable, path: DesignPath | None) -> tuple[pd.Dat
     """
     Return R, T, A, scatter models and total integrated scatter (TIS) of every surface at normal incidence, percent.
 
-    Optics of the design path are given for the side of the incoming light, all others for both sides, in one row
-    if both are alike.
+    Optics of the design path are given for the side from which its light meets them, the last time, all others for both
+    sides, in one row if both are alike. Percentages are of the incident light.
 
     Parameters
     ----------
     table : SurfaceTable
         Surfaces of the scene.
     path : DesignPath, optional
-        Design path of the scene, if it has one.
+        Design path of the scene; None: it has none.
 
     Returns
     -------
@@ -59,9 +63,9 @@ def surface_optics(table: SurfaceTable, path: DesignPath | None) -> tuple[pd.Dat
         TIS_reflected_percent, TIS_transmitted_percent, A_percent (the rest to 100), scatter (the models in
         words).
     treatments : DataFrame
-        Groups of surfaces that have all these values in common.
+        Groups of surfaces that have role, side, coating, scatter and percentages in common, see `_treatments`.
     models : DataFrame
-        TIS of each scatter model alone, percent.
+        Columns surface, side, model, TIS_reflected_percent, TIS_transmitted_percent: each scatter model alone.
     """
     from_front = {step.surface: step.from_front for step in path.steps} if path else {}
     rows, models = [], []
@@ -91,9 +95,10 @@ def _totals(
     table: SurfaceTable, surface: int, models: Sequence[LobeModel], from_front: bool, cosine: float = 1.0
 ) -> Totals:
     """
-    Return specular loss and scattered fraction, 0 … 1, by scatter models of a surface at a cosine of incidence.
+    Return the `Totals` of scatter models at a surface, for one cosine of the angle of incidence.
 
-    Light arrives from the front if `from_front`; through an opaque surface nothing is scattered.
+    `surface` is its index. Light arrives from the front if `from_front`, else from the back. Through an opaque surface
+    nothing is scattered.
     """
     opaque = bool(table.optics.host_words[surface] & OPAQUE)
     sides = light_indices(table.optics, surface, from_front)
@@ -119,9 +124,9 @@ def _known_totals(
 
 def _budget(table: SurfaceTable, surface: int, from_front: bool) -> dict[str, float]:
     """
-    Return specular R and T, TIS of reflection and transmission, and absorption, percent, at normal incidence.
+    Return specular R and T, TIS of reflection and transmission, and absorption at normal incidence, by column.
 
-    Light arrives from the front if `from_front`.
+    They are percentages of the incident light, which arrives from the front if `from_front`, else from the back.
     """
     r, t = (float(share[0]) for share in table.optics.shares(surface, from_front, np.ones(1)))
     sums = _totals(table, surface, table.interfaces[surface].scatter, from_front)
@@ -140,7 +145,7 @@ def _budget(table: SurfaceTable, surface: int, from_front: bool) -> dict[str, fl
 
 def _models(table: SurfaceTable, surface: int, side: str, from_front: bool) -> list[dict[str, Any]]:
     """
-    Return table rows with the TIS of each scatter model of a surface alone, percent, at normal incidence.
+    Return table rows with the TIS of each scatter model of a surface alone, percent of light at normal incidence.
 
     Light arrives from the front if `from_front`, the side called `side`; models without TIS are left out.
     """
@@ -156,7 +161,7 @@ def _models(table: SurfaceTable, surface: int, side: str, from_front: bool) -> l
 
 
 def share_along(table: SurfaceTable, step: Any) -> float:
-    """Return the share of the base ray's light, 0 … 1, that continues along the design path at a step."""
+    """Return the share of the base ray's incident flux, 0 … 1, that goes on along the design path at a `DesignStep`."""
     along = normals(table, step.surface, step.point[None])[0] if step.surface < len(table.pieces) else step.normal
     cosine = min(abs(float(step.before @ along)), 1.0)
     r, t = table.optics.shares(step.surface, step.from_front, np.array([cosine]))
@@ -166,7 +171,7 @@ def share_along(table: SurfaceTable, step: Any) -> float:
 
 
 def coating_words(coating: Any) -> str:
-    """Return a short description of a coating, such as "bare" or its name with its kind."""
+    """Return a short description of a coating: "bare", or its name, if it has one, with its R and T or its kind."""
     name = str(getattr(coating, "name", "") or "")
     if isinstance(coating, Bare):
         return "bare"
@@ -196,9 +201,10 @@ def model_words(item: Any) -> str:
 
 def _treatments(frame: pd.DataFrame) -> pd.DataFrame:
     """
-    Return a DataFrame of groups of surfaces with equal coating, scatter, R, T and absorption, percent.
+    Return a DataFrame of groups of surfaces with equal role, side, coating, scatter, R, T, TIS and A, percent.
 
-    Groups are sorted by role, then by the number of their surfaces.
+    Each has its "count" of rows of `frame` and the names of their surfaces. Groups are sorted by role, then by count,
+    the largest first.
     """
     numbers = ["R_percent", "T_percent", *TIS, "A_percent"]
     keys = ["role", "side", "coating", "scatter", *numbers]

@@ -34,9 +34,9 @@ def with_error(number: Estimate, digits: int = 2) -> str:
     """
     Return a number and its standard error as printed, such as "9.3548e-05 ± 1.2e-08".
 
-    The error has ``digits`` digits and the value ends at the same place, but has `SIGNIFICANT` digits at most. An error
-    that is 0 there is left out, and the value has all these digits, "1.0000e-04". So has an exact one, but without the
-    zeros at its end, "1.0e-04" or "0.5". A number that is not finite is "–"; an unknown error is "± ?".
+    The error has ``digits`` digits. The value ends at the same decimal place, but has at most `SIGNIFICANT` digits. An
+    error that rounds to 0 at the value's last place is left out: "1.0000e-04". An exact value, of error 0, has no zeros
+    at its end: "1.0e-04" or "0.5". An error that is not finite is "± ?"; a value that is not finite is "–" alone.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def cell_text(value: Value) -> str:
 
 
 def parts_text(parts: Sequence[PagePart]) -> str:
-    """Return tables, notes and lists as text, also those in groups and folds, and pictures as their captions."""
+    """Return tables, notes and lists as text, also those in groups and folds; pictures and maps are a line each."""
     texts = []
     for part in without_groups(parts):
         if isinstance(part, Table):
@@ -142,7 +142,11 @@ def plain_sentences(texts: Sequence[str]) -> list[str]:
 
 
 def _exact(value: float, digits: int) -> str:
-    """Return a number of so many digits without zeros at its end: "0.5", and with an exponent at least "1.0e-04"."""
+    """
+    Return a number rounded to `digits` significant digits, without zeros at its end: "0.5".
+
+    With an exponent one decimal always remains: "1.0e-04".
+    """
     if not value or _exponent(value, digits) in FIXED:
         return f"{value:.{digits}g}"
     return re.sub(r"(\.\d+?)0+e", r"\1e", f"{value:.{digits - 1}e}")

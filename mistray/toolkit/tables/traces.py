@@ -30,7 +30,7 @@ def trace_table(trace: Trace) -> Table:
 
 
 def paths_table(paths: PathTable) -> Table:
-    """Return the table of paths: id, name, kind, power absorbed by the detectors, share of all light, rays."""
+    """Return the table of paths: id, name, kind, power absorbed by the detectors, W, percent of all light, rays."""
     names = ("path_id", "label", "kind", "power_W", "power_se_W", "percent", "rays")
     values = zip(*(paths.column(name).tolist() for name in names), strict=True)
     rows: list[list[Value]] = [
@@ -64,7 +64,7 @@ def ledger(energy: Energy) -> dict[str, Estimate]:
 
 
 def energy_table(energy: Energy) -> Table:
-    """Return the energy ledger of a trace as a table: flux, W, by destination and its share of the launched flux."""
+    """Return the energy ledger of a trace as a table: flux, W, by destination, and percent of the launched flux."""
     rows: list[list[Value]] = [
         [name, flux, number(100 * flux.value / energy.launched_W, 4)] for name, flux in ledger(energy).items()
     ]
@@ -72,7 +72,7 @@ def energy_table(energy: Energy) -> Table:
 
 
 def flux_table(found: FluxReport) -> Table:
-    """Return the flux at every surface that rays meet, W, the largest absorbed flux first."""
+    """Return the table of incident and absorbed flux, W, at surfaces that rays meet, the largest absorbed first."""
     rows: list[list[Value]] = [
         [row.id, row.hits, Estimate(row.incident_W, row.incident_se_W), Estimate(row.absorbed_W, row.absorbed_se_W)]
         for row in sorted(found, key=lambda row: -row.absorbed_W)
@@ -82,5 +82,5 @@ def flux_table(found: FluxReport) -> Table:
 
 
 def rays_table(rays: RayHistory) -> Table:
-    """Return the table of the events of recorded rays: event, surface, position, optical path, flux."""
+    """Return the table of the start and events of recorded rays: surface, position and optical path, mm, flux, W."""
     return chosen(rays.to_pandas(), RAY_COLUMNS)

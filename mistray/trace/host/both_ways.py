@@ -53,7 +53,7 @@ class Branches:
     Attributes
     ----------
     o, d, axis : (n, 3) float64
-        Origins (mm), directions, and unit vectors across these to which the Stokes vectors refer.
+        Origins (mm), unit directions, and unit vectors across these to which the Stokes vectors refer.
     mean : (n,) float64
         Flux by the mean of s and p, in units of a start ray.
     light : (n, 4) float64
@@ -61,8 +61,8 @@ class Branches:
     floor : (n,) float64
         Flux below which branches end, in units of a start ray.
     last, medium, reflections, ray : (n,) int
-        Index of the surface that they come from (-1: none), index of their material, number of reflections that count,
-        and index of the start ray.
+        Index of the surface that they come from (-1: none), index of their material, number of reflections that count
+        for `max_reflections`, and index of the start ray.
     scattered : (n,) bool
         Whether a surface has scattered them.
     codes : (n, k) int
@@ -88,7 +88,7 @@ class Branches:
 
     @property
     def bright(self) -> npt.NDArray[np.bool_]:
-        """Return a mask of branches, (n,), whose flux in either mode is above the floor for being followed."""
+        """Mask of the branches, (n,), whose flux in either mode is above their `floor`."""
         return np.asarray(np.maximum(self.mean, self.light[:, 0]) > self.floor)
 
     @staticmethod
@@ -97,7 +97,11 @@ class Branches:
         return Branches(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Branches)))
 
     def after(self, code: Whole, d: Floats, axis: Floats, mean: Floats, light: Floats) -> Branches:
-        """Return the branches after one more event `code`, with flux `mean` and `light` in units of a start ray's."""
+        """
+        Return the branches after one more event; `code`, (n,), is that of each branch, see `codes`.
+
+        Directions, axes and fluxes after it are those given, see the attributes of these names. Origins remain.
+        """
         codes = np.concatenate([self.codes, code[:, None]], axis=1)
         return replace(self, d=d, axis=axis, mean=mean, light=light, last=code >> EVENT_BITS, codes=codes)
 
@@ -122,7 +126,7 @@ class Arrivals:
     scattered : bool
         Whether a surface scatters the light.
     reflections : int
-        Number of reflections that count.
+        Number of reflections that count for `max_reflections`.
     name : str
         Name of the light for messages.
     """
@@ -138,7 +142,11 @@ class Arrivals:
     name: str = ""
 
     def plus(self, other: Arrivals) -> Arrivals:
-        """Return two arrivals added up: flux, W, hits and residual; the spread is the larger of the two."""
+        """
+        Return two arrivals added up: flux, W, hits and residual.
+
+        The spread is the larger of the two; all else is that of this one.
+        """
         sums = {name: getattr(self, name) + getattr(other, name) for name in ("mean", "stokes", "residual", "hits")}
         return replace(self, **sums, spread=max(self.spread, other.spread))
 
@@ -165,7 +173,7 @@ class Arrivals:
 
 
 def started(run: Run, rays: int) -> tuple[Branches, float]:
-    """Return start rays of a run as `Branches`, and the flux, W, of a start ray of weight 1."""
+    """Return about `rays` start rays of a run as `Branches`, and the flux, W, of a start ray of weight 1."""
     pilot = replace(run, rays=run.source.count(rays), seed=SEED, parts=None)
     start = pilot.start_pass(0)
     if (given := dr.width(start.lane)) > 2 * rays:  # a source may have rays of its own
@@ -255,10 +263,11 @@ class _Tree:
 
     Attributes
     ----------
-    ends : list
-        Branches that arrived at a detector, with the flux that it absorbs of each in either mode.
+    ends : list of (Branches, (n,) float64, (n,) float64)
+        Branches that arrived at a detector, and the flux that it absorbs of each, in units of a start ray: first by the
+        mean of s and p, then by Stokes vectors.
     dim : list of _Lit
-        Hits of surfaces that scatter so far.
+        Hits so far of surfaces that scatter.
     hits : int
         Number of hits of surfaces.
     """
@@ -384,7 +393,12 @@ class _Tree:
         return Branches.together(children)
 
     def _kept(self, surface: Whole, from_front: np.ndarray, event: str, cosine: Floats) -> Floats:
-        """Return the fraction, (n,), of the coating's R or T that stays in the specular beam after scatter."""
+        """
+        Return the fraction, (n,), of R or T of the surfaces that stays in the specular beam beside scattered light.
+
+        `event` is "reflection" or "transmission". `cosine` is that of the angle of incidence, in transmission that of
+        the angle in the rarer medium.
+        """
         kept = np.ones(len(surface))
         for (number, side, name), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side))
@@ -404,8 +418,8 @@ class _Tree:
         """
         Record branches that meet scattering surfaces, unless they were scattered before.
 
-        `sent` maps an event to R or T for s and p, (n, 2), and to the children's Stokes vectors. Events that the
-        settings do not allow are left out.
+        The hits are at `surface`, (n,), with unit normals to the back, (n, 3). `sent` maps an event to R or T for s and
+        p, (n, 2), and to the children's Stokes vectors, (n, 4). Events that the settings do not allow are left out.
         """
         for (number, side, event), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side) & ~b.scattered)
@@ -419,7 +433,11 @@ class _Tree:
             self.dim.append(_Lit(case, b.take(here), outward, X[here].mean(axis=1), own))
 
     def _rays(self, lit: _Lit, chosen: Whole, weight: Floats) -> Branches:
-        """Return one scattered ray for each chosen hit, aimed at a flat target if there is one, else Lambertian."""
+        """
+        Return one scattered ray for each chosen hit, aimed at a flat target if there is one, else Lambertian.
+
+        `chosen`, (m,), holds indices of hits in `lit`; `weight`, (m,), is 1 over how often each is drawn on average.
+        """
         case, b, outward = lit.case, lit.branches.take(chosen), lit.outward[chosen]
         to_back = case.from_front == (case.event == "transmission")
         d, per_sr = self._directions(b.o, outward, self._aims.get((case.surface, to_back)))
@@ -477,7 +495,11 @@ class _Tree:
 
 
 def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[Arrivals]:
-    """Return the flux of each path to the detector, W, from branches; `unit` is the flux of a start ray, W."""
+    """
+    Return the light of each path at the detector, from branches that arrived there.
+
+    `mean` and `stokes`, (n,), are the absorbed flux in either mode, in units of a start ray, whose flux is `unit`, W.
+    """
     paths, number = np.unique(end.codes, axis=0, return_inverse=True)
     number = number.ravel()
     found = []
@@ -519,7 +541,8 @@ def _turned(b: Branches, normal: Floats) -> Branches:
     """
     Return branches whose Stokes vectors refer to axes normal to the plane of incidence.
 
-    At normal incidence, where there is no such plane, they keep their axes.
+    `normal`, (n, 3), are unit normals of the surfaces. At normal incidence, where there is no such plane, branches keep
+    their axes.
     """
     s = _cross(b.d, normal)
     size = np.sqrt(np.einsum("ij,ij->i", s, s))[:, None]
@@ -534,7 +557,7 @@ def _child(light: Floats, X: Floats) -> Floats:
     """
     Return Stokes vectors (flux, q, u, v), (n, 4), after reflection or transmission at a surface.
 
-    `X` holds R or T of s and p, and Re and Im of the amplitude product.
+    `X`, (n, 4), holds R or T of s and p, and Re and Im of the amplitude product, see `CoatingShares.shares`.
     """
     flux, q, u, v = light.T
     s, p, re, im = X.T

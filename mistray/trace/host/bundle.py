@@ -34,7 +34,9 @@ class PointBundle:
     near : bool
         Whether the object point is near, so that coordinates are slopes.
     along : (3,) float64
-        Unit vector towards larger field angles: the change of the light's direction, or the motion of a near point.
+        Unit vector along which the field grows. For a distant point it is the change of the light's direction with the
+        field angle. For a near point it is the direction of positive object heights: y of the object plane, turned by
+        the azimuth.
     """
 
     origin: Array
@@ -53,9 +55,10 @@ class PointBundle:
 
     def density(self, x: Array) -> Array:
         """
-        Return relative flux per area of the ray coordinates (n, 2), (n,), for a uniform beam or isotropic point.
+        Return the relative flux per area of the coordinates, (n,), at coordinates x, (n, 2): mm or slopes.
 
-        It is 1 for a point at infinity. For a near one the coordinates are slopes, and it falls off as they grow.
+        The beam is uniform, or the near point radiates alike in all directions. It is 1 for a point at infinity. For a
+        near one it is 1 at x = 0 and falls off as the slopes grow.
         """
         if not self.near:
             return np.ones(len(x))

@@ -25,15 +25,16 @@ class DesignLight:
     last, hit : (n, 3) float64
         Points on the last surface before the detector (or at the start) and on the detector, mm.
     direction : (n, 3) float64
-        Unit direction between these points.
+        Unit direction from the former to the latter.
     normal : (n, 3) float64
         Unit normal of the detector.
     opl_mm : (n,) float64
-        Optical path length to `last`, mm.
+        Optical path length from the origins to `last`, mm.
     index : float
         Refractive index before the detector.
     throughput : (n,) float64
-        Share of the flux that reaches the detector, mean of both polarisations; 1 if it was not requested.
+        Share of the flux at the first surface that reaches the detector, mean of both polarisations, without losses by
+        scatter; 1 if it was not requested.
     """
 
     last: Array
@@ -109,9 +110,10 @@ def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False)
 def stop_crossing(path: DesignPath, o: Array, d: Array, place: int, at_surface: bool, centre: Array,
                   normal: Array) -> Array:  # fmt: skip
     """
-    Return the points, (n, 3), mm, where rays cross the stop's plane before step `place` of the path.
+    Return the points, (n, 3), mm, where rays cross the stop's plane before the step of index `place` of the path.
 
-    With `at_surface` they are the points where the rays meet the surface of that step.
+    Origins `o`, mm, and unit directions `d`, (n, 3), are before the first step. The plane goes through `centre`, mm,
+    across the unit vector `normal`. With `at_surface` the points are those on the surface of that step instead.
     """
     for step in path.steps[:place]:
         p, along = path.meet(step, o, d)

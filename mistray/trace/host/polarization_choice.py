@@ -67,8 +67,9 @@ class PolarizationChoice:
     reason : str
         Reason for the mode, as a phrase.
     change : float
-        Largest relative change of a listed path, or of the stray light, by Stokes vectors instead of the means of s and
-        p; 0 where nothing polarises, NaN where it was not measured.
+        Relative change of the flux of a listed path, or of the stray light, by Stokes vectors instead of the means of s
+        and p, the largest in size. It is above 0 if Stokes vectors give more flux, 0 where nothing polarises, and NaN
+        if it was not measured.
 
     Examples
     --------
@@ -174,14 +175,14 @@ def unpolarized_notes(
     beams : sequence of Light
         Beams as for `chosen_polarization`; the first, the last and one between are tested.
     polarization : str, optional
-        Mode that was requested; a mode other than "auto" needs no note.
+        Mode that was requested; a mode other than "auto" needs no note. None: that of the scene.
     **settings
         Other attributes of `mistray.trace.Settings`.
 
     Returns
     -------
     list of Note
-        One note, or none: also where the sources of the scene cannot send such light.
+        One note, or none. There is none, too, where the sources of the scene cannot send such light.
 
     Raises
     ------
@@ -201,7 +202,11 @@ def unpolarized_notes(
 
 
 def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
-    """Return the flux, W, of the main paths from a few rays, both with the mean of s and p and with Stokes vectors."""
+    """
+    Return the flux, W, of the main paths from a few rays, both with the mean of s and p and with Stokes vectors.
+
+    `runs` are pairs of the words for the field of a beam, such as " at 10 deg" or "", and a run of its light.
+    """
     found: dict[tuple[Any, ...], Arrivals] = {}
     listed: list[Arrivals] = []
     own = [sum(1 for where, _ in runs if where == field) for field, _ in runs]
@@ -229,7 +234,7 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
 
 
 def _facts(scene: Any, runs: Sequence[tuple[str, Run]]) -> str:
-    """Return a hash of everything the pilot depends on: surfaces, coatings, scatter, settings and start rays."""
+    """Return a hash of everything `_pilot` depends on: surfaces, coatings, scatter, settings and start rays."""
     digest = hashlib.sha256()
     for field, run in runs:
         table = run.table
@@ -274,7 +279,11 @@ def _sources(scene: Any, light: Light) -> list[SceneSource]:
 
 
 def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:
-    """Return the paths that decide the choice: direct light, stray paths that a table lists, and all stray light."""
+    """
+    Return the light of a beam that decides the choice: direct paths, strongest ghosts, and all stray light together.
+
+    `rows` are all its paths, and `field` the words for its field, see `_pilot`.
+    """
     direct = [row for row in rows if not row.stray]
     whole = sum(row.mean for row in direct)
     ghosts = [row for row in rows if row.stray and not row.scattered and row.hits >= LEAST_HITS]
@@ -288,7 +297,7 @@ def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:
 
 def _name(found: Arrivals, table: SurfaceTable) -> str:
     """
-    Return the name of a path for messages: the direct light, or a ghost with the surfaces that reflect it.
+    Return the name of a path without scatter for messages: the direct light, or a ghost with its reflecting surfaces.
 
     Surfaces of total reflection and mirrors are not named.
     """
@@ -300,7 +309,7 @@ def _name(found: Arrivals, table: SurfaceTable) -> str:
 
 
 def _polarizes(table: SurfaceTable) -> bool:
-    """True if R or T of any coating in the table differs between s and p at some angle."""
+    """True if R or T of any coating in the table differs between s and p at one of the cosines `PROBED`."""
     for surface, interface in enumerate(table.interfaces):
         for side in (True, False) if not isinstance(interface.coating, Ideal) else ():
             found = table.optics.response(surface, side, PROBED)

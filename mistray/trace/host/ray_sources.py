@@ -30,7 +30,11 @@ class RaySource(Protocol):
         """Name of the ray source in tables."""
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
-        """Return the start points of n rays, mm, with unit directions and weights."""
+        """
+        Return the start points of n rays, mm, with unit directions and weights.
+
+        For the unit of the weights see `mistray.trace.host.ray_sources`.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +47,7 @@ class DetectorView:
     table : SurfaceTable
         Surfaces of the scene.
     light : (3,) float64
-        Direction in which the light of the design travels to the detector.
+        Unit vector along which the light of the design travels to the detector.
     half_angle_deg : float
         Greatest angle between rays and the normal, degrees; 90 for a complete Lambertian source.
     name : str
@@ -109,7 +113,7 @@ class DiskSource:
     inner_half_angle_deg : float
         Half angle of a hole in the cone, degrees.
     axis : (3,) float
-        Direction of the cone's axis, the normal of the disc.
+        Direction of the cone's axis, the normal of the disc, of any length; light travels along it.
     name : str
         Name for tables.
 
@@ -234,9 +238,10 @@ class Surroundings:
 
 def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: float, axes: np.ndarray) -> DirectionGrid:
     """
-    Return a direction grid of one cell, from `low_deg` to `high_deg` in field angle, about `azimuth_deg`.
+    Return a direction grid of one cell, from `low_deg` to `high_deg` in field angle, `width_deg` wide in azimuth.
 
-    With equal limits and no width in azimuth it is a single direction.
+    `azimuth_deg` is the middle of the cell, and `axes` are from `field_axes`. With equal limits and a width of 0 it is
+    a single direction.
     """
     middle = np.array([0.5 * (low_deg + high_deg)])
     return DirectionGrid(middle, np.array([[low_deg, high_deg]]), np.array([azimuth_deg]), width_deg, axes)
@@ -245,7 +250,11 @@ def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: fl
 def lambertian(
     normal: np.ndarray, half_angle_deg: float, inner_half_angle_deg: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Return unit directions, (n, 3), of density ∝ cos θ about unit vectors, between two polar angles, degrees."""
+    """
+    Return unit directions, (n, 3), of density ∝ cos θ per solid angle, one about each unit vector of `normal`, (n, 3).
+
+    Their angles θ to it lie between the two half angles, degrees.
+    """
     low, high = np.sin(np.radians([inner_half_angle_deg, half_angle_deg])) ** 2
     sine2 = low + (high - low) * even(len(normal), rng)
     return _around(normal, np.sqrt(1 - sine2), 2 * np.pi * even(len(normal), rng))

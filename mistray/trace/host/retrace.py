@@ -108,9 +108,10 @@ def _hit(
     table: SurfaceTable, surface: int, origin: np.ndarray, d: np.ndarray, recorded: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the exact hits, mm, nearest to recorded ones, and the unit normals there, (n, 3) float64 each.
+    Return the exact hits, mm, nearest to `recorded` ones, and the unit normals there, (n, 3) float64 each.
 
-    On a mesh, the hits are the recorded ones.
+    The rays come from `origin`, mm, along unit vectors `d`, (n, 3). Normals point to the back of the surface. On a mesh
+    the hits are the recorded ones.
     """
     if surface >= len(table.pieces):  # a mesh: Mitsuba's hit is all there is
         return recorded, table.mitsuba_normals(recorded, d)

@@ -35,7 +35,7 @@ class StartPoints:
     o, d : (n, 3) float64
         Origins, mm, and unit directions.
     weight : (n,) float64
-        Weights of the rays.
+        Weights of the rays, see `mistray.trace.host.ray_sources` for their unit.
     left : int
         Index of the surface that all of them start on; -1 for none.
     normal : (n, 3) float64, optional
@@ -121,7 +121,7 @@ class ChainTracer:
     max_events : int
         Greatest number of surfaces on a path.
     total_reflection : bool
-        Whether rays continue in total reflection, which "transmit_specular" does not stop otherwise.
+        Whether rays continue in total reflection, if it is an allowed event; else they end there.
 
     Attributes
     ----------
@@ -146,12 +146,12 @@ class ChainTracer:
 
     def follow(self, start: StartPoints, rng: np.random.Generator) -> Iterator[Hits | Escape]:
         """
-        Trace rays to their ends.
+        Trace rays to their ends, at most over `max_events` surfaces; `rng` draws between R and T.
 
         Yields
         ------
         Hits or Escape
-            Rays that leave the scene, and hits of the other rays, step by step.
+            At each step, the rays that leave the scene, if any, and the hits of the others, if any.
         """
         table, n = self.table, len(start.o)
         o, d = table.upload_points(start.o), mi.Vector3f(*(upload(mi.Float, column) for column in start.d.T))
@@ -238,9 +238,10 @@ class ChainTracer:
         self, it: Interaction, s: mi.UInt32, R: mi.Float, T: mi.Float, rng: np.random.Generator, n: int, active: mi.Bool
     ) -> tuple[mi.Bool, mi.Bool, mi.Float]:
         """
-        Return masks of rays that go on transmitted and reflected, and the fraction of flux that each keeps.
+        Return masks of the n rays that go on transmitted and reflected, and the fraction of its weight that each keeps.
 
-        If R and T are both allowed, one is drawn in proportion to them and keeps the flux of both.
+        `R` and `T` are the specular fractions at their hits of the surfaces `s`, without scattered light. If both
+        events are allowed, one is drawn in proportion to them and keeps the flux of both.
         """
         opaque = (it.word & OPAQUE) != 0
         mirror = ((it.word & MIRROR) != 0) | dr.gather(mi.Bool, self.mirrors, s, active)

@@ -29,7 +29,7 @@ MET = 1e-10  # of the stop's radius, by which a chief ray may miss its middle
 @dataclass(frozen=True)
 class Region:
     """
-    Part of the entrance beam of a field point whose light reaches the detector.
+    Part of a field point's entrance beam that reaches the detector.
 
     Attributes
     ----------
@@ -49,12 +49,16 @@ class Region:
 
     @property
     def size(self) -> float:
-        """Longer side of the region's bounding box, in the bundle's coordinates (mm or slopes)."""
+        """Longer side of the bounding box of the region's cells, in the bundle's coordinates (mm or slopes)."""
         return float(np.ptp(self.points, axis=0).max()) + self.cell
 
 
 def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Region | None:
-    """Return the part of the entrance beam whose light reaches the detector; None if no light does."""
+    """
+    Return the part of the entrance beam that reaches the detector; None if no light does.
+
+    `aperture`, mm, contains the first surface of the path; light is looked for within it.
+    """
     middle, radius = bundle.coordinates(aperture)
     for count in LOOKS:
         points, cell = _cells(middle, radius, count)
@@ -71,7 +75,11 @@ def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Regio
 
 
 def _cells(middle: Array, half: float, count: int) -> tuple[Array, float]:
-    """Return centres of count × count cells of a square with half side `half`, (count², 2), and the side of a cell."""
+    """
+    Return the centres, (count², 2), of count × count cells of a square, and the side of a cell.
+
+    The square has its centre at `middle`, (2,), and half the side `half`, all in one unit.
+    """
     axis = half * ((2 * np.arange(count) + 1) / count - 1)
     return middle + np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2), 2 * half / count
 
@@ -90,9 +98,9 @@ class PupilStop:
     at_surface : bool
         Whether it is the surface of that step.
     centre, u, v : (3,) float64
-        Middle of the region, mm, and unit vectors in its plane, roughly along x and y of the entering light.
+        Centre of the surface's opening, mm, and unit vectors in its plane, roughly along x and y of the entering light.
     radius : float
-        Largest distance of light on the axis from the middle, mm.
+        Largest distance from the centre at which the light that `find_stop` is given crosses the stop, mm.
     """
 
     name: str
@@ -104,7 +112,11 @@ class PupilStop:
     radius: float
 
     def coordinates(self, path: DesignPath, bundle: PointBundle, x: Array) -> Array:
-        """Return where rays of coordinates (n, 2) cross the stop, (n, 2), in units of the stop radius."""
+        """
+        Return where rays cross the stop, (n, 2), along `u` and `v` in units of its radius; NaN for rays that fail.
+
+        `x`, (n, 2), are coordinates of rays in the bundle: mm or slopes.
+        """
         normal = np.cross(self.u, self.v)
         p = stop_crossing(path, *bundle.rays(x), self.place, self.at_surface, self.centre, normal) - self.centre
         return np.stack([p @ self.u, p @ self.v], axis=1) / self.radius
@@ -142,25 +154,25 @@ class PupilStop:
 
 def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str | None) -> PupilStop:
     """
-    Find the aperture stop: the surface that blocks most of the rays just outside the light on the axis.
+    Return the aperture stop: the surface that blocks most of the rays just outside a beam that gets through.
 
-    A mount around a lens or mirror stands for that lens or mirror. With `name`, that surface is the stop.
+    If it is a mount around a lens or mirror, this lens or mirror is the stop.
 
     Parameters
     ----------
     path : DesignPath
         Design path of the scene.
     bundle : PointBundle
-        Light on the axis.
+        Light on the axis, or at the first field if none on the axis gets through.
     region : Region
         Region of this light.
     name : str or None
-        Id of the surface to use as the stop instead.
+        Id of the surface to use as the stop instead; None: it is found.
 
     Raises
     ------
     MistrayError
-        If there is no such surface, or no light is stopped.
+        If there is no surface of this name, no light ends at it, or no surface limits the light.
     """
     ids = path.table.ids
     count = 2 * LOOKS[0]
@@ -202,7 +214,11 @@ def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str |
 
 
 def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
-    """Return the indices of the stop's surface and step; for a mount, those of the lens or mirror in it."""
+    """
+    Return the indices of the stop's surface and of its step in the path, given for a surface that blocks light.
+
+    For a mount they are those of the lens or mirror in it, else those given.
+    """
     ring = outline(path.table.shapes[surface])
     for other in (place, place - 1):
         if not 0 <= other < len(path.steps) - 1:
@@ -234,7 +250,7 @@ def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Regi
 
 
 def _sized(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """Return the stop with the radius, mm, that the on-axis light fills, measured in 24 sectors."""
+    """Return the stop with the radius, mm, that the light of `region` fills, the largest of `SECTORS` directions."""
     at = stop.coordinates(path, bundle, region.points)
     sector = np.floor((np.arctan2(at[:, 1], at[:, 0]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     reach = np.linalg.norm(at, axis=1)
