@@ -45,9 +45,9 @@ LEAST_RAYS = 1 / 4  # least cost of the forward rays of a cell in a pilot, over 
 # missed would come in few strong rays
 LEAST_OF_CELL, LEAST_OF_ALL = 1 / 256, 1 / 6
 STEP = 4.0  # largest factor by which the rays of a cell change between rounds
-# Rounds after which the gain of connections is compared with their cost: the time, 1.5 to 3, and what weight windows win
-# without them. At gains of 1.2 to 1.9 (a Cassegrain, tubes with baffles) runs with connections were 2 to 3 times worse
-# in variance × time, at 260 to 460 (a tube with two vanes) 100 times better
+# Rounds after which the gain of connections is compared with their cost: the time, 1.5 to 3, and what weight windows
+# win without them. At gains of 1.2 to 1.9 (a Cassegrain, tubes with baffles) runs with connections were 2 to 3 times
+# worse in variance × time, at 260 to 460 (a tube with two vanes) 100 times better
 JUDGED_AFTER, COST_OF_CONNECTIONS = 3, 3.0
 LEAST_REST = 1e-6  # least MIS weight of the techniques other than connections that is resolved
 # Rays for unscattered light alone per other forward ray: at first and at least, at most; the cost of their segments

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from analyses import fake_trace as fake
+from refusals import refused
 
 import mistray
 from mistray import MistrayError, Trace, ghosts

@@ -35,6 +35,7 @@ from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
 from mistray.kernel.kernel_scene import LEAST_PROBABILITY, MOST_RAYS, WeightWindows
 from mistray.kernel.pdf_ratios import PdfRatios
+from mistray.light import Light
 from mistray.recorders.direction_recorder import MULTIPLE, SINGLE
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.importance import WAYS
@@ -355,6 +356,15 @@ def test_a_long_round_of_a_pilot_is_traced_in_passes(monkeypatch: pytest.MonkeyP
     other, error = light()
     assert abs(value - other) < 6 * np.hypot(se, error)
     assert value != other
+
+
+def test_the_rounded_number_of_rays_is_not_in_the_mis_weights() -> None:
+    """A wavelength of 0.1 % has 32 rays instead of 16: its rays weigh half, but their density is that of the others."""
+    scene, light = lit_disc(), Light(wavelength_nm=[550.0, 600.0], weights=[0.999, 0.001])
+    trace = BackwardTrace(scene, DirectionGrid.of([45.0], cell_deg=20.0), Settings.of(scene), light)
+    trace.share_paths(Sharing(hull_points(trace.table), StartMap.uniform(1), np.ones(1), np.zeros(1)))
+    weights = [np.unique(found.start_weight.round(5)) for found in trace.samples(1 << 14, 0)]
+    assert set(weights[1]) <= set(weights[0])
 
 
 SCENE = Path(__file__).parents[3] / "scenes" / "two_stage_baffle" / "scene.xml"
