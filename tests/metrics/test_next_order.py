@@ -61,11 +61,11 @@ def curve(level: float, rays: int = 1000, seed: int = 0) -> Pst:
     noise = np.random.default_rng(seed).normal(1.0, 0.02 * np.sqrt(32), (2, 1, 32))
     by_batch[CLASSES.index("single_scatter")] = level * np.array([1.0, 0.1])[:, None, None] * noise
     facts = {"settings": asdict(Settings()), "wavelength_nm": [550.0], "detector": "detector"}
-    facts |= {"rays": rays, "seconds": 50}
+    facts |= {"rays": rays, "seconds": 50, "notes": []}
     return Pst(grid, by_batch, np.full(32, 1 / 32), facts=facts)
 
 
-def test_the_pst_shown_is_that_which_changes_more() -> None:
+def test_the_pst_shown_is_that_which_changes_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """Errors of the same rays are those of the batches' differences; of others both errors add up."""
     first, asked = curve(1e-6), []
     of_limit = {"max_scatters": curve(1.5e-6), "max_reflections": curve(1.2e-6, rays=500, seed=1)}
@@ -92,6 +92,14 @@ def test_the_pst_shown_is_that_which_changes_more() -> None:
     same = with_next_orders(mistray.load("baffle_tube"), first, 60.0, measure)
     assert np.array_equal(same.by_batch, first.by_batch)
     assert [order.taken for order in same.next_orders] == [False, False]
+
+    # Of a time that suffices for one of them the result tells, whichever PST it is
+    lefts, of_limit = iter([100.0, 0.0]), {"max_scatters": curve(1.5e-6)}
+    monkeypatch.setattr("mistray.analyses.pst.next_order.left", lambda: next(lefts))
+    short = with_next_orders(mistray.load("baffle_tube"), first, 60.0, measure)
+    assert np.array_equal(short.by_batch, of_limit["max_scatters"].by_batch)
+    assert short.facts["notes"] == ["the time was up before max_reflections = 3 was measured"]
+    assert first.facts["notes"] == []
     plain, rough = (SurfaceTable(mistray.load(name), 550.0) for name in ("cooke_triplet", "baffle_tube"))
     assert next_limits(Settings(), rough) == {"max_scatters": 2, "max_reflections": 3}
     assert next_limits(Settings(), plain) == {"max_reflections": 3}

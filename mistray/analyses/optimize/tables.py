@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,8 +78,12 @@ def worse_lines(result: Optimization) -> list[str]:
     for row in worse(result.comparison, result.study.terms):
         places = [f"{row.field_deg:g}°"] if row.field_deg is not None else []
         places += [f"{row.wavelength_nm:g} nm"] if row.wavelength_nm is not None else []
-        times = Estimate(1 / row.ratio, row.ratio_se / row.ratio**2) if row.ratio else None
-        much = "from 0" if times is None else f"{with_error(times)} times"
+        if math.isnan(row.after):
+            much = "no value"
+        elif row.after and row.ratio:
+            much = f"{with_error(Estimate(1 / row.ratio, row.ratio_se / row.ratio**2))} times"
+        else:
+            much = "from 0" if row.after else "now 0"
         found.setdefault(row.term, []).append(f"{' and '.join(places)} ({much})")
     return [f"{term} is worse than before at {first_of(places, PLACES_NAMED)}" for term, places in found.items()]
 

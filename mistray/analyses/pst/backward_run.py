@@ -192,6 +192,8 @@ class BackwardRun:
         if self._light is None and plan is not None:
             self._take(plan)
         most = self._budget(plan, needed) if plan is not None else trace.settings.rays
+        if needed is not None and before >= most:  # of a continued run that had become longer
+            most = self._longer(round(before), self._worst(up_to_deg) / needed)
         if progress and math.isfinite(self._seconds_left):
             done, spent = round(before), time.perf_counter() - started
             progress(PstProgress(done, max(most, done), math.inf, needed, spent, self._seconds_left))

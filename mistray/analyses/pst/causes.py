@@ -267,11 +267,11 @@ def main_cause(pst: Pst) -> MainCause | None:
     """Return the main cause of stray light under a uniform sky; None without stray light or paths."""
     if pst.path_rows is None:
         return None
-    parts = []
-    # Light of each cause from each angle: PST times the solid angle of the ring of the sky
+    parts, normal = [], pst.to("normal")
+    # Light of each cause from each angle: PST_normal times the solid angle of the ring of the sky
     for cell in np.unique(pst.path_rows.cell):
         angle, (first, last) = float(pst.field_deg[cell]), np.radians(pst.grid.edges_deg[cell])
-        part = _summed(with_cause(stray_paths(pst, angle)), "cause")
+        part = _summed(with_cause(stray_paths(normal, angle)), "cause")
         parts.append(part.assign(angle=angle, sky=2 * np.pi * (np.cos(first) - np.cos(last))))
     if not parts:
         return None
@@ -286,15 +286,15 @@ def main_cause(pst: Pst) -> MainCause | None:
     total = own.value + rest.value
     # Angle at which it is strongest
     at = float(light.angle[light.pst[is_it].idxmax()])
-    here = every.angle == at
+    here = with_cause(stray_paths(pst, at))
     return MainCause(
         cause=str(causes.cause[0]),
         percent=Estimate(
             100 * own.value / total, 100 * math.hypot(rest.value * own.se, own.value * rest.se) / total**2
         ),
         field_deg=at,
-        stray=_total(every[here]),
-        left=_total(every[here & ~is_it]),
+        stray=_total(here),
+        left=_total(here[here.cause != causes.cause[0]]),
     )
 
 

@@ -50,17 +50,19 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     # Rays at each angle (forward), or from the detector
     rays = int(np.max(facts["rays_of_cell"] if first.method == "forward" else facts["rays"]))
     found: list[tuple[Pst, NextOrder]] = []
+    late: list[str] = []
     prepared = seconds - float(facts["seconds"])  # time of the first one outside of its passes
     for limit, allowed in limits.items():
         if left() < max(LEAST_SHARE * seconds, prepared):
-            first.facts["notes"] = [*first.facts["notes"], f"the time was up before {limit} = {allowed} was measured"]
+            late.append(f"the time was up before {limit} = {allowed} was measured")
             continue
         with within(seconds / len(limits) if is_limited() else None):
             more = measure(**{limit: allowed}, rays=max(rays // len(limits), BATCHES))
         found.append((more, _compared(first, more, limit, allowed)))
     orders = decided([order for _, order in found])
     chosen = next((more for (more, _), order in zip(found, orders, strict=True) if order.taken), first)
-    return replace(chosen, next_orders=orders)
+    notes = {"notes": [*chosen.facts["notes"], *late]} if late else {}
+    return replace(chosen, next_orders=orders, facts=chosen.facts | notes)
 
 
 def _compared(first: Pst, more: Pst, limit: str, allowed: int) -> NextOrder:

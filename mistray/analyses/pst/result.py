@@ -269,7 +269,7 @@ class Pst(Result, table=".tables:curve_table", figure=".figures:pst_curve"):
 
     def to(self, convention: str) -> Pst:
         """Return the PST in convention "normal" (irradiance across the beam) or "projected" (on the aperture plane)."""
-        return replace(self, convention=convention)
+        return self if convention == self.convention else replace(self, convention=convention)
 
     # ---- details
 

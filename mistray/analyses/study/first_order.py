@@ -113,7 +113,8 @@ def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
     """
     Return focal lengths, mm, in two sections, and the mean distance of the foci behind the last surface, mm.
 
-    Each is ``inf`` where the light leaves collimated.
+    Each is ``inf`` where the light leaves collimated. A focal length is -h/u' for the height h of a parallel ray before
+    the system and its slope u' behind it. Both are along an axis that turns with the base ray.
     """
     first = path.steps[0]
     frame = across(first.before)
@@ -121,20 +122,26 @@ def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
     size = max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-6)
     o = first.point - size * first.before + STEP * size * np.concatenate([np.zeros((1, 3)), frame.T, -frame.T])
     d = np.tile(first.before, (5, 1))
+    axes = frame.T
     for step in path.steps[:-1]:
         o, normal = path.meet(step, o, d)
-        d = path.leave(step, d, normal)
+        before, d = d[0], path.leave(step, d, normal)
+        axes = _carried(axes, before, d[0], step.reflects)
     heights, slopes = o[1:3] - o[3:5], d[1:3] - d[3:5]  # of two rays 2 · STEP · size apart
     bent = np.linalg.norm(slopes, axis=1)
     found = bent > AFOCAL * 2 * STEP
-    inward = -np.sign(np.einsum("ij,ij->i", heights, slopes))
-    lengths = np.where(found, 2 * STEP * size / np.where(found, bent, 1.0), np.inf)
+    sign = np.where(np.einsum("ij,ij->i", axes, slopes) > 0, -1, 1)
+    lengths = np.where(found, sign * 2 * STEP * size / np.where(found, bent, 1.0), np.inf)
     squares = np.where(found, bent, 1.0) ** 2
     focus = np.where(found, -np.einsum("ij,ij->i", heights, slopes) / squares, np.inf)
-    # Where the light converges behind the last surface the image is real and upside down
-    lengths = np.where(found, np.where(inward == 0, 1, inward) * lengths, np.inf)
     real = focus[np.isfinite(focus)]
     return (float(lengths[0]), float(lengths[1])), float(real.mean()) if len(real) else math.inf
+
+
+def _carried(axes: np.ndarray, before: np.ndarray, after: np.ndarray, reflects: bool) -> np.ndarray:
+    """Return axes across a ray, (2, 3), turned as the ray turns; where it reflects, mirrored with it."""
+    side = -1.0 if reflects else 1.0
+    return np.asarray(axes - np.outer(axes @ after, after + side * before) / (1 + side * before @ after))
 
 
 def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:

@@ -105,9 +105,9 @@ def run(
     given, count = request.settings, request.rays or (QUICK_RAYS if request.quick else RAYS)
     tell = progress or (lambda number, what, share: None)
     chosen = _checked(scene, Settings.of(scene, **{**given, "rays": count}))
-    azimuth_deg = request.light.get("azimuth_deg")
     light = {key: value for key, value in request.light.items() if key != "azimuth_deg"}
-    first = scene_sources(scene, **light)[0].wavelength_nm
+    source = scene_sources(scene, **light)[0]
+    first, azimuth_deg = source.wavelength_nm, request.light.get("azimuth_deg")
     table = SurfaceTable(scene, first, stokes=chosen.stokes)
     path = find_design_path(table, scene)
     asked: dict[str, Any] = {"convention": request.convention, "relative_error": request.relative_error}
@@ -136,7 +136,7 @@ def run(
                 scene,
                 rays=fewer(OBJECT_SHARE)["rays"],
                 field_deg=source_angles(wanted, max(angles)),
-                azimuth_deg=azimuth_deg or 0.0,
+                azimuth_deg=source.emitter.azimuth_deg if azimuth_deg is None else azimuth_deg,
                 wavelength_nm=first,
                 seed=chosen.seed,
                 progress=lambda at, of: tell(3, "critical, illuminated and common objects", at / of),

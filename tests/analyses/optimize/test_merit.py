@@ -24,7 +24,7 @@ from mistray.analyses.optimize.study.merit import Merit, seed_of
 from mistray.analyses.optimize.study.study_scene import open_scene, place
 from mistray.analyses.optimize.study.terms import layer_minimum, material_count, total_thickness, traced_metric
 from mistray.analyses.optimize.study.variables import find_variables
-from mistray.analyses.optimize.tables import optimization_record, report_text
+from mistray.analyses.optimize.tables import optimization_record, report_text, worse_lines
 from mistray.coatings import preset
 from mistray.metrics.scene_values import changed
 from mistray.optimize import Metric, Optimizer, Term, gradient, optimize, path_power, read_study
@@ -398,6 +398,11 @@ def test_a_study_says_what_got_worse_and_can_prevent_it() -> None:
     red = optimize("cooke_triplet", study, verification_seeds=6)
     assert "warning: ghosts is worse than before at 450 nm (" in report_text(red)
     assert [row["wavelength_nm"] for row in optimization_record(red)["worse"]] == [450]
+    kept = replace(red.study, terms=(replace(red.study.terms[0], goal="keep", tolerance=0.1),))
+    for after, words in ((0.0, "now 0"), (math.nan, "no value")):
+        gone = [replace(r, after=after, ratio=math.nan) if r.wavelength_nm == 450 else r for r in red.comparison.rows]
+        (line,) = worse_lines(replace(red, study=kept, comparison=replace(red.comparison, rows=tuple(gone))))
+        assert line.startswith(f"ghosts is worse than before at 450 nm ({words})")
     study["term"][0]["worst"] = "wavelength"
     both = optimize("cooke_triplet", study, verification_seeds=6)
     assert 450 not in [row["wavelength_nm"] for row in optimization_record(both)["worse"]]

@@ -645,17 +645,20 @@ def test_a_pilot_goes_on_from_an_earlier_one() -> None:
 
 
 @pytest.mark.long
-def test_a_run_to_an_error_goes_on_if_its_error_is_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the pilot says, as long as rays are left."""
+def test_a_run_to_an_error_goes_on_if_its_error_is_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the pilot says, as long as rays are left; a resumed run, too, that has as many as the pilot planned."""
     monkeypatch.setattr(Plan, "rays_for", lambda *_: 1)
-    scene = vane_tube()
-    short = mistray.pst(scene, [5.0], rays=10**9, relative_error=0.9)
+    scene, saved = vane_tube(), {"rays": 10**9, "state": tmp_path / "state.npz"}
+    short = mistray.pst(scene, [5.0], relative_error=0.9, **saved)
     assert short.facts["rays"] <= 1.3 * short.facts["pilot_rays"]
     wanted = 0.7 * short.standard_error[0] / short.value[0]
     found = mistray.pst(scene, [5.0], rays=10**9, relative_error=wanted)
     assert found.standard_error[0] <= wanted * found.value[0]
     assert found.facts["rays"] > short.facts["rays"]
     assert not found.facts["notes"]
+    resumed = mistray.pst(scene, [5.0], relative_error=wanted, resume=True, **saved)
+    assert resumed.standard_error[0] <= wanted * resumed.value[0]
+    assert resumed.facts["rays"] > short.facts["rays"]
 
 
 @pytest.mark.long

@@ -4,6 +4,7 @@ import json
 import math
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from matplotlib.collections import PolyCollection, QuadMesh
 from mistray.analyses.pst import causes, tables
 from mistray.analyses.pst.causes import breaks, cause_frame, field_edge, main_cause, stray_paths
 from mistray.analyses.pst.figures import pst_causes, pst_curve, pst_irradiance, pst_map
+from mistray.analyses.pst.found_paths import PATHS_LISTED
+from mistray.analyses.pst.metrics.first_light import first_light
 from mistray.analyses.pst.page import pst_report, write_pst
 from mistray.analyses.pst.result import CLASSES, Pst
 from mistray.analyses.pst.state import PstProgress
@@ -195,8 +198,31 @@ def test_the_main_cause_brings_most_of_the_light_of_a_uniform_sky():
     assert found.stray.value == pytest.approx(pst.stray[k], rel=0.05)
     own = sum(row.pst for row in stray_paths(pst, found.field_deg).itertuples() if row.kind == name)
     assert found.left.value == pytest.approx(found.stray.value - own)
+    # The sky is the same for either convention of the PST; PST_projected cos θ = PST_normal
+    projected = main_cause(pst.to("projected"))
+    assert (projected.cause, projected.field_deg) == (found.cause, found.field_deg)
+    assert projected.percent == pytest.approx(found.percent, rel=1e-12)
+    cosine = pst.grid.mean_cosine[k]
+    assert cosine * projected.stray.value == pytest.approx(found.stray.value, rel=1e-12)
+    assert cosine * projected.left.value == pytest.approx(found.left.value, rel=1e-12)
     assert main_cause(fake_pst(paths=False)) is None
     assert main_cause(fake_pst(dark_from_deg=-1.0)) is None
+
+
+def test_a_new_first_surface_in_many_azimuths() -> None:
+    """A path ten times as strong as the weakest listed one was not left out before, whatever the number of azimuths."""
+    azimuths, front, hood = 36, "front:T detector:A", "hood:r detector:A"
+    bare = fake_pst([10.0], np.arange(0.0, 360.0, 360 / azimuths), paths=False)
+
+    def of(*paths: tuple[str, float]) -> Pst:
+        rows = [(0, j, events, "single_scatter", value, 0.0) for j in range(azimuths) for events, value in paths]
+        columns = ["cell", "azimuth_cell", "events", "kind", "pst_normal", "pst_normal_se"]
+        return replace(bare, path_rows=pd.DataFrame(rows, columns=columns))
+
+    before, weaker = [(front, 1.0), *[(front, 0.01)] * (PATHS_LISTED - 1)], [(hood, 0.009)] * 10
+    (one,) = first_light(of(*before, (hood, 0.1)), 0).since(first_light(of(*before), 0))
+    assert one.surface == "hood"
+    assert first_light(of(*before, *weaker), 0).since(first_light(of(*before), 0)) == ()
 
 
 @pytest.fixture(scope="module")

@@ -223,6 +223,7 @@ class TestCurves:
         pst = pst_of(WHOLE, flat(1e-6), flat(throughput / solid(0, 10), 10.0))
         assert ratios.image_throughput(pst).value == pytest.approx(throughput, rel=1e-12)
         assert ratios.ideal_throughput(2.2) == pytest.approx(throughput, rel=1e-12)
+        assert ratios.ideal_throughput(np.sqrt(1.5**2 - 0.25)) == pytest.approx(np.pi / (4 * 1.5**2))  # sin u = 1/3
         light, flare = ratios.normalised_stray_light(pst, 1.0), ratios.flare_attenuation(pst, 1.0)
         assert light.value == pytest.approx(np.pi * np.sin(np.radians(0.5)) ** 2 * 1e-6 / throughput)
         assert light.value * flare.value == pytest.approx(1, rel=1e-12)

@@ -209,7 +209,13 @@ def test_one_report_and_a_csv_of_every_table(small, tmp_path: Path):
         assert title in text
     back = pd.read_csv(tmp_path / "out" / "8_pst.csv")
     np.testing.assert_allclose(back.pst_total, small.pst.value, rtol=1e-8)
-    step = mistray.study(mistray.load("plate_and_wall"), (0, 40), (0,), rays=500, next_order=False)["analysis"]
+    # The source's own azimuth is that of the objects as of the ghosts
+    text = (Path(__file__).parents[3] / "scenes" / "plate_and_wall" / "scene.xml").read_text(encoding="utf-8")
+    turned = text.replace('<float name="irradiance"', '<float name="azimuth_deg" value="90"/><float name="irradiance"')
+    (tmp_path / "scene.xml").write_text(turned, encoding="utf-8")
+    found = mistray.study(mistray.load(tmp_path / "scene.xml"), (0, 40), (0,), rays=500, next_order=False)
+    assert found.objects.facts["azimuth_deg"] == found.ghosts[0.0].settings["azimuth_deg"] == 90.0
+    step = found["analysis"]
     assert "There are no images of points" in step.text
     assert "books" not in step.tables
     assert step.result["images"] is None
@@ -303,6 +309,29 @@ def test_triplet_and_thick_lens_against_paraxial_rays():
     found, _ = measured("plate")
     assert math.isinf(found.focal_length_mm)
     assert math.isnan(found.defocus_mm)
+
+
+@pytest.mark.parametrize("folded", [False, True])
+def test_an_upright_image_has_a_negative_focal_length(load_scene, folded: bool):
+    """A rod of n = 1.5 with convex ends of 20 mm, powers of 1/40 mm, that images its inner focus; also behind a fold.
+
+    A ray at height 1 meets its rear at 1 - 180/(1.5 · 40) = -2 and leaves with the slope (-1 + 2)/40: f' = -40 mm, and
+    the image is 80 mm behind.
+    """
+    sides = {"front": interface_xml("air", "1.5"), "rear": interface_xml("1.5", "air")}
+    ends = [
+        placed_xml("asphere", name, sides[name], at=(0, 0, z), radius=r, semi_diameter=10.0)
+        for name, z, r in (("front", 0.0, 20.0), ("rear", 180.0, -20.0))
+    ]
+    mirror = interface_xml(R=1.0, mirror=True)
+    fold = [placed_xml("asphere", "fold", mirror, at=(0, 0, 220), facing=(0, -1, 1), semi_diameter=10.0)] * folded
+    place = {"at": (0, 40, 220), "facing": (0, 1, 0)} if folded else {"at": (0, 0, 260)}
+    detector = placed_xml("asphere", "detector", pixels=4, half_width=5.0, half_height=5.0, **place)
+    scene = load_scene(scene_text(*ends, *fold, detector))
+    found = first_order(scene, find_design_path(SurfaceTable(scene, 550.0), scene))
+    assert found.focal_lengths_mm == pytest.approx((-40.0, -40.0), rel=1e-6)
+    assert found.back_focus_mm == pytest.approx(40.0 if folded else 80.0, rel=1e-6)
+    assert abs(found.defocus_mm) < 1e-4
 
 
 def test_image_in_glass_and_near_object(load_scene):

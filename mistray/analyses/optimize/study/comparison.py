@@ -312,8 +312,8 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
 
     A term to be minimised has grown there by more than 1 %, a term to be kept has left its tolerance, or a limit that
     held before is broken. Each of the n rows is tested by Student's t on the seeds, at the level 1 % / n. If nothing
-    has changed, the list is empty with a probability of at least 99 % (Bonferroni). Rows without a finite ratio, such
-    as those of a term that is 0 after, are left out.
+    has changed, the list is empty with a probability of at least 99 % (Bonferroni). A term that had a value before, but
+    has none after, is worse whatever its goal.
 
     Parameters
     ----------
@@ -325,12 +325,13 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
     from scipy.stats import t as student
 
     goals = {term.name: term for term in terms}
-    rows = [row for row in comparison.rows if not row.whole and np.isfinite(row.ratio)]
+    rows = [row for row in comparison.rows if not row.whole and np.isfinite(row.before) and (row.before or row.after)]
     if not rows:
         return []
     far = float(student.ppf(1 - FALSE_ALARM / len(rows), len(comparison.seeds) - 1))
     found = [row for row in rows if _suffers(goals[row.term], row, far)]
-    return sorted(found, key=lambda row: row.ratio if row.after > row.before else 1 / row.ratio)
+    # From 0, to 0 or to no value is worst
+    return sorted(found, key=lambda row: min(row.ratio, 1 / row.ratio) if row.ratio and np.isfinite(row.ratio) else 0.0)
 
 
 def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
@@ -338,19 +339,24 @@ def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
     True if a term has become worse in a row by more than `far` standard errors.
 
     By its goal, it has grown (by more than `WORTH_TELLING` too), left its tolerance, or broken a limit that held
-    before.
+    before. Without a value after, it is worse.
     """
-    margin = far * row.ratio_se
+    margin = far * row.ratio_se  # NaN where it is 0 after
+    if math.isnan(row.after):
+        return True
     if term.goal == "minimise":
         return row.ratio + margin < 1 and row.ratio * (1 + WORTH_TELLING) < 1
+    if term.goal == "keep" and row.after == 0:
+        return term.tolerance < 1 and abs(row.before) > far * row.before_se
     if term.goal == "keep":
         least, most = 1 / (1 + term.tolerance), np.inf if term.tolerance >= 1 else 1 / (1 - term.tolerance)
         return row.ratio + margin < least or row.ratio - margin > most
     limit = limit_of(term, row.before)
     assert limit is not None
     missing = limit - row.after if term.goal == "at_least" else row.after - limit
-    # after - L before = after (1 - L before / after)
-    error = row.after_se if term.limit_of_start is None else abs(row.after * term.limit_of_start) * row.ratio_se
+    # after - L before = after (1 - L before / after); where all seeds are dark after, the error is that of L before
+    apart_se = abs(row.after) * row.ratio_se if row.after else row.before_se
+    error = row.after_se if term.limit_of_start is None else abs(term.limit_of_start) * apart_se
     return holds(term, row.before, row.before) and missing > far * error
 
 

@@ -105,7 +105,8 @@ def ideal_throughput(f_number: float, transmittance: float = 1.0) -> float:
     Return T π / (4 F² + 1), sr: on-axis irradiance per scene radiance of an ideal lens in air.
 
     T is the transmittance, 0 … 1. F is the F-number 1/(2 tan u), u being the half angle of the cone of light on the
-    detector; the working F-number 1/(2 sin u) differs for fast lenses.
+    detector. Of a lens with the working F-number N = 1/(2 sin u), such as `FirstOrder.f_number` of a study, it is
+    √(N² - 1/4); the result is then T π / (4 N²).
 
     Raises
     ------
@@ -138,8 +139,9 @@ def equivalent_stray_radiance(
     source : ExtendedSource
         Source of the stray light, see `mistray.analyses.pst.glare.extended_source`.
     f_number, transmittance : float, optional
-        With an F-number, E_stray is divided by T π / (4 F² + 1), see `ideal_throughput`. Without one, it is divided by
-        the integral of the direct PST_n over the cells (`image_throughput`), which must cover the field of view.
+        With an F-number 1/(2 tan u), E_stray is divided by T π / (4 F² + 1), see `ideal_throughput`. Without one, it is
+        divided by the integral of the direct PST_n over the cells (`image_throughput`), which must cover the field of
+        view.
     interpolation : {"cells", "linear", "log"}
         Interpolation of the stray PST, see `mistray.analyses.pst.glare.extended_source.cover`.
 

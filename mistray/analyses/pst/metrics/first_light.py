@@ -21,5 +21,5 @@ def first_light(pst: Pst, field: int) -> FirstLight:
     errors = {name: float(np.sum(se[first == name] ** 2)) for name in dict.fromkeys(first)}
     full = rows.groupby("azimuth_cell").size() >= PATHS_LISTED
     weakest = rows.groupby("azimuth_cell").pst_normal.min()[full]
-    unseen = float(weakest.max()) if len(weakest) else 0.0
+    unseen = float(weakest.max()) / azimuths if len(weakest) else 0.0
     return FirstLight.of_paths(first, power, (rows.kind == DIRECT).to_numpy(), errors, unseen)
