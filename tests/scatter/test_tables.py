@@ -434,7 +434,7 @@ def test_wrong_speos_files(tmp_path, old, new, message):
 
 
 def test_one_polar_angle_that_is_held_is_a_lambertian() -> None:
-    samples = BsdfSamples("one", "normal", [0.0], [0.0, 180.0], [0.0], np.full((1, 2, 1), 0.1))
+    samples = BsdfSamples("one", "normal", np.zeros(1), np.array([0.0, 180.0]), np.zeros(1), np.full((1, 2, 1), 0.1))
     assert samples.totals(beyond="hold") == pytest.approx([0.1 * math.pi], rel=1e-3)
 
 

@@ -94,7 +94,7 @@ def test_ghost_image_shows_log10_of_the_map(report):
     handles, labels = layout(report, 10.0, path_ids=[direct, other]).axes[0].get_legend_handles_labels()
     assert labels == [f"path {direct}: direct image", f"path {other}: detector → window_rear"]
     assert handles[0].get_color() != handles[1].get_color()
-    with pytest.raises(MistrayError, match="path 99 is not in the table of field 10 deg"):
+    with pytest.raises(MistrayError, match="path_id 99 does not exist"):
         layout(report, 10.0, path_ids=[99])
 
 

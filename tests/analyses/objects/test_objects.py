@@ -36,11 +36,12 @@ def row(rows, name, side=None):
 
 
 def test_unpolarised_light_is_noted(load_scene):
-    """Through four plates at Brewster's angle (1 + s)/2 of the light, where the means of s and p have ((1 + r)/2)⁸."""
-    scene = load_scene(plates_text(4))
-    angle = float(np.degrees(np.arctan(1.5)))
-    r_s = ((1.5**2 - 1) / (1.5**2 + 1)) ** 2
-    truth = 100 * ((1 + (1 - r_s) ** 8) / 2 / (1 - r_s / 2) ** 8 - 1)
+    """Through four plates: half of (1 - s)⁸ + (1 - p)⁸ of the light, where their means have (1 - (s + p)/2)⁸."""
+    scene, angle = load_scene(plates_text(4)), 60.0
+    cosines = np.cos(np.radians(angle)), np.sqrt(1 - (np.sin(np.radians(angle)) / 1.5) ** 2)
+    r_s, r_p = (((cosines[0] - 1.5 * cosines[1]) / (cosines[0] + 1.5 * cosines[1])) ** 2,
+                ((1.5 * cosines[0] - cosines[1]) / (1.5 * cosines[0] + cosines[1])) ** 2)  # fmt: skip
+    truth = 100 * (((1 - r_s) ** 8 + (1 - r_p) ** 8) / 2 / (1 - (r_s + r_p) / 2) ** 8 - 1)
     (note,) = [text for text in objects(scene, field_deg=angle, rays=2000).notes if "Stokes" in text]
     assert f"direct light by +{truth:.3g}" in note
     assert not [text for text in objects(scene, field_deg=10.0, rays=2000).notes if "Stokes" in text]
