@@ -243,7 +243,9 @@ def images_by_parts(
     count: int,
 ) -> list[np.ndarray]:
     """
-    Return images of some paths of each run, (count, height, width), in units of a start ray's flux, by workers.
+    Let workers trace some paths again, and return their images, (count, height, width) for each run.
+
+    Images are in units of a start ray's flux.
 
     Parameters
     ----------
@@ -254,8 +256,8 @@ def images_by_parts(
     runs : sequence of Run
         Runs of the trace.
     paths : sequence of tuple
-        For each run the keys of paths, (p,) uint64, and the words of the images that their light enters, (p,) uint32;
-        runs without any are not traced.
+        For each run the keys of paths, (p,) uint64, and for each path the word that says to which images it adds,
+        (p,) uint32, see `mistray.recorders.film.image_word`; runs without paths are not traced.
     count : int
         Number of images.
     """

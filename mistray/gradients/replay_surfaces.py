@@ -266,7 +266,7 @@ class ReplaySurfaces:
         self, origin: mi.Vector3f, node: Node, batch: mi.UInt32, active: mi.Bool, gain: Callable[[ReplayedEvent], Any]
     ) -> tuple[mi.Vector3f, mi.Vector3f, Any]:
         """
-        Accumulate derivatives of functions of recorded events with respect to the parameters of the surfaces.
+        Add derivatives of a function of recorded events to the sums for the parameters of the surfaces.
 
         Parameters
         ----------
@@ -279,12 +279,12 @@ class ReplaySurfaces:
         active : mi.Bool
             Lanes that have an event.
         gain : callable
-            (event) → a differentiable function of it.
+            (event) → value of the function, differentiable, one for each lane.
 
         Returns
         -------
         by_o, by_d : mi.Vector3f
-            Derivatives with respect to origins (per mm) and unit directions of the segments, in the world.
+            Derivatives of the values with respect to origins, per mm, and to unit directions of the segments, world frame.
         value : mi.Float or mi.Float64
             Values of the function.
         """

@@ -102,8 +102,8 @@ def lens_edge(
     """
     Return the edge cylinder and the flat rings that close a lens body between its two surfaces.
 
-    Each ring is split where the mount begins to touch it. Inside this radius it is a bevel between glass and air;
-    outside it is a flange in contact, opaque like the edge.
+    Each ring is split where the mount begins to touch it. Inside this radius it is a bevel between the glass and the
+    medium outside; beyond it is a flange in contact, with the coating of the edge.
 
     Parameters
     ----------
@@ -114,7 +114,8 @@ def lens_edge(
     part : str or None
         Name of the lens body; ``None``: that of ``first``.
     coating : Coating or None
-        Coating of the edge and the flanges, which touch the mount.
+        Coating of the edge and the flanges, which touch the mount; by default a perfect absorber. ``None``: bare
+        Fresnel interface.
     bevel_coating : Coating or None
         Coating of the visible bevels; ``None``: bare Fresnel interface.
     contact_radii : tuple of two float or None

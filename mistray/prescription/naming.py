@@ -20,7 +20,7 @@ RULES = ByName(SCATTER, "{'barrel_*': mistray.Scatter(…)}")
 
 def shared_coatings(where: str, shapes: Iterable[Any]) -> dict[str, Coating]:
     """
-    Return the named coatings of shapes, keyed by name.
+    Return the named coatings of shapes, keyed by the names of the coatings.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def shared_coatings(where: str, shapes: Iterable[Any]) -> dict[str, Coating]:
     Raises
     ------
     MistrayError
-        If two coatings of the same name differ, or a shape has that name.
+        If two different coatings have the same name, or a coating has the name of a shape.
     """
     return _shared(where, "coating", shapes, lambda shape: (shape.coating,) if shape.coating else ())
 

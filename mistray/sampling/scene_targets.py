@@ -24,19 +24,21 @@ PROBES = 256  # pairs of a point of the surface and one of the target, from whic
 
 def scene_targets(table: SurfaceTable, scene: mi.Scene) -> dict[int, dict[Place, AimSet]]:
     """
-    Return the importance targets that a scene defines, by surface and by the side or medium that scatters.
+    Return the importance targets that a scene defines, by surface and by place of scatter.
 
-    The share of a target in the aimed rays is in proportion to its own number of rays.
+    Aimed rays are shared among the targets in proportion to each target's own number of rays.
 
     Returns
     -------
     dict
-        For each surface, targets by place of scatter: its sides, and the media there.
+        Index of a surface → place → targets. Places are the sides to which light can leave towards a target, and the
+        scattering media there.
 
     Raises
     ------
     MistrayError
-        If a target names no surface of the scene, has an impossible shape or size, or a surface has too many rays.
+        If a target names a surface that is not there, or has an impossible shape or size, or a surface has too
+        many rays.
     """
     found: dict[int, dict[Place, list[tuple[int, AnyTarget]]]] = {}
     rng = np.random.default_rng(0)

@@ -249,8 +249,9 @@ def _check_ends(axis: _Axis, around: Mapping[float, str]) -> None:
     """
     Raise `MistrayError` if light along the axis would start and end in glass, as in a lens with swapped faces.
 
-    `around` has, by index, the material in front of each detector. The case is: ahead of the first surface is the same
-    material as behind the last, with no detector in it, and a detector stands in that behind the first.
+    That is so if the material ahead of the first refracting surface is also that behind the last one, no detector
+    stands in it, and one stands in the material between. `around` maps the refractive index to the name of the material
+    in front of each detector; if it is empty, nothing is checked.
     """
     passed = [item for item in axis.placed if item.inner == 0 and not item.shape.bsdf().opaque]
     if len(passed) < 2 or not around:

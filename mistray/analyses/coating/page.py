@@ -57,7 +57,7 @@ def record(found: CoatingResult | SurfacesResult) -> dict[str, Any]:
 
 
 def figure(found: CoatingResult | SurfacesResult) -> Figure:
-    """Return the picture of a result, of one coating or of the surfaces of a scene."""
+    """Draw the reflectance of a result over wavelength and angle: of one coating, or of each coating in a scene."""
     asked = found.request
     light = asked.wavelength_nm, asked.angles_deg
     if isinstance(found, SurfacesResult):

@@ -14,7 +14,11 @@ STEPS = Range(0, 10_000, whole=True)
 
 @dataclass(frozen=True)
 class DesignRequest(Request):
-    """Request for an optimisation: number of steps, and random seeds and further events of its verification."""
+    """
+    Request for an optimisation, besides its study: the most steps of each search, and how the result is verified.
+
+    It is verified on a number of random seeds and, if `next_order`, also with one more scatter event or reflection.
+    """
 
     _: KW_ONLY
     steps: int | None = field(STEPS, None, "most steps of each search, instead of those of the study")

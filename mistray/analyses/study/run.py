@@ -218,9 +218,9 @@ def _checked(scene: mi.Scene, chosen: Settings) -> Settings:
 
 def _fields(numbers: FirstOrder | None) -> list[float]:
     """
-    Return default field angles of the ghost analysis, degrees: fractions of the half field, rounded.
+    Return the default field angles of the ghost analysis, degrees: 0, 1/2, 1 and 5/4 of the half field in y, rounded.
 
-    Without a half field they are 0°, 10° and 20°.
+    Those of 89° or more are left out. Where the half field is not known they are 0°, 10° and 20°.
     """
     half = numbers.field_deg["y"] if numbers is not None else math.nan
     if not math.isfinite(half):

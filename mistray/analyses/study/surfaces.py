@@ -164,11 +164,10 @@ def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float
 
 def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame, far_away: float) -> pd.DataFrame:
     """
-    Return paraxial images of the detector seen from surfaces of the path, beside the traced targets, as DataFrame.
+    Return the table "paraxial_targets" of `importance_sampling`, see there for its columns, as DataFrame.
 
-    It has no rows without a design path. `traced` is the table of `importance_sampling`; for `far_away` see `_seen`.
-
-    Distances and half sizes are in mm, and half angles in degrees.
+    `traced` is its table "targets". What is farther than `far_away`, mm, counts as at infinity. Without a design path
+    there are no rows.
     """
     rows = []
     images = DetectorImages(path).paraxial if path is not None else []

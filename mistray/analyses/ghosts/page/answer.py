@@ -172,7 +172,7 @@ def _change(found: Remedy | None) -> list[Sentence]:
 
 
 def _plain(value: Estimate) -> str:
-    """Return a value with one digit of its standard error as text."""
+    """Return a value and its standard error, of one digit, as text, such as "9.355e-05 ± 1e-08"."""
     return with_error(value, 1)
 
 
