@@ -284,7 +284,7 @@ class ReplaySurfaces:
         Returns
         -------
         by_o, by_d : mi.Vector3f
-            Derivatives of the values with respect to origins, per mm, and to unit directions of the segments, world frame.
+            Derivatives of the values by the origins (per mm) and unit directions of the segments, in the world frame.
         value : mi.Float or mi.Float64
             Values of the function.
         """
