@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Collection
 from fnmatch import fnmatchcase
 
 from mistray.errors import MistrayError
@@ -101,3 +102,11 @@ def plain_name(text: str) -> str:
     Underscores at the ends are removed, so the name may be empty.
     """
     return re.sub(r"[^\w-]+", "_", text).strip("_")
+
+
+def free_name(base: str, end: str, taken: Collection[str]) -> str:
+    """Return ``base`` + ``end``, or if that is taken, with the first number from 2 between them that makes it new."""
+    name, number = f"{base}{end}", 2
+    while name in taken:
+        name, number = f"{base}_{number}{end}", number + 1
+    return name

@@ -22,7 +22,7 @@ from mistray.execute.sums import Sums
 from mistray.execute.tracer import FIRST_CAPACITY, LAST_CAPACITY, PASS_LANES, Part, Run, RunSums, prepare
 from mistray.execute.workers import Workers, do_parts
 from mistray.light import Light
-from mistray.recorders.ledger import Ledger
+from mistray.recorders.ledger import FULL, Ledger
 from mistray.recorders.tallies import STARTED
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.surfaces import SurfaceTable
@@ -152,9 +152,10 @@ def filled(
     run: Run, keys: np.ndarray, events: np.ndarray, lengths: np.ndarray, least: int = FIRST_CAPACITY
 ) -> tuple[Ledger, np.ndarray]:
     """
-    Return a ledger of at least `least` slots that holds given paths with zero sums, and the slot of each, (p,).
+    Return a ledger with the settings of a run that holds given paths with zero sums, and the slot of each, (p,).
 
-    The paths have keys, (p,) uint64, event codes, (p, e) uint32, and lengths, (p,), their numbers of events.
+    It has at least `least` slots, a power of 2. The paths have keys, (p,) uint64, event codes, (p, e) uint32, and
+    lengths, (p,), their numbers of events.
 
     Raises
     ------
@@ -162,8 +163,8 @@ def filled(
         If there are more paths than the largest ledger holds.
     """
     settings = run.settings
-    capacity = max(least, 1 << math.ceil(math.log2(max(len(keys), 1) / LOAD)))
-    if capacity > LAST_CAPACITY:
+    capacity = min(max(least, 1 << math.ceil(math.log2(max(len(keys), 1) / LOAD))), LAST_CAPACITY)
+    if len(keys) > FULL * capacity:
         raise MistrayError(
             f"{len(keys)} paths reach the detector; raise flux_threshold ({settings.flux_threshold:g}), lower "
             f"max_reflections ({settings.max_reflections}) or set ledger=False"

@@ -25,7 +25,7 @@ from mistray.recorders.adjoint import CHANNELS, Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, PathChoice
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.film import Box, Film, Images, Pixels, groups_of, spreads
-from mistray.recorders.ledger import DecodedPaths, Ledger
+from mistray.recorders.ledger import FULL, DecodedPaths, Ledger
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays, generators
@@ -347,7 +347,7 @@ class Run:
                 break
             if capacity >= LAST_CAPACITY:
                 raise MistrayError(
-                    f"more than {0.7 * capacity:.0f} paths reach the detector; raise flux_threshold "
+                    f"more than {FULL * capacity:.0f} paths reach the detector; raise flux_threshold "
                     f"({self.settings.flux_threshold:g}), lower max_reflections ({self.settings.max_reflections}) or "
                     f"max_scatters ({self.settings.max_scatters}), or set ledger=False"
                 )

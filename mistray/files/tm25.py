@@ -161,7 +161,8 @@ def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
     """
     Return one wavelength, nm, for each ray, (n,), so that rays with a spectrum table together have its spectrum.
 
-    `number` is the index, from 1, of the table of each ray. Raise `MistrayError` for an index without a table.
+    `tables` are those of `_tables`, and `number`, (n,), is the index, from 1, of the table of each ray. Rays count
+    alike, whatever their flux. Raise `MistrayError` for an index without a table.
     """
     wavelength = np.empty(len(number))
     for index in np.unique(number):

@@ -213,8 +213,8 @@ class EdgeContacts:
         """
         Return start data of rays along d that just miss a rim's edge; `place` indexes (surfaces, rims) tables.
 
-        Where no surface touches the edge, they start beside it, at no surface, with the factor 1. `size` and `starts`
-        are those of `past`.
+        Where no surface touches the edge, they start beside it, at no surface, with the factor 1. `size` is that
+        of `edge`, mm; `starts` and `active` are those of `past`.
         """
         count = dr.width(place)
         none, one = dr.full(mi.UInt32, NO_SURFACE, count), dr.full(mi.Float64, 1, count)

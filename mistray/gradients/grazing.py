@@ -71,7 +71,8 @@ class Grazing:
     Attributes
     ----------
     zone : mi.Float
-        Square of the cosine below which a hit is close to a jump.
+        Square of the cosine below which a hit is close to a jump: of the angle of incidence at silhouettes, of the
+        angle of refraction at the critical angle.
     """
 
     def __init__(self, table: SurfaceTable, width: float) -> None:

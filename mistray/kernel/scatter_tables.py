@@ -196,7 +196,8 @@ class Case:
     members : tuple of Member
         Lobes that scatter in this case.
     first_row, first_lobe : int
-        Index of its first row among those of all cases, and of its first member among all lobes.
+        Index of its first row in the table of totals, which begins with `NO_TOTALS` rows of zeros, and of its first
+        member among all lobes.
     """
 
     surface: int

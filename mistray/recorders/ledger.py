@@ -26,6 +26,7 @@ from mistray.settings import BATCHES
 SUMS, STOKES_SUMS = 8, 11
 MOST_PROBES = 256  # slots of the table that are tried for a path
 LARGE = 1 << 24  # entries of an array
+FULL = 0.7  # of the slots, above which the search for a free one takes long
 USUAL_PROBES = 4  # are enough for most paths while the table is not full
 
 
@@ -290,8 +291,8 @@ class Ledger(Recorder):
 
     @property
     def full(self) -> bool:
-        """True if the table is more than 70 % full, or a path has already found no slot."""
-        return self._lost or self.used > 0.7 * self.capacity
+        """True if more than `FULL` of the slots are taken, or a path has already found no slot."""
+        return self._lost or self.used > FULL * self.capacity
 
     def decode(self) -> DecodedPaths:
         """Return the paths and their sums on the host; raise `MistrayError` if an event list does not match its key."""

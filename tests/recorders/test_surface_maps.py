@@ -307,11 +307,10 @@ def test_the_command_maps_parts_of_the_light(tmp_path, capsys):
         x0, x1, y0, y1 = one.extent
         power = float(one.irradiance.sum()) * (x1 - x0) * (y1 - y0) / one.irradiance.size
         assert power == pytest.approx(row.power_W, rel=1e-6)
-    probe = "0,0,-1,half_width=0.5,half_height=0.25,id=ghost"
-    succeeds(capsys, *COMMAND, "--maps", "ghost", "--probe", probe, "--formats", "npy", "--out", tmp_path / "two")
+    probes = [f"0,0,{z},half_width=0.5,half_height=0.25,id={name}" for z, name in ((-1, "ghost"), (-2, "ghost!"))]
+    succeeds(capsys, *COMMAND, "--maps", "ghost", "--probe", *probes, "--formats", "npy", "--out", tmp_path / "two")
     assert {file.name for file in (tmp_path / "two").glob("irradiance_ghost*")} == {
-        "irradiance_ghost_0deg.npy",
-        "irradiance_ghost_2_0deg.npy",
+        f"irradiance_ghost{number}_0deg.npy" for number in ("", "_2", "_3")
     }
     paths = pd.read_csv(out / "paths.csv")
     own = paths[(paths.kind != DIRECT)].power_W.sum()

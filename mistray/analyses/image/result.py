@@ -197,11 +197,11 @@ class FieldImage(Result, table=".page:field_image_table", figure=".figures:field
         return np.asarray(np.abs(sum(parts)))
 
     def cut_off_per_mm(self, azimuth: str | float = "tangential") -> float:
-        """Return the largest spatial frequency, 1/mm, with any contrast at some wavelength, along `azimuth`."""
+        """Return the largest spatial frequency, 1/mm, with any contrast at some wavelength; for `azimuth` see `otf`."""
         return max(line.pupil.cut_off(direction_of(azimuth)) for line in self.lines)
 
     def f_number(self, azimuth: str | float = "tangential") -> float:
-        """Return the working F-number along the direction `azimuth`: 1/(λ cut-off) at the reference wavelength λ."""
+        """Return the working F-number, 1/(λ cut-off) at the reference wavelength λ; for `azimuth` see `otf`."""
         pupil = self.main.pupil
         return 1 / (pupil.wavelength_mm * pupil.cut_off(direction_of(azimuth)))
 

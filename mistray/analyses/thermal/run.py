@@ -299,10 +299,11 @@ def _nitd(
     rise: Sequence[np.ndarray],
 ) -> Estimate:
     """
-    Return the narcissus-induced temperature difference, K, by ghosts and scatter that show cold surfaces.
+    Return the narcissus-induced temperature difference, K: positive where cold surfaces take light from the detector.
 
-    It is NaN if nothing is colder than the housing, or no scene is seen. `kelvin` holds the temperature of each
-    emitter, K, `weights` by temperature the spectral weights times π, W/mm², and `rise` is the result of `per_kelvin`.
+    It is NaN if nothing is colder than the housing, or no scene is seen. `seen` and `image` are the views of everything
+    and of the image alone, one for each traced wavelength. `kelvin` holds the temperature of each emitter, K, `weights`
+    by temperature the spectral weights times π, (wavelengths,), W/mm², and `rise` is the result of `per_kelvin`.
     """
     cold = {key: k for key, k in kelvin.items() if k < housing_K}
     other = {key: k for key, k in cold.items() if key != ("surface", seen[0].detector)}

@@ -162,9 +162,10 @@ def run_spectrum(model: RoughSurface, request: SurfaceTransferRequest) -> Surfac
     """
     Return the surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
 
-    a is the variance of the phase, rad². C is the Hankel transform of the spectrum at the frequencies that scatter into
-    the half space at normal incidence, 0 … n/λ, and σ² the variance of the heights at these frequencies. The formula
-    holds for surfaces of any roughness whose heights are Gaussian.
+    s is the lag on the surface, µm, and a the variance of the phase, rad². C, µm², is the Hankel transform of the
+    spectrum at the frequencies that scatter into the half space at normal incidence, 0 … n/λ. σ² is the variance of the
+    heights there, n the index of the medium of the scattered light, and λ the vacuum wavelength. The formula holds for
+    surfaces of any roughness whose heights are Gaussian.
 
     Parameters
     ----------
@@ -181,7 +182,7 @@ def run_spectrum(model: RoughSurface, request: SurfaceTransferRequest) -> Surfac
     -----
     MistrayWarning
         If the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
-        that of the theories for smooth surfaces, with which scenes are traced.
+        that of the theories for smooth surfaces. The theory "ghs_full" has no such limit.
 
     Examples
     --------
@@ -200,7 +201,7 @@ def run_spectrum(model: RoughSurface, request: SurfaceTransferRequest) -> Surfac
     else:
         path = ghs.path_in_transmission(cos_i, cos_0, n_in, n_out)
     phase = float(harvey_shack.phase_rms(rms_um, wavelength_um, index_step(event, n_in, n_out)))
-    if phase > harvey_shack.MAX_PHASE:
+    if phase > harvey_shack.MAX_PHASE and getattr(model, "theory", "") != "ghs_full":
         warnings.warn(
             f"{model.title}: rms roughness {rms_um * 1e3:.3g} nm is not smooth in {event} at {wavelength_nm:g} nm "
             f"(2π Δn σ/λ is {phase:.3g}, the most is {harvey_shack.MAX_PHASE:.3g}); the transfer function holds, the "

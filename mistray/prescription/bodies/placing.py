@@ -52,7 +52,7 @@ def moved_as_one(
     x, y, z : float
         Displacement, mm.
     tilt_deg : tuple of three float
-        Rotations about the world's x, y, z axes in this order, degrees.
+        Right-handed rotations about the world's x, y, z axes in this order, degrees.
 
     Returns
     -------

@@ -169,7 +169,7 @@ class Freeform(TracedSurface):
         return np.stack([x, y], axis=1), weight / weight[-1]
 
     def _stretch(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the ratio of the area of the surface at points (x, y), mm, to that projected along the axis."""
+        """Return the surface's area over its projection along the axis, at points x, y, mm, in their shape."""
         _, across, along = self._sag(x, y)
         return np.asarray(np.sqrt(1 + across**2 + along**2))
 

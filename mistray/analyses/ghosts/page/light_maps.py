@@ -10,7 +10,7 @@ from mistray.analyses.ghosts.maps.light_maps import LightMap
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.files.irradiance_files import IrradianceMap
 from mistray.files.json_values import plain
-from mistray.ids import plain_name
+from mistray.ids import free_name, plain_name
 from mistray.toolkit.pages.model import FigurePart, NotePart, PagePart, Section, Table, Value, columns
 
 if TYPE_CHECKING:
@@ -47,9 +47,7 @@ def light_map_files(report: GhostReport, taken: Collection[str]) -> dict[str, Ir
         for one in report.light_maps.get(field, ()):
             where = "" if one.surface in detectors else f"_{one.surface}"
             base = plain_name(f"{one.selection[:NAME_LETTERS]}{where}")
-            name, number = f"irradiance_{base}_{field:g}deg", 2
-            while name in files or name in taken:
-                name, number = f"irradiance_{base}_{number}_{field:g}deg", number + 1
+            name = free_name(f"irradiance_{base}", f"_{field:g}deg", {*files, *taken})
             facts = plain({"light": one.selection, "surface": one.surface, **report[field].settings})
             files[name] = IrradianceMap(one.irradiance, one.se, one.unrolled_mm, facts)
     return files

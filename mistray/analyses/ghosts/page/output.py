@@ -203,5 +203,6 @@ def _maps(report: GhostReport) -> dict[str, IrradianceMap]:
     maps = {f"irradiance_{field:g}deg": IrradianceMap.of(t) for field, t in report.items()}
     if report.photometric:
         maps |= {f"illuminance_{field:g}deg": IrradianceMap.of(t, LUX) for field, t in report.items()}
-    maps |= passing_maps(report) | surface_map_files(report)
-    return maps | light_map_files(report, maps)
+    for more in (passing_maps, surface_map_files, light_map_files):
+        maps |= more(report, maps)
+    return maps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,7 @@ from mistray.analyses.ghosts.result import GhostReport
 from mistray.estimate import Estimate
 from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.json_values import plain
-from mistray.ids import plain_name
+from mistray.ids import free_name, plain_name
 from mistray.recorders.flux_maps.far_field import FarField
 from mistray.recorders.flux_maps.probe import Probe
 from mistray.toolkit.irradiance import highest_cell
@@ -43,19 +44,21 @@ def passing_section(report: GhostReport) -> Section | None:
     return Section("probes", "Probes and far fields", [NotePart(NOTE), *parts], "Probes")
 
 
-def passing_maps(report: GhostReport) -> dict[str, IrradianceMap]:
+def passing_maps(report: GhostReport, taken: Collection[str]) -> dict[str, IrradianceMap]:
     """
-    Return the irradiance on probes, W/mm², by file name without suffix.
+    Return the irradiance on probes, W/mm², by file name without suffix; none is in `taken`.
 
     If the report is photometric, the illuminance, lx, is there as well.
     """
-    maps = {}
+    maps: dict[str, IrradianceMap] = {}
     for field, probe in report.recorded(Probe):
-        name = plain_name(probe.name)
+        name = free_name(f"irradiance_{plain_name(probe.name)}", f"_{field:g}deg", {*maps, *taken})
         facts = plain({"probe": probe.name, **report[field].settings})
-        maps[f"irradiance_{name}_{field:g}deg"] = IrradianceMap(*probe.irradiance, probe.extent, facts)
+        maps[name] = IrradianceMap(*probe.irradiance, probe.extent, facts)
         if report.photometric:
-            maps[f"illuminance_{name}_{field:g}deg"] = IrradianceMap(*probe.illuminance, probe.extent, facts, LUX)
+            maps[name.replace("irradiance", "illuminance", 1)] = IrradianceMap(
+                *probe.illuminance, probe.extent, facts, LUX
+            )
     return maps
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.estimate import Estimate
 from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.json_values import plain
-from mistray.ids import plain_name
+from mistray.ids import free_name, plain_name
 from mistray.recorders.flux_maps.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.toolkit.irradiance import highest_cell
 from mistray.toolkit.pages.model import FigurePart, NotePart, PagePart, Section, Table, Value, columns
@@ -40,22 +40,23 @@ def surface_maps_section(report: GhostReport) -> Section | None:
     return Section("walls", "Light on walls", parts, "Walls")
 
 
-def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
+def surface_map_files(report: GhostReport, taken: Collection[str]) -> dict[str, IrradianceMap]:
     """
-    Return irradiance maps of recorded surfaces, W/mm², by file name without suffix.
+    Return irradiance maps of recorded surfaces, W/mm², by file name without suffix; none is in `taken`.
 
     If the report is photometric, illuminance maps, lx, are there as well.
     """
-    files = {}
+    files: dict[str, IrradianceMap] = {}
     for field, recorder in report.recorded(SurfaceMaps):
         lux = recorder.illuminance if report.photometric else {}
         for one in recorder.maps.values():
-            name = plain_name(f"{recorder.name}_{one.surface}")
+            base = f"irradiance_{plain_name(f'{recorder.name}_{one.surface}')}"
+            name = free_name(base, f"_{field:g}deg", {*files, *taken})
             facts = plain({"surface": one.surface, "part": one.part, **_axes(one), **report[field].settings})
-            files[f"irradiance_{name}_{field:g}deg"] = IrradianceMap(*one.irradiance, one.unrolled_mm, facts)
+            files[name] = IrradianceMap(*one.irradiance, one.unrolled_mm, facts)
             if one.surface in lux:
                 found = lux[one.surface]
-                files[f"illuminance_{name}_{field:g}deg"] = IrradianceMap(*found, one.unrolled_mm, facts, LUX)
+                files[name.replace("irradiance", "illuminance", 1)] = IrradianceMap(*found, one.unrolled_mm, facts, LUX)
     return files
 
 
