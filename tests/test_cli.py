@@ -265,6 +265,7 @@ def test_bars_say_at_once_what_is_done(monkeypatch: Patch) -> None:
         (PstProgress(0, 4000, math.inf, 0.02, 60.0, math.nan), "the pilot is done"),
         (PstProgress(1000, 4000, math.inf, None, 60.0, 7265.0), "no light yet at some angles, 2:01:05 left"),
         (PstProgress(1000, 4000, 0.031, 0.02, 60.0, 83.0), "error 3.1 % of 2 %, 01:23 left"),
+        (PstProgress(1000, 4000, math.nan, None, 60.0, 9.0), "| 00:00, 00:09 left"),  # no error is known
     ):
         with pst._progress(options, []) as draw:
             draw(state)

@@ -149,6 +149,9 @@ class TestStudy:
             more, less = found.parameters(x + step), found.parameters(x - step)
             expected = sum(float(gradient[key][0] * (more[key] - less[key])[0]) for key in gradient) / (2 * h)
             assert slope[k] == pytest.approx(expected, rel=1e-6)
+        # What is named twice moves once
+        (once, twice) = (self.variables(here, {"parameters": ["L.tilt_x"] * k}).parameters([3.0]) for k in (1, 2))
+        assert once == twice
         one, two = {"parameters": "L.tilt_x", "low": 1, "high": 2}, {"parameters": "L.tilt_x"}
         for sections, message in (
             ([one], "L.tilt_x starts with 0"),
@@ -156,6 +159,8 @@ class TestStudy:
             ([{"parameters": [{"key": "L.tilt_x", "pivot": [1, 2]}]}], r"pivot has 2 numbers; give 3"),
             ([{"parameters": [{"key": "front.radius", "pivot": [1, 2, 3]}]}], "it has no pivot"),
             ([{"parameters": ["L.tilt_x", "L.z"]}], "units deg, mm"),
+            ([{"parameters": ["L.tilt_x", {"key": "L.tilt_x", "factor": 2}]}], r"L\.tilt_x is moved twice"),
+            ([{"parameters": ["L.tilt_x", {"key": "L.tilt_x", "pivot": [1, 2, 3]}]}], r"L\.tilt_x is moved twice"),
             ([two | {"name": name} for name in "ab"], r"'a' and 'b' both move L\.tilt_x"),
         ):
             with pytest.raises(MistrayError, match=message):

@@ -225,6 +225,7 @@ def test_a_closed_gap_is_the_result(beam: Path, tmp_path: Path, kind: str, metho
     if (kind, method) == ("path_power", "sqp"):
         names = [file.name for file in write_optimization(result, tmp_path / "out")]
         assert {"scene.xml", "report.html", "search.png"} <= set(names)
+        assert ", <b>nothing is left</b>" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
 def test_zero_does_not_outweigh_a_limit(beam: Path) -> None:

@@ -127,10 +127,11 @@ def _findings(result: Optimization) -> list[str]:
             for value, se in ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
         )
         text = Markup("{}: from {} to {} {}").format(term.name, before, after, row.unit)
+        change = f"{ratio} times smaller" if row.after else "nothing is left"
         if term.goal == "minimise" and result.comparison.spoiled and not of_layers(term):
-            text += Markup(", {} times smaller, which is <b>no gain</b>: light enters elsewhere").format(ratio)
+            text += Markup(", {}, which is <b>no gain</b>: light enters elsewhere").format(change)
         elif term.goal == "minimise":
-            text += Markup(", <b>{} times smaller</b>").format(ratio)
+            text += Markup(", <b>{}</b>").format(change)
         else:
             kept = Markup("holds") if holds(term, row.after, row.before) else Markup("does <b>not</b> hold")
             text += Markup("; its limit ({}) {}").format(goal_text(term, row.before), kept)

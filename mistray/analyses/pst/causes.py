@@ -329,13 +329,16 @@ def field_edge(pst: Pst) -> float | None:
     """
     Return the field angle, degrees, at which the PST of direct light falls to half of that at the smallest angle.
 
-    It is None if there is no direct light at the smallest angle, or if it never falls to half.
+    It is None if there is no direct light at the smallest angle, if that was not traced at all azimuths, or if the
+    light never falls to half.
     """
     direct, angles = pst.curve("direct")[0], pst.field_deg
+    if not direct[0] > 0:
+        return None
     traced = np.isfinite(direct)
     direct, angles = direct[traced], angles[traced]
     below = np.flatnonzero(direct < direct[0] / 2)
-    if direct[0] <= 0 or not below.size:
+    if not below.size:
         return None
     k = int(below[0])
     return float(np.interp(direct[0] / 2, direct[[k, k - 1]], angles[[k, k - 1]]))

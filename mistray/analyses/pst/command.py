@@ -145,15 +145,16 @@ def _progress(options: Options, passes: list[PstProgress]) -> Iterator[Callable[
 
 def _state_of(now: PstProgress) -> str:
     """Return present error and remaining time as text for the progress bar, as in "error 3.1 % of 2 %, 01:23 left"."""
-    error = (
-        f"error {percent_text(now.worst_error)}" if math.isfinite(now.worst_error) else "no light yet at some angles"
-    )
+    parts = []
     if not now.rays_done:
-        error = "the pilot is done"
-    if now.requested_error is not None and math.isfinite(now.worst_error):
-        error += f" of {100 * now.requested_error:g} %"
-    if not math.isfinite(now.seconds_left):
-        return error
-    minutes, seconds = divmod(round(now.seconds_left), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{error}, {f'{hours}:' if hours else ''}{minutes:02d}:{seconds:02d} left"
+        parts.append("the pilot is done")
+    elif math.isinf(now.worst_error):
+        parts.append("no light yet at some angles")
+    elif math.isfinite(now.worst_error):
+        of = "" if now.requested_error is None else f" of {100 * now.requested_error:g} %"
+        parts.append(f"error {percent_text(now.worst_error)}{of}")
+    if math.isfinite(now.seconds_left):
+        minutes, seconds = divmod(round(now.seconds_left), 60)
+        hours, minutes = divmod(minutes, 60)
+        parts.append(f"{f'{hours}:' if hours else ''}{minutes:02d}:{seconds:02d} left")
+    return ", ".join(parts)

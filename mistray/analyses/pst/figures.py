@@ -59,7 +59,8 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
     limits = _pst_range(pst)
     above.set_yscale("log")
     if limits is None:
-        above.text(0.5, 0.5, "no light was seen", ha="center", va="center", transform=above.transAxes)
+        text = "no light was seen" if pst.is_dark else "no angle with light was traced at all azimuths"
+        above.text(0.5, 0.5, text, ha="center", va="center", transform=above.transAxes)
         above.set_ylim(1e-12, 1.0)
     else:
         above.set_ylim(*limits)
@@ -209,10 +210,10 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
 
 
 def _pst_range(pst: Pst) -> Range | None:
-    """Return the lower and upper limit of the PST axis of the curve; None if no light was seen."""
-    lowest = {group: np.min(value[value > 0], initial=np.inf) for group in CURVES for value in (pst.curve(group)[0],)}
-    if pst.is_dark:
+    """Return the lower and upper limit of the PST axis of the curve; None if the curve has no value above 0."""
+    if not (pst.value > 0).any():
         return None
+    lowest = {group: np.min(value[value > 0], initial=np.inf) for group in CURVES for value in (pst.curve(group)[0],)}
     top = np.ceil(np.log10(np.nanmax(pst.value)) + 0.1)
     least = np.log10(min(lowest["total"], lowest["stray"]))
     floor = max(np.floor(np.log10(min(lowest.values())) - 0.1), np.floor(least) - BELOW)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -220,7 +221,7 @@ class CellRounds:
         """
         Call `progress`, if there is one, with the rays traced, the largest relative error and the time left, s.
 
-        The error is that of the cells in which one is requested; 0 if none is.
+        The error is that of the cells in which one is requested; NaN if none is.
         """
         if self.progress is None:
             return
@@ -228,7 +229,7 @@ class CellRounds:
         # Rays that the cells need: the error falls as 1/√rays
         seen = self._counts & np.isfinite(self._error)
         needed = np.where(self._open, self._most, rays)
-        worst = 0.0
+        worst = math.nan
         if self._requested is not None:
             by_error = rays * np.square(np.where(seen, self._error, 0) / self._requested)
             needed = np.where(self._open & seen, np.clip(by_error, rays, needed), needed)

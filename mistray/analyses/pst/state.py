@@ -19,7 +19,7 @@ class PstProgress:
         the pilot is done, and `seconds_left` is its estimate.
     worst_error : float
         Largest relative standard error of the PST in the cells that count; infinite before light is found. Rays from
-        the detector leave out cells without light. With the method "forward" it is 0 unless an error is requested.
+        the detector leave out cells without light. With the method "forward" it is NaN unless an error is requested.
     requested_error : float or None
         Requested error: the run ends once the worst error is no larger. None: it traces all planned rays.
     seconds : float

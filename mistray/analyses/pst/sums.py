@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mistray.analyses.pst.result import Pst
+from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
 
 Light = str | Sequence[str]
@@ -30,13 +31,17 @@ def weighted_sum(pst: Pst, coefficients: np.ndarray, classes: Light = "total") -
         Factor of the PST of each cell.
     classes : str or sequence of str
         See `Pst.samples`.
+
+    Raises
+    ------
+    MistrayError
+        If a cell that counts was not traced.
     """
-    return _summed(coefficients[..., None] * pst.samples(classes), pst.weight)
+    require_traced(pst, coefficients)
+    return _summed(times(coefficients[..., None], pst.samples(classes)), pst.weight)
 
 
-def quotient(
-    pst: Pst, above: tuple[np.ndarray, Light], below: tuple[np.ndarray, Light], floor: float = 0.0
-) -> Estimate:
+def quotient(pst: Pst, above: tuple[np.ndarray, Light], below: tuple[np.ndarray, Light]) -> Estimate:
     """
     Return the quotient q of two sums of coefficients times PST over the cells, with its standard error.
 
@@ -47,16 +52,38 @@ def quotient(
     pst : Pst
         Point source transmittance (PST).
     above, below : tuple of (n, m) float and str
-        Coefficients and light of the two sums.
-    floor : float
-        Limit of the lower sum, at or below which the quotient is `UNKNOWN` (NaN); so it is if a cell is NaN.
+        Coefficients and light of the two sums. The quotient is `UNKNOWN` if the lower one is 0, and NaN if a cell that
+        counts in the upper one was not traced.
+
+    Raises
+    ------
+    MistrayError
+        If a cell that counts in the lower sum was not traced.
     """
-    upper, lower = (k[..., None] * pst.samples(light) for k, light in (above, below))
+    require_traced(pst, below[0])
+    upper, lower = (times(k[..., None], pst.samples(light)) for k, light in (above, below))
     base = _summed(lower, pst.weight).value
-    if not base > floor:
+    if not base > 0:
         return UNKNOWN
     value = _summed(upper, pst.weight).value / base
     return Estimate(value, _summed(upper - value * lower, pst.weight).se / base)
+
+
+def times(coefficients: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return coefficients times values; 0 where the coefficient is 0, also for NaN, the value of untraced cells."""
+    return np.where(coefficients != 0, coefficients * values, 0.0)
+
+
+def require_traced(pst: Pst, coefficients: np.ndarray) -> None:
+    """Raise `MistrayError` if a cell with a coefficient other than 0, (n, m), was not traced, as its time was up."""
+    counts = coefficients != 0
+    missing = np.argwhere(counts & np.isnan(pst.by_batch).any(axis=(0, 3)))
+    if len(missing):
+        i, j = missing[0]
+        raise MistrayError(
+            f"PST: {len(missing)} of {np.count_nonzero(counts)} cells that count were not traced, for the time was up, "
+            f"the first at {pst.field_deg[i]:g}°, azimuth {pst.grid.azimuths_deg[j]:g}°; give the run more seconds"
+        )
 
 
 def _summed(parts: np.ndarray, weight: np.ndarray) -> Estimate:

@@ -35,7 +35,7 @@ DENOMINATOR = "%: share of the stray light at that angle, which is all light but
 
 def shown_classes(pst: Pst) -> tuple[str, ...]:
     """Return the classes of light that a printed table shows; those in `RARE` only if they have light."""
-    return tuple(group for group in CLASSES if group not in RARE or np.any(pst.curve(group)[0]))
+    return tuple(group for group in CLASSES if group not in RARE or np.any(pst.curve(group)[0] > 0))
 
 
 def name_of(group: str) -> str:
@@ -122,7 +122,8 @@ def top_paths_text(pst: Pst, count: int) -> str:
     tops = {angle: stray_paths(pst, angle, count) for angle in pst.field_deg}
     shown = max((len(top) for top in tops.values()), default=0)
     if not shown:
-        return "no stray light was seen"
+        where = " at angles that were traced at all azimuths" if np.isnan(pst.value).any() else ""
+        return f"no stray light was seen{where}"
     heads = columns("angle [deg]", *(head for k in range(shown) for head in (f"<{k + 1}.", "[%]")))
     rows = []
     for angle, top in tops.items():

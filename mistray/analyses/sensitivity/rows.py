@@ -58,6 +58,11 @@ class Line:
     slopes: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def value(self) -> float:
+        """Present value of the entry, in the unit of the parameter."""
+        return float(np.ravel(self.parameter.value)[self.entry])
+
+    @property
     def moved(self) -> Mapping[str, float]:
         """Change of each differentiable parameter, by key, when the value of the line changes by 1."""
         return self.slopes or dict.fromkeys(self.keys, 1.0)
@@ -199,7 +204,7 @@ def shifted_values(
     """
     result = {key: value.copy() for key, value in values.items()}
     for line, number in zip(lines, numbers, strict=True):
-        change = number - float(np.ravel(line.parameter.value)[line.entry])
+        change = number - line.value
         for key, slope in {**line.moved, **dict.fromkeys(line.silent, 1.0)}.items():
             result[key][line.entry] += slope * change
     return result
@@ -234,7 +239,7 @@ class LineNumbers:
     change_batches: np.ndarray
 
     @classmethod
-    def of(cls, found: Gradient, lines: list[Line], tolerances: Mapping[str, float]) -> LineNumbers:
+    def of(cls, found: Gradient, lines: list[Line], tolerances: Sequence[float]) -> LineNumbers:
         """
         Return the values, derivatives and effects of lines, summed from the gradient of their keys.
 
@@ -244,8 +249,8 @@ class LineNumbers:
             Gradient with all keys of the lines.
         lines : list of Line
             Lines of the table.
-        tolerances : mapping of str to float
-            Tolerance of each parameter by key, in its unit.
+        tolerances : sequence of float
+            Tolerance of each line, in its unit.
 
         Raises
         ------
@@ -262,7 +267,7 @@ class LineNumbers:
         wrong = [line.label for line, value in zip(lines, derivative, strict=True) if not np.isfinite(value)]
         if wrong:
             raise MistrayError(f"the derivative with respect to '{wrong[0]}' is not finite; leave it out")
-        tolerance = np.array([tolerances[line.parameter.key] for line in lines])
+        tolerance = np.array(tolerances)
         # Lines of several keys have one width, so that what their rims do together is compared, not one by one
         widths = {key: found.edge_batches.get(key, parts[None]) for key, parts in found.batches.items()}
         shape = max(map(len, found.edge_batches.values()), default=2), BATCHES
@@ -274,7 +279,7 @@ class LineNumbers:
         # The metric and its derivative come from the same start rays: what they have in common cancels
         relative = Sampled.of(batches.T, EQUAL).over(Sampled(np.array(found.value), found.value_noise))
         ranges = Ranges(
-            np.array([float(np.ravel(line.parameter.value)[line.entry]) for line in lines]),
+            np.array([line.value for line in lines]),
             np.array([line.parameter.low for line in lines]),
             np.array([line.parameter.high for line in lines]),
             tolerance,

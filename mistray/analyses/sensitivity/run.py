@@ -124,7 +124,7 @@ def run(
     lines, without = _with_derivative(found, lines)
     groups = _groups(known, lines, request.together)
     not_traced = [] if taken.times == 1 else [f"{1 - taken.times:.3%} of the rays".replace("%", " %")]
-    table = LineNumbers.of(found, lines, limits)
+    table = LineNumbers.of(found, lines, [limits[line.parameter.key] for line in lines])
     wavelengths, _ = spectrum_of(metric.scene, metric.wavelength_nm, metric.weights)
 
     def scatters() -> None:

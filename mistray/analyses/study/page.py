@@ -18,7 +18,7 @@ from mistray.analyses.ghosts.page.report import ASSUMPTIONS, SCATTERED, polariza
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.verdict import brightest_field
 from mistray.analyses.pst.page import causes_figure, curve_figure, pst_verdict, pst_verdict_record
-from mistray.analyses.study.result import Study
+from mistray.analyses.study.result import Study, step_warnings
 from mistray.analyses.study.step import Fact, StudyStep
 from mistray.analyses.transfer.page import transfer_parts
 from mistray.estimate import Estimate
@@ -77,25 +77,6 @@ def fact_text(fact: Fact) -> str:
     return f"{text}{apart}{fact.unit}" if fact.unit and text != ABSENT else text
 
 
-def step_warnings(study: Study, step: StudyStep) -> list[str]:
-    """
-    Return the warnings of a step, including those of the ghost analysis and the PST in step 8.
-
-    Those of the ghost analysis that name ``max_scatters`` are left out.
-    """
-    found = list(step.warnings)
-    if step.key == "analysis":
-        # That scatter is not followed is meant so in the ghost analysis
-        found += [f"ghosts, {text}" for text in study.ghosts.notes if "max_scatters" not in text]
-        found += [f"PST, {text}" for text in study.pst.notes if text not in found]
-    return found
-
-
-def study_warnings(study: Study) -> list[str]:
-    """Return all warnings of a study, each with its step."""
-    return [f"step {step.number}: {text}" for step in study.steps for text in step_warnings(study, step)]
-
-
 def study_text(study: Study) -> str:
     """
     Return the text that `mistray study` prints: the verdict, findings of every step, then warnings.
@@ -112,9 +93,8 @@ def study_text(study: Study) -> str:
     for step in study.steps:
         lines += ["", f"{step.number} {step.title}"]
         lines += [f"  {text}" for text in step.findings or ("nothing to report",)]
-    warnings = study_warnings(study)
-    if warnings:
-        lines += ["", *(f"warning: {text}" for text in warnings)]
+    if study.warnings:
+        lines += ["", *(f"warning: {text}" for text in study.warnings)]
     return "\n".join(lines)
 
 
@@ -246,7 +226,7 @@ def page(study: Study, command: str = "") -> Report:
             NotePart(VERDICTS["ghosts"], "h3"),
             *answer(study.ghosts, study.ghosts),
         ],
-        warnings=study_warnings(study),
+        warnings=study.warnings,
         contents=True,
         scripts=("report", "hover", "drawing", "explorer"),
         csv=csv_tables(study),

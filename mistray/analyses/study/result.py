@@ -17,6 +17,20 @@ from mistray.errors import UnknownKeyError
 from mistray.result import KeyNumber, Result
 
 
+def step_warnings(study: Study, step: StudyStep) -> list[str]:
+    """
+    Return the warnings of a step, including the notes of the ghost analysis and the PST in step 8.
+
+    Those of the ghost analysis that name ``max_scatters`` are left out.
+    """
+    found = list(step.warnings)
+    if step.key == "analysis":
+        # That scatter is not followed is meant so in the ghost analysis
+        found += [f"ghosts, {text}" for text in study.ghosts.notes if "max_scatters" not in text]
+        found += [f"PST, {text}" for text in study.pst.notes if text not in found]
+    return found
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Study(Mapping[str, StudyStep], Result, table=".page:findings_table", figure=".page:curve_of_study"):
     """
@@ -88,8 +102,8 @@ class Study(Mapping[str, StudyStep], Result, table=".page:findings_table", figur
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings of the steps, one line each; the notes of the ghost analysis and the PST are not among them."""
-        return [f"step {step.number}: {text}" for step in self.steps for text in step.warnings]
+        """Warnings of the steps and notes of the ghost analysis and the PST, one line each; empty if all is well."""
+        return [f"step {step.number}: {text}" for step in self.steps for text in step_warnings(self, step)]
 
     def write(self, directory: str | Path, command: str = "") -> list[Path]:
         """

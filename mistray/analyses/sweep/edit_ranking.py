@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
-import numpy as np
 
 from mistray.analyses.pst.metrics.pst_metrics import pst_bin
 from mistray.analyses.sensitivity.proposals import structure
@@ -190,7 +189,8 @@ def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Prog
     ====== ========================================================================================================
 
     Steps are in the unit of the parameter, or text in percent of its value, ``"2 %"``; of a list, such as the layers of
-    a coating, in percent of its largest entry. A step by key overrides one by kind, and a later one an earlier one.
+    a coating, each entry in percent of its own value. A step by key overrides one by kind, and a later one an earlier
+    one.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Prog
     if not chosen:
         raise MistrayError("rank_edits: the scene has nothing with a derivative to move, block, paint or coat")
     lines = _lines(loaded, params, known, chosen)
-    step_of = _steps(known, lines, request.steps or {})
+    steps = _steps(known, lines, request.steps or {})
     how = {"azimuth_deg": request.azimuth_deg, **request.spectrum, **request.pst, **request.settings}
     metrics = [pst_bin(loaded, angle, request.light, pst_field_deg=angles, **how) for angle in angles]
     active = {key: known[key] for line in lines for key in line.moved}
@@ -244,7 +244,7 @@ def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Prog
                 f"rank_edits: the PST at {angle:g}° is {found.value:g}, which has no relative change; give other "
                 "angles or more rays"
             )
-        tables.append(LineNumbers.of(found, lines, step_of))
+        tables.append(LineNumbers.of(found, lines, steps))
         values.append(Estimate(found.value, found.value_se))
         widths.append(found.edge_width)
         left_out |= dict.fromkeys(found.left_out)
@@ -258,8 +258,8 @@ def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Prog
             line.label,
             line.parameter.kind,
             line.parameter.unit,
-            float(np.ravel(line.parameter.value)[line.entry]),
-            step_of[line.parameter.key],
+            line.value,
+            steps[k],
             tuple(Estimate(float(t.derivative[k]), float(t.derivative_se[k])) for t in tables),
             tuple(
                 Estimate(*(float(x[k] * t.ranges.tolerance[k]) for x in (t.ranges.slope, t.ranges.slope_se)))
@@ -337,41 +337,41 @@ def _lines(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Sequ
     return [*moved.values(), *lines_of(scene, params, known, [key for key in chosen if key not in whole])]
 
 
-def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping[str, float | str]) -> dict[str, float]:
-    """Return the step of each line's parameter, in its unit, by key; `given` overrides default steps by kind or key."""
+def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping[str, float | str]) -> list[float]:
+    """Return the step of each line, in its unit; `given` overrides default steps by kind or key."""
     by_kind = {**STEPS, **{name: step for name, step in given.items() if name in STEPS}}
-    wanted = {line.parameter.key: by_kind[line.parameter.kind] for line in lines}
+    wanted = {line.label: by_kind[line.parameter.kind] for line in lines}
     for name, step in given.items():
         if name not in STEPS:
             with errors_of("steps"):
                 keys = set(match(known, [name]))
-            touched = [line.parameter.key for line in lines if keys & set(line.keys)]
+            touched = [line.label for line in lines if keys & set(line.keys)]
             if not touched:
                 raise MistrayError(f"step of '{name}': none of the edits is about it; leave it out")
             wanted |= dict.fromkeys(touched, step)
-    return {key: _step(known[key], step) for key, step in wanted.items()}
+    return [_step(line, wanted[line.label]) for line in lines]
 
 
-def _step(parameter: Parameter, step: float | str) -> float:
+def _step(line: Line, step: float | str) -> float:
     """
-    Return a step in the unit of a parameter, from a number or a percentage of its largest entry such as "5 %".
+    Return a step in the unit of a line, from a number or a percentage of its value such as "5 %".
 
     Raises
     ------
     MistrayError
         If the step is not a number above 0, or is a percentage of 0.
     """
-    what = f"step of '{parameter.key}'"
+    what, unit = f"step of '{line.label}'", line.parameter.unit
     text = str(step).strip()
     try:
         number = float(text.removesuffix("%"))
     except ValueError:
         number = math.nan
     if not (math.isfinite(number) and number > 0):
-        raise MistrayError(f"{what} is {text}; give a number greater than 0 in {parameter.unit}, or per cent, '2 %'")
+        raise MistrayError(f"{what} is {text}; give a number greater than 0 in {unit}, or per cent, '2 %'")
     if not text.endswith("%"):
         return number
-    size = float(np.max(np.abs(parameter.value)))
+    size = abs(line.value)
     if size == 0:
-        raise MistrayError(f"{what} is {text} of 0; give it in {parameter.unit}")
+        raise MistrayError(f"{what} is {text} of 0; give it in {unit}")
     return number / 100 * size

@@ -3,6 +3,7 @@
 import copy
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ from refusals import refused
 import mistray
 from mistray.analyses.optimize.study.study_scene import band, place
 from mistray.analyses.optimize.study.terms import KINDS
+from mistray.coatings import preset
 from mistray.errors import MistrayError
-from mistray.optimize import Metric, Moved, Optimizer, path_power, read_study
+from mistray.optimize import CoatingGroup, Metric, Moved, Optimizer, path_power, read_study
 
 pytestmark = pytest.mark.quick
 
@@ -143,6 +145,24 @@ class TestRefusals:
         place, *value, message = row
         with refused(f"^study: .*{message}"):
             read_study(changed(place, *value or [None]))
+
+    def test_coatings_that_are_made_in_python(self) -> None:
+        """As in a section [[coating]]: a pair of bounds for each layer, around its start."""
+        start = preset("mgf2_quarter_wave")
+        for bounds, message in (
+            (((60.0, 150.0),) * 2, "coating 'ar': bounds_nm has 2 pairs for 1 layers; give one for each layer"),
+            (
+                ((120.0, 200.0),),
+                r"coating 'ar': its bounds are 120 … 200 nm, but layer 1 \(1.38\) starts with 99\.\d+ nm",
+            ),
+        ):
+            with refused(message):
+                CoatingGroup("ar", None, start, bounds)
+        study = read_study(GOOD)
+        for key, name in (("term", "ghosts"), ("coating", "a")):
+            several = getattr(study, f"{key}s")
+            with refused(f"study 'study': {key}.name '{name}' is given twice; give every {key} a name of its own"):
+                replace(study, **{f"{key}s": (*several, several[0])})
 
     def test_files_and_what_may_not_change(self, tmp_path: Path) -> None:
         study, file = changed("term", GOOD["term"][:1]), tmp_path / "study.toml"

@@ -183,7 +183,10 @@ class TestBudget:
             forward_pst(bare, found.grid, rays=5000, settings=Settings(rays=5000, seed=seed)).by_batch
             for seed in (3, 4)
         )
-        same = forward_pst(bare, found.grid, rays=5000, settings=Settings(rays=5000, seed=3))
+        seen.clear()
+        same = forward_pst(bare, found.grid, rays=5000, settings=Settings(rays=5000, seed=3), progress=seen.append)
+        assert seen
+        assert np.isnan([step.worst_error for step in seen]).all(), "none is requested, none is known before the end"
         np.testing.assert_array_equal(same.by_batch, again)
         assert np.all(again.sum(axis=-1)[0] != other.sum(axis=-1)[0])
         # What several passes find is as good as one of as many rays: the error falls as the root of the rays

@@ -20,7 +20,7 @@ from mistray.analyses.pst.causes import breaks, cause_frame, field_edge, main_ca
 from mistray.analyses.pst.figures import pst_causes, pst_curve, pst_irradiance, pst_map
 from mistray.analyses.pst.found_paths import PATHS_LISTED
 from mistray.analyses.pst.metrics.first_light import first_light
-from mistray.analyses.pst.page import pst_report, write_pst
+from mistray.analyses.pst.page import pst_report, pst_verdict, write_pst
 from mistray.analyses.pst.result import CLASSES, Pst
 from mistray.analyses.pst.state import PstProgress
 from mistray.errors import MistrayError
@@ -316,6 +316,24 @@ def test_text_with_the_numbers_and_their_errors(pst: Pst) -> None:
     assert record["field_edge_deg"] is None
     assert all(row["pst_total"] == 0 for row in record["curve"])
     assert "it sees no opening" in html_page(pst_report(dark))
+
+
+def test_a_run_whose_time_was_up_at_an_azimuth_of_every_angle(around: Pst) -> None:
+    """Means over the azimuths are unknown then, while the cells that were traced are drawn in the map."""
+    by_batch, rows = around.by_batch.copy(), around.path_rows
+    by_batch[:, :, 1] = np.nan
+    cut = replace(around, by_batch=by_batch, path_rows=rows[rows.azimuth_cell != 1], maps=None)
+    assert field_edge(cut) is None
+    assert texts(pst_curve(cut).axes[0]) == ["no angle with light was traced at all azimuths"]
+    assert "no stray light was seen at angles that were traced at all azimuths" in tables.pst_text(cut)
+    record = tables.pst_record(cut)
+    assert (record["field_edge_deg"], record["curve"][0]["pst_total"]) == (None, None)
+    assert record["cells"][0]["pst_total"] == pytest.approx(around.map()[0][0, 0])
+    assert pst_verdict(cut) == ["PST(0°) = <b>–</b>."]
+    # Of an azimuth that lacks the smallest angle alone the edge is unknown, as it is relative to that
+    by_batch = around.by_batch.copy()
+    by_batch[:, 0, 1] = np.nan
+    assert field_edge(replace(around, by_batch=by_batch)) is None
 
 
 def test_files(around: Pst, tmp_path: Path) -> None:

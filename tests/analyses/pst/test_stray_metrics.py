@@ -232,6 +232,34 @@ class TestCurves:
         assert np.all(ratios.normalised_stray_light(none, 1.0).value == 0)
         assert np.all(ratios.flare_attenuation(none, 1.0).value == np.inf)
 
+    def test_cells_that_were_not_traced(self) -> None:
+        """A forward run whose time was up before 60°: what needs that cell says so, and all else is as without it."""
+        whole = pst_of([0, 30, 60], np.cos, np.ones_like, cell_deg=4.0, maps=np.ones((2, 3, 1, 2, 2)))
+        by_batch, maps = whole.by_batch.copy(), np.ones((2, 3, 1, 2, 2))
+        by_batch[:, 2], maps[:, 2] = np.nan, np.nan
+        cut = replace(whole, by_batch=by_batch, maps=maps)
+        np.testing.assert_array_equal(rejection_ratio(cut).value, [*rejection_ratio(whole).value[:2], np.nan])
+        later = rejection_ratio(replace(cut, by_batch=by_batch[:, ::-1]), reference_deg=30)
+        assert later.value[1] == 1, "the first angle need not be traced"
+        for metric in (
+            lambda pst: source_irradiance(pst, Disc(1.0, 1.0, 30.0)),
+            lambda pst: veiling_glare_index(pst, 1.0, source_deg=32.0, place="mean"),
+            lambda pst: veiling_glare_index(pst, 1.0, source_deg=32.0, place="map"),
+        ):
+            assert metric(cut).value == metric(whole).value
+        np.testing.assert_array_equal(glare_spread(cut).value, glare_spread(whole).value)
+        told = r"1 of \d cells that count were not traced, .* the first at 60°, azimuth 0°; give the run more seconds"
+        each_refused(
+            (lambda: rejection_ratio(cut, reference_deg=60), told),
+            (lambda: ratios.image_throughput(cut), told),
+            (lambda: ratios.flare_attenuation(cut, 1.0), told),
+            (lambda: ratios.equivalent_stray_radiance(cut, Disc(1.0, 1.0, 60.0), f_number=2), told),
+            (lambda: source_irradiance(cut, SkyRadiance()), told),
+            (lambda: veiling_glare_index(cut, 1.0, place="mean"), told),
+            (lambda: veiling_glare_index(cut, 1.0, place="map"), told),
+            (lambda: glare_spread(cut, 60.0), told),
+        )
+
     def test_radiances_and_magnitudes(self) -> None:
         """Direct light within ±10°, 0.05 sr in all, and stray light of 1e-6 everywhere."""
         pst, stray = pst_of(WHOLE, flat(1e-6), flat(0.05 / solid(0, 10), 10.0)), 2 * np.pi * 1e-6 * 3.0

@@ -27,6 +27,7 @@ from mistray.analyses.study.first_order import FirstOrder, first_order
 from mistray.analyses.study.image import transfer_findings
 from mistray.analyses.study.models import mechanical_model, optical_model, role
 from mistray.analyses.study.objects import source_angles
+from mistray.analyses.study.page import record
 from mistray.analyses.study.step import STEPS
 from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.sampling.design_path import find_design_path
@@ -194,6 +195,11 @@ def test_eight_steps_in_order(small):
     assert common == set(small["common_objects"].table.id)
     assert small["analysis"].table.set_index("angle_deg").main_cause[40.0] == "screen"
     assert any("screen" in text for text in small["analysis"].findings)
+    # Python counts the warnings that the report and the JSON values have
+    told = [f"step {step['number']}: {text}" for step in record(small)["steps"] for text in step["warnings"]]
+    assert small.warnings == told
+    assert any(text.startswith("step 8: PST, ") for text in told)
+    assert small.key_numbers()["warnings"] == len(told)
     with pytest.raises(MistrayError, match="no step 'ghosts'"):
         small["ghosts"]
 

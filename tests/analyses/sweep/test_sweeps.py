@@ -518,7 +518,7 @@ def test_several_angles_ranking_and_steps(ringed: Path) -> None:
     assert not {"plate.tilt_x", "detector.half_width"} & {edit.label for edit in found.edits if edit.method == "block"}
 
 
-def test_wrong_steps_are_refused(ringed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_steps_are_refused(ringed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     each_refused(
         ({"steps": {"rim": 0.0}}, "step of 'ring.*' is 0.0; give a number greater than 0 in mm"),
         ({"steps": {"rim": "nan"}}, "is nan"),
@@ -531,5 +531,9 @@ def test_wrong_steps_are_refused(ringed: Path, capsys: pytest.CaptureFixture[str
     )
     with refused("field_deg is empty"):
         sweeps.rank_edits(ringed, [])
+    # Per cents are those of each layer, not of the thickest
+    film = '<bsdf type="thinfilm"><string name="layers" value="1.38 100, 2.1 0"/></bsdf>'
+    with refused(r"'plate.bsdf.coating.thickness_nm\[1\]' is 2 % of 0; give it in nm"):
+        ranked(write(tmp_path, plate_and_wall(film)), steps={"coating": "2 %"})
     for more in ("--rank", "--pst-field-deg 10 --step rim=1", "--pst-field-deg 10 --rank --step rim"):
         fails(capsys, "sweep", ringed, *more.split())

@@ -220,6 +220,12 @@ class CoatingGroup:
     design_nm : float
         Wavelength at which the start design was made, nm.
 
+    Raises
+    ------
+    MistrayError
+        If a value is impossible, `bounds_nm` has another number of pairs than the start has layers, or a layer starts
+        outside its bounds.
+
     Examples
     --------
     >>> start = mistray.coatings.preset("mgf2_quarter_wave")
@@ -235,7 +241,19 @@ class CoatingGroup:
     design_nm: float = field_of(CoatingKeys, "design_nm", CoatingKeys.design_nm)
 
     def __post_init__(self) -> None:
-        check_fields(self, f"coating '{self.name}'")
+        owner = f"coating '{self.name}'"
+        check_fields(self, owner)
+        if len(self.bounds_nm) != len(self.start.layers):
+            raise MistrayError(
+                f"{owner}: bounds_nm has {len(self.bounds_nm)} pairs for {len(self.start.layers)} layers; give one for "
+                "each layer"
+            )
+        for k, (layer, (low, high)) in enumerate(zip(self.start.layers, self.bounds_nm, strict=True), start=1):
+            if not low <= layer.thickness_nm <= high:
+                raise MistrayError(
+                    f"{owner}: its bounds are {low:g} … {high:g} nm, but layer {k} ({layer.material}) starts with "
+                    f"{layer.thickness_nm:g} nm; widen the bounds or change the start"
+                )
 
 
 @dataclass(frozen=True)
@@ -316,6 +334,11 @@ class DesignStudy:
     optimizer : Optimizer
         Settings of the search.
 
+    Raises
+    ------
+    MistrayError
+        If a value is of another type, or two terms or two coatings have one name.
+
     Examples
     --------
     >>> term = {"kind": "path_power", "selection": "ghost", "goal": "minimise"}
@@ -336,7 +359,14 @@ class DesignStudy:
     optimizer: Optimizer = Optimizer()
 
     def __post_init__(self) -> None:
-        check_fields(self, f"study '{self.name}'")
+        owner = f"study '{self.name}'"
+        check_fields(self, owner)
+        for what, names in (("term", [t.name for t in self.terms]), ("coating", [c.name for c in self.coatings])):
+            for one in names:
+                if names.count(one) > 1:
+                    raise MistrayError(
+                        f"{owner}: {what}.name '{one}' is given twice; give every {what} a name of its own"
+                    )
 
     @property
     def fingerprint(self) -> str:

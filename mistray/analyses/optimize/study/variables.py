@@ -17,6 +17,7 @@ from mistray.metrics.scene_values import assign
 from mistray.surfaces.gradient_columns import POSE, ROTATION
 
 MOTION_STEP = 1e-3  # mm or degrees, of central differences of what bodies do to their surfaces
+TWICE = "is moved twice, by another factor or about another pivot; leave one out"
 ROUNDING = 1e-6  # of the range, by which a start may lie outside of the bounds: parameters have single precision
 
 
@@ -353,20 +354,25 @@ def _of_group(
     Raises
     ------
     MistrayError
-        If a key is unknown, a pivot is given for something else than a tilt, units differ, or the scale is "log" for a
-        body.
+        If a key is unknown, a pivot is given for something else than a tilt, units differ, the scale is "log" for a
+        body, or the same is moved twice by other factors or about other pivots.
     """
     places: dict[tuple[str, int], tuple[VariablePlace, Parameter]] = {}
     motions: list[Motion] = []
+    bodies_moved: dict[str, Moved] = {}
     for moved in group.parameters:
         motion = None if moved.key in together or moved.key in known else _motion(moved, rigid, where)
         if motion is not None:
-            motions.append(motion)
+            if moved.key not in bodies_moved:
+                motions.append(motion)
+            if bodies_moved.setdefault(moved.key, moved) != moved:
+                raise MistrayError(f"{where}.parameters: {motion.label} {TWICE}")
             continue
         if moved.pivot is not None:
             raise MistrayError(f"{where}.parameters: '{moved.key}' is not a tilt of a body, it has no pivot; remove it")
         for place, parameter in _places(moved, known, together, where):
-            places.setdefault((place.key, place.entry), (place, parameter))
+            if places.setdefault((place.key, place.entry), (place, parameter))[0] != place:
+                raise MistrayError(f"{where}.parameters: {place.label} {TWICE}")
     units = {parameter.unit for _, parameter in places.values()}
     units |= {"deg" if motion.name in ROTATION else "mm" for motion in motions}
     if len(units) > 1 and not group.each:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mistray.analyses.optimize.study.model import CoatingGroup, CoatingKeys
 from mistray.coatings import Stack, parse_layers, preset
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.ids import check_written_id
 from mistray.toolkit.toml_section import TomlSection, keys_of
 
@@ -32,14 +32,8 @@ def read_coating(section: TomlSection, number: int) -> CoatingGroup:
     check_written_id(given.name, "coating")
     start = _start(section, given)
     bounds = _bounds(section, len(start.layers))
-    for k, (layer, (low, high)) in enumerate(zip(start.layers, bounds, strict=True)):
-        if not low <= layer.thickness_nm <= high:
-            raise section.fail(
-                "thickness_nm",
-                f"is {low:g} … {high:g} nm, but layer {k + 1} ({layer.material}) starts with "
-                f"{layer.thickness_nm:g} nm; widen the bounds or change the start",
-            )
-    return CoatingGroup(given.name, surfaces, start, bounds, given.design_nm)
+    with errors_of(f"{section.title}: {section.place.removesuffix('.')}"):
+        return CoatingGroup(given.name, surfaces, start, bounds, given.design_nm)
 
 
 def _start(section: TomlSection, given: CoatingKeys) -> Stack:

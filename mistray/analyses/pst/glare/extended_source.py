@@ -350,7 +350,8 @@ def source_irradiance(
     Raises
     ------
     MistrayError
-        If no cell contains any of the source, the source is dark, or the interpolation or a class is unknown.
+        If no cell contains any of the source, the source is dark, the interpolation or a class is unknown, or a cell
+        that counts was not traced.
     """
     normal = pst.to("normal")
     curve = normal.map(classes)[0] if interpolation == "log" else None

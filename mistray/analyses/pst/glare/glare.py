@@ -9,7 +9,7 @@ import numpy as np
 
 from mistray.analyses.pst.glare.extended_source import Cover, Disc, ExtendedSource, SkyRadiance, cover
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.sums import quotient, weighted_sum
+from mistray.analyses.pst.sums import quotient, require_traced, times, weighted_sum
 from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.known_arguments import known_arguments
@@ -70,7 +70,8 @@ def veiling_glare_index(
     MistrayError
         If the place is unknown, the patch is not within the source, no cell contains any of it, the PST has no maps for
         "map", or `at_mm` is off the detector. Also if the patch is off the axis while one cell covers all azimuths,
-        except for "mean", or if no light from its middle meets the detector, which would tell the pixel.
+        except for "mean", if no light from its middle meets the detector, which would tell the pixel, or if a cell of
+        the source was not traced.
     """
     place = place or ("mean" if pst.maps is None else "map")
     if place == "map" and pst.maps is None:
@@ -177,9 +178,11 @@ def _at_pixel(
     Raises
     ------
     MistrayError
-        If the pixel is off the detector, or no light from the middle of the patch meets the detector.
+        If the pixel is off the detector, no light from the middle of the patch meets the detector, or a cell of the
+        source was not traced.
     """
     assert pst.maps is not None
+    require_traced(pst, white)
     height, width = pst.maps.shape[-2:]
     x0, x1, y0, y1 = pst.extent_mm
     if at_mm is None:
@@ -205,11 +208,11 @@ def _at_pixel(
         "x_mm": float(x0 + (column + 0.5) * (x1 - x0) / width),
         "y_mm": float(y0 + (row + 0.5) * (y1 - y0) / height),
     }
-    base = float(np.sum(white * value))
+    base = float(np.sum(times(white, value)))
     if not base > 0:
         return UNKNOWN, where
-    glare = float(np.sum(black * value)) / base
-    return Estimate(glare, float(np.sqrt(np.sum(np.square((black - glare * white) * se)))) / base), where
+    glare = float(np.sum(times(black, value))) / base
+    return Estimate(glare, float(np.sqrt(np.sum(np.square(times(black - glare * white, se))))) / base), where
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +260,7 @@ def glare_spread(
     Raises
     ------
     MistrayError
-        If the PST has no maps, or the direct image has no light.
+        If the PST has no maps, or the direct image has no light or was not traced.
     """
     if isinstance(light, Trace):
         direct, stray = _direct_and_stray(light)

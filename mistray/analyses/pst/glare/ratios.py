@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.analyses.pst.glare.extended_source import ExtendedSource, cover
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.sums import Light, quotient, weighted_sum
+from mistray.analyses.pst.sums import Light, quotient, require_traced, weighted_sum
 from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.stray_metric import DEFINITIONS, MetricCurve, StrayMetric
@@ -45,7 +45,7 @@ def rejection_ratio(
     Raises
     ------
     MistrayError
-        If no cell contains the reference angle, no light comes from there, or `reference` is 0.
+        If no cell contains the reference angle, it was not traced, no light comes from there, or `reference` is 0.
     """
     if reference is None:
         row, _ = pst.grid.nearest(reference_deg, float(pst.grid.azimuths_deg[0]))
@@ -53,7 +53,7 @@ def rejection_ratio(
         ratios = [quotient(pst, (_row(pst, i), classes), (below, classes)) for i in range(pst.grid.shape[0])]
     else:
         ratios = [value.over(reference) for value in pst.estimates(classes)]
-    if np.isnan(ratios[0].value):
+    if ratios[0] is UNKNOWN:
         raise MistrayError(
             f"no light of the classes {_named(classes)} comes from the reference angle {reference_deg:g}°; give "
             "another reference_deg, or reference"
@@ -96,6 +96,11 @@ def image_throughput(pst: Pst) -> StrayMetric:
 
     For an ideal system of transmittance T it is T π sin² u, with the half angle u of the cone of light on the detector.
     It is the mean over the detector, so that it includes vignetting.
+
+    Raises
+    ------
+    MistrayError
+        If a cell was not traced.
     """
     return StrayMetric.of("throughput", weighted_sum(pst.to("normal"), _solid_angles(pst), "direct"), "sr")
 
@@ -153,7 +158,8 @@ def equivalent_stray_radiance(
     Raises
     ------
     MistrayError
-        If no direct light is in the cells and no F-number is given, or no cell contains the source.
+        If no direct light is in the cells and no F-number is given, no cell contains the source, or a cell that counts
+        was not traced.
     """
     if f_number is None:
         words, facts = "the integral of the direct PST_n over solid angle", {}
@@ -193,7 +199,8 @@ def stray_to_signal(
     Raises
     ------
     MistrayError
-        If the radiance is not above 0, no direct light is in the cells, or no cell contains the source.
+        If the radiance is not above 0, no direct light is in the cells, no cell contains the source, or a cell that
+        counts was not traced.
     """
     if not scene_radiance > 0:
         raise MistrayError(f"scene_radiance is {scene_radiance:g} W/(mm² sr); it must be positive")
@@ -222,7 +229,7 @@ def normalised_stray_light(pst: Pst, diameter_deg: float) -> MetricCurve:
     Raises
     ------
     MistrayError
-        If the diameter is not between 0 and 180 degrees, or no direct light is in the cells.
+        If the diameter is not between 0 and 180 degrees, no direct light is in the cells, or one was not traced.
     """
     ratios, facts = _by_image(pst, diameter_deg)
     return _curve(pst, "normalised_stray_light", ratios, facts=facts)
@@ -246,7 +253,7 @@ def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> 
     Raises
     ------
     MistrayError
-        If the diameter is not between 0 and 180 degrees, or no direct light is in the cells.
+        If the diameter is not between 0 and 180 degrees, no direct light is in the cells, or one was not traced.
     """
     ratios, facts = _by_image(pst, diameter_deg)
     values = [Estimate(1 / r.value, r.se / r.value**2) if r.value > 0 else Estimate(np.inf, np.nan) for r in ratios]
@@ -334,11 +341,12 @@ def _of_source(
     Raises
     ------
     MistrayError
-        If no direct light is in the cells, or no cell contains the source.
+        If no direct light is in the cells, no cell contains the source, or a cell that counts was not traced.
     """
     normal = pst.to("normal")
     curve = normal.map("stray")[0] if interpolation == "log" else None
     seen = cover(pst.grid, source, interpolation, curve)
+    require_traced(normal, seen.coefficients)
     estimate = over(normal, seen.coefficients)
     if estimate is UNKNOWN:
         raise MistrayError(
@@ -363,7 +371,7 @@ def _by_image(pst: Pst, diameter_deg: float) -> tuple[list[Estimate], dict[str, 
     Raises
     ------
     MistrayError
-        If the diameter is not between 0 and 180 degrees, or no direct light is in the cells.
+        If the diameter is not between 0 and 180 degrees, no direct light is in the cells, or one was not traced.
     """
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
