@@ -219,6 +219,10 @@ def test_finite_distances_and_what_is_left_out(lens):
         start = math.tan(math.asin(found.aperture))
         assert abs(paraxial_system(found)[0].trace(start * 100, start)[-1, 1]) == pytest.approx(0.1, rel=1e-12)
         assert any(key in note for note in found.notes)
+        found = without_pupil(**{key: value}, SO="0 100 NBK7_SCHOTT")  # the beam itself, from a medium
+        data = first_order(found)
+        start = data.epd / 2 / (100 + data.entrance_pupil_z)
+        assert abs(paraxial_system(found)[0].trace(start * 100, start)[-1, 1]) == pytest.approx(0.1, rel=1e-12)
     found = without_pupil(FNO="5")
     assert (found.aperture_kind, found.aperture) == ("f_number", 5)
     assert first_order(found).epd == pytest.approx(first_order(found).efl / 5)

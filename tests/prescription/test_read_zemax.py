@@ -229,6 +229,9 @@ def test_system_lines_finite_objects_angles_and_coatings(read):
     assert lens.aperture_kind == "object_na"
     assert math.tan(math.asin(lens.aperture)) == pytest.approx(0.2, rel=1e-12)
     assert any("working F-number 5 " in note for note in lens.notes)
+    oil = text.replace("  DISZ 90", "  DISZ 90\n  GLAS ___BLANK 1 0 1.5 0")
+    lens = read(oil.replace("ENPD 8", "OBNA 30 1"))  # NA = n sin θ
+    assert lens.aperture == pytest.approx(0.75)
     lens = read(text.replace("ENPD 8", "FNUM 5 0"))  # of infinite conjugates, wherever the object is
     assert first_order(lens).epd == pytest.approx(60 / 5)
     lens = read(text.replace("ENPD 8", "OBNA 0.1 0").replace("FTYP 0 0", "FTYP 1 1"))

@@ -33,7 +33,6 @@ from mistray.io.codev.sags import ANAMORPHIC, SPECIAL
 from mistray.io.codev.zoom import ZoomPosition
 from mistray.io.conventions import object_na, squeezed
 from mistray.io.glasses import CATALOGUES, GLASSES
-from mistray.materials import refractive_index
 from mistray.materials.agf import decode
 from mistray.prescription.sequential.table import ApertureKind, FieldKind, Row, Sequential, Unread
 from mistray.read_file import read_file
@@ -561,8 +560,7 @@ class _Reader:
             return "object_na", value
         if math.isinf(lens.object_distance):
             return "f_number", value if name == "FNO" else 1 / (2 * value)
-        image_index = refractive_index(lens.rows[-1].material, lens.wavelength_nm)
-        found = object_na(lens, (1 / (2 * value) if name == "FNO" else value) / image_index)
+        found = object_na(lens, 1 / (2 * value) if name == "FNO" else value)
         self.notes.append(f"{name} {value:g} at a finite distance is the paraxial cone of object-space NA {found:.6g}")
         return "object_na", found
 
