@@ -73,7 +73,7 @@ def choose_position(
     number = saved if wanted is None else wanted
     if isinstance(number, str):
         found = [k for k, name in names.items() if name == number]
-        if not found and not number.isdigit():
+        if not found and not number.isdecimal():
             named = ", ".join(f"'{name}'" for name in names.values() if name) or "no names"
             raise MistrayError(f"{what} '{number}' is not there; the file has {named}")
         number = found[0] if found else int(number)

@@ -317,12 +317,20 @@ def test_configurations(wanted, read):
     for lens in (saved, other):
         assert any("'other glass'" in note for note in lens.notes)
         assert lens.unread == ()
+    old = CONFIGURATIONS.replace("FTYP 0 0 1 1", "FTYP 0 0 3 1").replace("FLN 0", "FLD 0 7 10")
+    assert read(old.replace("YFIE 1 2", "YFIE 3 2"), configuration=2).fields == ((0, 0), (7, 7), (10, 3.5))
+    # A solve has set the back focus for the saved configuration alone
+    solved = CONFIGURATIONS.replace("DISZ 45", "DISZ 45\n  MAZH 0 0")
+    notes = [" ".join(read(solved, configuration=wanted).notes) for wanted in (1, 2)]
+    assert "not solved anew" not in notes[0]
+    assert "; not solved anew, but as in configuration 1: MAZH of surface 2" in notes[1]
 
 
 def test_configurations_that_cannot_be_read(read):
     for wanted, message in (
         (3, "line .*: 'GLSS 1 3 N-SF11.*' *: GLSS is not read"),
         (4, "configuration 4 of 3"),
+        ("²", "configuration '²' is not there"),
         ("far", "configuration 'far' is not there; the file has 'at infinity', 'near', 'other glass'"),
     ):
         with refused(message):

@@ -298,12 +298,12 @@ class _Reader:
 
     def _surface(self, command: SeqCommand, which: str) -> None:
         """
-        Process ``S``, ``S3``, ``SO`` or ``SI``, with curvature or radius, thickness and glass.
+        Process ``S``, ``S3``, ``SO`` (also ``S0``) or ``SI``, with curvature or radius, thickness and glass.
 
         `which` is what stands behind the S. ``S`` without a number adds a surface. Raise `MistrayError` if a number
         leaves out a surface.
         """
-        if which == "O":
+        if which in ("O", "0"):
             surface = self.object
         elif which == "I":
             surface = self.image = self.image or CodevSurface(command.line)
@@ -358,7 +358,8 @@ class _Reader:
             return False
         words = command.words[1:]
         surfaces = [self.current] if self.current else []
-        if words and (match := _QUALIFIER.fullmatch(words[0])):
+        labels = name == "SLB" and len(words) < 2  # a label may look like a surface
+        if words and not labels and (match := _QUALIFIER.fullmatch(words[0])):
             surfaces, words = self._meant(match), words[1:]
         if not surfaces:
             raise MistrayError(f"'{command.text}': it stands before the first surface; give it a surface, as in 'S1'")
