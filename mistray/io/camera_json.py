@@ -24,6 +24,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ _ROUNDING_MM = 2e-6
 _SURFACE_NAME = re.compile(r"S\d+\s+(\S+)\s+(front|rear)")
 _PART_NAMES = {"IR": "filter", "IR filter": "filter", "Window": "window"}
 _PIECE_LABEL = re.compile(r"Space \d+: (\w+)[^(]*(?:\((.*)\))?")
+_COEFFICIENT = re.compile(r"A(\d{1,2})")
 _MOST_DIGITS = 300  # of a whole number: no float is longer
 _PIXELS = (512, 512)
 
@@ -81,10 +83,13 @@ def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pup
     text = read_text(path, "prescription")
     with foreign_errors(f"prescription '{path}'", "it must be a JSON file"):
         data = json.loads(text, parse_int=lambda digits: _whole(digits, path))
-    try:
-        return _Reader(data, path, variant, beam).prescription()
-    except KeyError as error:
-        raise MistrayError(f"prescription '{path}': key {error} is missing; compare with scenes/phone_camera") from None
+    with foreign_errors(f"prescription '{path}'", "compare with scenes/phone_camera"):
+        try:
+            return _Reader(data, path, variant, beam).prescription()
+        except KeyError as error:
+            raise MistrayError(
+                f"prescription '{path}': key {error} is missing; compare with scenes/phone_camera"
+            ) from None
 
 
 class _Reader:
@@ -132,7 +137,8 @@ class _Reader:
         """
         Return the changed values of a variant by surface label and quantity, such as S13, radius → 5.272 mm.
 
-        Without a variant there are none. Raise `MistrayError` if the file does not have the variant.
+        Without a variant there are none. Raise `MistrayError` if the file does not have the variant, or a change has
+        another form.
         """
         if variant is None:
             return {}
@@ -143,7 +149,12 @@ class _Reader:
             )
         changes: dict[str, dict[str, float]] = {}
         for key, value in known[variant]["change"].items():
-            label, quantity = key.split(".")
+            label, _, quantity = key.partition(".")
+            if not quantity:
+                raise MistrayError(
+                    f"prescription '{self.path}': variant '{variant}' changes '{key}'; name surface and quantity, as "
+                    "in S13.radius"
+                )
             changes.setdefault(label, {})[quantity] = float(value)
         return changes
 
@@ -170,13 +181,12 @@ class _Reader:
                 )
             part, face = _PART_NAMES.get(match[1], match[1]), match[2]
             row = {**row, **self.changes.get(row["name"].split()[0], {})}
-            coefficients = sorted((int(key[1:]), float(a)) for key, a in row.get("coefficients", {}).items())
             surface = Surface(
                 f"{part}_{face}",
                 z=float(row["z"]),
                 radius=float(row["radius"] or 0.0),
                 conic=float(row.get("conic") or 0.0),
-                coefficients=trimmed(a for _, a in coefficients),
+                coefficients=self._coefficients(row),
                 semi_diameter=float(row["semi_diameter"]),
                 front=materials[before],
                 back=materials[after],
@@ -187,6 +197,22 @@ class _Reader:
             result.append(surface)
             before = after
         return tuple(result)
+
+    def _coefficients(self, row: Mapping[str, Any]) -> tuple[float, ...]:
+        """
+        Return the coefficients (a4, a6, …) of a surface, mm⁻³, mm⁻⁵, …; those that the file leaves out are 0.
+
+        Raise `MistrayError` for another name than A4, A6, …
+        """
+        found: dict[int, float] = {}
+        for key, value in row.get("coefficients", {}).items():
+            match = _COEFFICIENT.fullmatch(key)
+            if match is None or int(match[1]) % 2 or int(match[1]) < 4:
+                raise MistrayError(
+                    f"prescription '{self.path}': surface '{row['name']}' has a coefficient '{key}'; they are A4, A6, …"
+                )
+            found[int(match[1])] = float(value)
+        return trimmed(found.get(order, 0.0) for order in range(4, max(found, default=0) + 1, 2))
 
     def _stop(self) -> Stop:
         stop = self.data["aperture_stop"]
@@ -213,7 +239,8 @@ class _Reader:
         """
         Return the pieces of the barrel by name, fitted to the lens rims, without the faces of the stop.
 
-        Raise `MistrayError` if a label does not follow the scheme of the file.
+        Further pieces of one name in a space are numbered from 2 on. Raise `MistrayError` if a label does not follow
+        the scheme of the file.
         """
         pieces: dict[str, Structure] = {}
         for space, rows in self.data["barrel"]["optical_spaces"].items():
@@ -227,6 +254,7 @@ class _Reader:
                         "…'; rename it"
                     )
                 name = f"barrel_{space}_{(match[2] or match[1]).replace(' ', '_')}"
+                name = next(key for k in count(1) if (key := name if k == 1 else f"{name}_{k}") not in pieces)
                 ends = (*self._on_rim(row["r1"], row["z1"]), *self._on_rim(row["r2"], row["z2"]))
                 pieces[name] = Structure(name, *ends, coating=self.structure_coating, part="barrel", space=int(space))
         return pieces

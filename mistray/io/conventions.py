@@ -73,7 +73,7 @@ def choose_position(
     number = saved if wanted is None else wanted
     if isinstance(number, str):
         found = [k for k, name in names.items() if name == number]
-        if not found and not number.isdigit():
+        if not found and not number.isdecimal():
             named = ", ".join(f"'{name}'" for name in names.values() if name) or "no names"
             raise MistrayError(f"{what} '{number}' is not there; the file has {named}")
         number = found[0] if found else int(number)
@@ -93,16 +93,16 @@ def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> 
     return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
 
 
-def object_na(lens: Sequential, image_slope: float) -> float:
+def object_na(lens: Sequential, image_na: float) -> float:
     """
-    Return the numerical aperture (sine) in object space of the paraxial cone with a given slope at the image.
+    Return the numerical aperture n sin θ in object space of the paraxial cone with a given NA at the image.
 
     Parameters
     ----------
     lens : Sequential
         Lens whose object is at a finite distance.
-    image_slope : float
-        Slope |dy/dz| of the marginal ray at the image: 1/(2F), or NA/n.
+    image_na : float
+        Slope |dy/dz| of the marginal ray at the image, times the index there: 1/(2F), or NA.
 
     Raises
     ------
@@ -113,4 +113,4 @@ def object_na(lens: Sequential, image_slope: float) -> float:
     magnified = abs(system.trace(lens.object_distance, 1.0)[-1, 1])
     if not magnified > 0:
         raise MistrayError(f"lens '{lens.name}': an aperture at the image, which lies at infinity; give a diameter")
-    return float(abs(system.index[0]) * math.sin(math.atan(image_slope / magnified)))
+    return float(abs(system.index[0]) * math.sin(math.atan(image_na / abs(system.index[-1]) / magnified)))

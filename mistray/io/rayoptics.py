@@ -163,8 +163,8 @@ def _pupil(what: str, lens: Sequential, pupil: Any, unit: float) -> tuple[Apertu
     if key == ("object", "NA"):
         return "object_na", value
     if key in (("image", "f/#"), ("image", "NA")):
-        slope = 1 / (2 * value) if key[1] == "f/#" else value
-        return ("f_number", 1 / (2 * slope)) if distant else ("object_na", object_na(lens, slope))
+        na = 1 / (2 * value) if key[1] == "f/#" else value  # both with the index at the image
+        return ("f_number", 1 / (2 * na)) if distant else ("object_na", object_na(lens, na))
     raise MistrayError(f"{what}: pupil of kind {key} has no counterpart; use ('object', 'epd')")
 
 

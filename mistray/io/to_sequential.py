@@ -14,6 +14,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.io.conventions import turns_deg
+from mistray.materials import refractive_index
 from mistray.physics.geometry.outline import Outline, circle, rectangle
 from mistray.physics.geometry.pose import moved
 from mistray.physics.sags.terms import half_turned
@@ -301,7 +302,8 @@ class _Walk:
         notes = tuple(self.notes)
         if math.isfinite(lens.object_distance):
             sine = math.sin(math.atan(0.5 * diameter / lens.object_distance))
-            return replace(lens, rows=tuple(rows), aperture_kind="object_na", aperture=sine, notes=notes)
+            na = sine * refractive_index(lens.object_material, lens.wavelength_nm)
+            return replace(lens, rows=tuple(rows), aperture_kind="object_na", aperture=na, notes=notes)
         return replace(lens, rows=tuple(rows), aperture=min(diameter, 2 * beam), notes=notes)
 
 

@@ -37,7 +37,7 @@ class RevolvedBand:
     foot : (3,) float64
         Point of the axis nearest to the origin, mm.
     axis : (3,) float64
-        Unit vector along the axis; its largest component is positive.
+        Unit vector along the axis; its largest component is positive, of equal ones the first.
     r0, z0, r1, z1 : float
         Radii of the two ends, and their positions along the axis from `foot`, mm. z0 ≤ z1, and r0 < r1 for an annulus.
     outward : bool
@@ -93,9 +93,14 @@ def bands(part: CadPart) -> list[RevolvedBand]:
 
 
 def _axis(axis: np.ndarray) -> np.ndarray:
-    """Return an axis, (3,), as a unit vector: largest component positive, and components below 1e-7 set to 0."""
-    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
-    axis = np.where(np.abs(axis) < 1e-7, 0.0, axis)
+    """
+    Return an axis, (3,), as a unit vector with components below 1e-7 set to 0.
+
+    The first of the components that are the largest, to 1e-6, is positive.
+    """
+    size = np.abs(axis)
+    axis = axis * np.sign(axis[np.argmax(size > (1 - 1e-6) * size.max())])
+    axis = np.where(size < 1e-7, 0.0, axis)
     return np.asarray(axis / np.linalg.norm(axis))
 
 

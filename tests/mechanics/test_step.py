@@ -227,6 +227,19 @@ class TestTrimmedFaces:
             (band,) = bands(body)
             assert (band.r0, band.z0, band.r1, band.z1, band.outward) == expected
 
+    def test_halves_of_a_cylinder_at_45_degrees_are_one_band(self) -> None:
+        """The axis of one is the reverse of the other's, whose equal components are rounded the other way."""
+        x, y, along = np.array([0.5, 0.0, 0.5]) * 2**0.5, np.array([0.0, 1.0, 0.0]), np.array([0.5, 0.0, -0.5]) * 2**0.5
+        angle = 2 * np.pi * np.arange(64) / 64
+        rim = 3 * (np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y)
+        sides = [[k, (k + 1) % 64, 64 + k, (k + 1) % 64, 64 + (k + 1) % 64, 64 + k] for k in range(64)]
+        axes = np.array([0.70710678, 0.0, -0.70710677]), np.array([-0.70710677, 0.0, 0.70710678])
+        halves = {face: RoundSurface("cylinder", np.zeros(3), axis, 3.0) for face, axis in enumerate(axes)}
+        faces = np.repeat([0, 1], 64)
+        part = CadPart("p", "p", "p", "p", np.vstack([rim, rim + 4 * along]), np.reshape(sides, (-1, 3)), faces, halves)
+        (band,) = bands(part)
+        assert (band.faces, band.r0, band.z0, band.r1, band.z1) == ((0, 1), 3.0, 0.0, 3.0, 4.0)
+
 
 class TestDamage:
     def line(self, path: Path, **options: Any) -> str:

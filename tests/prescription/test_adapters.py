@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,22 @@ def test_profiles_of_rayoptics():
         points = np.random.default_rng(1).uniform(-3, 3, (20, 2))
         theirs = [float(profile.sag(x, y)) for x, y in points]
         assert freeform_sag(*points.T, row.sag_numbers) == pytest.approx(np.array(theirs), abs=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "value"), [("NA", 0.1), ("f/#", 5.0)])
+def test_a_pupil_of_rayoptics_at_an_immersed_image(kind, value):
+    """Its f/# and its NA both hold the index n = 1.33 there: n u' = NA = 1/(2 f/#)."""
+    model = file_and_model("singlet.seq")[1]
+    sequence, pupil = model["seq_model"], model["optical_spec"]["pupil"]
+    sequence.gaps[-1].medium = import_module("opticalglass.opticalmedium").ConstantIndex(1.33, "water")
+    pupil.key, pupil.value = ("image", kind), value
+    model.update_model()
+    theirs = model["analysis_results"]["parax_data"].ax_ray
+    lens = from_rayoptics(model)
+    data = first_order(lens)
+    slope = data.epd / 2 / (lens.object_distance + data.entrance_pupil_z)
+    assert slope == pytest.approx(abs(float(theirs[0][1])), rel=1e-6)
+    assert abs(float(theirs[-1][1])) == pytest.approx(0.1 / 1.33, rel=1e-6)
 
 
 def bench(*surfaces, aperture=("EPD", 8), fields=("angle", ((0, 2),)), microns=(0.5876,), first=np.inf):

@@ -9,6 +9,7 @@ from refusals import refused
 
 from mistray import load, trace
 from mistray.io.batoid.obscurations import clear_outline, is_open, opaque_outlines
+from mistray.physics.sags.terms import sag
 from mistray.prescription import Structure, from_batoid
 
 batoid = pytest.importorskip("batoid")
@@ -114,6 +115,7 @@ def test_what_has_no_counterpart_is_named():
         (batoid.Sum([batoid.Bicubic([-1, 0, 1], [-1, 0, 1], np.zeros((3, 3)))] * 2), None, "surface Bicubic"),
         (batoid.Zernike([0, 0, 0, 1e-6], R_outer=1.0, R_inner=0.3), None, "surface Zernike"),
         (batoid.Sum([batoid.Sphere(2.0), batoid.Sphere(3.0)]), None, "surface Sphere"),
+        (batoid.Sum([batoid.Zernike([0, 1e-6], R_outer=r) for r in (0.4, 0.5)]), None, "surface Zernike"),
         (
             batoid.Plane(),
             batoid.ObscUnion(batoid.ObscAnnulus(0.2, 0.3), batoid.ObscAnnulus(0.5, 0.6)),
@@ -122,6 +124,15 @@ def test_what_has_no_counterpart_is_named():
     ):
         with refused(f"'front': {wanted}"):
             from_batoid(plate_of_glass(surface, obscuration), wavelength_nm=550.0)
+
+
+def test_sums_add_zernikes_and_tilts():
+    parts = [batoid.Zernike([0, 0, 0, 0, c, d], R_outer=0.5) for c, d in ((1e-6, 0), (2e-6, 3e-6))]
+    tilts = [batoid.Tilted(1e-5, 2e-5), batoid.Tilted(3e-5, 0)]
+    bent = batoid.Sum([batoid.Paraboloid(10.0), *parts, *tilts])
+    read = from_batoid(plate_of_glass(bent, clear(0.5)), wavelength_nm=550.0).surfaces[0]
+    x, y = np.random.default_rng(0).uniform(-0.3, 0.3, (2, 20))
+    np.testing.assert_allclose(sag(1e3 * x, 1e3 * y, read.sag_numbers), 1e3 * bent.sag(x, y), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("clear", [True, False])
@@ -184,6 +195,21 @@ def test_baffles():
     closed.pupilSize = None
     with refused("no pupilSize"):
         from_batoid(closed, wavelength_nm=500.0)
+
+
+@pytest.mark.parametrize(("x", "hole"), [(0.0, 100.0), (0.15, 0.0)])
+def test_a_baffle_in_a_flat_mirror_is_its_hole_only_in_the_middle(x, hole):
+    place, ahead = (batoid.CoordSys(origin=np.array([0, 0, z])) for z in (3.0, 5.0))
+    mirror = batoid.Mirror(batoid.Plane(), name="flat", obscuration=clear(0.3), coordSys=place)
+    opening = plate("opening", clear(0.1), 3.0)
+    opening.coordSys = batoid.CoordSys(origin=np.array([x, 0, 3.0]))
+    film = batoid.optic.Detector(batoid.Plane(), name="D", obscuration=clear(0.5), coordSys=ahead)
+    optic = batoid.CompoundOptic([mirror, opening, film], name="flat")
+    optic.pupilSize, optic.backDist, optic.inMedium = 0.2, 10.0, batoid.ConstMedium(1.0)
+    optic.stopSurface = batoid.Interface(batoid.Plane(), name="stop")
+    read = from_batoid(optic, wavelength_nm=500.0, baffle_radius=200.0)
+    assert read.surfaces[0].inner_semi_diameter == hole
+    assert [s.x for s in read.structures] == ([] if hole else [150.0])
 
 
 def prime_focus() -> object:

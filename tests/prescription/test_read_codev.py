@@ -219,6 +219,10 @@ def test_finite_distances_and_what_is_left_out(lens):
         start = math.tan(math.asin(found.aperture))
         assert abs(paraxial_system(found)[0].trace(start * 100, start)[-1, 1]) == pytest.approx(0.1, rel=1e-12)
         assert any(key in note for note in found.notes)
+        found = without_pupil(**{key: value}, SO="0 100 NBK7_SCHOTT")  # the beam itself, from a medium
+        data = first_order(found)
+        start = data.epd / 2 / (100 + data.entrance_pupil_z)
+        assert abs(paraxial_system(found)[0].trace(start * 100, start)[-1, 1]) == pytest.approx(0.1, rel=1e-12)
     found = without_pupil(FNO="5")
     assert (found.aperture_kind, found.aperture) == ("f_number", 5)
     assert first_order(found).epd == pytest.approx(first_order(found).efl / 5)
@@ -325,6 +329,19 @@ def test_zoom_positions(lens):
             assert (found.object_distance, found.aperture, found.fields) == (distance, pupil, ((0, 0), (0, field)))
             assert any("'in the middle'" in note for note in found.notes)
             assert [entry.text for entry in found.unread] == ["ZOO THC S2 0"]
-    for absent in (0, 4, "Wide"):
+    for absent in (0, 4, "Wide", "²"):
         with refused("zoom position"):
             lens(ZOOM, configuration=absent)
+    solved = ZOOM.replace("S 0 30\n", "S 0 30\nPIM\n")
+    notes = {wanted: " ".join(lens(solved, configuration=wanted).notes) for wanted in (1, 2)}
+    assert "not solved anew" not in notes[1]
+    assert "; not solved anew, but as in zoom position 1: PIM (line 8)" in notes[2]
+    named = ZOOM.replace("ZOO EPD", "SLB S3 'Z1'; TIT 'Z3'\nZOO EPD")  # texts that look like positions
+    found = lens(named, configuration=2)
+    assert (found.name, found.rows[2].label) == ("Z3", "Z1")
+
+
+def test_labels_that_look_like_surfaces_and_surface_0(lens):
+    found = lens(system("S 10 1 NBK7_SCHOTT\nSLB 'first'\nS -20 15\nSLB 'S1'\nS 0 5\nSLB S3 'S2'", SO="0 50"))
+    assert [row.label for row in found.rows[:3]] == ["first", "S1", "S2"]
+    assert lens(system("S 10 1", SO="0 50").replace("SO ", "S0 ")).object_distance == 50

@@ -258,6 +258,9 @@ def test_bad_files(tmp_path):
         (lambda d: d["surfaces"][6].update(semi_diameter=-1.4), "surface 'L1_front': semi_diameter is -1.4; it must"),
         (lambda d: d["surfaces"][6].update(medium_after="GLASS"), "'GLASS'"),
         (lambda d: d["surfaces"][6].update(name="first"), "surface 'first' is not named"),
+        (lambda d: d["surfaces"][6].update(z=None), "not 'NoneType'; compare with scenes/phone_camera"),
+        (lambda d: d.update(surfaces=5), "'int' object is not iterable; compare with scenes/phone_camera"),
+        (lambda d: d["surfaces"][6]["coefficients"].update(A5=1.0), "'S5 L1 front' has a coefficient 'A5'"),
         (lambda d: d["barrel"]["optical_spaces"]["2"][0].update(label="cone"), "barrel piece 'cone'"),
         (lambda d: d["barrel"]["optical_spaces"]["1"].pop(3), r"labelled '\(AS rear\)'"),
         (lambda d: d.update(scatter=[POLISH | {"shapes": ["L9_*"]}]), r"no shape is called 'L9_\*'"),
@@ -267,9 +270,31 @@ def test_bad_files(tmp_path):
     with refused("variant 'R13=5' is unknown"):
         from_json(FILE, variant="R13=5")
     (tmp_path / "text.json").write_text("{")
-    for file, words in (("none.json", "No such file"), ("text.json", "must be a JSON file")):
+    (tmp_path / "list.json").write_text("[]")
+    with refused("variant 'x' changes 'S13'; name surface and quantity, as in S13.radius"):
+        from_json(changed(tmp_path, lambda d: d["variants"].update(x={"change": {"S13": 5.0}})), variant="x")
+    for file, words in (
+        ("none.json", "No such file"),
+        ("text.json", "must be a JSON file"),
+        ("list.json", "compare with scenes/phone_camera"),
+    ):
         with refused(words):
             from_json(tmp_path / file)
+
+
+def test_missing_orders_are_0_and_every_piece_of_one_name_is_there(tmp_path):
+    piece = PARSED["barrel"]["optical_spaces"]["3"][0]
+    middle = {"r": (piece["r1"] + piece["r2"]) / 2, "z": (piece["z1"] + piece["z2"]) / 2}
+
+    def change(data):
+        data["surfaces"][6]["coefficients"] = {"A8": -0.015, "A4": -0.02}
+        halves = [piece | {f"{key}{end}": value for key, value in middle.items()} for end in (2, 1)]
+        data["barrel"]["optical_spaces"]["3"] = halves
+
+    lens = from_json(changed(tmp_path, change))
+    assert next(s for s in lens.surfaces if s.name == "L1_front").coefficients == (-0.02, 0.0, -0.015)
+    first, second = (s for s in lens.structures if s.name in ("barrel_3_cone", "barrel_3_cone_2"))
+    assert (first.r1, first.z1) == (second.r0, second.z0) == (middle["r"], middle["z"])
 
 
 def test_coatings_of_layers(tmp_path):

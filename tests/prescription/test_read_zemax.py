@@ -58,7 +58,7 @@ def test_singlet(encoding, end, read):
     assert [row.number for row in lens.rows] == [1, 2, 3]
     assert [text.splitlines()[row.line - 1] for row in lens.rows] == ["SURF 1", "SURF 2", "SURF 3"]
     assert lens.unread == ()
-    assert any("catalogues" in note or "not decide" in note for note in lens.notes)  # there is no GCAT
+    assert "glass N-BK7: the file does not decide whose it is; taken to be schott/N-BK7" in lens.notes  # no GCAT
 
 
 @pytest.mark.parametrize(("unit", "mm"), [("MM", 1.0), ("CM", 10.0), ("IN", 25.4), ("METER", 1000.0)])
@@ -229,6 +229,9 @@ def test_system_lines_finite_objects_angles_and_coatings(read):
     assert lens.aperture_kind == "object_na"
     assert math.tan(math.asin(lens.aperture)) == pytest.approx(0.2, rel=1e-12)
     assert any("working F-number 5 " in note for note in lens.notes)
+    oil = text.replace("  DISZ 90", "  DISZ 90\n  GLAS ___BLANK 1 0 1.5 0")
+    lens = read(oil.replace("ENPD 8", "OBNA 30 1"))  # NA = n sin θ
+    assert lens.aperture == pytest.approx(0.75)
     lens = read(text.replace("ENPD 8", "FNUM 5 0"))  # of infinite conjugates, wherever the object is
     assert first_order(lens).epd == pytest.approx(60 / 5)
     lens = read(text.replace("ENPD 8", "OBNA 0.1 0").replace("FTYP 0 0", "FTYP 1 1"))
@@ -314,12 +317,20 @@ def test_configurations(wanted, read):
     for lens in (saved, other):
         assert any("'other glass'" in note for note in lens.notes)
         assert lens.unread == ()
+    old = CONFIGURATIONS.replace("FTYP 0 0 1 1", "FTYP 0 0 3 1").replace("FLN 0", "FLD 0 7 10")
+    assert read(old.replace("YFIE 1 2", "YFIE 3 2"), configuration=2).fields == ((0, 0), (7, 7), (10, 3.5))
+    # A solve has set the back focus for the saved configuration alone
+    solved = CONFIGURATIONS.replace("DISZ 45", "DISZ 45\n  MAZH 0 0")
+    notes = [" ".join(read(solved, configuration=wanted).notes) for wanted in (1, 2)]
+    assert "not solved anew" not in notes[0]
+    assert "; not solved anew, but as in configuration 1: MAZH of surface 2" in notes[1]
 
 
 def test_configurations_that_cannot_be_read(read):
     for wanted, message in (
         (3, "line .*: 'GLSS 1 3 N-SF11.*' *: GLSS is not read"),
         (4, "configuration 4 of 3"),
+        ("²", "configuration '²' is not there"),
         ("far", "configuration 'far' is not there; the file has 'at infinity', 'near', 'other glass'"),
     ):
         with refused(message):

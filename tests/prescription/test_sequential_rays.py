@@ -178,6 +178,11 @@ def test_focal_lengths_and_pupils_of_a_thick_lens():
     start, heading = launch(near, data, (0.0, 0.0), [[0.0, 1.0], [1.0, 0.0]])
     assert start == pytest.approx(np.tile([0, 0, -300.0], (2, 1)))
     assert heading[0] == pytest.approx([0, 0.02, math.sqrt(1 - 0.02**2)], rel=1e-12)
+    oil = {"aperture_kind": "object_na", "object_distance": 2.0, "object_material": "1.515"}  # NA = n sin θ
+    data = first_order(singlet(aperture=1.25, **oil))
+    assert data.epd / 2 / (2.0 + data.entrance_pupil_z) == pytest.approx(math.tan(math.asin(1.25 / 1.515)), rel=1e-12)
+    with pytest.raises(MistrayError, match=r"object NA 1.52 needs .* a value below 1.515, the index of its medium"):
+        first_order(singlet(aperture=1.52, **oil))
 
 
 def test_telecentric_systems():

@@ -13,7 +13,8 @@ from refusals import refused
 from mistray.io import read_zemax, to_sequential, write_zemax
 from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure, circle, rectangle
 from mistray.physics.sags.terms import sag
-from mistray.prescription import Coating, Detector, Prescription, Stop, Surface
+from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Stop, Surface
+from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import frames, to_world, trace
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
 
@@ -220,6 +221,16 @@ def test_the_stop_surfaces_from_behind_and_what_is_refused():
         rows = to_sequential(p).rows
         assert [row.label for row in rows[:2]] == labels
         np.testing.assert_allclose(sum(row.thickness for row in rows), 12.0 - (z if labels[0] == "stop" else 0.0))
+    # The rim of a plane 30 mm from an object in water: NA = n sin θ, which the file gives as OBNA
+    point = ObjectPoint(z=1.0, distance=31.0)
+    water = (
+        Surface("front", semi_diameter=5.0, front="1.33", back="1.5"),
+        replace(lens[1], radius=-50.0, semi_diameter=8.0),
+    )
+    near = to_sequential(Prescription(name="x", surfaces=water, detector=image, source=point))
+    assert near.aperture == pytest.approx(1.33 * math.sin(math.atan(5 / 30)))
+    data = first_order(near)
+    assert data.epd / 2 / (30 + data.entrance_pupil_z) == pytest.approx(5 / 30)
     # A lens in the way back from a mirror keeps its materials and bends the same way
     mirror = Surface("mirror", z=50.0, semi_diameter=20.0, coating=Coating(R=1.0), mirror=True)
     near = Surface("near", z=20.0, radius=30.0, semi_diameter=10.0, front="1.5")

@@ -199,7 +199,7 @@ def _from_sequential(lens: Path, kind: str, request: LensRequest) -> Built:
 def _number(configuration: str | None) -> int:
     if configuration is None:
         return 1
-    if not configuration.isdigit() or int(configuration) < 1:
+    if not configuration.isdecimal() or int(configuration) < 1:
         raise MistrayError(f"--configuration '{configuration}': OSLO files number theirs from 1 on; give a number")
     return int(configuration)
 

@@ -66,8 +66,8 @@ def from_batoid(
         checked before batoid reads it, see `mistray.io.batoid.file`. Pass the path if you do not trust the author of
         the file, because ``fromYaml`` runs code in it. The elements Mirror, RefractiveInterface, Detector and Baffle
         are read, alone or in a Lens or a CompoundOptic. So are the surfaces Plane, Sphere, Paraboloid, Quadric,
-        Asphere, Zernike over a full disc, Bicubic, Tilted, and sums of them with one conic and one Bicubic at most.
-        Obscurations of every kind are read.
+        Asphere, Zernike over a full disc, Bicubic, Tilted, and sums of them with one conic and one Bicubic at most, and
+        Zernikes over one disc. Obscurations of every kind are read.
     wavelength_nm : float
         Vacuum wavelength, nm, at which media become constant indices.
     reflectance : float or None
@@ -275,6 +275,7 @@ class _Reader:
         """
         shape: dict[str, Any] = {}
         sag: dict[str, Any] = {}
+        radii: set[float] = set()  # of the discs of Zernikes, m
         surface = interface.surface
         for part in surface.surfaces if type(surface).__name__ == "Sum" else (surface,):
             kind = type(part).__name__
@@ -282,16 +283,17 @@ class _Reader:
                 shape["radius"] = float(part.R) * M_TO_MM
                 shape["conic"] = -1.0 if kind == "Paraboloid" else float(getattr(part, "conic", 0.0))
             elif kind == "Tilted":
-                sag |= {"slope_x": float(part.tanx), "slope_y": float(part.tany)}
-            elif kind == "Zernike" and not part.R_inner:
-                sag |= {f"zernike_{j}": float(c) * M_TO_MM for j, c in enumerate(part.coef) if j and c}
+                _add(sag, {"slope_x": float(part.tanx), "slope_y": float(part.tany)})
+            elif kind == "Zernike" and not part.R_inner and radii <= {part.R_outer}:
+                _add(sag, {f"zernike_{j}": float(c) * M_TO_MM for j, c in enumerate(part.coef) if j and c})
+                radii.add(part.R_outer)
                 sag["zernike_radius"] = float(part.R_outer) * M_TO_MM
             elif kind == "Bicubic" and "grid" not in sag:
                 sag["grid"] = _grid(part)
             elif kind != "Plane":
                 raise MistrayError(
                     f"batoid element '{interface.name}': surface {kind} has no counterpart here; use one conic, "
-                    "Zernikes over a full disc, one Bicubic and Tilted"
+                    "Zernikes over one full disc, one Bicubic and Tilted"
                 )
             if kind == "Asphere":
                 coefficients = dict(enumerate((float(a) for a in part.coefs), start=part.imin))
@@ -386,7 +388,7 @@ class _Reader:
         here = Placed(**placing).to_world()
         for number, mirror in enumerate(self.surfaces):
             apart = np.linalg.inv(mirror.to_world()) @ here
-            same = abs(apart[2, 3]) < SAME_AXIS * mirror.outer_radius and abs(apart[2, 2]) > 1 - SAME_AXIS
+            same = np.linalg.norm(apart[:3, 3]) < SAME_AXIS * mirror.outer_radius and abs(apart[2, 2]) > 1 - SAME_AXIS
             if same and mirror.mirror and not mirror.curvature and not mirror.freeform:
                 hole = original.radius * M_TO_MM
                 self.surfaces[number] = replace(mirror, inner_semi_diameter=hole)
@@ -508,6 +510,11 @@ def _without_ring(outline: Outline, inner: float, outer: float) -> list[Outline]
     if inner > 0:
         parts.append(Outline((*outline.figures, OutlineFigure("circle", "&", sizes=(inner * M_TO_MM,)))))
     return parts
+
+
+def _add(sag: dict[str, Any], terms: dict[str, float]) -> None:
+    """Add terms to those of the same names in a sag."""
+    sag |= {name: sag.get(name, 0.0) + value for name, value in terms.items()}
 
 
 def _id(name: str) -> str:

@@ -30,6 +30,9 @@ CHANGES_THE_LENS = {
 }
 """Commands that change the lens and are not supported, with the reason for the message."""
 
+SOLVES = ("PIM", "PIY", "CUM", "THM", "PIK", "UMY", "HMY")
+"""Solves and pick-ups. Their values, which also stand in the file, are those of the first zoom position."""
+
 HAS_NO_EFFECT = {
     **dict.fromkeys(("INI", "DES", "COM", "VER"), "a remark"),
     **dict.fromkeys(("TEM", "PRE"), "indices are those of the catalogue, near 20 °C and 1 atm"),
@@ -40,9 +43,7 @@ HAS_NO_EFFECT = {
     **dict.fromkeys(("THC", "CCY", "CCX", "KC", "GLC", "CPL"), "what optimisation may vary"),
     **dict.fromkeys([f"{letter}C" for letter in ORDERS], "what optimisation may vary"),
     **dict.fromkeys(("XDC", "YDC", "ZDC", "ADC", "BDC", "CDC"), "what optimisation may vary"),
-    **dict.fromkeys(
-        ("PIM", "PIY", "CUM", "THM", "PIK", "UMY", "HMY"), "a solve or pick-up: the value in the file holds"
-    ),
+    **dict.fromkeys(SOLVES, "a solve or pick-up: the value in the file holds"),
     **dict.fromkeys(("DER", "DLT", "DLF", "DLR", "TOL", "CLS", "WID", "POL"), "nothing to trace"),
     "CA": "whether stated apertures clip rays: here they always do",
     "CUF": "curvature of the Fresnel base: 0 is none",

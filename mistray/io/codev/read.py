@@ -33,7 +33,6 @@ from mistray.io.codev.sags import ANAMORPHIC, SPECIAL
 from mistray.io.codev.zoom import ZoomPosition
 from mistray.io.conventions import object_na, squeezed
 from mistray.io.glasses import CATALOGUES, GLASSES
-from mistray.materials import refractive_index
 from mistray.materials.agf import decode
 from mistray.prescription.sequential.table import ApertureKind, FieldKind, Row, Sequential, Unread
 from mistray.read_file import read_file
@@ -299,12 +298,12 @@ class _Reader:
 
     def _surface(self, command: SeqCommand, which: str) -> None:
         """
-        Process ``S``, ``S3``, ``SO`` or ``SI``, with curvature or radius, thickness and glass.
+        Process ``S``, ``S3``, ``SO`` (also ``S0``) or ``SI``, with curvature or radius, thickness and glass.
 
         `which` is what stands behind the S. ``S`` without a number adds a surface. Raise `MistrayError` if a number
         leaves out a surface.
         """
-        if which == "O":
+        if which in ("O", "0"):
             surface = self.object
         elif which == "I":
             surface = self.image = self.image or CodevSurface(command.line)
@@ -359,7 +358,8 @@ class _Reader:
             return False
         words = command.words[1:]
         surfaces = [self.current] if self.current else []
-        if words and (match := _QUALIFIER.fullmatch(words[0])):
+        labels = name == "SLB" and len(words) < 2  # a label may look like a surface
+        if words and not labels and (match := _QUALIFIER.fullmatch(words[0])):
             surfaces, words = self._meant(match), words[1:]
         if not surfaces:
             raise MistrayError(f"'{command.text}': it stands before the first surface; give it a surface, as in 'S1'")
@@ -561,8 +561,7 @@ class _Reader:
             return "object_na", value
         if math.isinf(lens.object_distance):
             return "f_number", value if name == "FNO" else 1 / (2 * value)
-        image_index = refractive_index(lens.rows[-1].material, lens.wavelength_nm)
-        found = object_na(lens, (1 / (2 * value) if name == "FNO" else value) / image_index)
+        found = object_na(lens, 1 / (2 * value) if name == "FNO" else value)
         self.notes.append(f"{name} {value:g} at a finite distance is the paraxial cone of object-space NA {found:.6g}")
         return "object_na", found
 

@@ -1,7 +1,8 @@
 """Selection of the commands of one zoom position from a CODE V file.
 
 ``ZOO n`` gives the number of positions, ``ZOO command [S3 or F2] v1 … vn`` a value for each, ``command S3 Z2 v`` one
-for position 2 alone, ``TIT Z2 'name'`` a name. Commands without a position apply to all positions.
+for position 2 alone, ``TIT Z2 'name'`` a name. Commands without a position apply to all positions. Solves and pick-ups
+are not carried out: at another position than the first they keep their values, and the note names them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from mistray.errors import MistrayError
-from mistray.io.codev.commands import HAS_NO_EFFECT, SeqCommand
+from mistray.io.codev.commands import HAS_NO_EFFECT, SOLVES, SeqCommand
 from mistray.io.conventions import choose_position
 
 _POSITION = re.compile(r"Z(\d{1,3})")
@@ -34,7 +35,8 @@ class ZoomPosition:
     names : dict
         Names of positions, by number.
     note : str
-        Note on the positions that are left out, once `commands` has begun; "" if there is only one.
+        Note on the positions that are left out, and on solves that keep the values of the first one, once `commands`
+        has begun; "" if there is only one position.
     """
 
     def __init__(self, wanted: int | str | None) -> None:
@@ -55,6 +57,8 @@ class ZoomPosition:
         for command in every:
             self._look(command)
         self.number, self.note = choose_position(self._wanted, 1, self.names, self.count, "zoom position")
+        solved = [f"{c.text} (line {c.line})" for c in every if c.name in SOLVES and self.number != 1]
+        self.note += f"; not solved anew, but as in zoom position 1: {', '.join(solved)}" if solved else ""
         for command in every:
             position = self._position(command)
             if command.name == "ZOO":
@@ -68,14 +72,14 @@ class ZoomPosition:
     def _look(self, command: SeqCommand) -> None:
         """Record the number of zoom positions, or the name of one, if the command gives it."""
         words = command.words[1:]
-        if command.name == "ZOO" and len(words) == 1 and words[0].isdigit():
+        if command.name == "ZOO" and len(words) == 1 and words[0].isdecimal():
             self.count = int(words[0])
         elif command.name == "TIT" and (position := self._position(command)):
             self.names[position] = " ".join(words[1:])
 
     def _of_all(self, command: SeqCommand) -> Iterator[SeqCommand]:
         words = command.words[1:]
-        if not words or words[0].isdigit() or words[0].upper() == "TIT":
+        if not words or words[0].isdecimal() or words[0].upper() == "TIT":
             return
         name, *values = words
         places = [values.pop(0)] if values and _PLACE.fullmatch(values[0].upper()) else []
@@ -93,7 +97,8 @@ class ZoomPosition:
     def _position(command: SeqCommand) -> int | None:
         if command.name in HAS_NO_EFFECT:
             return None
-        words = [word.upper() for word in command.words[1:3]]
+        end = -1 if command.name in ("SLB", "TIT") else None  # their last word is a text, whatever it looks like
+        words = [word.upper() for word in command.words[1:end]][:2]
         behind = words[1:] if words and _PLACE.fullmatch(words[0]) else [] if command.name == "SCO" else words[:1]
         match = _POSITION.fullmatch(behind[0]) if behind else None  # SCO Z5 is a term, SCO S3 Z2 C6 a position
         return int(match[1]) if match else None

@@ -14,7 +14,8 @@ editor:
 ``MOFF``                              a row that is switched off
 ====================================  =================================================================
 
-A configuration with any other operand is refused, unless the file was saved in it.
+A configuration with any other operand is refused, unless the file was saved in it. Solves and pickups are not carried
+out: in another configuration they keep the values that the file was saved with, and the remark names them.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from dataclasses import replace
 
 from mistray.errors import errors_of
 from mistray.io.conventions import choose_position
-from mistray.io.zemax.lines import Sections, ZemaxLine, ZemaxSection
+from mistray.io.zemax.lines import SOLVES, Sections, ZemaxLine, ZemaxSection
 
 _OF_SURFACE = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI", "SDIA": "DIAM"}
 _OF_FIELD = {
@@ -46,7 +47,8 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     Returns
     -------
     str
-        Remark on the configurations that are left out; "" if there is only one.
+        Remark on the configurations that are left out, and on solves that keep the values of the saved one; "" if
+        there is only one configuration.
 
     Raises
     ------
@@ -60,17 +62,21 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     names = {_whole(line, 1): _name(line) for line in rows if line.key == "LTTL"}
     with errors_of(head.where if head else "lens"):
         number, note = choose_position(wanted, saved, names, count, "configuration")
+    if number == saved:
+        return note
     for line in rows:
-        if number != saved and line.key not in ("LTTL", "MOFF") and _whole(line, 1) == number:
+        if line.key not in ("LTTL", "MOFF") and _whole(line, 1) == number:
             _set(sections, line)
-    return note
+    solved = [f"{line.key} of {section.name}" for section in sections.surfaces for line in section.take_all(*SOLVES)]
+    kept = f"; not solved anew, but as in configuration {saved}: {', '.join(solved)}" if solved else ""
+    return note + kept
 
 
 def _rows(after: ZemaxSection, head: ZemaxLine | None) -> list[ZemaxLine]:
     """Remove and return the lines of configuration operands, which follow the line MNUM; keep other lines."""
     found = []
     for line in after.take_rest():
-        if head is not None and line.number > head.number and len(line.words) >= 3 and line.words[1].isdigit():
+        if head is not None and line.number > head.number and len(line.words) >= 3 and line.words[1].isdecimal():
             found.append(line)
         else:
             after.add(line)
@@ -103,7 +109,10 @@ def _set(sections: Sections, line: ZemaxLine) -> None:
     elif line.key in _OF_FIELD:
         if place < 1:
             raise line.error(f"{line.key} of field {place}; they are numbered from 1 on")
-        _replace(sections.system, _OF_FIELD[line.key], place - 1, repr(line.value(2)), line)
+        key = _OF_FIELD[line.key]
+        old = {"XFLN": "XFLD", "YFLN": "YFLD"}.get(key, "")
+        key = old if sections.system.has(old) and not sections.system.has(key) else key
+        _replace(sections.system, key, place - 1, repr(line.value(2)), line)
     elif line.key == "APER":
         found = [key for key in _APERTURES if sections.system.has(key)]
         if len(found) != 1:

@@ -163,8 +163,10 @@ class ZemaxGlasses(FileGlasses):
             raise line.error(f"glass '{line.word(0)}' {why}; {remedy(name)}")
         for maker in MAKERS:
             if (found := _of_maker(maker, name)) is not None:
-                of = f"the file's catalogues {' '.join(self._catalogues)}" if self._catalogues else "the file"
-                self.notes.append(f"glass {name}: {of} do not decide whose it is; taken to be {found}")
+                listed = (
+                    f"the file's catalogues {' '.join(self._catalogues)} do" if self._catalogues else "the file does"
+                )
+                self.notes.append(f"glass {name}: {listed} not decide whose it is; taken to be {found}")
                 return found
         raise line.error(f"glass '{line.word(0)}' is unknown; {self._remedy(name)}")
 

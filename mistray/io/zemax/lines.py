@@ -46,6 +46,15 @@ NO_EFFECT = {
     "BLNK": "blank line of the merit function",
     "LUID": "internal number of the newest surface",
 }
+# Their values, which also stand in the file, are those of the configuration that it was saved in
+SOLVES = {
+    "PPAR": "pickup of a parameter, whose value stands in PARM",
+    "PZUP": "pickup of the thickness, whose value stands in DISZ",
+    "PKUP": "pickup, whose value stands in the line of its quantity",
+    "MAZH": "solve for the thickness, whose value stands in DISZ",
+    "CHZH": "solve for the thickness, whose value stands in DISZ",
+    "EDGE": "solve for the thickness, whose value stands in DISZ",
+}
 NO_EFFECT_ON_SURFACE = {
     "HIDE": "drawing",
     "MIRR": "drawn substrate of a mirror",
@@ -58,12 +67,7 @@ NO_EFFECT_ON_SURFACE = {
     "VDSZ": "thickness is a variable of the optimisation",
     "VPAR": "parameter is a variable of the optimisation",
     "VCON": "conic constant is a variable of the optimisation",
-    "PPAR": "pickup of a parameter, whose value stands in PARM",
-    "PZUP": "pickup of the thickness, whose value stands in DISZ",
-    "PKUP": "pickup, whose value stands in the line of its quantity",
-    "MAZH": "solve for the thickness, whose value stands in DISZ",
-    "CHZH": "solve for the thickness, whose value stands in DISZ",
-    "EDGE": "solve for the thickness, whose value stands in DISZ",
+    **SOLVES,
 }
 # What may stand below SURF; decides what an unknown keyword belongs to where a file has no indentation
 _OF_SURFACE = {

@@ -159,6 +159,8 @@ class _Reader:
         kind, aperture = self.system.aperture_kind, self.system.aperture
         if self.system.floating:
             aperture = 2 * self._stop_semi_diameter(rows)
+        if self.system.cone:
+            aperture *= refractive_index(material, self.system.wavelengths_nm[self.system.primary])
         telecentric = self.system.telecentric
         if telecentric is not None and math.isinf(distance):
             self.unread.append(telecentric.unread("telecentric object space: the object lies at infinity"))
@@ -182,7 +184,7 @@ class _Reader:
         )
         if not self.system.working or math.isinf(distance):
             return lens
-        cone = object_na(lens, 1 / (2 * aperture * refractive_index(rows[-2].material, lens.wavelength_nm)))
+        cone = object_na(lens, 1 / (2 * aperture))
         note = f"paraxial working F-number {aperture:g} is the paraxial cone of object-space NA {cone:.6g}"
         return replace(lens, aperture_kind="object_na", aperture=cone, notes=(*lens.notes, note))
 

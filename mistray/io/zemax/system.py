@@ -4,7 +4,7 @@
 ``UNIT MM …``           lens units: MM, CM, IN, METER
 ``ENPD d``              entrance pupil diameter
 ``FNUM f p``            image-space F-number; p = 1: paraxial working F-number
-``OBNA a p``            object-space NA; p = 1: half angle of the object's cone, degrees
+``OBNA a p``            object-space NA n sin θ; p = 1: half angle θ of the object's cone, degrees
 ``FLOA``                the stop's semi-diameter decides
 ``FTYP t c f w …``      t: 0 angle, 1 object height, 2 paraxial and 3 real image height, 4 theodolite angles; c = 1:
                         object space is telecentric; f, w: number of fields and wavelengths that count
@@ -44,6 +44,8 @@ class System:
         Lens unit in mm.
     floating : bool
         Whether the semi-diameter of the stop decides; `aperture` is still 0 then.
+    cone : bool
+        Whether `aperture` is the sine of the object's cone, without the index of the object's medium.
     working : bool
         Whether `aperture` is the paraxial F-number for the file's object distance, not for an object at infinity.
     telecentric : ZemaxLine or None
@@ -57,6 +59,7 @@ class System:
     aperture_kind: ApertureKind
     aperture: float
     floating: bool
+    cone: bool
     working: bool
     telecentric: ZemaxLine | None
     field_kind: FieldKind
@@ -87,7 +90,7 @@ class _Reader:
         self.section, self.path = section, path
         self.unread: list[Unread] = []
         self.notes: list[str] = []
-        self.working = False
+        self.cone = self.working = False
 
     def system(self) -> System:
         self._mode()
@@ -105,6 +108,7 @@ class _Reader:
             aperture_kind=kind,
             aperture=aperture,
             floating=floating,
+            cone=self.cone,
             working=self.working,
             telecentric=head if telecentric else None,
             field_kind=field_kind,
@@ -152,6 +156,7 @@ class _Reader:
         if line.key == "FNUM":
             self.working = special
             return "f_number", value, False
+        self.cone = special
         if special and value >= 90:
             raise line.error(f"object cone angle {value:g} degrees; it must be below 90")
         return "object_na", math.sin(math.radians(value)) if special else value, False

@@ -109,7 +109,7 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> Sequent
     pupil_z = math.inf if lens.telecentric or abs(from_height) < _NONE else from_slope / from_height
     if any(math.isnan(value) for value in (efl, bfl, pupil_z)):
         raise MistrayError(f"lens '{lens.name}': its first-order data are not numbers; look for huge values in it")
-    epd, stop_radius = _beam(lens, efl, (from_height, from_slope), pupil_z)
+    epd, stop_radius = _beam(lens, efl, (from_height, from_slope), pupil_z, float(system.index[0]))
     return SequentialFirstOrder(
         efl=float(efl),
         bfl=float(bfl),
@@ -201,7 +201,9 @@ def field_tangents(lens: Sequential, data: SequentialFirstOrder) -> np.ndarray:
     )
 
 
-def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: float) -> tuple[float, float]:
+def _beam(
+    lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: float, index: float
+) -> tuple[float, float]:
     """
     Return the diameter of the entrance pupil, as in `SequentialFirstOrder`, and the paraxial stop radius, mm.
 
@@ -214,6 +216,8 @@ def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: f
     to_stop : tuple of two float
         Height in the stop, mm, of a ray that meets the first row at height 1 mm and slope 0, and of one at height 0 and
         slope 1.
+    index : float
+        Refractive index of the object's medium.
 
     Raises
     ------
@@ -225,16 +229,16 @@ def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: f
         raise MistrayError(
             f"lens '{lens.name}': its aperture ({kind.replace('_', ' ')}) is {value:g}; it must be greater than 0"
         )
-    if kind == "object_na" and (math.isinf(distance) or value >= 1):
+    if kind == "object_na" and (math.isinf(distance) or value >= index):
         raise MistrayError(
-            f"lens '{lens.name}': object NA {value:g} needs an object at a finite distance and a value below 1; give a "
-            "diameter"
+            f"lens '{lens.name}': object NA {value:g} needs an object at a finite distance and a value below "
+            f"{index:.6g}, the index of its medium; give a diameter"
         )
     # Radius in the stop for each mm of radius in the entrance pupil, or in the first row where that lies at infinity
     telecentric = math.isinf(pupil_z)
     scale = abs(to_stop[0] + to_stop[1] / distance) if telecentric else abs(to_stop[0])
     if kind == "object_na":
-        epd = abs(2 * (distance + (0.0 if telecentric else pupil_z)) * math.tan(math.asin(value)))
+        epd = abs(2 * (distance + (0.0 if telecentric else pupil_z)) * math.tan(math.asin(value / index)))
     elif kind == "stop_diameter":
         if scale < _NONE:
             raise MistrayError(f"lens '{lens.name}': the stop lies in a focus; give the entrance pupil instead")

@@ -198,7 +198,7 @@ class Sequential:
         Material between the object and the first row.
     aperture_kind, aperture : str, float
         Kind and value of the aperture: entrance pupil or stop diameter in mm, image-space F-number at infinite
-        conjugates, or sine-based object NA.
+        conjugates, or object NA n sin θ.
     telecentric : bool
         Whether chief rays leave the object parallel to the axis, regardless of the stop.
     field_kind : str
