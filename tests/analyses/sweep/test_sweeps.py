@@ -158,7 +158,7 @@ def test_wrong_arguments(plate: Path) -> None:
         (([0], [550, 550]), "give every wavelength once"),
         (([0], 550, {}), "configurations is empty"),
         (([0], 550, [sweeps.Configuration("a", {})] * 2), "configuration 'a' is given twice"),
-        (([0], 550, {"a": 1.0}), "configurations: .* is none"),
+        (([0], 550, {"a": 1.0}), "configuration .a.: values is 1; give a mapping"),
         (([0], 550, {"a": {"p0_frnt.z": 1}}), "'a': the scene has no parameter 'p0_frnt.z'; did you"),
         (([0], 550, {"a": {"q*.z": 1}}), r"no parameter 'q\*.z'"),
         (([0], 550, {"a": {"p0_front.z": math.nan}}), "'p0_front.z' is .nan.; it must be finite"),
@@ -356,7 +356,7 @@ def test_tables_and_command(ringed: Path, tmp_path: Path, capsys: pytest.Capture
     )
     grey, rim, coated = sweeps.read_configurations(edits)
     assert grey.paint == {"wall": 0.2}
-    assert rim.block == [Structure("rim", 4.0, 15.0, 30.0, 15.0)]
+    assert rim.block == (Structure("rim", 4.0, 15.0, 30.0, 15.0),)
     assert (coated.coat, coated.rebuilds) == ({"plate": "MgF2 99.64"}, True)
     out, few = tmp_path / "out", ["--pst-field-deg", "0:20:10", "--rays", "5000", "--max-scatters", "1"]
     ranking = ["--rank", "--step", "rim=0.3", "share=2%"]
