@@ -351,9 +351,10 @@ def outside(tube: Mechanics, folder: Path) -> tuple[Any, ...]:
 def test_exact_surfaces_and_meshes(
     typed: Any, tube: Mechanics, tmp_path: Path, changes: dict[str, int], kinds: set[type], seed: int
 ) -> None:
+    """Twelve values, each within 4 standard errors: false alarms 8e-4 (3 % with 3 of them)."""
     painted = outside(replace(tube, **changes), tmp_path)
     assert {type(shape) for shape in painted} == kinds
-    assert np.all(apart(pst(painted, seed=seed), typed) < 3)
+    assert np.all(apart(pst(painted, seed=seed), typed) < 4)
 
 
 def test_paint_inside_is_dark_and_the_comparison_can_fail(typed: Any, tube: Mechanics, tmp_path: Path) -> None:
@@ -365,4 +366,4 @@ def test_paint_inside_is_dark_and_the_comparison_can_fail(typed: Any, tube: Mech
     assert np.all(error < 0.1 * value)
     there = Placed(z=-4.0).to_world()
     painted = outside(replace(tube, parts=tuple(part.moved(there) for part in tube.parts)), tmp_path)
-    assert apart(pst(painted, seed=4), typed).max() > 3
+    assert apart(pst(painted, seed=4), typed).max() > 4

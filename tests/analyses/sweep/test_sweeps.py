@@ -358,7 +358,7 @@ def test_tables_and_command(ringed: Path, tmp_path: Path, capsys: pytest.Capture
     assert grey.paint == {"wall": 0.2}
     assert rim.block == (Structure("rim", 4.0, 15.0, 30.0, 15.0),)
     assert (coated.coat, coated.rebuilds) == ({"plate": "MgF2 99.64"}, True)
-    out, few = tmp_path / "out", ["--pst-field-deg", "0:20:10", "--rays", "5000", "--max-scatters", "1"]
+    out, few = tmp_path / "out", ["--pst-field-deg", "0:20:10", "--rays", "20000", "--max-scatters", "1"]
     ranking = ["--rank", "--step", "rim=0.3", "share=2%"]
     assert "rows" not in json.loads(succeeds(capsys, "sweep", ringed, *few, *ranking, "--json"))
     command = ["sweep", ringed, edits, *few, *ranking, "--out", out]
