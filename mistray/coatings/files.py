@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from mistray.coatings.presets import PRESETS, preset
 from mistray.coatings.response import CoatingModel
 from mistray.coatings.simple import Bare
-from mistray.coatings.spectrum import spectrum
+from mistray.coatings.spectrum import CoatingSpectrum, spectrum
 from mistray.coatings.stack import METAL_K, Stack, parse_layers
 from mistray.coatings.table import CoatingTable
 from mistray.coatings.zemax_coating_dat import read_coating_file
@@ -125,8 +126,8 @@ def write_table(
     wavelengths_nm : float or sequence of float
         Vacuum wavelengths, nm.
     angles_deg : float or sequence of float
-        Angles of incidence in the material of lower index, degrees, for light from either side. If one material is a
-        metal, they are angles in the other, and the table is that of an opaque surface.
+        Angles of incidence in the material of lower index, degrees, for light from either side. If nothing is
+        transmitted at any of them, as into a metal, they are those on the side of incidence.
     front, back : str
         Materials in front and behind, see `mistray.materials`.
 
@@ -146,11 +147,12 @@ def write_table(
     """
     wavelengths_nm = WAVELENGTH_NM.check_each("wavelengths_nm", wavelengths_nm, f"coating '{coating.name}'")
     angles_deg = several(angles_deg)
-    seen = {
-        side: spectrum(coating, wavelengths_nm, angles_deg, front, back, side == "front", rarer=True)
-        for side, material in (("front", front), ("back", back))
-        if all(complex_index(material, wavelength).imag <= METAL_K for wavelength in wavelengths_nm)
-    }
+    seen: dict[str, CoatingSpectrum] = {}
+    for side, material in (("front", front), ("back", back)):
+        if all(complex_index(material, wavelength).imag <= METAL_K for wavelength in wavelengths_nm):
+            of_side = partial(spectrum, coating, wavelengths_nm, angles_deg, front, back, side == "front")
+            found = of_side(rarer=True)
+            seen[side] = found if np.any(found.T) else of_side()  # `CoatingTable.response` takes no T as opaque
     if not seen:
         raise MistrayError(
             f"coating '{coating.name}' between '{front}' and '{back}': both are metals; no light gets there"

@@ -70,7 +70,7 @@ class Seen:
     View of a detector: shares of its Lambertian backward rays that surfaces and media absorb, and that leave.
 
     All shares are of Lambertian rays from the side of the detector that the light of the design comes to, times n² of
-    the medium there. Emission, escaped and lost add up to n².
+    the medium there. Emission of surfaces and media, escaped and lost add up to n².
 
     Attributes
     ----------
@@ -111,6 +111,12 @@ class Seen:
     rays: int
     seconds: float
     notes: list[Note]
+
+    @property
+    def whole(self) -> float:
+        """Sum of all shares, n² of the medium at the detector."""
+        absorbed = [row.emission for row in self.rows] + [emission for emission, *_ in self.media.values()]
+        return sum(absorbed, self.escaped[0] + self.lost[0])
 
 
 def see(

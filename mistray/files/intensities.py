@@ -119,16 +119,10 @@ def whole_circle(phi_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, n
     first, last = float(phi_deg[0]), float(phi_deg[-1])
     if len(phi_deg) == 1:
         return np.array([0.0, 360.0]), np.repeat(values, 2, axis=1)
-    if (first, last) == (90.0, 270.0):  # x = 0 is the plane of symmetry: turn by a quarter
-        around, turned = whole_circle(phi_deg - 90.0, values)
-        around, turned = around[:-1] + 90.0, turned[:, :-1]
-        start = int(np.searchsorted(around, 360.0))
-        around = np.concatenate([around[start:] - 360.0, around[:start]])
-        turned = np.concatenate([turned[:, start:], turned[:, :start]], axis=1)
-        if around[0] > 0:
-            edge = 0.5 * (turned[:, :1] + turned[:, -1:])  # 0 and 180 lie as far from both planes
-            around, turned = np.concatenate([[0.0], around]), np.concatenate([edge, turned], axis=1)
-        return np.append(around, 360.0), np.concatenate([turned, turned[:, :1]], axis=1)
+    if (first, last) == (90.0, 270.0):  # half a circle about 180
+        around = np.unique(np.concatenate([[0.0, 360.0], phi_deg, (180.0 - phi_deg) % 360.0]))
+        mirrored = np.where(np.abs(around - 180.0) > 90.0, (180.0 - around) % 360.0, around)
+        return around, np.stack([np.interp(mirrored, phi_deg, row) for row in values])
     if first != 0:
         raise MistrayError(f"the azimuths begin at {first:g}; let them begin at 0")
     if last in (90.0, 180.0):

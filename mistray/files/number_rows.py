@@ -24,11 +24,25 @@ def read_cells(path: str | Path, what: str) -> list[tuple[int, list[str]]]:
     """
     Return the rows of cells of a CSV file with their line numbers, from 1, without empty lines and comments (#).
 
-    `what` names the kind of file in messages. Raise `MistrayError` if the file cannot be read.
+    `what` names the kind of file in messages. Raise `MistrayError` if the file or a line cannot be read.
     """
-    kept = [(number, line) for number, line in read_lines(path, what) if line.strip() and line.lstrip()[0] != "#"]
-    rows = csv.reader(line for _, line in kept)
-    return [(number, [cell.strip() for cell in row]) for (number, _), row in zip(kept, rows, strict=True)]
+    return [
+        (number, cells_of(line, f"{what} '{path}', line {number}"))
+        for number, line in read_lines(path, what)
+        if line.strip() and line.lstrip()[0] != "#"
+    ]
+
+
+def cells_of(line: str, where: str) -> list[str]:
+    """
+    Return the cells of a line of a CSV file; quotes may hold commas, but no line ends.
+
+    Raise `MistrayError` if a quote has no end or a cell is too long; its message begins with `where`.
+    """
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], strict=True))]
+    except csv.Error as error:
+        raise MistrayError(f"{where}: {error}; correct the line") from None
 
 
 def numbers(words: Sequence[str], count: int, where: str) -> list[float]:

@@ -128,7 +128,7 @@ def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[
     differing = []
     for name in dict.fromkeys((*here, *saved)):
         old, new = saved.get(name, _ABSENT), here.get(name, _ABSENT)
-        if old != new and repr(old) != repr(new):  # NaN is not equal to itself
+        if _differ(old, new):
             differing.append((_are_hashes(old, new), name, old, new))
     if differing:  # hashes last: one often differs because of a setting that is listed by itself
         _, name, old, new = min(differing, key=lambda item: item[0])
@@ -152,12 +152,18 @@ def _are_hashes(*values: Any) -> bool:
     return all(isinstance(value, str) and _HASH.fullmatch(value) for value in values)
 
 
+def _differ(old: Any, new: Any) -> bool:
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        return any(map(_differ, old, new))
+    return bool(old != new) and repr(old) != repr(new)  # NaN is not equal to itself
+
+
 def _difference(name: str, old: Any, new: Any) -> str:
     if _are_hashes(old, new):
         return f"the {name} is another one or has changed"
     if isinstance(old, list) and isinstance(new, list):
         if len(old) == len(new) > _MOST_LISTED:
-            k = next(k for k in range(len(old)) if old[k] != new[k])
+            k = next(k for k in range(len(old)) if _differ(old[k], new[k]))
             return f"value {k + 1} of {name} was {_text(old[k])} and is {_text(new[k])}"
         if max(len(old), len(new)) > _MOST_LISTED:
             return f"{name} had {len(old)} values ({_text(old)}) and has {len(new)} ({_text(new)})"

@@ -7,14 +7,13 @@ steps, 1e-4 with 10 nm and 1e-6 with 1 nm.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from pathlib import Path
 
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.files.number_rows import cells_of
 from mistray.materials.curve import Curve, table
 from mistray.named_values import number_of
 from mistray.read_file import read_file
@@ -34,8 +33,8 @@ def read_table(path: Path) -> tuple[Curve, Curve | None]:
     header: list[str] | None = None
     rows: dict[float, list[float]] = {}
     text = read_file(path, "material table").decode("utf-8-sig", errors="replace")
-    for number, cells in enumerate(csv.reader(io.StringIO(text, newline="")), 1):
-        cells = [cell.strip() for cell in cells]
+    for number, line in enumerate(text.splitlines(), 1):
+        cells = cells_of(line, f"material table '{path}' line {number}")
         if not any(cells) or cells[0].startswith("#"):
             continue
         if header is None:

@@ -55,7 +55,7 @@ def test_limit(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_code_and_versions_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package = tmp_path / "package"
-    for name in ("trace", "cli"):
+    for name in ("trace", "files", "cli"):
         (package / name).mkdir(parents=True)
         (package / name / "part.py").write_text("x = 1\n")
     (package / "trace" / "table.csv").write_text("1\n")
@@ -76,8 +76,8 @@ def test_code_and_versions_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (package / "cli" / "part.py").write_text("x = 2\n")  # shows numbers and makes none
         (package / "trace" / "notes.txt").write_text("2\n")
         assert now() == before
-        for name in ("part.py", "table.csv"):
-            (package / "trace" / name).write_text("x = 2\n")
+        for name in ("trace/part.py", "trace/table.csv", "files/part.py"):  # files has readers of inputs
+            (package / name).write_text("x = 2\n")
             assert now() != before
             before = now()
         (package / "trace" / "new.py").write_text("")

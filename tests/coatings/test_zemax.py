@@ -203,6 +203,15 @@ def test_mirrors_and_what_is_no_table(tmp_path: Path) -> None:
         one, other = (spectrum(c, WAVELENGTHS, ANGLES, front, back, front == "air") for c in (Bare(), table))
         np.testing.assert_allclose(other.R, one.R, atol=1e-12)
         assert file.read_text().startswith(f"# bare between {front} (front) and {back} (back)")
+    # Angles of an opaque stack, and of one too thick for any light, are those on the side of incidence
+    for coating in (preset("protected_al"), Stack((Layer("Al", 9000.0),))):
+        write_table(coating, file, WAVELENGTHS, ANGLES, "air", "1.5168")
+        for from_front in (True, False):
+            one, other = (
+                spectrum(c, WAVELENGTHS, ANGLES, back="1.5168", from_front=from_front)
+                for c in (coating, CoatingTable.read(file))
+            )
+            np.testing.assert_allclose(other.R, one.R, atol=1e-12)
     each_refused(
         (550.0, 0.0, ("Al", "Ag"), "both are metals; no light gets there"),
         (550.0, -1.0, ("air", "air"), "angles_deg is -1.*between 0 and 90"),

@@ -62,6 +62,7 @@ class TestSee:
         assert error < 0.02
         parts = [row.emission for row in seen.rows] + [value for value, *_ in seen.media.values()]
         assert total == pytest.approx(sum(parts) + seen.escaped[0] + seen.lost[0], rel=1e-9)
+        assert total == pytest.approx(seen.whole, rel=1e-9)
         assert seen.escaped[0] > 0
         for row in seen.rows:
             assert row.share >= row.emission * (1 - 1e-6)

@@ -13,6 +13,7 @@ import mistray
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.gradients.full.full_rims import FullRims
+from mistray.gradients.full.marginal_rays import Passage
 from mistray.metrics.gradient import chosen_parameters, gradient_request, gradient_seen
 from mistray.optimize import Metric, bodies, parameters, path_power, pst_bin, sensitivity
 from mistray.prescription import (
@@ -161,6 +162,16 @@ def test_light_without_an_edge_fills_nothing(source):
     """Rays that a source aims at a lens end there, its light does not."""
     run = mistray.trace(built(source, stop=plate()), rays=640).runs[0]
     assert not FullRims(run.source, run.table, 0.05).full
+
+
+def test_a_ray_that_passes_no_rim_runs_along_none():
+    """Though its neighbours do, 0.1 mm within a round rim."""
+    turn = np.linspace(0, 2 * math.pi, 64, endpoint=False)
+    point, depth = RADIUS * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1), np.full(64, 0.1)
+    point[5], depth[5] = math.nan, math.nan
+    slope = Passage(depth, point, np.isfinite(depth), ()).slope
+    assert np.flatnonzero(slope).tolist() == [5]
+    assert slope[5] == math.inf
 
 
 def test_what_adds_derivatives_refuses_them():

@@ -140,6 +140,11 @@ def test_ies(tmp_path: Path) -> None:
     found = read_intensities(tmp_path / "side.ies")
     assert np.interp(360 - 30.0, found.phi_deg, found.values[0]) == pytest.approx(1.25, rel=1e-5)
     assert np.interp(270.0, found.phi_deg, found.values[0]) == pytest.approx(1.5, rel=1e-5)
+    # Uneven steps: at 0° as at 180°, on the line from 0 at 90° to 11 at 200°
+    side = np.array([90.0, 200.0, 270.0])
+    (tmp_path / "side.ies").write_text(lm63(theta, side, np.outer([0, 11, 11], fall + 1)), encoding="latin-1")
+    found = read_intensities(tmp_path / "side.ies")
+    assert found.values[:, 0] == pytest.approx(9 * (fall + 1), rel=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -365,10 +365,9 @@ def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tupl
         notes.append(Message.BAND_ERROR.note(count=len(waves), error=percent_text(traced.error)))
     if math.isnan(traced.error):
         notes.append(Message.BAND_UNKNOWN.note())
-    lost = max(one.lost[0] for one in seen)
-    view = sum(row.emission for row in seen[0].rows) + seen[0].escaped[0] + seen[0].lost[0]
-    if lost > LOST_WARNING * view:
-        notes.append(Message.VIEW_CUT.note(share=percent_text(lost / view)))
+    lost = max(one.lost[0] / one.whole for one in seen)
+    if lost > LOST_WARNING:
+        notes.append(Message.VIEW_CUT.note(share=percent_text(lost)))
     if image.value <= 0:
         notes.append(Message.NO_SCENE_SEEN.note())
     if waves[0] < band[0] or waves[-1] > band[1]:

@@ -354,7 +354,7 @@ class FieldTransfer(Result, table=".page:curve_table", figure=".figures:mtf_figu
             columns[f"detector_{azimuth}"] = self.detector(azimuth)
             for what in ("stf", "ghosts", "composite"):
                 found = getattr(self, what)(azimuth)
-                columns[f"{what}_{azimuth}"], columns[f"{what}_se_{azimuth}"] = found
+                columns[f"{what}_{azimuth}"], columns[f"{what}_{azimuth}_se"] = found
         return pd.DataFrame(columns)
 
     def rings_to_pandas(self) -> pd.DataFrame:

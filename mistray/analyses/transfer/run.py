@@ -62,8 +62,7 @@ def run(
         Scene with one source, as for `mistray.image_quality`.
     request : TransferRequest
     quality : ImageQuality, optional
-        Image quality of the same scene, if known already; it then sets fields and wavelengths. The scene must have one
-        detector then.
+        Image quality of the same scene, if known already; it then sets fields, wavelengths and detector.
     progress : callable, optional
         Called with (fields done, fields in all).
     seconds : float, optional
@@ -103,11 +102,7 @@ def run(
         if given:
             raise MistrayError(f"quality and {given[0]} are given; the former has its own, leave out one of the two")
         found = quality
-    detector = request.light.get("detector")
-    table = traced_table(scene, float(found.wavelengths_nm[0]), detector)
-    if len(table.detectors) > 1:
-        ids = ", ".join(table.ids[k] for k in table.detectors)
-        raise MistrayError(f"the scene has several detectors; give detector, one of {ids}")
+    table = traced_table(scene, float(found.wavelengths_nm[0]), found.facts["detector"])
     design = design_sequences(scene, *(table.at(float(nm)) for nm in found.wavelengths_nm))
     extent = table.film()[2]
     frequencies = _frequencies(found, extent, request.frequencies_per_mm)

@@ -4,7 +4,7 @@ All three hold every number in full, so that rays are read back bit by bit:
 
 - PLY (G. Turk, "The PLY Polygon File Format", 1994), binary, little endian: points are the element ``vertex`` with the
   properties x, y, z (mm), flux_W, wavelength_nm, path_id, ray and start_ray; the segments between them are the element
-  ``edge`` (vertex1, vertex2), which viewers draw; comments hold the events of each path.
+  ``edge`` (vertex1, vertex2), which viewers draw; comments hold the events of each ray.
 - OBJ (Wavefront, Advanced Visualizer manual, appendix B1): ``v`` lines in mm, one ``l`` line for each ray in a group
   ``path_<id>``; comments hold flux, wavelength and events, for which OBJ has no keyword.
 - JSON: one object for each ray.
@@ -183,9 +183,8 @@ def _ply(rays: Sequence[RayLine]) -> bytes:
     edges = np.zeros(len(vertices) - len(rays), dtype=EDGE)
     edges["vertex1"] = np.delete(np.arange(len(vertices)), starts[1:] - 1)
     edges["vertex2"] = edges["vertex1"] + 1
-    events = {ray.path_id: ray.events for ray in rays}
     header = ["ply", "format binary_little_endian 1.0", "comment mistray rays 1, mm"]
-    header += [f"comment path {path_id} {text}" for path_id, text in events.items()]
+    header += [f"comment ray {number} {ray.events}" for number, ray in enumerate(rays)]
     for name, table in (("vertex", vertices), ("edge", edges)):
         header.append(f"element {name} {len(table)}")
         header += [f"property {PLY_TYPES[table.dtype[field].str]} {field}" for field in table.dtype.names or ()]
@@ -199,9 +198,10 @@ def _from_ply(content: bytes) -> list[RayLine]:
         raise ValueError("its header is not that of a PLY file of rays")
     events = {}
     for line in header:
-        if line.startswith("comment path "):
-            word, _, text = line.removeprefix("comment path ").partition(" ")
-            events[int(word)] = text
+        kind, _, rest = line.removeprefix("comment ").partition(" ")
+        if kind in ("ray", "path"):  # mistray 0.2 wrote a comment for each path
+            number, _, text = rest.partition(" ")
+            events[kind, int(number)] = text
     counts = [int(line.split()[2]) for line in header if line.startswith("element ")]
     if len(body) != counts[0] * VERTEX.itemsize + counts[1] * EDGE.itemsize:
         raise ValueError(f"it has {len(body)} bytes of data, not those of {counts[0]} points and {counts[1]} segments")
@@ -211,9 +211,10 @@ def _from_ply(content: bytes) -> list[RayLine]:
     for own in np.split(vertices, starts[1:]) if len(vertices) else []:
         first = own[0]
         points = np.column_stack([own["x"], own["y"], own["z"]])
-        path_id = int(first["path_id"])
+        path_id, ray = int(first["path_id"]), ("ray", int(first["ray"]))
+        text = events[ray if ray in events else ("path", path_id)]
         wavelength, start_ray = float(first["wavelength_nm"]), int(first["start_ray"])
-        rays.append(_ray(path_id, events[path_id], wavelength, start_ray, points, own["flux_W"]))
+        rays.append(_ray(path_id, text, wavelength, start_ray, points, own["flux_W"]))
     return rays
 
 

@@ -118,7 +118,7 @@ class FullRims:
             rim = key[2], key[3]
             here = (passage.slope < ALONG) & ~passage.counts
             if np.any(here):
-                nearest = float(np.nanmin(np.abs(passage.depth[here])))
+                nearest = float(np.min(np.abs(passage.depth[here])))
                 limit = max(BEFORE * nearest, CLOSE * self.zones[rim])
                 found[rim] = min(limit, found.get(rim, np.inf))
         return found

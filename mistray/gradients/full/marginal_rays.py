@@ -77,14 +77,19 @@ class Passage:
 
     @property
     def slope(self) -> np.ndarray:
-        """Absolute change of depth per length along the closed line, (n,), mm/mm; infinite without near neighbours."""
+        """
+        Absolute change of depth per length along the closed line, (n,), mm/mm.
+
+        It is infinite for rays that are not near the rim themselves or have no near neighbours.
+        """
         change = []
         for back, ahead in ((1, -1), (1, 0), (0, -1)):
             step = np.linalg.norm(np.roll(self.point, ahead, axis=0) - np.roll(self.point, back, axis=0), axis=1)
             with np.errstate(invalid="ignore", divide="ignore"):
                 change.append(np.abs(np.roll(self.depth, ahead) - np.roll(self.depth, back)) / step)
         both, before, behind = change
-        return np.where(np.isnan(both), np.fmin(np.fmin(before, behind), np.inf), both)
+        found = np.where(np.isnan(both), np.fmin(np.fmin(before, behind), np.inf), both)
+        return np.where(np.isnan(self.depth), np.inf, found)
 
 
 class MarginalBundle(NamedTuple):

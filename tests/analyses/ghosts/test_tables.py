@@ -63,10 +63,12 @@ def test_numbers_headings_and_columns():
     assert text == "name    power\n          [W]\n------  -----\na         1.0\nlonger   22.0"
     assert heading_of("z_mm") == ("z", "mm")
     assert heading_of("slope_before_per_deg") == ("slope before", "decades/°")
+    assert heading_of("frequency_per_mm") == ("frequency", "1/mm")
     assert heading_of("id") == ("surface", "")
     names = ["pst", "pst_se", "power_W", "power_se_W", "flux_W", "flux_W_se", "rays"]
     errors = ["pst_se", "power_se_W", "flux_W_se", None]
     assert [error_of(column, names) for column in ("pst", "power_W", "flux_W", "rays")] == errors
+    assert error_of("direct_per_mm2", ["direct_se_per_mm2"]) == "direct_se_per_mm2"
     values = 3, 12345.0, 0.123456789, -math.inf, math.nan, None, Estimate(0.2, 0.01)
     assert [value_text(value) for value in values] == ["3", "12 345", "0.12346", "-∞", "–", "–", "0.200 ± 0.010"]
     facts = Fact("half field", 18.0, "°"), Fact("focal length", 7.0734, "mm"), Fact("defocus", math.nan, "mm")
@@ -183,7 +185,10 @@ def test_tables_come_back(trace: fake.FakeTrace, tmp_path: Path) -> None:
     assert (str(schema.field("power_W").type), str(schema.field("path_id").type)) == ("double", "int64")
     write_parquet(table.iloc[:0], path)
     assert list(pd.read_parquet(path).columns) == list(table.columns)
-    assert [unit(column) for column in ("pst_se", "share", "x_direction")] == ["1"] * 3
+    assert [unit(column) for column in ("pst_se", "share", "x_direction", "mtf_tangential_50_per_mm")] == ["1"] * 4
+    assert [unit(column) for column in ("photons_mm2_s_se", "phase_r_rad", "direct_se_per_mm2")] == [
+        "1/(s mm²)", "rad", "1/mm²"
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("ending", ["fits", "npy", "EXR"])

@@ -106,6 +106,10 @@ def test_files_that_are_none_are_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     ):
         with pytest.raises(MistrayError, match=rf"^state 's\.npz' belongs to another run: .*{text}"):
             require_same("s.npz", {"signature": SIGNATURE}, SIGNATURE | change)
+    places = [math.nan, *range(7)]  # none differs from none
+    require_same("s.npz", {"signature": {"places": places}}, {"places": [math.nan, *np.arange(7.0)]})
+    with pytest.raises(MistrayError, match="value 8 of places was 6 and is 9;"):
+        require_same("s.npz", {"signature": {"places": places}}, {"places": [math.nan, *np.arange(6.0), 9]})
 
 
 BATCHES = 32

@@ -291,6 +291,20 @@ class TestCavity:
         rest = report.total_W_mm2.value + report.scene_W_mm2.value + report.lost_W_mm2
         assert rest == pytest.approx(whole, rel=1e-5)
 
+    def test_what_was_cut_is_a_share_of_all_that_is_seen(self, load: Load) -> None:
+        """In a medium that absorbs 99 % of the view, too: 0.4 % is cut, which is no cause for a note."""
+        glass = "1.0+0.0015i"
+        scene = load(
+            detector_xml(1.0, front=glass),
+            placed_xml("frustum", "side", r0=3.0, z0=-2.0, r1=3.0, z1=1.0),
+            placed_xml("asphere", "front", interface_xml("air", glass, R=0.0, T=1.0), at=(0, 0, -2), semi_diameter=3.0),
+            placed_xml("frustum", "wall", wall_xml(0.9), r0=3.0, z0=-5.0, r1=3.0, z1=-2.0),
+            placed_xml("asphere", "end", wall_xml(0.9), at=(0, 0, -5), semi_diameter=3.0),
+        )
+        report = thermal(scene, 293.0, BAND, rays=20_000, max_scatters=1)
+        assert 0.001 < report.lost_W_mm2 / (math.pi * RADIANCE) < 0.01
+        assert not any("was not followed" in note for note in report.notes)
+
     def test_everything(self, load: Load) -> None:
         """Lens, coatings, paint and a grey detector in glass: π n² L of a blackbody, less what was not followed."""
         glass = "1.5+0.00001i"

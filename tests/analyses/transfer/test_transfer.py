@@ -15,6 +15,7 @@ from scipy import special
 import mistray
 from mistray.analyses.pst.glare.glare import ghost_to_signal
 from mistray.analyses.transfer.image_spread import CLASSES, DIRECT, GHOSTS, SCATTER, ImageSpread
+from mistray.analyses.transfer.page import curve_table
 from mistray.analyses.transfer.surface import transfer_of_bsdf
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics.imaging import surface_transfer as formulas
@@ -247,6 +248,21 @@ def test_refused(load_scene):
         (lambda: found.composite("radial"), "azimuth"),
         (lambda: found.encircled_energy([-1.0]), "radii_mm"),
         (lambda: mistray.transfer(blind, 3.0, rays=1000), r"field 3°|3°.*no direct light meets the detector"),
+    )
+
+
+def test_of_two_detectors_that_of_the_quality_counts(load_scene):
+    """All light of the smooth mirror is the direct image on it; a page shows errors with their values."""
+    other = placed_xml("asphere", "other", at=(0, 0, -FOCUS), pixels=4, semi_diameter=1.0)
+    scene = load_scene(paraboloid_text().replace("</scene>", f"{other}</scene>"))
+    quality = mistray.image_quality(scene, detector="detector", grid=32)
+    found = mistray.transfer(scene, quality=quality, rays=100, frequencies_per_mm=[1.0])[0]
+    assert found.books["direct"].value == pytest.approx(1, abs=1e-6)
+    assert not any("se" in column.head.split() for column in curve_table(found).columns)
+    each_refused(
+        ({"quality": quality, "detector": "other"}, "quality and detector are given"),
+        ({}, r"2 detectors \(detector, other\)"),
+        by=lambda options: mistray.transfer(scene, **options),
     )
 
 

@@ -5,6 +5,7 @@ import json
 import re
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -472,10 +473,15 @@ def test_round_trip_is_exact(rays, ending, tmp_path):
     (again,) = read_rays(write_rays([ray], tmp_path / f"odd.{ending}"))
     assert again == ray
     assert np.signbit(again.points[0, 1])
+    blocked = [replace(ray, path_id=-1, events=events) for events in ("L1:R stop:A", "tube:A", "")]
+    assert read_rays(write_rays(blocked, tmp_path / f"blocked.{ending}")) == blocked
 
 
 def test_ply_is_as_viewers_read_it(rays, tmp_path):
     content = write_rays(rays, tmp_path / "rays.ply").read_bytes()
+    events = b"".join(f"comment path {ray.path_id} {ray.events}\n".encode() for ray in rays)  # as in mistray 0.2
+    (tmp_path / "older.ply").write_bytes(re.sub(b"(?s)comment ray.*(?=element vertex)", events, content))
+    assert read_rays(tmp_path / "older.ply") == rays
     head, _, body = content.partition(b"end_header\n")
     lines = head.decode().splitlines()
     vertices = sum(len(ray.points) for ray in rays)
