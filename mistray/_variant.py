@@ -1,4 +1,4 @@
-"""Selection of the Mitsuba variant, and registration of the plugins.
+"""Selection of the Mitsuba variant, which computes on the CPU or the GPU, and registration of the plugins.
 
 Dr.Jit opens libLLVM only once, on import. So the library is selected before that, with only the standard library.
 """

@@ -18,8 +18,8 @@ from mistray.analyses.image.result import FieldImage as FieldImage
 from mistray.analyses.image.result import ImageQuality as ImageQuality
 from mistray.analyses.objects.result import Objects as Objects
 from mistray.analyses.pst.first_level import FirstLevel as FirstLevel
+from mistray.analyses.pst.progress import PstProgress
 from mistray.analyses.pst.result import Pst as Pst
-from mistray.analyses.pst.state import PstProgress
 from mistray.analyses.study.result import Study as Study
 from mistray.analyses.thermal.request import DetectorNoise
 from mistray.analyses.thermal.result import ThermalReport as ThermalReport
@@ -81,7 +81,9 @@ def critical_rays(
     rays: int = 4000,
 ) -> pd.DataFrame:
     r"""
-    Find the ray nearest to the centre of the image-forming light, and the outermost rays around it, node by node.
+    Return the ray nearest to the centre of the image-forming light, and the outermost rays around it, node by node.
+
+    What is nearest or outermost is decided by the points at which the rays start, seen along the light.
 
     Parameters
     ----------
@@ -101,9 +103,10 @@ def critical_rays(
     Returns
     -------
     DataFrame
-        field_deg (degrees), name ("centre", "rim 0°", … counted about the beam from the scene's x axis towards y), and
-        the columns of `mistray.trace.RayHistory.to_pandas`; positions in float64, mm. There are rim + 1 rays per field
-        and wavelength, fewer if one ray is the outermost in two directions.
+        field_deg (degrees), name ("centre", "rim 0°", …), and the columns of `mistray.trace.RayHistory.to_pandas`;
+        positions in float64, mm. Rims count about the direction of the light, from the scene's x axis; for light along
+        +z towards y. There are rim + 1 rays per field, source and wavelength, fewer if one ray is the outermost in two
+        directions.
 
     Raises
     ------
@@ -203,7 +206,7 @@ def first_level(
     progress : callable, optional
         Called with the name of a set and the progress that `mistray.pst` reports.
     seconds : float, optional
-        Time of each PST, see `mistray.pst`.
+        Time limit of each PST, s, see `mistray.pst`.
     wavelength_nm : float | Iterable[float], optional
         Wavelengths, nm. 10 … 1e7 nm.
     weights : float | Iterable[float], optional
@@ -257,7 +260,7 @@ def first_level(
     Raises
     ------
     MistrayError
-        If a limit is empty or unknown, or `mistray.pst` raises it.
+        If the limits are empty or one is unknown, or `mistray.pst` raises it.
 
     Examples
     --------
@@ -326,7 +329,7 @@ def ghosts(
     azimuth_deg : float, optional
         Azimuth of the field about z, degrees. -360 … 360 degrees.
     progress : callable, optional
-        Called now and then with (fields done, fields to do); the first counts parts of a field too.
+        Called now and then with the number of fields done, parts of one included, and of all fields.
     rank : {"rms", "power", "peak"}, optional
         What the list of worst paths goes by: RMS irradiance, power, or peak, the brightest pixel, for which the
         rays are traced again.
@@ -533,12 +536,14 @@ def objects(
     total_reflection : bool, optional
         Follow rays in total reflection.
     source : DiskSource, optional
-        Lambertian disc as the source, at any place, with optional holes in disc and cone.
+        Lambertian disc as the source, at any place, with optional holes in disc and cone; None: the source of
+        `request`.
     progress : callable, optional
-        Called from time to time with (parts done, parts in all).
+        Called from time to time with (parts done, parts in all). A part is the rays from the detector, or those of one
+        source.
     seconds : float, optional
-        Time limit, s, shared equally by the rays from the detector and those at each angle; a warning reports
-        the number of rays traced.
+        Time limit, s, shared equally by the rays from the detector and those of each source. A part of it is kept for
+        the scatter estimates. A warning reports the number of rays traced.
     detector : str, optional
         Shape with the sensor, where the scene has several.
     max_events : int, optional
@@ -652,15 +657,15 @@ def pst(
         `Pst.next_orders`. These have together as many rays as the first. If the stray light at some angle changes
         by more than 5 % and two errors, the result is the PST with that limit.
     state : str or Path, optional
-        File with the finished part of the run, updated during the run (not forward).
+        File with the finished part of the run, updated during the run; not with the method "forward".
     resume : bool
         Whether to continue the run of `state`.
     progress : callable, optional
         Called with a `PstProgress` after every pass.
     seconds : float, optional
-        Time, s, after which the run ends with the rays traced so far; forward the cells share it. A note reports their
-        number. The current pass is completed first. A run from the detector without a number of rays, or a relative
-        error, takes all of the time.
+        Time, s, after which the run ends with the rays traced so far, once the current pass is complete; a note reports
+        their number. With the method "forward" the cells share the time. The other methods take all of it if neither a
+        number of rays nor a relative error is given.
     wavelength_nm : float | Iterable[float], optional
         Wavelengths, nm. 10 … 1e7 nm.
     weights : float | Iterable[float], optional
@@ -807,9 +812,10 @@ def study(
     progress : callable, optional
         See `Progress`.
     seconds : float, optional
-        Time for all steps, s. A quarter is for the objects, and a third of the rest for the ghosts. Then a fifth of the
-        rest is for images of points with stray light (wavefronts take extra time), and all that remains for the PST.
-        Each ends with the rays that it has, and a warning reports their number.
+        Time for all steps, s. A quarter is for the objects, a tenth of the rest for the check of the sampling, and a
+        third of the rest for the ghosts. Then a fifth of the rest is for images of points with stray light (wavefronts
+        take extra time), and all that remains for the PST. Each ends with the rays that it has, and a warning reports
+        their number.
     azimuth_deg : float, optional
         Azimuth of the field about z, degrees. -360 … 360 degrees.
     wavelength_nm : float | Iterable[float], optional
@@ -909,10 +915,10 @@ def thermal(
     scatter_threshold: float | None = None,
 ) -> ThermalReport:
     r"""
-    Compute the irradiance on the detector by thermal emission, for every surface and medium.
+    Return the irradiance on the detector by thermal emission, for every surface and medium.
 
     E = π ∫ L_B(λ, T) emission(λ) dλ, where the emission holds n² of the medium before the detector. Between wavelengths
-    it is interpolated linearly, beyond them it is that of the nearest. The detector is cooled by its own name.
+    it is interpolated linearly, beyond them it is that of the nearest. The detector is cooled by the id of its shape.
 
     Parameters
     ----------
@@ -937,9 +943,10 @@ def thermal(
         Rays from the detector, for each wavelength and twice: of everything, and of the image; without it 200 000,
         of more than three wavelengths 600 000 over their number. 1 … 4294967295.
     progress : callable, optional
-        Called with (traces done, traces in all).
+        Called with (traces done, traces in all); those of narcissus by one reflection are not counted.
     seconds : float, optional
-        Time for all traces, s, in equal shares; each ends with the rays that it has, and a note reports it.
+        Time for all traces, s, in equal shares; each ends with the rays that it has, and a note reports it. None: no
+        limit.
     max_reflections : int, optional
         Reflections on one path, those of mirrors and TIR not counted. 0 … 32767.
     max_generations : int, optional
@@ -987,8 +994,8 @@ def thermal(
     Raises
     ------
     MistrayError
-        If a temperature or the band is out of range, a name fits no surface, part or material, or a material is not
-        known in the band.
+        If a value is out of range, a name fits no surface, part or material, the wavelengths do not ascend, or a
+        material or coating is not known at one of them. Without wavelengths: at an end or the middle of the band.
 
     Examples
     --------
@@ -1038,7 +1045,7 @@ def transfer(
     scatter_threshold: float | None = None,
 ) -> Transfer:
     r"""
-    Compute images of points with stray light: scatter and ghost transfer functions, MTF, PSF and energy balance.
+    Return images of points with stray light: scatter and ghost transfer functions, MTF, PSF and energy balance.
 
     The direct image is that of `mistray.image_quality`. One trace of each field, with ghosts and scatter, gives the
     light on the detector by class and by position about the direct image. Definitions and limits:
@@ -1066,9 +1073,9 @@ def transfer(
     quality : ImageQuality, optional
         Image quality of the same scene, if known already; it then sets fields, wavelengths and detector.
     progress : callable, optional
-        Called with the work done so far and the total work.
+        Called with (fields done, fields in all).
     seconds : float, optional
-        Time of each trace, s.
+        Time of each trace, s, which then ends with the rays that it has; None: no limit.
     azimuth_deg : float, optional
         Azimuth of the field about z, degrees. -360 … 360 degrees.
     wavelength_nm : float | Iterable[float], optional
@@ -1130,8 +1137,9 @@ def transfer(
     Raises
     ------
     MistrayError
-        If `mistray.image_quality` or `mistray.trace` raises it, the direct image of a field misses the detector, the
-        scene has several sources, or a value is out of range.
+        If `mistray.image_quality` or `mistray.trace` raises it, the direct image of a field misses the detector, or the
+        detector's table ends too early. Also if the scene has several sources, or several detectors of which none is
+        chosen, or the request has fields or light beside `quality`.
 
     Examples
     --------
@@ -1155,13 +1163,14 @@ def transfer_of_bsdf(
     r"""
     Return the surface transfer function from the BSDF: ``H(s) = 1 - TIS + ∫ BSDF(β) exp(2πi n (β - β0) s/λ) d²β``.
 
-    The lag s is in µm. Light that leaves the surface counts as 1, so that TIS is the integral at s = 0. The Hankel
+    The lag s is in µm, β and β0 are direction cosines of the light and of the specular direction, n is the index there.
+    Light that the surface reflects, or transmits, counts as 1, so that TIS is the integral at s = 0. The Hankel
     transform is about the specular direction and averages over azimuths: exact at normal incidence on an isotropic
     surface.
 
     Parameters
     ----------
-    models : Scatter or sequence of LobeModel
+    models : LobeModel or sequence of LobeModel
         Scatter models of the surface.
     wavelength_nm : float
         Vacuum wavelength, nm. 10 … 1e7 nm.
@@ -1203,8 +1212,10 @@ def transfer_of_spectrum(
     r"""
     Return the surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
 
-    C is the Hankel transform of the spectrum at the frequencies that scatter into the half space at normal incidence,
-    0 … n/λ, and σ² their variance. It holds for surfaces of any roughness whose heights are Gaussian.
+    s is the lag on the surface, µm, and a the variance of the phase, rad². C, µm², is the Hankel transform of the
+    spectrum at the frequencies that scatter into the half space at normal incidence, 0 … n/λ. σ² is the variance of the
+    heights there, n the index of the medium of the scattered light, and λ the vacuum wavelength. The formula holds for
+    surfaces of any roughness whose heights are Gaussian.
 
     Parameters
     ----------
@@ -1230,7 +1241,7 @@ def transfer_of_spectrum(
     -----
     MistrayWarning
         If the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
-        that of the theories for smooth surfaces, with which scenes are traced.
+        that of the theories for smooth surfaces. The theory "ghs_full" has no such limit.
 
     Examples
     --------

@@ -139,7 +139,7 @@ def optimize(
     scene : str or Path
         Scene XML file or name of a shipped scene.
     study : str, Path, mapping or DesignStudy
-        See docs/optimization.md.
+        Study, or its TOML file, or the content of one as a mapping; see docs/optimization.md.
     steps : int, optional
         Most steps of each search, instead of those of the study. 0 … 10000.
     verification_seeds : int, optional
@@ -147,7 +147,7 @@ def optimize(
     next_order : bool, optional
         Measure both designs again with one more scatter event and, apart from that, with one more reflection.
     checkpoint : str or Path, optional
-        File that holds the state after every evaluation.
+        File that holds the state after every evaluation; None: the state is not kept.
     resume : bool
         Go on from the checkpoint; the result is the same as without interruption.
     progress : callable, optional
@@ -163,10 +163,9 @@ def optimize(
     Raises
     ------
     MistrayError
-        If the study or the scene cannot be used, or the checkpoint belongs to something else. If a minimised term is 0,
-        or any value not finite, at the start. If the function of a term fails in a trial before the search. A search
-        that comes to a point without a merit ends there and keeps its steps. An error after the search is reported in
-        the result.
+        If the study or the scene cannot be used, `resume` lacks a checkpoint or has that of something else, a minimised
+        term is 0 or any value is not finite at the start, or the function of a term fails in a trial before the search.
+        A later point without a merit only ends its search. An error after the search is reported in the result.
 
     Examples
     --------
@@ -240,9 +239,9 @@ def sensitivity(
     resume : bool
         Continue from `state`, perhaps with more perturbed systems. The result is that of one uninterrupted run.
     seconds : float, optional
-        Time for the whole run, s. A gradient that would take longer, or more than half with perturbed systems, uses
-        fewer rays of the metric. All that is compared is traced with the same rays. `Sensitivity.not_traced` lists what
-        is left out. Not available with workers.
+        Time for the whole run, s. A gradient that would take longer, or more than half of it if perturbed systems are
+        requested, uses fewer rays of the metric. All that is compared is traced with the same rays.
+        `Sensitivity.not_traced` lists what is left out. Not available with workers.
     progress : callable, optional
         Called with the work done so far and the total work.
 
@@ -254,8 +253,8 @@ def sensitivity(
     ------
     MistrayError
         If a key is unknown, no parameter has a derivative, an argument is out of range, the state is of another run, or
-        the metric is 0 or not finite. Also if a beam just fills a rim that one of `keys` or of `together` moves.
-        Without `keys` such parameters are left out.
+        the metric is 0, negative or not finite. Also if a beam just fills a rim that one of `keys` or of `together`
+        moves; without `keys` such parameters are left out.
 
     Examples
     --------

@@ -161,7 +161,7 @@ def export_step(
     ------
     MistrayError
         If a value is out of range, a field has no light on the detector, no surface can be written in STEP, or the file
-        cannot be written.
+        cannot be written. Also if mirrors shall have a thickness and no light of the source reaches the detector.
 
     Examples
     --------
@@ -229,8 +229,8 @@ def view(
     Raises
     ------
     MistrayError
-        If plotly is missing, a value is out of range or needs a trace, the trace is of another scene, or the cut leaves
-        nothing.
+        If plotly is missing, a value is out of range or needs a trace or surface maps, the trace is of another scene,
+        or the cut leaves nothing. Also if there are several traces and one has surface maps.
 
     Examples
     --------

@@ -82,8 +82,9 @@ def rank_edits(
     coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
     ====== ========================================================================================================
 
-    Steps are in the unit of the parameter, or text in percent of its value, ``"2 %"``. A step by key overrides one by
-    kind, and a later one overrides an earlier one.
+    Steps are in the unit of the parameter, or text in percent of its value, ``"2 %"``; of a list, such as the layers of
+    a coating, each entry in percent of its own value. A step by key overrides one by kind, and a later one an earlier
+    one.
 
     Parameters
     ----------
@@ -359,7 +360,7 @@ def sweep_pst(
     scatter_threshold: float | None = None,
 ) -> PstSweep:
     r"""
-    Compute the PST of a scene as it is and in each configuration, with common random numbers.
+    Return the PST of a scene as it is and in each configuration, with common random numbers.
 
     All runs use the same method, directions and numbers of rays, and forward rays cover the surfaces of all
     configurations. So light that an edit does not touch is the same in all, ray by ray.

@@ -25,8 +25,8 @@ from command_line import Captured, Patch, fails, on_a_terminal, run, succeeds
 
 import mistray.scene
 from mistray import MistrayError, cli
+from mistray.analyses.pst.progress import PstProgress
 from mistray.analyses.pst.request import PstRequest
-from mistray.analyses.pst.state import PstProgress
 from mistray.cli import program
 from mistray.cli.parsed_options import Options
 from mistray.cli.progress import progress_bar, working

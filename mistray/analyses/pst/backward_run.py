@@ -15,9 +15,9 @@ from mistray.analyses.pst.cells import cells_up_to
 from mistray.analyses.pst.found_paths import FoundPaths
 from mistray.analyses.pst.pilot import Pilot
 from mistray.analyses.pst.plan import Plan
+from mistray.analyses.pst.progress import Progress, PstProgress
 from mistray.analyses.pst.request import MOST_RAYS
 from mistray.analyses.pst.result import BACKWARD, FORWARD, Pst, notes
-from mistray.analyses.pst.state import Progress, PstProgress
 from mistray.errors import MistrayWarning, UnfinishedError
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import FIRST_PASS, BackwardTrace

@@ -27,8 +27,8 @@ from mistray.toolkit.shared_options import (
 )
 
 if TYPE_CHECKING:
+    from mistray.analyses.pst.progress import PstProgress
     from mistray.analyses.pst.request import PstRequest
-    from mistray.analyses.pst.state import PstProgress
     from mistray.cli.parsed_options import Options
 
 PAGE_S = 6.0  # of the report, see `Options.seconds_left`: two figures are drawn twice, as PNG and for the page

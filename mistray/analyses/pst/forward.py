@@ -12,9 +12,9 @@ import numpy as np
 
 from mistray.analyses.pst.cells import cells_up_to
 from mistray.analyses.pst.found_paths import FoundPaths
+from mistray.analyses.pst.progress import Progress, PstProgress
 from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.result import Pst, notes
-from mistray.analyses.pst.state import Progress, PstProgress
 from mistray.execute.all_cells import AllCells
 from mistray.execute.cell_sums import WaveSums
 from mistray.execute.grid_trace import WaveTrace

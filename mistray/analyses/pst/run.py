@@ -16,9 +16,9 @@ from mistray.analyses.pst.forward import forward_pst
 from mistray.analyses.pst.next_order import with_next_orders
 from mistray.analyses.pst.pilot import Pilot
 from mistray.analyses.pst.plan import Plan, shared
+from mistray.analyses.pst.progress import Progress
 from mistray.analyses.pst.request import MOST_RAYS, PstRequest
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.state import Progress
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.workers import refuse_workers_in_time

@@ -1,1 +1,1 @@
-"""Transfer functions of scattered light and ghosts: how stray light lowers the contrast of an image."""
+"""Transfer functions (MTF) with scattered light and ghosts: how stray light lowers the contrast of an image."""

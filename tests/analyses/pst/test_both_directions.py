@@ -28,9 +28,9 @@ from mistray.analyses.pst import plan as plans
 from mistray.analyses.pst import request as requests
 from mistray.analyses.pst.pilot import FIRST_ROUND, LEAST_UNSCATTERED, Pilot
 from mistray.analyses.pst.plan import Plan, shared
+from mistray.analyses.pst.progress import PstProgress
 from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.run import pst_of_each
-from mistray.analyses.pst.state import PstProgress
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
 from mistray.kernel.kernel_scene import LEAST_PROBABILITY, MOST_RAYS, WeightWindows

@@ -20,8 +20,8 @@ import mistray
 from mistray import MistrayError, Pst
 from mistray.analyses.pst import backward_run, forward
 from mistray.analyses.pst.forward import FIRST_RAYS
+from mistray.analyses.pst.progress import PstProgress
 from mistray.analyses.pst.request import PstRequest
-from mistray.analyses.pst.state import PstProgress
 from mistray.execute.backward import BackwardTrace
 from mistray.files.saved_state import load_state
 from mistray.recorders.directions import DirectionGrid

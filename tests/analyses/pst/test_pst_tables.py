@@ -21,8 +21,8 @@ from mistray.analyses.pst.figures import pst_causes, pst_curve, pst_irradiance, 
 from mistray.analyses.pst.found_paths import PATHS_LISTED
 from mistray.analyses.pst.metrics.first_light import first_light
 from mistray.analyses.pst.page import pst_report, pst_verdict, write_pst
+from mistray.analyses.pst.progress import PstProgress
 from mistray.analyses.pst.result import CLASSES, Pst
-from mistray.analyses.pst.state import PstProgress
 from mistray.errors import MistrayError
 from mistray.files.saved_state import load_state, require_same, save_state
 from mistray.recorders.directions import DirectionGrid
