@@ -224,14 +224,7 @@ def test_light_of_surfaces_and_a_probe_under_stock_integrators() -> None:
         detector=scene_dicts.detector(-90.0, semi_diameter=0.1, x=20.0),
         maps={"type": "surface_maps", "surfaces": "wall", "azimuths": 6, "lengths": 4},
         split={"type": "flux_split", "surfaces": "wall"},
-        plane={"type": "probe", "directions": 2, "to_world": scene_dicts.at(-1)},
-        integrator={"type": "straylight"},
     )
-    for sensor in scene.sensors():
-        pixels = {"maps": 24, "split": 6, "plane": 64 * 64}.get(sensor.id())
-        if pixels:  # `spp` rays for each
-            image = mistray.trace(scene, rays=10 * pixels).recorders[sensor.id()].image[0]
-            np.testing.assert_allclose(np.array(mi.render(scene, sensor=sensor, spp=10))[:, :, 0], image, rtol=1e-6)
     found = mistray.trace(scene, rays=40_000, max_scatters=0).recorders
     (row,) = found["split"].rows
     assert row.incident[0] == pytest.approx(24.0, rel=1e-3)
@@ -247,6 +240,23 @@ def test_light_of_surfaces_and_a_probe_under_stock_integrators() -> None:
         integrator={"type": "path"},
     )
     assert np.array(mi.render(scene, spp=4)) == pytest.approx(2 * np.pi, rel=1e-5)
+
+
+@pytest.mark.long
+def test_spp_counts_the_pixels_of_each_sensor() -> None:
+    """A picture by `spp` is that of a trace by so many rays for each of its pixels."""
+    scene = scene_dicts.load(
+        beam={"type": "collimated", "half_width": 3.0, "half_height": 2.0},
+        detector=scene_dicts.detector(9.0, half_width=3.0, half_height=2.0),
+        maps={"type": "surface_maps", "surfaces": "detector", "azimuths": 6, "lengths": 4},
+        split={"type": "flux_split", "surfaces": "detector"},
+        plane={"type": "probe", "directions": 2, "to_world": scene_dicts.at(-1)},
+        integrator={"type": "straylight"},
+    )
+    pixels = {"maps": 24, "split": 6, "plane": 64 * 64}
+    for sensor in (sensor for sensor in scene.sensors() if sensor.id() in pixels):
+        image = mistray.trace(scene, rays=10 * pixels[sensor.id()]).recorders[sensor.id()].image[0]
+        np.testing.assert_allclose(np.array(mi.render(scene, sensor=sensor, spp=10))[:, :, 0], image, rtol=1e-6)
 
 
 @pytest.mark.quick
