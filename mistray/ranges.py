@@ -508,6 +508,8 @@ STOPS = Range(-200.0, 200.0)
 FREQUENCY_PER_MM = Range(0.0, 1e9, unit="1/mm")
 PUPIL_CELLS = Range(16, 1024, whole=True)
 RAYS_DRAWN = Range(1, 10**5, whole=True)
+RAYS_LISTED = Range(1, RAYS.high, whole=True)
+RAYS_OR_ALL = Range(1, RAYS.high, whole=True, remedy="None stands for all")
 
 FILM_SIDE = Range(1, 2**16, whole=True)
 FILM_PIXELS = Range(1, 2**26, whole=True)  # 0.5 GB an image

@@ -137,6 +137,8 @@ OTHER_RECIPES = vectors.toml("tables.toml")["recipes"]
 def test_table_knows_what_is_differentiable(recipe: dict[str, Any], files: None) -> None:
     """What `mi.traverse` offers with a gradient is marked in the table, and the other way round."""
     recipe = own_part(recipe)
+    if (recipe["type"], "semi_diameter" in recipe) == ("asphere", True):
+        recipe = {"inner_semi_diameter": 1.0, **recipe}  # the radius of a hole has a derivative where there is one
     rows = BY_NAME[recipe["type"]].parameters
     marked, named = {name for name, row in rows.items() if row.moves}, set(rows)
     made = mi.load_dict(recipe, optimize=False)

@@ -259,12 +259,17 @@ class Run:
 
     def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return origins (mm) and unit directions, (n, 3) float64 each, of start rays, given their indices, (n,)."""
-        origins, directions = np.zeros((len(lanes), 3)), np.zeros((len(lanes), 3))
+        return self.weighted_start_rays(lanes)[:2]
+
+    def weighted_start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return origins and directions of start rays, see `start_rays`, and their throughputs, (n,) float64."""
+        origins, directions, weights = np.zeros((len(lanes), 3)), np.zeros((len(lanes), 3)), np.zeros(len(lanes))
         for number in np.unique(lanes // PASS_LANES):
             here = lanes // PASS_LANES == number
-            index = upload(mi.UInt32, lanes[here] - number * PASS_LANES)
-            origins[here], directions[here] = self.exact(self.start_pass(int(number)).take(index))
-        return origins, directions
+            start = self.start_pass(int(number)).take(upload(mi.UInt32, lanes[here] - number * PASS_LANES))
+            origins[here], directions[here] = self.exact(start)
+            weights[here] = start.weights
+        return origins, directions, weights
 
     def exact(self, start: StartRays) -> tuple[np.ndarray, np.ndarray]:
         """Return origins (mm) and directions of start rays in the world, free of float32 rounding, (n, 3) float64."""
@@ -580,21 +585,3 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
             )
         )
     return runs
-
-
-def irradiance_of_runs(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Pixels:
-    """
-    Return the irradiance that several runs together give on one detector, with its noise, (height, width), W/mm².
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Runs of the trace.
-    films : sequence of (images, height, width) float64
-        Images of each run, in units of the flux of its start rays.
-    """
-    pixel = runs[0].pixel_area
-    first, *others = (
-        Pixels.of_film(film, run.started, run.unit / pixel) for run, film in zip(runs, films, strict=True)
-    )
-    return sum(others, start=first)

@@ -7,6 +7,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 
 def generators(seed: int, lane: mi.UInt32, group: mi.UInt32 | None = None) -> tuple[mi.PCG32, mi.UInt32]:
@@ -113,6 +114,12 @@ class StartRays:
     scale: mi.Float | None = None
     place: list[mi.Float] | None = None
     stokes: mi.Vector3f | None = None
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Throughputs at the start on the host, (n,) float64."""
+        # Of a copy: a literal stays one, so that a compiled kernel can be reused
+        return np.array(mi.Float(self.w), dtype=np.float64)
 
     def given(self, name: str, otherwise: Any) -> Any:
         """Return an optional attribute by its name, or the default `otherwise` if it is None."""

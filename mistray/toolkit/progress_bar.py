@@ -77,16 +77,16 @@ def _share(state: tuple[Any, ...]) -> tuple[float, float]:
     """
     Return the amount done and the total, in one unit, from what a function passes to `progress`.
 
-    Two numbers are these already: rays or steps. A last item with `share_done`, as of a PST, or a last number is the
-    fraction done of 1. Any other state gives 0 and 1.
+    Two numbers at its end are these already: rays or steps. An item with `share_done`, as of a PST or of an
+    optimisation, or a single number at the end is the fraction done of 1. Any other state gives 0 and 1.
     """
-    last = state[-1] if state else 0.0
-    if hasattr(last, "share_done"):
-        return float(last.share_done), 1.0
-    if not isinstance(last, Real):
+    for item in state:
+        if hasattr(item, "share_done"):
+            return float(item.share_done), 1.0
+    numbers = [float(item) for item in state[-2:] if isinstance(item, Real)]
+    if not numbers or not isinstance(state[-1], Real):
         return 0.0, 1.0
-    counted = len(state) == 2 and isinstance(state[0], Real)
-    return (float(state[0]), float(last)) if counted else (float(last), 1.0)
+    return (numbers[0], numbers[1]) if len(numbers) == 2 else (numbers[0], 1.0)
 
 
 def _bar(what: str) -> Any | None:

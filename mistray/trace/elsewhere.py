@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.execute.tracer import Run
-from mistray.ranges import TEXT, Several
+from mistray.ranges import RAYS_OR_ALL, TEXT, Several
 from mistray.recorders.branch_recorder import BranchRecorder, CellRecorder, ElsewhereRecorder
 from mistray.recorders.flux_maps.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.path_events import Events, describe_events
@@ -47,11 +47,10 @@ def rays_elsewhere(
 
     With `events` it has a row for each node of each ray. `n` is the most rays that are returned, spread over the beam;
     None: all. `where` names the surfaces, and `requested` is the filter, see `mistray.trace.Trace.rays_at`. Columns and
-    units are those of `RayHistory.to_pandas` (mm, W), with source, kind and key. An `n` below 1, or a `where` that does
-    not exist or combines leaving light with surfaces, raises `MistrayError`.
+    units are those of `RayHistory.to_pandas` (mm, W), with source, kind and key. An `n` that is no whole number
+    from 1, or a `where` that does not exist or combines leaving light with surfaces, raises `MistrayError`.
     """
-    if n is not None and n < 1:
-        raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
+    n = None if n is None else RAYS_OR_ALL.check("n", n)
     words = list(Several(TEXT).check("where", where))
     # Rays of each run
     tables = []
@@ -148,7 +147,7 @@ def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilt
     """
     slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
     slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
-    rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
+    rays = rays_in_slots(run, recorder, slots, *run.weighted_start_rays(np.array(recorder.lane)[slots]))
     if recorder.departs:
         # The last node of a ray that leaves is the last surface: direction and flux are those after it
         headings = np.array(recorder.heading).reshape(-1, 3)[slots].astype(np.float64)

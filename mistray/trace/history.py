@@ -12,7 +12,7 @@ from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
 from mistray.kernel.launches import GOLDEN
-from mistray.ranges import ANYTHING, ByName, several, shown
+from mistray.ranges import ANYTHING, RAYS_LISTED, ByName, several, shown
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.result import KeyNumber, Result
 from mistray.surfaces.upload import upload
@@ -49,8 +49,8 @@ class Ray(NamedTuple):
     opl_mm : (k + 1,) float64
         Optical path length from the start, mm.
     flux_W : (k + 1,) float64
-        Flux with which the ray arrives at each point, W. For a ray that leaves the scene the last entry is the flux
-        after the last hit.
+        Flux with which the ray starts, and with which it arrives at each hit, W. For a ray that leaves the scene the
+        last entry is the flux after the last hit.
     """
 
     start_ray: int
@@ -169,10 +169,9 @@ def path_history(table: PathTable, path_id: int, most: int) -> RayHistory:
     """
     Return up to `most` rays of the path of an id, spread over the beam, with hit points recomputed in float64, mm.
 
-    Raise `MistrayError` if the table has no such path, or if `most` is below 1.
+    Raise `MistrayError` if the table has no such path, or if `most` is not a whole number from 1.
     """
-    if most < 1:
-        raise MistrayError(f"n is {most}; ask for at least one ray")
+    most = RAYS_LISTED.check("n", most)
     (own,) = (own for own in table.located([path_id]) if len(own.ids))
     run = own.run
     recorder = run.record(own.slots, most)
@@ -180,11 +179,16 @@ def path_history(table: PathTable, path_id: int, most: int) -> RayHistory:
     # Start rays are numbered along a curve through the beam: every k-th is a fair sample of all
     order = np.argsort(lanes, kind="stable")
     order = order[spread(len(lanes), most)]
-    return RayHistory(run, rays_in_slots(run, recorder, order, *run.start_rays(lanes[order])))
+    return RayHistory(run, rays_in_slots(run, recorder, order, *run.weighted_start_rays(lanes[order])))
 
 
 def rays_in_slots(
-    run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
+    run: Run,
+    recorder: BranchRecorder,
+    slots: np.ndarray,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    weights: np.ndarray,
 ) -> list[Ray]:
     """
     Return the rays in given slots of a recorder as `Ray`, with hit points recomputed in float64, mm.
@@ -199,11 +203,13 @@ def rays_in_slots(
         Places of the rays in the recorder.
     origins, directions : (n, 3) float64
         Origins, mm, and directions of their start rays.
+    weights : (n,) float64
+        Throughputs of their start rays, see `mistray.recorders.start_rays.StartRays`.
     """
     lanes = np.array(recorder.lane)[slots]
     # Bundles come in the order of their events; the rays go back to that of the slots
     rays: dict[int, Ray] = {}
-    for bundle in bundles(run, recorder, slots, origins, directions):
+    for bundle in bundles(run, recorder, slots, origins, directions, weights):
         rays |= {k: bundle.ray(j, int(lanes[k])) for j, k in enumerate(bundle.numbers.tolist())}
     return [rays[number] for number in range(len(slots))]
 
@@ -228,14 +234,19 @@ class Bundle(NamedTuple):
 
 
 def bundles(
-    run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
+    run: Run,
+    recorder: BranchRecorder,
+    slots: np.ndarray,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    weights: np.ndarray,
 ) -> Iterator[Bundle]:
     """Yield recorded rays in groups of equal events, with positions, mm, recomputed in float64; see `rays_in_slots`."""
     codes, lengths = recorder.events(slots)
     nodes = recorder.nodes_of(slots, codes.shape[1])
     # All rays at once, whatever their paths: `retrace` groups them by surface, step by step
     exact = retrace(run.table, origins, directions, codes, lengths, nodes[:, :, :3] + run.table.centre)
-    flux = run.unit * np.concatenate([np.ones((len(slots), 1)), nodes[:, :, 6]], axis=1)
+    flux = run.unit * np.concatenate([weights[:, None], nodes[:, :, 6]], axis=1)
     alike: dict[bytes, list[int]] = {}  # numbers of the rays of the same events
     for number, length in enumerate(lengths.tolist()):
         alike.setdefault(codes[number, :length].tobytes(), []).append(number)
@@ -250,8 +261,10 @@ def sample_rays(table: PathTable, path_ids: int | Sequence[int], most: int) -> d
     """
     Return at most `most` rays of each path by its id, from a sample of the start rays spread over the beam.
 
-    A path has fewer, or none, if the sample or the time ends before. Raise `MistrayError` for an unknown id.
+    A path has fewer, or none, if the sample or the time ends before. Raise `MistrayError` for an unknown id, or if
+    `most` is not a whole number from 1.
     """
+    most = RAYS_LISTED.check("n", most)
     found: dict[int, list[Ray]] = {}
     for own in table.located(dict.fromkeys(table.check_ids(path_ids).tolist())):
         found |= _sample_of_run(own, most) if len(own.ids) else {}
@@ -274,7 +287,7 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
     for number in np.unique(lanes // PASS_LANES):
         here = lanes[lanes // PASS_LANES == number] - number * PASS_LANES
         sample = run.start_pass(int(number)).take(upload(mi.UInt32, here))
-        origins, directions = run.exact(sample)
+        started = *run.exact(sample), sample.weights
         numbers = np.array(sample.lane)
         by_number = np.argsort(numbers)
         for part in np.split(
@@ -288,7 +301,7 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
             found_numbers = np.array(recorder.lane)[: recorder.kept]
             starts = by_number[np.searchsorted(numbers, found_numbers, sorter=by_number)]
             slots = _requested(recorder, own.keys[missing], most, starts)
-            rays = rays_in_slots(run, recorder, slots, origins[starts[slots]], directions[starts[slots]])
+            rays = rays_in_slots(run, recorder, slots, *(values[starts[slots]] for values in started))
             for path_id, ray in zip(own.ids_of(np.array(recorder.path)[slots]).tolist(), rays, strict=True):
                 if len(found[path_id]) < most:
                     found[path_id].append(ray)

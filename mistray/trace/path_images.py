@@ -10,7 +10,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.execute.by_parts import images_by_parts
 from mistray.execute.scene_task import SceneTask
-from mistray.execute.tracer import irradiance_of_runs
+from mistray.execute.tracer import Run
 from mistray.execute.workers import current_workers
 from mistray.ranges import FLAG, Several, several
 from mistray.recorders.film import Pixels, image_word
@@ -55,3 +55,21 @@ def path_images(
         stacks = [own.run.images(own.slots, its, first[-1]) for own, its in zip(of_runs, words, strict=True)]
     for low, high in itertools.pairwise(first):
         yield irradiance_of_runs(table.runs, [stack[low:high] for stack in stacks])
+
+
+def irradiance_of_runs(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Pixels:
+    """
+    Return the irradiance that several runs together give on one detector, with its noise, (height, width), W/mm².
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Runs of the trace.
+    films : sequence of (images, height, width) float64
+        Images of each run, in units of the flux of its start rays.
+    """
+    pixel = runs[0].pixel_area
+    first, *others = (
+        Pixels.of_film(film, run.started, run.unit / pixel) for run, film in zip(runs, films, strict=True)
+    )
+    return sum(others, start=first)

@@ -14,7 +14,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.kernel.launches import GOLDEN
-from mistray.ranges import PLACE_MM, Each, Range
+from mistray.ranges import PLACE_MM, RAYS_OR_ALL, Each, Range
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.film import Box
 from mistray.recorders.path_events import Events
@@ -66,13 +66,12 @@ def ray_table(
 
     `n` is the most rays that are returned, spread over the beam; None: all. `box` is x0, x1, y0, y1 on the detector,
     mm; `pixels` is c0, c1, r0, r1 for its columns c0 … c1 - 1 and rows r0 … r1 - 1. None: the whole detector. Flux is
-    in W, positions and optical path lengths in mm; see `mistray.trace.Trace.rays` for the columns. An `n` below 1, an
-    empty box, pixels out of range and several detectors raise `MistrayError`.
+    in W, positions and optical path lengths in mm; see `mistray.trace.Trace.rays` for the columns. An `n` that is
+    no whole number from 1, an empty box, pixels out of range and several detectors raise `MistrayError`.
     """
     import pandas as pd
 
-    if n is not None and n < 1:
-        raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
+    n = None if n is None else RAYS_OR_ALL.check("n", n)
     box = None if box is None else check_box(box)
     pixels = None if pixels is None else _check_pixels(pixels, table.runs[0])
     # Only a filter that needs the strongest ray pays for the run that finds it
@@ -161,12 +160,12 @@ class _Search:
         """Return columns of the selected rays among the first `count` recorded, and rays if events are asked for."""
         slots = np.arange(count)
         lanes = np.array(recorder.lane)[:count]
-        origins, directions = self._run.start_rays(lanes)
+        started = self._run.weighted_start_rays(lanes)
         # The kernel's hits are float32: positions are computed again in float64
         events = Events.of(self._run.table, self._run.design, *recorder.events(slots))
         numbers = {name: np.zeros(count) for name in ("flux_W", *ALONG, "opl_mm")}
         rays: dict[int, Ray] = {}
-        for bundle in bundles(self._run, recorder, slots, origins, directions):
+        for bundle in bundles(self._run, recorder, slots, *started):
             ends = [*bundle.points[:, -1].T, *bundle.directions[:, -2].T, bundle.opl_mm[:, -1]]
             for name, values in zip((*ALONG, "opl_mm"), ends, strict=True):
                 numbers[name][bundle.numbers] = values

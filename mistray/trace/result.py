@@ -13,7 +13,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.execute.scene_task import SceneTask
-from mistray.execute.tracer import Run, irradiance_of_runs
+from mistray.execute.tracer import Run
 from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.messages import fewer_rays
@@ -26,6 +26,7 @@ from mistray.result import KeyNumber, Result
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
+from mistray.trace.path_images import irradiance_of_runs
 from mistray.trace.paths import PathTable, path_table
 from mistray.trace.photometry import illuminance, luminous_flux
 from mistray.trace.reliability import aimed_surfaces, silent_places, trace_notes, undeclared_images

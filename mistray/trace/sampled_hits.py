@@ -197,7 +197,7 @@ def light_cones(paths: PathTable, path_ids: int | Sequence[int]) -> dict[int, Li
         recorder = run.recorder(capacity, own.slots)
         _, kept = _record_sample(run, min(CONE_START_RAYS, max(capacity // len(own.ids), 1)), recorder, CONE_RAYS)
         ids, lanes = own.ids_of(np.array(recorder.path)[kept]), np.array(recorder.lane)[kept]
-        for bundle in bundles(run, recorder, kept, *run.start_rays(lanes)) if len(kept) else ():
+        for bundle in bundles(run, recorder, kept, *run.weighted_start_rays(lanes)) if len(kept) else ():
             if len(bundle.numbers) > 1:
                 found[int(ids[bundle.numbers[0]])] = _cone(run.table, bundle)
     return found

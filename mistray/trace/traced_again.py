@@ -9,7 +9,7 @@ import numpy as np
 
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.tracer import Run
-from mistray.ranges import TEXT, Several
+from mistray.ranges import RAYS_LISTED, TEXT, Several
 from mistray.recorders.film import Pixels
 from mistray.recorders.flux_maps.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
 from mistray.trace.elsewhere import light_maps, rays_elsewhere
@@ -181,7 +181,7 @@ class TracedAgain:
         Raises
         ------
         MistrayError
-            If there is no such path, `n` is below 1, or the trace has no path table.
+            If there is no such path, `n` is no whole number from 1, or the trace has no path table.
         """
         return path_history(self.paths, path_id, n)
 
@@ -207,7 +207,7 @@ class TracedAgain:
         Raises
         ------
         MistrayError
-            If there is no such path, or the trace has no path table.
+            If there is no such path, `n` is no whole number from 1, or the trace has no path table.
         """
         return sample_rays(self.paths, path_ids, n)
 
@@ -251,8 +251,9 @@ class TracedAgain:
         Raises
         ------
         MistrayError
-            If the trace has no path table.
+            If a number is not a whole number from 1, or the trace has no path table.
         """
+        start_rays, n = RAYS_LISTED.check("start_rays", start_rays), RAYS_LISTED.check("n", n)
         return [sampled_hits(own, start_rays, n) for own in self.paths.located()]
 
     def rays(
@@ -298,7 +299,8 @@ class TracedAgain:
         ------
         MistrayError
             For a filter that cannot be parsed or names something that does not exist, an empty box, pixels out of
-            range and n below 1. Also for a trace without a path table or with several detectors.
+            range and an `n` that is no whole number from 1. Also for a trace without a path table or with several
+            detectors.
         """
         return ray_table(self.paths, PathFilter(selection), n, box, pixels, events)
 
@@ -325,6 +327,6 @@ class TracedAgain:
         ------
         MistrayError
             If a name does not exist, places do not go together, the filter is not valid or compares another column, or
-            `n` is below 1.
+            `n` is no whole number from 1.
         """
         return rays_elsewhere(self.runs, where, PathFilter(selection), n, events)

@@ -50,6 +50,8 @@ class Glasses:
         Whether the scene declares the materials in front and behind; the default is air.
     parameters : dict of str to mi.Float
         Shifts of the indices by name.
+    held : tuple of (1,) float64
+        Values of these shifts that were applied last.
     """
 
     def __init__(self, props: mi.Properties, owner: str, resolve: Callable[[str], str]) -> None:
@@ -77,13 +79,8 @@ class Glasses:
         for material in (front, back):
             refractive_index(material, nearest_known_nm(material, wavelength_nm))
         changed = (front, back) != self._names
-        self._names, self._held = (front, back), values
+        self._names, self.held = (front, back), values
         return changed
-
-    def restore(self) -> None:
-        """Reset the index shifts in `parameters` to the last valid values."""
-        for value, held in zip(self.parameters.values(), self._held, strict=True):
-            mi.set_property(value, mi.Float(held))  # in place: mi.traverse has handed out this very object
 
     @property
     def front(self) -> str:

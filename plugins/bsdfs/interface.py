@@ -499,15 +499,25 @@ class Interface(mi.BSDF):
                 callback.put(name, value, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
+        before = self._valid_values()
         try:
-            self._take_glasses()
-            if self._parameters():  # a nested coating looks after its own
-                self._rebuild()
+            self._apply()
         except MistrayError:
-            self._glasses.restore()
-            for value, held in zip(self._parameters().values(), self._held, strict=True):
+            for value, held in before:
                 mi.set_property(value, mi.Float(held))  # in place: mi.traverse has handed out this very object
+            self._apply()
             raise
+
+    def _valid_values(self) -> list[tuple[mi.Float, np.ndarray]]:
+        """Return the parameters that this plugin owns, each with the last value that `_apply` has accepted."""
+        own = zip(self._parameters().values(), self._held, strict=True)
+        return [*zip(self._glasses.parameters.values(), self._glasses.held, strict=True), *own]
+
+    def _apply(self) -> None:
+        """Apply new values of the parameters; if one is not valid, raise `MistrayError`, perhaps after others."""
+        self._take_glasses()
+        if self._parameters():  # a nested coating looks after its own
+            self._rebuild()
 
     def to_string(self) -> str:
         mirror = ", mirror" if self.mirror else ""

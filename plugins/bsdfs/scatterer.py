@@ -124,14 +124,12 @@ class Scatterer(Interface):
         for name, value in self.values.items():
             callback.put(name, value, mi.ParamFlags.Differentiable)
 
-    def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
-        super().parameters_changed(keys)
-        try:
-            self.rebuild_model()
-        except MistrayError:
-            for value, held in zip(self.values.values(), self._model_held, strict=True):
-                mi.set_property(value, mi.Float(held))  # in place: mi.traverse has handed out this very object
-            raise
+    def _valid_values(self) -> list[tuple[mi.Float, np.ndarray]]:
+        return [*super()._valid_values(), *zip(self.values.values(), self._model_held, strict=True)]
+
+    def _apply(self) -> None:
+        super()._apply()
+        self.rebuild_model()
 
     def to_string(self) -> str:
         inside = [f"{name} = {float(value[0]):g}" for name, value in self.values.items()]

@@ -166,6 +166,13 @@ class LightSource(mi.Emitter):
         band = self._numbers("band_nm", props["band_nm"]) if "band_nm" in props else None
         return band, BAND["bands"].of(props, "bands", self.owner)
 
+    def check(self) -> None:
+        """
+        Raise `MistrayError` if numbers in `values`, each in its range, do not go together; in the base class they do.
+
+        Updates call it. A subclass with such a condition calls it from its constructor as well.
+        """
+
     @property
     def polarized(self) -> bool:
         """True if the light is polarised."""
@@ -319,14 +326,16 @@ class LightSource(mi.Emitter):
         given = {key: float(dr.detach(value)[0]) for key, value in self.parameters.items()}
         # Values are compared as rounded, so that unchanged ones keep the digits of the scene
         changed = {key: value for key, value in given.items() if value != float(np.float32(self.values[key]))}
+        before, self.values = self.values, self.values | changed
         try:
             for key, value in changed.items():
                 self.ranges[key].check(key, value, self.owner)
+            self.check()
         except MistrayError:
+            self.values = before
             for key in changed:
-                self.parameters[key][0] = self.values[key]
+                self.parameters[key][0] = before[key]
             raise
-        self.values |= changed
 
     # Mitsuba's own protocol, for its particle tracer
 

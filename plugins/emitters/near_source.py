@@ -242,17 +242,21 @@ class ConeSource(NearSource):
         Limit the half angle of the cone to 90° if the exponent is not 0.
 
         If a density sets the flux, the half angle and the parameters `sizes`, which change it, have no derivatives.
-        Raise `MistrayError` if a scene gives a larger half angle.
+        Raise `MistrayError` if a scene gives a larger half angle, or for another reason of `check`.
         """
-        exponent, angle = self.values["exponent"], self.values["half_angle_deg"]
-        if exponent and angle > 90:
-            if "half_angle_deg" in props:
-                self._fail(f"half_angle_deg is {angle:g} with an exponent of {exponent:g}; give at most 90")
-            self.values["half_angle_deg"] = 90.0
+        exponent = self.values["exponent"]
+        if exponent and "half_angle_deg" not in props:
+            self.values["half_angle_deg"] = min(self.values["half_angle_deg"], 90.0)
+        self.check()
         if self.given[0] != "power":
             self._keep_parameters(set(self.differentiable) - {"half_angle_deg", *sizes})
         elif self.values["half_angle_deg"] == 90.0 and exponent:
             self._keep_parameters(set(self.differentiable) - {"half_angle_deg"})  # a hemisphere cannot grow
+
+    def check(self) -> None:
+        exponent, angle = self.values["exponent"], self.values["half_angle_deg"]
+        if exponent and angle > 90:
+            self._fail(f"half_angle_deg is {angle:g} with an exponent of {exponent:g}; give at most 90")
 
     @property
     def half_angle(self) -> float:

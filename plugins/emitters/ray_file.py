@@ -32,8 +32,8 @@ class RayFile(LightSource):
 
     .. parameters::
 
-    Each wavelength of the file is traced separately; if there are more than 32, near ones are combined. With
-    ``wavelength_nm`` in a call all rays have that wavelength.
+    Each wavelength of the file is traced separately; if there are more than 32, near ones are combined. One with a
+    sixteenth of the flux or more is never combined. With ``wavelength_nm`` in a call all rays have that wavelength.
 
     .. code-block:: xml
 
@@ -74,17 +74,14 @@ class RayFile(LightSource):
     def _take_lines(self) -> None:
         """Group the rays of the file by wavelength; near wavelengths are combined if more than `MOST_LINES`."""
         wavelength, flux = self.rays_of_file.wavelength_nm, self.rays_of_file.flux_W
-        lit = flux > 0
-        if len(np.unique(wavelength[lit])) <= MOST_LINES:
-            edges = np.unique(wavelength[lit])
-            line = np.searchsorted(edges, wavelength)
-        else:
-            order = np.argsort(wavelength, kind="stable")
-            share = np.cumsum(flux[order]) / flux.sum()
-            line = np.empty(len(flux), dtype=np.int64)
-            line[order] = np.minimum(np.ceil(share * MOST_LINES - 1e-9).astype(np.int64), MOST_LINES) - 1
-        numbers = [np.flatnonzero((line == k) & lit) for k in range(int(line.max()) + 1)]
-        self._lines = [rays for rays in numbers if len(rays)]
+        lit = np.flatnonzero(flux > 0)
+        _, line = np.unique(wavelength[lit], return_inverse=True)
+        sums = np.bincount(line, flux[lit])
+        if len(sums) > MOST_LINES:
+            # By the middle of a wavelength's share: a strong wavelength is neither divided nor combined with others
+            share = (np.cumsum(sums) - 0.5 * sums) / sums.sum()
+            line = np.minimum(share * MOST_LINES, MOST_LINES - 1).astype(np.int64)[line]
+        self._lines = [lit[line == k] for k in np.unique(line)]
         sums = np.array([flux[rays].sum() for rays in self._lines])
         means = [np.average(wavelength[rays], weights=flux[rays]) for rays in self._lines]
         # A single wavelength is kept exactly, without the rounding of a mean

@@ -70,13 +70,19 @@ class SurfaceSource(ConeSource):
         self.rectangular = "half_width" in props or "half_height" in props
         if self.rectangular == ("radius" in props):
             self._fail("give either radius, or half_width and half_height")
-        for key in ("half_width", "half_height") if self.rectangular else ("radius",):
+        self._limit_cone(props, self._sizes)
+        self._keep_parameters(set(self.differentiable) - (set(SIZES) - set(self._sizes)))
+
+    @property
+    def _sizes(self) -> tuple[str, ...]:
+        return ("half_width", "half_height") if self.rectangular else ("radius",)
+
+    def check(self) -> None:
+        for key in self._sizes:
             SIZE_MM.check(key, self.values[key], self.owner)
         if not self.rectangular and not self.values["inner_radius"] < self.values["radius"]:
             self._fail(f"inner_radius is {self.values['inner_radius']:g} mm; it must be less than radius")
-        sizes = ("half_width", "half_height") if self.rectangular else ("radius",)
-        self._limit_cone(props, sizes)
-        self._keep_parameters(set(self.differentiable) - (set(SIZES) - set(sizes)))
+        super().check()
 
     @property
     def area(self) -> float:

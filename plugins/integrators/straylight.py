@@ -16,7 +16,7 @@ from mistray.execute.tracer import prepare
 from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
 from mistray.gradients.edge_widths import least_error, widths_of
 from mistray.gradients.frozen_tangent import run_tangent
-from mistray.gradients.geometry_gradient import geometry_columns
+from mistray.gradients.geometry_gradient import geometry_columns, shape_parameters
 from mistray.gradients.parameter_gradient import gathered, without_derivative
 from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest
@@ -43,10 +43,11 @@ class StrayLight(mi.CppADIntegrator):
 
     .. parameters::
 
-    ``spp`` > 0 of ``mi.render`` requests spp × pixels start rays, and its ``seed`` is added to that of the integrator.
-    The detector counts among the surfaces of ``max_events``. Roulette, scatter by chance below ``scatter_threshold``
-    and ``one`` are unbiased. ``allow_all`` stands for the letters "TRIMtrA", ``transmit_specular`` for "TIMA",
-    ``reflect_specular`` for "RIMA", and ``halt_all`` for "A". Light is also "stokes" where a source is polarised.
+    ``spp`` > 0 of ``mi.render`` requests spp start rays for each pixel of that tensor. Its ``seed`` is added to that of
+    the integrator. The detector counts among the surfaces of ``max_events``. Roulette, scatter by chance below
+    ``scatter_threshold`` and ``one`` are unbiased. ``allow_all`` stands for the letters "TRIMtrA",
+    ``transmit_specular`` for "TIMA", ``reflect_specular`` for "RIMA", and ``halt_all`` for "A". Light is also "stokes"
+    where a source is polarised.
 
     None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives with
     respect to coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.metrics.parameters`
@@ -93,9 +94,8 @@ class StrayLight(mi.CppADIntegrator):
 
         An `spp` of 0 keeps the integrator's own number of rays.
         """
-        size = sensor.film().size()
-        rays = spp * int(size[0]) * int(size[1]) if spp else self.settings.rays
         own = self.settings.resolved(scene)
+        rays = spp * _pixels(scene, sensor, own) if spp else own.rays
         return replace(own, rays=rays, seed=(own.seed + int(mi.UInt32(seed)[0])) % 2**32)
 
     def _detector(self, sensor: mi.Sensor) -> str | None:
@@ -198,6 +198,17 @@ class StrayLight(mi.CppADIntegrator):
         return f"StrayLight[{inside}]"
 
 
+def _pixels(scene: mi.Scene, sensor: mi.Sensor, settings: Settings) -> int:
+    """Return the number of pixels of the image that a rendering gives for a sensor."""
+    if not isinstance(sensor, PassingSensor):
+        width, height = sensor.film().size()
+        return int(width) * int(height)
+    recorder = sensor.recorder()
+    if not sensor.placed:  # it has pixels for each surface
+        recorder.lay_out(prepare(scene, settings)[0].table)
+    return recorder.image_size
+
+
 def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
     """
     Return kind and value of each scene parameter that carries derivatives, by id() of its plugin and name.
@@ -214,7 +225,7 @@ def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
         bsdf = shape.bsdf()
         film = getattr(bsdf, "film", None)
         groups = [
-            ("shape", shape, getattr(shape, "parameters", {})),
+            ("shape", shape, {name: shape.parameters[name] for name in shape_parameters(shape)}),
             ("index", bsdf, getattr(bsdf, "shifts", {})),
             ("coating", film, {name: getattr(film, name) for name in COATING if hasattr(film, name)}),
             *(("scatter", one, one.values) for one in getattr(bsdf, "scatterers", ())),

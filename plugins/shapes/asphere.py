@@ -157,8 +157,9 @@ class Asphere(Revolution):
         return SagSurface.of(*shape, outer=values["semi_diameter"], inner=values["inner_semi_diameter"])
 
     @property
-    def differentiable(self) -> tuple[str, ...]:
-        return tuple(name for name in self.values if name != "inner_semi_diameter" or self.values[name])
+    def held(self) -> set[str]:
+        """Names of the parameters without derivative: the radius of a hole if it is 0."""
+        return {name for name in ("inner_semi_diameter",) if self.values.get(name) == 0}
 
     def step(self, name: str) -> float:
         if name in MOVES:

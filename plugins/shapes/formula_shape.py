@@ -112,7 +112,11 @@ class FormulaShape(mi.Mesh):
         self.check()
 
     def check(self) -> None:
-        """Raise `MistrayError` if a parameter of the shape is out of range, or if parameters do not go together."""
+        """
+        Raise `MistrayError` if a parameter of the shape is out of range, or if parameters do not go together.
+
+        It may keep what follows from `values`: after a refused update it is called again, with the values before.
+        """
         raise NotImplementedError
 
     @property
@@ -212,12 +216,14 @@ class FormulaShape(mi.Mesh):
         before, self.values = self.values, self.values | changed
         try:
             self._check_all()
+            mesh = self._checked_mesh()
         except MistrayError:
             self.values = before
             for key in changed:
                 self.parameters[key][0] = before[key]
+            self.check()  # a subclass keeps there what follows from its values
             raise
-        write_mesh(self, *self._checked_mesh())
+        write_mesh(self, *mesh)
 
     def _rounded(self, key: str, value: float) -> float:
         """Return a value as the parameter holds it, in single precision unless it is in `in_double`."""

@@ -88,11 +88,10 @@ class Frustum(Revolution):
         return vertex
 
     @property
-    def differentiable(self) -> tuple[str, ...]:
-        """Names of the parameters with derivatives: all but radii that are 0, and ``z0`` and ``z1`` of an annulus."""
-        without = {name for name in ("r0", "r1") if self.values[name] == 0}
-        without |= {"z0", "z1"} if self.flat else set()
-        return tuple(name for name in self.values if name not in without)
+    def held(self) -> set[str]:
+        """Names of the parameters without derivative: radii that are 0, and ``z0`` and ``z1`` of an annulus."""
+        radii = {name for name in ("r0", "r1") if self.values[name] == 0}
+        return radii | {"z0", "z1"} if self.flat else radii
 
     def step(self, name: str) -> float:
         v = self.values

@@ -286,6 +286,10 @@ def test_two_shifts_are_two_media_and_bad_updates_change_nothing() -> None:
         assert bsdf.indices(550.0) == (1.0, 1.5)
         assert (bsdf.R[0], bsdf.T[0]) == pytest.approx((0.1, 0.8))
         np.testing.assert_array_equal(np.array(mi.traverse(bsdf)[key]), before)
+    params["R"], params["n_back_shift"] = mi.Float(2.0), mi.Float(0.1)
+    with pytest.raises(mistray.MistrayError, match=r"R = 2 and T = 0\.8"):
+        params.update()
+    assert (bsdf.indices(550.0), float(params["n_back_shift"][0])) == ((1.0, 1.5), 0.0)
     params["R"], params["T"] = mi.Float(0.5), mi.Float(0.5)
     params.update()
     assert (bsdf.R[0], bsdf.T[0]) == (0.5, 0.5)

@@ -61,6 +61,21 @@ def test_vertices_have_no_derivative(scene: mi.Scene) -> None:
         dr.disable_grad(params[key])
 
 
+def test_the_place_of_a_flat_ring_along_its_cylinder_has_no_derivative() -> None:
+    ring = {"type": "frustum", "r0": 2.0, "r1": 8.0, "z0": -5.0, "z1": -5.0, "bsdf": scene_dicts.BLACK}
+    here = scene_dicts.load(
+        integrator={"type": "straylight", "rays": 16},
+        beam={"type": "collimated", "radius": 4.0},
+        ring=ring,
+        detector=scene_dicts.detector(10, semi_diameter=3.0),
+    )
+    params = mi.traverse(here)
+    dr.enable_grad(params["ring.z0"])
+    params.update()
+    with pytest.raises(MistrayError, match=r"no derivative with respect to 'ring\.z0'"):
+        dr.backward(dr.sum(mi.render(here, params).array))
+
+
 CODE = """
 import mistray, mitsuba as mi
 for variant in {variants!r}:
@@ -225,6 +240,23 @@ def test_light_of_surfaces_and_a_probe_under_stock_integrators() -> None:
         integrator={"type": "path"},
     )
     assert np.array(mi.render(scene, spp=4)) == pytest.approx(2 * np.pi, rel=1e-5)
+
+
+@pytest.mark.long
+def test_spp_counts_the_pixels_of_each_sensor() -> None:
+    """A picture by `spp` is that of a trace by so many rays for each of its pixels."""
+    scene = scene_dicts.load(
+        beam={"type": "collimated", "half_width": 3.0, "half_height": 2.0},
+        detector=scene_dicts.detector(9.0, half_width=3.0, half_height=2.0),
+        maps={"type": "surface_maps", "surfaces": "detector", "azimuths": 6, "lengths": 4},
+        split={"type": "flux_split", "surfaces": "detector"},
+        plane={"type": "probe", "directions": 2, "to_world": scene_dicts.at(-1)},
+        integrator={"type": "straylight"},
+    )
+    pixels = {"maps": 24, "split": 6, "plane": 64 * 64}
+    for sensor in (sensor for sensor in scene.sensors() if sensor.id() in pixels):
+        image = mistray.trace(scene, rays=10 * pixels[sensor.id()]).recorders[sensor.id()].image[0]
+        np.testing.assert_allclose(np.array(mi.render(scene, sensor=sensor, spp=10))[:, :, 0], image, rtol=1e-6)
 
 
 @pytest.mark.quick

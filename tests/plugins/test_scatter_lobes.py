@@ -411,6 +411,13 @@ class TestScene:
         parameters["abg.B"] = mi.Float(0.001, 0.002)
         with pytest.raises(MistrayError, match="B has 2 entries"):
             parameters.update()
+        parameters = mi.traverse(mirror)
+        parameters["R"], parameters["n_back_shift"] = mi.Float(0.3), mi.Float(0.1)
+        parameters["g"] = mi.Float(-1.0)
+        with pytest.raises(MistrayError, match="g is -1"):
+            parameters.update()
+        assert (float(mirror.R[0]), mirror.coating.R) == pytest.approx((0.9, 0.9))
+        assert mirror.indices(550.0) == (1.0, 1.5)
 
     def test_errors_name_the_shape(self) -> None:
         for values, words in (

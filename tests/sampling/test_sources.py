@@ -357,6 +357,25 @@ def test_solid_angle_of_a_cone(exponent: float, half_angle_deg: float) -> None:
     assert cosine_power_angle(exponent, float(np.radians(half_angle_deg))) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("lamp", "key", "value", "words"),
+    [
+        ({"type": "surface_source", "radius": 1.0, "inner_radius": 0.5}, "radius", 0.4, "inner_radius is 0.5 mm"),
+        ({"type": "surface_source", "radius": 1.0}, "radius", 0.0, "radius is 0"),
+        ({"type": "point_source", "half_angle_deg": 60.0, "exponent": 1.0}, "half_angle_deg", 120.0, "at most 90"),
+    ],
+)
+def test_an_update_is_refused_as_a_scene_is(lamp: dict[str, Any], key: str, value: float, words: str) -> None:
+    with refused("source 'lamp'", words):
+        lit({**lamp, key: value})
+    made = lit(lamp).emitters()[0]
+    params = mi.traverse(made)
+    params[key] = mi.Float(value)
+    with refused("source 'lamp'", words):
+        params.update()
+    assert made.values[key] == float(mi.traverse(made)[key][0]) == lamp[key]
+
+
 def test_a_rough_axis_is_named() -> None:
     """1e-7 rad is 6 % of 1e-4 degrees; frames without a turn, or in double precision, are exact."""
     source = {"type": "point_source", "z": -100.0, "half_angle_deg": 1e-4}

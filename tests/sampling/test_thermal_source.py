@@ -379,6 +379,13 @@ def test_flux_and_wavelengths(tmp_path: Path) -> None:
     assert made.power() == 2.0
     assert np.all(np.diff(made.wavelengths_nm) > 0)
     assert made.weights == pytest.approx(np.full(32, 1 / 32), rel=0.2)
+    # A strong line among 40 weak ones is one wavelength, with its own share
+    nm = np.concatenate([np.full(1000, 546.1), np.repeat(np.linspace(400, 700, 40), 25)])
+    save_ray_set(tmp_path / "line.csv", RaySet(many.origins[:2000], many.directions[:2000], np.ones(2000), nm))
+    made = mi.load_dict({"type": "ray_file", "filename": str(tmp_path / "line.csv")})
+    assert len(made.wavelengths_nm) == len(set(made.wavelengths_nm.tolist())) <= 32
+    assert dict(zip(made.wavelengths_nm.tolist(), made.weights, strict=True))[546.1] == pytest.approx(0.5)
+    assert made.weights @ made.wavelengths_nm == pytest.approx(nm.mean())
 
 
 def tm25(

@@ -182,6 +182,34 @@ def test_bad_input_names_the_shape() -> None:
             scene({"type": "freeform", **numbers})
 
 
+CURVED = {"type": "freeform", "radius": 50.0, "xy_12_12": 0.0, "semi_diameter": 10.0}
+FLAT = {"type": "asphere", "semi_diameter": 10.0}
+
+
+@pytest.mark.parametrize(
+    ("shape", "changes", "words"),
+    [
+        (CURVED, {"xy_12_12": 1e-18}, "single precision has its sag"),
+        (CURVED, {"semi_diameter": 60.0}, "its sag ends"),
+        (FLAT, {"x": 9e11, "semi_diameter": 9e11}, "it reaches"),
+    ],
+)
+def test_a_refused_update_leaves_the_surface(shape: dict[str, Any], changes: dict[str, float], words: str) -> None:
+    """Its numbers, its mesh and the surface that is traced."""
+    here = scene(shape)
+    params = mi.traverse(here)
+    names = [f"shape.{name}" for name in (*changes, "vertex_positions")]
+    before = [np.array(params[name]) for name in names]
+    light = mistray.trace(here, rays=500).irradiance
+    for name, value in changes.items():
+        params[f"shape.{name}"] = type(params[f"shape.{name}"])(value)
+    with refused("shape 'shape'", words):
+        params.update()
+    for name, value in zip(names, before, strict=True):
+        np.testing.assert_array_equal(np.array(mi.traverse(here)[name]), value)
+    np.testing.assert_array_equal(mistray.trace(here, rays=500).irradiance, light)
+
+
 SIZE = 9.0
 MIRROR = {"type": "interface", "R": 0.9, "mirror": True}
 

@@ -163,6 +163,8 @@ def test_parts_of_a_trace() -> None:
         ([(3, 4), (1, 10)], 10),  # unless the plan is another one
         ([(SimpleNamespace(share_done=0.25),)], 25),
         ([("scatter", SimpleNamespace(share_done=0.25))], 25),
+        ([(SimpleNamespace(share_done=0.25), object())], 25),  # a step and its start
+        ([("lenses", 1, 4)], 25),
         ([(2, "objects", 0.3)], 30),
         ([(object(), object())], 0),
         ([()], 0),

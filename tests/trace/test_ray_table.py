@@ -274,8 +274,12 @@ def test_rays_of_the_ledger_filters_and_numbers(traced) -> None:
     assert escaped.flux_W.sum() + missed == pytest.approx(traced.energy.escaped_W, rel=1e-5)
     returned = traced.rays_at("returned", n=None)
     assert len(returned) == (escaped.dz < 0).sum() > 0  # the light goes along z
-    table = traced.rays_at("window_front", "R(window_rear)", n=7)
+    table = traced.rays_at("window_front", "R(window_rear)", n=7.0)
     assert len(table) == 7
+    for whole in (traced.rays, lambda n: traced.rays_at("escaped", n=n), lambda n: traced.sampled_rays(0, n)):
+        assert len(whole(n=2.0))
+        with pytest.raises(mistray.MistrayError, match=r"n is 2\.5; it must be a whole number"):
+            whole(n=2.5)
     assert table.history.str.contains("window_rear:SpecRefl").all()
     nodes = traced.rays_at("escaped", n=5, events=True)
     assert nodes.ray.nunique() == 5
@@ -288,6 +292,24 @@ def test_rays_of_the_ledger_filters_and_numbers(traced) -> None:
     ):
         with pytest.raises(mistray.MistrayError, match=words):
             traced.rays_at(where, selection)
+
+
+def test_the_flux_at_the_start_of_aimed_rays() -> None:
+    """Most rays of a far lamp are sent to the lens, with small weights; in vacuum a ray keeps its flux."""
+    lamp = {"type": "point_source", "z": -200.0}
+    front = {"type": "asphere", "semi_diameter": 10.0, "bsdf": {"type": "interface", "back": "1.5"}}
+    rear = {**front, "z": 4.0, "bsdf": {"type": "interface", "front": "1.5"}}
+    t = mistray.trace(lit(lamp, front=front, rear=rear, detector=square(20.0, z=60.0)), rays=4000)
+    unit = t.energy.launched_W / t.rays_traced
+    sampled = t.sampled_rays(0, 5)[0]
+    tables = [t.history(0, n=5).to_pandas(), t.rays(n=5, events=True), t.rays_at("front", n=5, events=True)]
+    for flux in [table.flux_W[table.node == k].to_numpy() for table in tables for k in (0, 1)]:
+        assert 0 < flux.min() < 0.1 * unit
+    for table in tables:
+        start, first = (table.flux_W[table.node == k].to_numpy() for k in (0, 1))
+        np.testing.assert_allclose(start, first, rtol=1e-6)
+    for ray in sampled:
+        assert ray.flux_W[0] == pytest.approx(ray.flux_W[1], rel=1e-6)
 
 
 def test_the_command_writes_rays_that_arrive(tmp_path, capsys):

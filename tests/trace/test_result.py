@@ -155,10 +155,10 @@ class TestPathTable:
 def test_history(triplet) -> None:
     row = triplet.paths[1]
     history = triplet.history(row.path_id, 5)
-    assert len(history) == 5
+    assert len(history) == len(triplet.history(row.path_id, 5.0)) == 5
     rare = triplet.paths[-1]
     assert len(triplet.history(rare.path_id, 100_000)) == rare.rays
-    for wrong, words in (((0, 0), "n is 0"), ((-1,), "path_id -1 does not exist")):
+    for wrong, words in (((0, 0), "n is 0"), ((0, 2.5), "n is 2.5"), ((-1,), "path_id -1 does not exist")):
         with pytest.raises(mistray.MistrayError, match=words):
             triplet.history(*wrong)
     table = history.to_pandas()

@@ -129,6 +129,11 @@ class PassingLight(Recorder):
         raise NotImplementedError
 
     @property
+    def image_size(self) -> int:
+        """Number of pixels of `image`, which may depend on the surfaces of `lay_out`; in the base class of cells."""
+        return self.cells
+
+    @property
     def flux(self) -> Sampled:
         """
         Flux of each cell with its noise, (cells,), W, over all sources and wavelengths so far.

@@ -151,6 +151,11 @@ class Probe(PassingLight):
     image = irradiance
 
     @property
+    def image_size(self) -> int:
+        """Number of pixels of the rectangle."""
+        return self._pixels[0] * self._pixels[1]
+
+    @property
     def radiance(self) -> tuple[np.ndarray, np.ndarray]:
         """
         Radiance by pixel and direction, and its standard error: (height, width, directions, directions), W/(mm² sr).

@@ -330,6 +330,11 @@ class SurfaceMaps(SurfaceLight):
         both = [one.irradiance for one in self.maps.values()]
         return np.concatenate([value for value, _ in both]), np.concatenate([se for _, se in both])
 
+    @property
+    def image_size(self) -> int:
+        """Number of cells of all maps."""
+        return self.cells // KINDS
+
 
 def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> Array:
     """

@@ -46,8 +46,8 @@ def surface_optics(table: SurfaceTable, path: DesignPath | None) -> tuple[pd.Dat
     """
     Return R, T, A, scatter models and total integrated scatter (TIS) of every surface at normal incidence, percent.
 
-    Optics of the design path are given for the side from which its light meets them, the last time, all others for both
-    sides, in one row if both are alike. Percentages are of the incident light.
+    Optics of the design path are given for the side or sides from which its light meets them, all others for both. Two
+    sides are in one row if they are alike. Percentages are of the incident light.
 
     Parameters
     ----------
@@ -67,15 +67,13 @@ def surface_optics(table: SurfaceTable, path: DesignPath | None) -> tuple[pd.Dat
     models : DataFrame
         Columns surface, side, model, TIS_reflected_percent, TIS_transmitted_percent: each scatter model alone.
     """
-    from_front = {step.surface: step.from_front for step in path.steps} if path else {}
+    passed = {(step.surface, step.from_front) for step in path.steps} if path else set()
     rows, models = [], []
     for i in table.listed:
-        if i in from_front:
-            sides = {"front" if from_front[i] else "back": from_front[i]}
-        else:
-            sides = {"front": True, "back": False}
         numbers = {}
-        for name, front in sides.items():
+        for name, front in (("front", True), ("back", False)):
+            if (i, not front) in passed and (i, front) not in passed:
+                continue  # the light of the design path comes from the other side alone
             numbers[name] = _budget(table, i, front)
             models += _models(table, i, name, front)
         common: dict[str, Any] = {"surface": table.ids[i], "part": table.parts[i], "role": role(table, path, i)}

@@ -99,6 +99,7 @@ class TestMethods:
     def test_no_more_steps_than_asked_for(self, optimizer: Optimizer) -> None:
         done = searches(Bowl([0.3, 0.6]), replace(optimizer, steps=3), begin([1, 9]))
         assert [step.step for step in done.steps] == [0, 1, 2, 3]
+        assert [step.share_done for step in done.steps] == [0.25, 0.5, 0.75, 1.0]
         assert done.ended == {0: "all steps used"}
         none = searches(Bowl([0.3, 0.6]), replace(optimizer, steps=0), begin([1, 9]))
         assert (len(none.steps), none.ended) == (1, {0: "all steps used"})

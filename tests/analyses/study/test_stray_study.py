@@ -111,6 +111,28 @@ def test_tilted_and_rectangular_parts_reach_to_their_rims():
     assert (tube["shape"], plate["shape"]) == ("cone, tilted", "rectangle, tilted")
 
 
+def test_a_surface_that_light_passes_twice_has_a_row_for_each_side():
+    """The front of a second-surface mirror: in glass the phase of reflected light is n times as large, TIS ~ n²."""
+    polish = {"type": "harvey_shack", "rms_nm": 4.0, "l": 0.005, "s": -1.5}
+    face = {"type": "asphere", "semi_diameter": 20.0}
+    scene = mistray.load({
+        "type": "scene",
+        "light": {"type": "collimated", "radius": 2.0, "field_deg": 10.0, "wavelength_nm": 550.0},
+        "front": {**face, "bsdf": {"type": "interface", "back": "1.5", "polish": polish}},
+        "rear": {**face, "z": 5.0, "bsdf": {"type": "interface", "front": "1.5", "R": 0.95, "mirror": True}},
+        "film": {"type": "asphere", "semi_diameter": 4.0, "y": 10.0, "z": -50.0, "sensor": {"type": "irradiancemeter"},
+                 "bsdf": {"type": "interface", "R": 0.0}},
+    })  # fmt: skip
+    table = SurfaceTable(scene, 550.0)
+    path = find_design_path(table, scene)
+    assert [table.ids[step.surface] for step in path.steps] == ["front", "rear", "front", "film"]
+    frame = coatings_and_scatter(table, path).tables["surface_budget"].set_index("surface")
+    assert frame.side["rear"] == "front"
+    front = frame.loc["front"].set_index("side")
+    assert list(front.index) == ["front", "back"]
+    assert front.TIS_reflected_percent["back"] / front.TIS_reflected_percent["front"] == pytest.approx(1.5**2, rel=1e-3)
+
+
 def test_structure_has_extents_and_roles(camera):
     _, table, path = camera
     frame = mechanical_model(table, path).table.set_index("surface")

@@ -196,6 +196,9 @@ class Searches:
 
     def _note(self, start: int, step: int, at: Evaluation, new: bool) -> None:
         """Store step number `step` of a search, and report it if it is `new`, not one made before an interruption."""
+        starts, most = len(self.state.starts), self.optimizer.steps
+        searches = min(starts, self.optimizer.searches)
+        done = starts + len(self.ended) * most + step if step else start + 1
         self.steps.append(
             Step(
                 start=start,
@@ -208,6 +211,7 @@ class Searches:
                 gradient_norm=float(np.linalg.norm(at.free_slope)),
                 seconds=at.seconds,
                 x=tuple(self.values(at.y).tolist()),
+                share_done=min(done / (starts + searches * most), 1.0),  # steps of an earlier run may be more
             )
         )
         if new and self.progress is not None:

@@ -99,6 +99,8 @@ class Step:
         Time since the beginning of the optimisation, s, without interruptions.
     x : tuple of float
         Values of the variables, in their units.
+    share_done : float
+        Part of the work of all searches that is done, 0 … 1, as if each took all of its steps.
 
     Examples
     --------
@@ -125,6 +127,7 @@ class Step:
     gradient_norm: float
     seconds: float
     x: tuple[float, ...]
+    share_done: float = field(compare=False)
 
 
 @dataclass
