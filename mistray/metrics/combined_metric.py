@@ -72,7 +72,7 @@ def combine(
     Raises
     ------
     MistrayError
-        If there is no metric, one is not a `Metric`, or they belong to several scenes.
+        If there is no metric, one is not a `Metric`, they belong to several scenes, or their `times` differ.
 
     Examples
     --------
@@ -91,9 +91,14 @@ def combine(
     scenes = {id(metric.scene) for metric in parts.values()}
     if len(scenes) > 1:
         raise MistrayError(f"the metrics {', '.join(metrics)} are of {len(scenes)} scenes; make all from one scene")
+    times = {key: metric.times for key, metric in parts.items()}
+    if len(set(times.values())) > 1:
+        told = ", ".join(f"{key} {value:g}" for key, value in times.items())
+        raise MistrayError(f"the metrics trace unequal multiples of their rays: {told}; give all the same `times`")
 
     def of_parts(observations: list[Any]) -> Any:
         return function(combined.values(observations))
 
-    combined = CombinedMetric(next(iter(parts.values())).scene, of_parts, unit=unit, name=name, parts=parts)
+    first = next(iter(parts.values()))
+    combined = CombinedMetric(first.scene, of_parts, unit=unit, name=name, times=first.times, parts=parts)
     return combined

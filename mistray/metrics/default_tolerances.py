@@ -37,7 +37,8 @@ import numpy as np
 from mistray.coatings import Stack
 from mistray.gradients.coating_gradient import IDEAL_PARAMETERS, SHIFTS
 from mistray.gradients.scatter_gradient import fixed
-from mistray.physics.geometry.sag import sag
+from mistray.physics.geometry.outline import Outline
+from mistray.physics.geometry.sag import conic_end, sag
 from mistray.physics.sags.terms import length_power
 from mistray.ranges import Range
 from mistray.surfaces.gradient_columns import COEFFICIENTS, DISPLACEMENT, ROTATION
@@ -99,7 +100,7 @@ def about_source(owner: Any, name: str, value: np.ndarray) -> About:
 
 def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
     """Return kind, unit, tolerance and range of a parameter of a shape's figure, rims or place; see `about_scatter`."""
-    v, size = shape.values, shape.outer_radius
+    v, size = shape.values, _size(shape)
 
     def length(usual: float) -> float:
         return min(usual, IN_PROPORTION * size)
@@ -116,35 +117,58 @@ def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
         low, high = (0.0, other) if v[name] < other else (other, math.inf)
         return "rim", "mm", length(RIM_MM), low, high
     if name not in (*CLEAR_APERTURE, "curvature", "conic", *COEFFICIENTS):  # of a family of one's own
-        return _about_own(name, size, length(RIM_MM), shape.ranges[name])
+        return _about_own(name, shape, length(RIM_MM), shape.ranges[name])
     c, k = v["curvature"], v["conic"]
+    if name in ("curvature", "conic") and {"curvature_x", "toroid_curvature"} & v.keys():
+        size = _size(shape, 1)
     if name in CLEAR_APERTURE:
         low = v.get("inner_semi_diameter", 0.0) if name == "semi_diameter" else 0.0
         end = 1 / (abs(c) * math.sqrt(1 + k)) if c and k > -1 else math.inf
         return "rim", "mm", length(RIM_MM), low, v["semi_diameter"] if name == "inner_semi_diameter" else end
     if name == "curvature":
         end = 1 / (size * math.sqrt(1 + k)) if k > -1 else math.inf
-        return "curvature", "1/mm", max(RADIUS * abs(c), 2 * FRINGES_MM / size**2), -end, end
+        return "curvature", "1/mm", _curvature_tolerance(c, size), -end, end
     if name == "conic":
         return "conic", "1", _conic_tolerance(c, k, size), -math.inf, 1 / (c * size) ** 2 - 1 if c else math.inf
     order = 4 + 2 * COEFFICIENTS.index(name)
     return "asphere", f"mm^{1 - order}", FORM_MM / size**order, -math.inf, math.inf
 
 
-def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
+def _about_own(name: str, shape: Any, rim_mm: float, within: Range) -> About:
     """
     Return kind, unit, usual tolerance and range of a freeform's sag parameter; other names count as sizes of a rim.
 
-    `size` is the outer radius of the shape and `rim_mm` the tolerance of a rim, mm; `within` gives the range.
+    `rim_mm` is the tolerance of a rim of the shape, mm, and `within` gives the range.
     """
     power = length_power(name)
     if power is None:
         turned = name.endswith("angle_deg")
         return "rim", "deg" if turned else "mm", ARCMIN if turned else rim_mm, within.low, within.high
-    kind = "curvature" if power == -1 and "curvature" in name else "conic" if name == "conic_x" else "asphere"
     unit = {1: "mm", 0: "1", -1: "1/mm"}.get(power, f"mm^{power}")
-    usual = 2 * FRINGES_MM / size**2 if kind == "curvature" else FORM_MM / size ** (1 - power)
-    return kind, unit, 1.0 if kind == "conic" else usual, within.low, within.high
+    if name == "conic_x":
+        usual = _conic_tolerance(shape.values.get("curvature_x", 0.0), shape.values[name], _size(shape, 0))
+        return "conic", unit, usual, within.low, within.high
+    if name in ("curvature_x", "toroid_curvature"):
+        return "curvature", unit, _curvature_tolerance(shape.values[name], _size(shape, 0)), within.low, within.high
+    return "asphere", unit, FORM_MM / _size(shape) ** (1 - power), within.low, within.high
+
+
+def _size(shape: Any, axis: int | None = None) -> float:
+    """
+    Return the radius of a shape's rim, mm; of an outline that is no circle about the vertex, a radius around it.
+
+    With an `axis`, 0 for x or 1 for y, it is the distance that an outline reaches along that axis.
+    """
+    outline: Outline | None = getattr(shape, "outline", None)
+    if outline is not None and axis is not None:
+        return max(map(abs, outline.bounds()[2 * axis : 2 * axis + 2]))
+    ring = None if outline is None else outline.annulus
+    return ring[0] if ring else float(shape.outer_radius)
+
+
+def _curvature_tolerance(curvature: float, size: float) -> float:
+    """Return the usual tolerance of a curvature, 1/mm, of a surface with a rim of radius `size`, mm."""
+    return max(RADIUS * abs(curvature), 2 * FRINGES_MM / size**2)
 
 
 def _conic_tolerance(curvature: float, conic: float, radius: float) -> float:
@@ -153,6 +177,7 @@ def _conic_tolerance(curvature: float, conic: float, radius: float) -> float:
 
     `curvature` is in 1/mm, `radius` that of the rim, mm.
     """
+    radius = min(radius, (1 - 1e-9) * conic_end(curvature, conic))
     lower = conic - 1e-4  # upwards a hemisphere would end
     slope = (sag(radius**2, curvature, conic) - sag(radius**2, curvature, lower)) / (conic - lower)
     return FORM_MM / abs(slope) if slope else 1.0

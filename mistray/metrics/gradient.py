@@ -176,7 +176,7 @@ class Gradient(
         """
         Return the derivative along a direction in which several parameters change at once, such as that of a body.
 
-        It is in the metric's unit per unit of the motion. Of a parameter with several entries, the first one moves.
+        It is in the metric's unit per unit of the motion. Of a parameter with several entries, all change.
 
         Parameters
         ----------
@@ -196,7 +196,9 @@ class Gradient(
             raise MistrayError(f"the gradient has no '{missing[0]}'; give it keys={sorted(slopes)}")
         self.require(used)
         widths = {key: self.edge_batches.get(key, self.batches[key][None]) for key in used}
-        sums = np.asarray(sum((slope * widths[key][..., 0] for key, slope in used.items()), np.zeros((1, BATCHES))))
+        sums = np.asarray(
+            sum((slope * widths[key].sum(axis=-1) for key, slope in used.items()), np.zeros((1, BATCHES)))
+        )
         if len(sums) == 1:  # no ray near a rim counts
             return Estimate(float(sums.sum()), float(batch_error(sums[0], EQUAL)))
         return Estimate(

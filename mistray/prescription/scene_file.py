@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -336,7 +337,7 @@ def _number(value: float) -> str:
 
 def comment_text(text: str) -> str:
     """Return a string escaped so that it is valid within an XML comment."""
-    return escape(text).replace("--", "- -")
+    return re.sub("-(?=-)", "- ", escape(text))
 
 
 def seen_from(folder: str | Path) -> Callable[[str], str]:

@@ -7,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 from oracles.scatter_integrals import disc_to_disc
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
@@ -18,6 +19,7 @@ from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import column_derivatives
 from mistray.metrics.changes.first_surfaces import Entering, FirstLight, spoils, together
 from mistray.metrics.changes.gaps import Contacts, Gap
+from mistray.metrics.changes.outlines import outlines
 from mistray.metrics.scene_values import changed
 from mistray.optimize import Body, bodies, parameters, path_power, read_study
 from mistray.physics.geometry.pose import moved
@@ -264,6 +266,45 @@ def test_straight_rims_of_a_prism() -> None:
         found = contacts.opened(scene)
     assert found
     assert all("body_3" in gap.surfaces and gap.gap_mm == pytest.approx(0.2, abs=1e-5) for gap in found)
+
+
+def mesh(name: str, vertices: list[tuple[float, float, float]], faces: list[tuple[int, ...]]) -> mi.Mesh:
+    """A black mesh; its last face has two corners at one place, as those of CAD programs may."""
+    found = mi.Mesh(name, len(vertices), len(faces) + 1)
+    params = mi.traverse(found)
+    params["vertex_positions"] = np.ravel(vertices)
+    params["faces"] = np.ravel([*faces, (faces[0][0], faces[0][0], faces[0][1])])
+    params.update()
+    found.set_bsdf(mi.load_dict({"type": "interface", "R": 0.0}))
+    return found
+
+
+def test_round_rims_of_meshes() -> None:
+    """A polygon of 64 sides closes a tube with the same corners, and the tube is drawn away from it by 0.3 mm."""
+    turn = 2 * np.pi * np.arange(64) / 64
+    ring = [(10.0 * math.cos(angle), 10.0 * math.sin(angle)) for angle in turn]
+    pairs = [(k, (k + 1) % 64) for k in range(64)]
+
+    def scene(lift: float) -> mi.Scene:
+        disc = mesh("disc", [(x, y, 0.0) for x, y in [*ring, (0.0, 0.0)]], [(j, k, 64) for j, k in pairs])
+        sides = [face for j, k in pairs for face in ((j, k, j + 64), (k, k + 64, j + 64))]
+        tube = mesh("tube", [(x, y, z + lift) for z in (0.0, 8.0) for x, y in ring], sides)
+        beam = {"type": "collimated", "radius": 1.0}
+        return scene_dicts.load(beam=beam, disc=disc, tube=tube, detector=scene_dicts.detector(20, semi_diameter=2.0))
+
+    contacts = Contacts(scene(0.0))
+    assert contacts.surfaces == {"disc", "tube"}
+    assert contacts.opened(scene(0.0)) == ()
+    assert only(contacts.opened(scene(0.3)), "disc", "tube") == pytest.approx(0.3, abs=1e-5)
+
+
+def test_a_triangle_without_area_has_no_inside() -> None:
+    """It lies on the border of two faces, or beside them; a point over them is as far as their plane."""
+    corners = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (0.0, 10.0, 0.0), (10.0, 10.0, 0.0), (5.0, 5.0, 0.0)])
+    faces = [(0, 1, 2), (1, 3, 2)]
+    for more in ((1, 1, 2), (1, 4, 2)):
+        (found,) = outlines(scene_dicts.load(wall=mesh("wall", corners.tolist(), [*faces, more])), ["wall"])
+        assert found.distance(np.array([(2.0, 2.0, 0.0), (2.0, 2.0, 3.0)])) == pytest.approx([0.0, 3.0], abs=1e-9)
 
 
 def light(unseen: float = 0.0, direct: float = 0.0, **power: float) -> FirstLight:

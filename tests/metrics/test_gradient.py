@@ -306,6 +306,9 @@ def test_ideal_coatings_elsewhere_and_a_shared_design() -> None:
     params.keep(["ar.thickness_nm", "ar.n_shift"])
     metric = path_power(shared, "ghost", rays=3000, field_deg=(0.0, 12.0), **TRACED)
     assert compare(metric, params, 6, seed=5) < TOLERANCE
+    # Along one slope all layers change: the derivatives of the entries add up
+    found = gradient(metric, params, "ar.thickness_nm")
+    assert found.along({"ar.thickness_nm": 2.0}).value == pytest.approx(2 * found.gradient["ar.thickness_nm"].sum())
 
 
 def film(layers: str, more: str = "") -> str:

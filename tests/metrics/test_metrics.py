@@ -202,6 +202,8 @@ class TestNumbers:
         metric = transmission(scene, rays=1001, max_reflections=0)
         (few,), (many,) = metric.observe(seed=3), metric.observe(2.0, seed=3)
         assert (few.trace.settings["rays"], many.trace.settings["rays"]) == (1001, 2002)
+        (more,) = combine({"light": metric.with_rays_times(2.0)}, lambda m: m["light"]).observe(1.5)
+        assert more.trace.settings["rays"] == 3003
         (usual,) = transmission(scene, max_reflections=0).observe(1e-4)
         assert usual.trace.settings["rays"] == 100
 
@@ -318,6 +320,10 @@ def test_refusals(scene) -> None:
         (
             lambda scene: combine({"a": rms_spot(scene), "b": rms_spot(mistray.load("plate"))}, lambda m: m["a"]),
             "the metrics a, b are of 2 scenes",
+        ),
+        (
+            lambda scene: combine({"a": rms_spot(scene), "b": rms_spot(scene).with_rays_times(4)}, lambda m: m["a"]),
+            "unequal multiples of their rays: a 1, b 4; give all the same `times`",
         ),
         (
             lambda scene: combine({"a": rms_spot(scene, rays=64)}, lambda m: float(m["a"][0])).value(),

@@ -153,6 +153,19 @@ def test_tolerances(known: dict[str, Any]) -> None:
                           "bsdf": {"type": "interface"}}).sag(np.array(5.0))
             for change in (0.0, known["front.conic"].tolerance)]  # fmt: skip
     assert abs(sags[1] - sags[0]) == pytest.approx(5e-4, rel=0.02)
+    # A biconic that is alike in x and y has the tolerances of the asphere for both; 0.1 % of a curvature is more
+    both = {"type": "freeform", "radius": 20.0, "conic": -0.5, "curvature_x": 0.05, "conic_x": -0.5}
+    both |= {"bsdf": {"type": "interface"}}
+    steep = both | {"curvature_x": 1 / 6, "conic_x": 0.0, "half_width": 4.9, "half_height": 4.9}
+    twins = parameters(scene(both=both | {"semi_diameter": 5.0}, steep=steep))
+    for name in ("curvature", "conic"):
+        (wanted,) = {twins[f"both.{name}{axis}"].tolerance for axis in ("", "_x")}
+        assert wanted == pytest.approx(known[f"front.{name}"].tolerance, rel=1e-9)
+    assert twins["steep.curvature_x"].tolerance == pytest.approx(1e-3 / 6)
+    # Its corners lie beyond R_x = 6 mm, its side does not: dz/dk = c³ x⁴/(2 s (1 + s)²), s² = 1 - c² x²
+    root = math.sqrt(1 - (4.9 / 6) ** 2)
+    slope = 4.9**4 / 6**3 / (2 * root * (1 + root) ** 2)
+    assert twins["steep.conic_x"].tolerance == pytest.approx(5e-4 / slope, rel=1e-3)
 
 
 def test_what_is_kept_or_without_use_and_groups() -> None:

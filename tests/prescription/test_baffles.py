@@ -302,10 +302,32 @@ def test_faces_are_boxes_and_what_cannot_be_a_spider():
         ({"vanes": 0}, "vanes is 0"),
         ({"thickness": 0.0}, "thickness is 0"),
         ({"inner_radius": 100.0}, "inner_radius is 100"),
-        ({"inner_radius": 0.5, "vanes": 4}, "overlap within 1"),
+        ({"inner_radius": 0.5, "vanes": 4}, "overlap within 1 mm"),
         by=lambda change: spider("s", **(KIND | change)),
         pattern="spider 's'.*{}",
     )
+
+
+@pytest.mark.parametrize("vanes", [3, 4, 5, 6, 9])
+@pytest.mark.parametrize("offset", [0.0, 0.4, -2.5])
+def test_vanes_may_begin_where_they_part(vanes, offset):
+    """Points of a fine grid in two vanes at once: none where `spider` lets them begin, some 0.1 mm nearer the axis."""
+    given = KIND | {"vanes": vanes, "offset": offset}
+    least = 0.0
+    try:
+        spider("s", **(given | {"inner_radius": 0.0}))
+    except mistray.MistrayError as refusal:
+        least = float(str(refusal).partition("within ")[2].partition(" mm")[0]) + 1e-5
+    spider("s", **(given | {"inner_radius": least}))
+    shared = []
+    for inner in (least, least - 0.1):
+        along, aside = np.meshgrid(inner + np.arange(0.005, 6.0, 0.01), offset + np.arange(-0.995, 1.0, 0.01))
+        turns = [2 * math.pi * k / vanes for k in range(1, vanes)]
+        others = [
+            (c * along + s * aside, c * aside - s * along) for c, s in ((math.cos(t), math.sin(t)) for t in turns)
+        ]
+        shared.append(any(np.any((u > inner) & (np.abs(v - offset) < 1.0)) for u, v in others))
+    assert shared == [False, least > 0.0]
 
 
 FIELD_DEG = 0.286

@@ -31,6 +31,7 @@ from mistray.prescription import (
 )
 from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
+from mistray.prescription.sequential.edge_rays import edge_rays
 from mistray.prescription.sequential.rays import to_world, trace
 from mistray.recorders import FarField, Probe
 
@@ -415,8 +416,14 @@ def test_the_source_and_what_is_no_lens():
     assert source.azimuth_deg == pytest.approx(-math.degrees(math.atan2(*tangents)), abs=1e-8)
     down = to_prescription(triplet(fields=((0.0, -5.0), (0.0, 5.0)))).source
     assert (down.field_deg, down.azimuth_deg) == (-5.0, 0.0)
+    # Of a near object it is the point of the first field, so that the chief ray starts there
+    near = triplet(object_distance=200.0, field_kind="object_height", fields=((3.0, -5.0), (0.0, 0.0)))
+    source = to_prescription(near).source
+    away, turn = -source.distance * math.tan(math.radians(source.field_deg)), math.radians(source.azimuth_deg)
+    assert (-away * math.sin(turn), away * math.cos(turn)) == pytest.approx((3.0, -5.0), abs=1e-6)
+    assert source.z - source.distance == pytest.approx(-200.0, rel=1e-12)
     built = build(triplet(fields=tuple((0.0, 0.1 * k) for k in range(200))))
-    assert "of 200 fields the 24 outermost give sizes and vignetting" in built.notes
+    assert "of 200 fields the first and the 23 outermost others give sizes and vignetting" in built.notes
     rows = triplet().rows
     many = [*rows[:-1], *(Row(number, thickness=0.1) for number in range(8, 501)), rows[-1]]
     for given, options, words in (
@@ -444,6 +451,28 @@ def test_crossing_surfaces_names_and_tilted_groups():
         assert shapes[name].semi_diameter == pytest.approx(knife, rel=0.01)
         assert shapes[name].semi_diameter < knife
     assert any("'S2' and 'S3' cross" in note for note in built.notes)
+    # So do both faces of a Mangin mirror, whose first one light meets twice, with the edge between them
+    mangin = lens(
+        Row(1, radius=50.0, thickness=2.0, material="1.5", semi_diameter=14.0, stop=True),
+        Row(2, radius=-50.0, thickness=-2.0, mirror=True, material="1.5", semi_diameter=14.0),
+        Row(3, radius=50.0, thickness=-30.0, semi_diameter=14.0),
+        Row(4, kind="image"),
+        aperture=8.0,
+    )
+    shapes = by_name(to_prescription(mangin))
+    assert shapes["S1"].semi_diameter == shapes["S2"].semi_diameter == shapes["L1_edge"].r0
+    assert shapes["S1"].semi_diameter == pytest.approx(knife, rel=0.01)
+    # It is as small as its beam, on the way back too, where it bulges through the stop before it
+    bulging = lens(
+        Row(1, stop=True, thickness=0.1),
+        Row(2, radius=-50.0, thickness=4.0, material="1.5", semi_diameter=14.0),
+        Row(3, radius=-80.0, thickness=-4.0, mirror=True, material="1.5", semi_diameter=14.0),
+        Row(4, radius=-50.0, thickness=-30.0, semi_diameter=14.0),
+        Row(5, kind="image"),
+        aperture=8.0,
+    )
+    reach = edge_rays(bulging).reach
+    assert by_name(to_prescription(bulging))["S2"].semi_diameter == pytest.approx(max(reach[1], reach[3]), rel=1e-12)
     for labels, names, parts in vectors.toml("tables.toml")["names of surfaces"]:
         named = zip(triplet().rows, [*labels.split(";"), *8 * [""]], strict=False)
         rows = [replace(row, label=name) for row, name in named]
@@ -500,6 +529,18 @@ def test_the_stop_has_the_apertures_that_the_file_states():
         assert (patch.outline, patch.z) == (circle(2.0, y=1.0), pytest.approx(surface.z - 1e-3))
         assert (patch.radius, patch.conic) == (surface.radius, surface.conic)
         assert patch.front == patch.back == surface.front
+    # A sphere ends at its radius, whatever the file says of apertures; nothing of an obscuration may be left
+    end = 0.999 * abs(triplet().rows[0].radius)
+    disc = by_name(to_prescription(changed(1, obscuration=circle(100.0, inner=5.0))))["S1_obscuration"]
+    assert (disc.semi_diameter, disc.inner_semi_diameter) == (pytest.approx(end), 5.0)
+    for beyond in (circle(100.0, inner=50.0), circle(1.0, x=80.0)):
+        built = build(changed(1, obscuration=beyond))
+        assert "S1_obscuration" not in by_name(built.prescription)
+        assert any("obscuration that lies beyond the rim" in note for note in built.notes)
+    for stated in (rectangle(100.0, 8.0), circle(100.0, x=60.0)):
+        built = build(changed(1, aperture=stated))
+        assert by_name(built.prescription)["S1"].outline == stated.within(end)
+        assert any("its aperture is cut where its conic ends" in note for note in built.notes)
 
 
 def test_a_freeform_lens_has_an_edge_that_reaches_both_rims():

@@ -223,7 +223,7 @@ DIRT = Scatter("particulate", {"level": 300.0}, name="dirt")
 K_CORRELATION = Scatter("k_correlation", {"rms_nm": 1.0, "B_um": 10.0, "slope": 1.8, "band_limited": True})
 SYSTEM = Prescription(
     name="all <parameters> -- & more",
-    provenance="first line\nsecond -- line",
+    provenance="first line\nsecond -- line\n--- third ----",
     surfaces=(
         Surface("L1_front", z=0.1, radius=1.679, conic=0.22669364, coefficients=(0.00980281, 0.0, -0.0239681),
                 semi_diameter=1.2, inner_semi_diameter=0.1, back="nd=1.544 Vd=56.1 k=0",
@@ -282,7 +282,13 @@ def test_file_is_readable_and_the_same_each_time(tmp_path):
     root = ElementTree.fromstring(first)
     assert root.get("version") == "3.0.0"
     assert float(root.find("./shape[@id='fold']/transform/translate").get("z")) == 1 / 3
-    for comment in ("second - - line", "<!-- Optical surfaces -->", "<!-- Structure -->", "<!-- Detector -->"):
+    for comment in (
+        "second - - line",
+        "- - - third - - - -",
+        "<!-- Optical surfaces -->",
+        "<!-- Structure -->",
+        "<!-- Detector -->",
+    ):
         assert comment in first.decode()
 
 

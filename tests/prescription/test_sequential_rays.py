@@ -258,6 +258,9 @@ def test_edge_rays_meet_the_rim_of_the_stop():
     assert np.abs(rays.positions[2, 1:, 0]).max() / rays.stop_radius == pytest.approx(0.8, abs=1e-7)
     start, _ = launch(lens, rays.data, 0, [[0.0, 1.0]])
     assert start[0, 1] == pytest.approx(5.0 * 0.7)
+    # The first field stays the first where 24 of 60 are used; its chief ray comes and goes along the axis
+    rays = edge_rays(singlet(fields=tuple((0.0, k / 6) for k in range(60))))
+    assert (rays.entering[1, 0], rays.chief[-1]) == (pytest.approx(ALONG), pytest.approx(ALONG))
 
 
 def test_what_has_no_meaning_and_apertures_that_no_ray_passes():

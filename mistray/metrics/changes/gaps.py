@@ -155,9 +155,10 @@ def _opened(
             held.add(contact.pair)
         else:
             apart.append((not (after[a].opaque and after[b].opaque), far, contact))
-    apart = [item for item in apart if item[2].pair not in held]
+    # Of each pair the rim that is farthest away: a mesh has several around one opening
+    widest = {item[2].pair: item for item in sorted(apart, key=lambda item: item[1]) if item[2].pair not in held}
     named: list[tuple[_Contact, Gap]] = []
-    for _, far, contact in sorted(apart, key=lambda item: item[:2]):
+    for _, far, contact in sorted(widest.values(), key=lambda item: item[:2]):
         if not any(_same_gap(scene, here, contact, other) for other, _ in named):
             named.append((contact, Gap((before[contact.owner].name, before[contact.other].name), far)))
     return tuple(sorted((gap for _, gap in named), key=lambda gap: -gap.gap_mm))

@@ -19,13 +19,14 @@ AROUND = 16  # points of a circular rim
 INWARD = 8  # every eighth point of a generatrix is used for the lines inward from a rim
 ALONG = 9  # points of a straight rim, and of a line from a rim to the middle of its surface
 CORNER = np.cos(np.radians(20.0))  # cosine of the angle above which a rim is split
+FLAT = 1e-12  # area by its longest side squared below which a triangle is only a line
 MOST_FACES = 20_000  # faces of a mesh that is compared; larger meshes take part in no contact
 
 
 @dataclass(frozen=True)
 class Rim:
     """
-    Rim of a surface: a circle, or one side of a polygon.
+    Rim of a surface: a circle, or a part of a polygon that turns by less than 20° from its chord.
 
     Attributes
     ----------
@@ -129,8 +130,8 @@ class Faces(SpaceOutline):
         middle = vertices[np.unique(faces)].mean(axis=0)
         share = np.linspace(0.0, 1.0, ALONG)
         rims = []
-        for side in _sides(vertices, faces):
-            points = side[0] + share[:, None] * (side[1] - side[0])
+        for line in _sides(vertices, faces):
+            points = _along(line, share)
             rims.append(Rim(points, points[:, None] + share[:, None] * (middle - points)[:, None]))
         super().__init__(shape, rims, vertices[np.unique(faces)])
 
@@ -139,13 +140,15 @@ class Faces(SpaceOutline):
         a, b, c = (self._corners[:, k] for k in range(3))
         found = np.minimum.reduce([_to_segments(points, p, q) for p, q in ((a, b), (b, c), (c, a))])
         normal = np.cross(b - a, c - a)
+        area = np.linalg.norm(normal, axis=1)
+        wide = area > FLAT * np.max([np.einsum("ij,ij->i", q - p, q - p) for p, q in ((a, b), (b, c), (c, a))], axis=0)
         for k, point in enumerate(points):
             above = np.einsum("ij,ij->i", point - a, normal)
-            over = np.ones(len(a), dtype=bool)
+            over = wide.copy()
             for p, q in ((a, b), (b, c), (c, a)):
                 over &= np.einsum("ij,ij->i", np.cross(q - p, point - p), normal) >= 0
             if over.any():
-                found[k] = min(found[k], (np.abs(above[over]) / np.linalg.norm(normal[over], axis=1)).min())
+                found[k] = min(found[k], (np.abs(above[over]) / area[over]).min())
         return found
 
     def cuts(self, ways: np.ndarray) -> np.ndarray:
@@ -217,48 +220,59 @@ def _to_segments(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray
     return np.asarray(np.linalg.norm(off - share[..., None] * way, axis=2).min(axis=1))
 
 
-def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def _along(line: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Return points, (n, 3), on a polyline, (k, 3), at shares of its length, (n,)."""
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+    return np.stack([np.interp(share * way[-1], way, place) for place in line.T], axis=1)
+
+
+def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
     """
-    Return the straight rims of a triangle mesh as pairs of end points, mm.
+    Return the rims of a triangle mesh as polylines, (k, 3), mm.
 
     They are sides of only one triangle, joined by `_joined`. `vertices`, (n, 3), are in mm, `faces` indices, (m, 3).
+    Triangles with two corners at one place have no part in it.
     """
     _, same = np.unique(vertices.round(6), axis=0, return_inverse=True)
-    sides = np.sort(same.ravel()[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])], axis=1)
+    corners = same.ravel()[faces]
+    corners = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
+    sides = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
     single, count = np.unique(sides, axis=0, return_counts=True)
     place = np.zeros((int(same.max()) + 1, 3))
     place[same.ravel()] = vertices
     return _joined([(place[i], place[j]) for i, j in single[count == 1]])
 
 
-def _joined(sides: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+def _joined(sides: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
     """
-    Return sides as pairs of end points, mm, after joining sides that continue each other.
+    Return sides, pairs of end points, as polylines, (k, 3), after joining those that continue each other; all in mm.
 
-    A side is joined if it turns by less than 20° (`CORNER`) from the chord of those before. The chord replaces them.
+    A side is joined if it turns by less than 20° (`CORNER`) from the chord of those before.
     """
     at: dict[bytes, list[int]] = {}
     for number, side in enumerate(sides):
         for end in side:
             at.setdefault(end.tobytes(), []).append(number)
     found, used = [], np.zeros(len(sides), dtype=bool)
-    for number, (first, last) in enumerate(sides):
+    for number, side in enumerate(sides):
         if used[number]:
             continue
         used[number] = True
-        ends = [first, last]
-        for k in (0, 1):
+        line = list(side)
+        for _ in range(2):  # onwards from the last point, then, in reverse, from the first
             while True:
-                here, other = ends[k], ends[1 - k]
-                way = (here - other) / np.linalg.norm(here - other)
+                here = line[-1]
+                way = (here - line[0]) / np.linalg.norm(here - line[0])
                 for beside in at[here.tobytes()]:
                     a, b = sides[beside]
                     onward = b if np.array_equal(a, here) else a
                     step = onward - here
                     if not used[beside] and step @ way > CORNER * np.linalg.norm(step):
-                        used[beside], ends[k] = True, onward
+                        used[beside] = True
+                        line.append(onward)
                         break
                 else:
                     break
-        found.append((ends[0], ends[1]))
+            line.reverse()
+        found.append(np.array(line))
     return found

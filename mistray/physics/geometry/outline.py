@@ -206,7 +206,7 @@ class Outline:
         x0, x1, y0, y1 = self.bounds()
         if max(x1 - x0, y1 - y0) >= ALL:
             raise MistrayError(f"{owner}: its outline has no bounds; begin with a figure that is not cut away")
-        if not (x1 > x0 and y1 > y0) or not self.sample(200)[0].size:
+        if self.empty:
             raise MistrayError(f"{owner}: its outline holds nothing; correct its figures")
 
     def bounds(self) -> tuple[float, float, float, float]:
@@ -229,6 +229,12 @@ class Outline:
         """True if the outline has finite extent in both x and y."""
         x0, x1, y0, y1 = self.bounds()
         return max(x1 - x0, y1 - y0) < ALL
+
+    @property
+    def empty(self) -> bool:
+        """True if no point of a fine grid over the outline's box lies in it."""
+        x0, x1, y0, y1 = self.bounds()
+        return not (x1 > x0 and y1 > y0) or not self.sample(200)[0].size
 
     @property
     def annulus(self) -> tuple[float, float] | None:

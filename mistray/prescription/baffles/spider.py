@@ -79,8 +79,8 @@ def spider(
     SIZE_MM.check_all(owner, outer_radius=outer_radius, thickness=thickness, depth=depth)
     Range(1, whole=True).check("vanes", vanes, owner)
     Range(0.0, outer_radius, below=True, unit="mm").check("inner_radius", inner_radius, owner)
-    least = 0.5 * thickness / math.tan(math.pi / vanes) if vanes > 2 else 0.0
-    if math.hypot(inner_radius, offset) < least:
+    least = _least_inner_radius(vanes, 0.5 * thickness, abs(offset))
+    if inner_radius < least:
         raise MistrayError(
             f"{owner}: its vanes overlap within {least:.6g} mm; begin them farther out or make them thinner"
         )
@@ -105,3 +105,16 @@ def spider(
             own: dict[str, Any] = {"x": x, "y": y, "z": height, "tilt_deg": (tilt[0], tilt[1], tilt[2])}
             faces.append(Surface(f"{name}_{k + 1}_{face}", half_width=half, half_height=0.5 * size, **own, **common))
     return tuple(faces)
+
+
+def _least_inner_radius(vanes: int, half: float, offset: float) -> float:
+    """
+    Return the distance along neighbouring vanes at which they part, mm; below 0 if none of them meet.
+
+    `half` is half the thickness and `offset`, at least 0, the distance of their middle planes from the axis, mm.
+    """
+    if vanes < 3:
+        return 0.0
+    turn = math.pi / vanes  # half the angle between neighbours
+    # Where both strips end: the side of one towards the other. Of three vanes another corner comes first
+    return (half - offset) / math.tan(turn) if vanes == 3 else half / math.tan(turn) - offset * math.tan(turn)

@@ -93,7 +93,11 @@ def aperture_pieces(
     notes: list[str] = []
     for number, outline in enumerate(opaque):
         own_name = f"{name}_obscuration" + (f"_{number + 1}" if number else "")
-        pieces.append(_patch(row, own_name, before if on_surface else 0.0, outline, widest))
+        patch = _patch(row, own_name, before if on_surface else 0.0, outline, widest)
+        if patch is None:
+            notes.append(f"surface {row.number}: no plate of an obscuration that lies beyond the rim of the lens")
+        else:
+            pieces.append(patch)
     fixed = row.semi_diameter if row.semi_diameter_fixed else None
     if not on_surface and (clear is not None or fixed):
         if clear is None:
@@ -134,21 +138,27 @@ def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[st
     return [Surface(f"{name}_aperture", outline=around, coating=BLACK, part=f"{name}_aperture")]
 
 
-def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Surface:
+def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Surface | None:
     """
     Return an opaque surface with the shape of a row and the outline `opaque`, its vertex at `z` in the row's frame, mm.
 
-    An outline that extends beyond the radius `widest`, mm, or beyond the end of the conic, is cut there, unless it is a
-    circle or an annulus.
+    An outline that extends beyond the radius `widest`, mm, is cut there, unless it is a circle or an annulus. All are
+    cut where the conic ends. The result is None if nothing is left.
     """
     own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients, "sag": row.sag}
-    ring, sides = opaque.annulus, opaque.sides
-    if ring and opaque.bounded:
-        return Surface(name, z=z, coating=BLACK, semi_diameter=ring[0], inner_semi_diameter=ring[1], **own)
-    reach = min(max(widest, row.semi_diameter or 0.0), _FIGURE_END * conic_end(curvature(row), row.conic))
-    x0, x1, y0, y1 = opaque.bounds()
-    if math.hypot(max(-x0, x1), max(-y0, y1)) > reach:
-        return Surface(name, z=z, coating=BLACK, outline=opaque.within(reach), **own)
-    if sides:
-        return Surface(name, z=z, coating=BLACK, half_width=sides[0], half_height=sides[1], **own)
+    ring, end = opaque.annulus, _FIGURE_END * conic_end(curvature(row), row.conic)
+    if ring and opaque.bounded and ring[1] < end:
+        return Surface(name, z=z, coating=BLACK, semi_diameter=min(ring[0], end), inner_semi_diameter=ring[1], **own)
+    opaque = ended(opaque, min(max(widest, row.semi_diameter or 0.0), end))
+    if opaque.empty:
+        return None
+    if opaque.sides:
+        half_width, half_height = opaque.sides
+        return Surface(name, z=z, coating=BLACK, half_width=half_width, half_height=half_height, **own)
     return Surface(name, z=z, coating=BLACK, outline=opaque, **own)
+
+
+def ended(outline: Outline, radius: float) -> Outline:
+    """Return an outline, cut at a circle about the origin if it extends beyond it; the radius is in mm."""
+    x0, x1, y0, y1 = outline.bounds()
+    return outline.within(radius) if math.hypot(max(-x0, x1), max(-y0, y1)) > radius else outline

@@ -38,8 +38,7 @@ def cut_holes(table: OpticalSurfaces) -> None:
         legs = [leg for leg in table.segments() if not any(table.surfaces.get(j - 1) is mirror for j in leg)]
         drilled = _drilled(table, k, mirror, free, legs)
         if drilled is not mirror:
-            for j in [j for j, surface in table.surfaces.items() if surface is mirror]:
-                table.surfaces[j] = drilled
+            table.exchange(mirror, drilled)
             table.notes.append(
                 f"mirror '{mirror.name}' has a hole of radius {drilled.inner_semi_diameter:.6g} mm: the beam passes "
                 "there"

@@ -22,7 +22,7 @@ _SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
 
 def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
     """
-    Return the source for a lens: collimated light of the first field, or the point on the axis of a near object.
+    Return the source for a lens: collimated light of the first field, or the first field's point of a near object.
 
     Light of a virtual object is collimated along the axis. `beam` is that of
     `mistray.prescription.closing.system.to_prescription`. Notes on assumptions, and on how the beam fills the stop, are
@@ -42,12 +42,19 @@ def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
             )
             if lens.object_distance + pupil <= 0:
                 pupil = 0.0  # the object lies between the pupil and the lens
+            distance = lens.object_distance + pupil
+            field_deg, azimuth_deg = _direction(table, -table.rays.entering[0, 0, :2] / distance)
             return ObjectPoint(
-                z=pupil, distance=lens.object_distance + pupil, wavelength_nm=wavelengths, weights=shares
+                z=pupil,
+                distance=distance,
+                field_deg=field_deg,
+                azimuth_deg=azimuth_deg,
+                wavelength_nm=wavelengths,
+                weights=shares,
             )
         table.notes.append(
             f"the object is virtual, {-lens.object_distance:.6g} mm behind the first surface, but the source is "
-            "collimated: its light does not come to a focus on the detector"
+            "collimated along the axis: its light does not come to a focus on the detector"
         )
     x, y, z, radius, reach, filled = 0.0, 0.0, data.entrance_pupil_z, data.epd / 2, 0.0, "the pupil"
     if table.surfaces and (beam == "front" or math.isinf(z)):
@@ -58,7 +65,7 @@ def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
         reach = float(np.hypot(*(table.rays.pupils - [x, y]).T).max(initial=0.0))
     size, notes = beam_size(beam, radius, reach, of=filled)
     table.notes += notes
-    field_deg, azimuth_deg = (0.0, 0.0) if near else _direction(table)
+    field_deg, azimuth_deg = (0.0, 0.0) if near else _direction(table, field_tangents(lens, data)[0])
     if not near:
         table.notes.append(_filling(table, np.array([x, y, z]), size["radius"]))
     return Source(
@@ -93,13 +100,14 @@ def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, f
     return *centre, radius
 
 
-def _direction(table: OpticalSurfaces) -> tuple[float, float]:
+def _direction(table: OpticalSurfaces, slopes: np.ndarray) -> tuple[float, float]:
     """
     Return field angle and azimuth of the first field, degrees, as in `Source`.
 
-    In the yz plane the azimuth is 0 and the angle has a sign. If the field is off the axis, `table` gets a note.
+    `slopes`, (2,), are those in x and y of its light on the way to the origin of the source's frame. In the yz plane
+    the azimuth is 0 and the angle has a sign. If the field is off the axis, `table` gets a note.
     """
-    x, y = (float(slope) for slope in field_tangents(table.lens, table.rays.data)[0])
+    x, y = map(float, slopes)
     slope, azimuth = (math.hypot(x, y), math.degrees(math.atan2(-x, y))) if x else (y, 0.0)
     field = round(math.degrees(math.atan(slope)), _SOURCE_DIGITS)
     if field:

@@ -12,9 +12,9 @@ import numpy as np
 from mistray.coatings import PRESETS
 from mistray.errors import errors_of
 from mistray.physics.geometry.crossing import SAMPLES, meeting
-from mistray.physics.geometry.outline import Outline
+from mistray.physics.geometry.outline import Outline, rectangle
 from mistray.physics.geometry.sag import conic_end, trimmed
-from mistray.prescription.closing.apertures import own_clip
+from mistray.prescription.closing.apertures import ended, own_clip
 from mistray.prescription.closing.edges import meets_plane, on_axis, placed
 from mistray.prescription.closing.mirrors import beside_vertex, footprint, piece_beside_vertex
 from mistray.prescription.closing.names import Names, names_of
@@ -34,6 +34,7 @@ _MIRROR = Coating(R=1.0)
 _SMALLEST = 1e-3  # of the pupil: radius of a surface that no ray reaches off its vertex
 _BEYOND = 1e-3  # relative: rays that pass a drawn radius by less are round-off of the file
 _INSIDE_CONIC = 0.999
+_TWO_SECTIONS = {"curvature_x", "toroid_curvature"}  # of a sag that ends at other distances in x than in y
 _ROUND_OFF_MM = 1e-9
 
 
@@ -206,13 +207,18 @@ class OpticalSurfaces:
         Return arguments of `Surface` for the clip of row `k`, mm: its stated size, its drawn one, or that of the beam.
 
         A drawn size counts if no ray exceeds it; that of the beam has the `margin` of the class. A mirror that the beam
-        meets beside its vertex becomes a disc there. A radius beyond the end of the conic is reduced. Notes say so.
+        meets beside its vertex becomes a disc there. What lies beyond the end of the conic is cut off. Notes say so.
         """
         row, reach = self.lens.rows[k], float(self.rays.reach[k])
+        end = conic_end(curvature(row), row.conic)
         clip = own_clip(row)
         outline: Outline | None = clip.pop("outline", None)
         if "half_width" in clip or (outline is not None and outline.bounded):
-            return clip if outline is None else {"outline": outline}
+            stated = rectangle(clip["half_width"], clip["half_height"]) if outline is None else outline
+            kept = stated if _TWO_SECTIONS & row.sag.keys() else ended(stated, end * _INSIDE_CONIC)
+            if kept is not stated:
+                self.notes.append(f"surface {row.number}: its aperture is cut where its conic ends, at {end:.6g} mm")
+            return clip if outline is None and kept is stated else {"outline": kept}
         if row.mirror and outline is None and "semi_diameter" not in clip:
             points = footprint(self, k, self.frames[k])
             if beside_vertex(points):
@@ -233,7 +239,6 @@ class OpticalSurfaces:
             if row.semi_diameter:
                 self.enlarged[row.number] = reach / row.semi_diameter - 1
             radius = max(reach, _SMALLEST * self.rays.data.epd) * (1 + self.margin)
-        end = conic_end(curvature(row), row.conic)
         if radius >= end:
             self.notes.append(f"surface {row.number}: clear radius {radius:.6g} mm; its conic ends at {end:.6g} mm")
             radius = end * _INSIDE_CONIC
@@ -269,16 +274,16 @@ class OpticalSurfaces:
             met = meeting(here.z_at, there.z_at, 0.0, min(a.semi_diameter, b.semi_diameter))
             if met is None or met.coincide or met.r == 0:
                 continue
-            reach = max(self.rays.reach[j], self.rays.reach[k])
+            reach = max(self._reach(a), self._reach(b))
             # The radius found is up to one sample of the profile too large
             radius = met.r - 2 * min(a.semi_diameter, b.semi_diameter) / SAMPLES
             self.notes.append(
                 f"surfaces '{a.name}' and '{b.name}' cross at {met.r:.6g} mm: their clear radii end there"
                 + (f", rays reach {reach:.6g} mm" if reach > radius else "")
             )
-            for place, own in ((j, a), (k, b)):
+            for own in (a, b):
                 if own.outer_radius > radius:
-                    self.surfaces[place] = replace(own, semi_diameter=radius)
+                    self.exchange(own, replace(own, semi_diameter=radius))
 
     def _cut_at_the_stop(self) -> None:
         """Reduce the clear radius of a surface that bulges through the stop's opening to the radius of its beam."""
@@ -290,8 +295,18 @@ class OpticalSurfaces:
             surface = self.surfaces[j]
             if surface.semi_diameter is None or not on_axis(surface.to_world(), self.frames[k]):
                 continue
-            if meets_plane(surface, self.frames[k], above) <= self.rays.stop_radius and self.rays.reach[j] > 0:
-                self.surfaces[j] = replace(surface, semi_diameter=float(self.rays.reach[j]))
+            reach = self._reach(surface)
+            if meets_plane(surface, self.frames[k], above) <= self.rays.stop_radius and reach > 0:
+                self.exchange(surface, replace(surface, semi_diameter=reach))
+
+    def _reach(self, surface: Surface) -> float:
+        """Return the largest distance of a ray from the axis of a surface, mm, whenever light meets it."""
+        return max(float(self.rays.reach[k]) for k, own in self.surfaces.items() if own is surface)
+
+    def exchange(self, old: Surface, new: Surface) -> None:
+        """Put `new` in the place of a surface, at all rows that are this surface."""
+        for k in [k for k, surface in self.surfaces.items() if surface is old]:
+            self.surfaces[k] = new
 
     def segments(self) -> list[tuple[int, int]]:
         """Return the segments of the beam: pairs of `beam` indices at which it leaves a surface and meets the next."""

@@ -50,15 +50,15 @@ class EdgeRays:
     world : (n_rows + 1, n, 3) float64
         Positions in the world at which each ray starts, upstream of all surfaces, and meets each row, mm.
     entering : (2, 17, 3) float64
-        Point (mm) and direction of the chief ray and the 16 rim rays of the first of these fields, in the world before
-        the first row.
+        Point (mm) and direction of the chief ray and the 16 rim rays of the first field, in the world before the first
+        row.
     pupils : (k, 2) float64
         Points at which rays from a distant object that meet the rim of the stop cross the plane of the entrance pupil,
         mm. All these fields are included, without vignetting. It is empty for a near object and a pupil at infinity.
     reach : (n_rows,) float64
         Largest distance of a ray from the axis of each row, mm; 0 if no ray arrives.
     chief : (n_rows, 3) float64
-        Direction behind each row, in its frame, of the ray through the centre of the stop in the first of these fields.
+        Direction behind each row, in its frame, of the ray through the centre of the stop in the first field.
         Apertures do not stop it.
     within : (n_rows + 1, m, 3) float64
         Positions as in `world`, mm, of rays at the reference wavelength between the chief ray and the rim of up to nine
@@ -121,7 +121,7 @@ def edge_rays(lens: Sequential) -> EdgeRays:
     """
     Return rays through centre and rim of the stop, at the shortest, longest and reference wavelength.
 
-    They belong to all fields, or to the 24 outermost ones of more, in the order of the lens.
+    They belong to all fields, or to the first and the 23 outermost others of more, in the order of the lens.
 
     Parameters
     ----------
@@ -150,7 +150,8 @@ def edge_rays(lens: Sequential) -> EdgeRays:
     aimed: dict[int, tuple[Array, Array]] = {}  # at the whole rim of the stop
     numbers = _outer_fields(lens)
     if len(numbers) < len(set(lens.fields)):
-        notes.append(f"of {len(lens.fields)} fields the {len(numbers)} outermost give sizes and vignetting")
+        others = f"the {len(numbers) - 1} outermost others"
+        notes.append(f"of {len(lens.fields)} fields the first and {others} give sizes and vignetting")
     for number in numbers:
         field = lens.fields[number]
         if lens.telecentric:
@@ -245,10 +246,10 @@ def _upstream(start: Array, heading: Array, z: float) -> Array:
 
 
 def _outer_fields(lens: Sequential) -> list[int]:
-    """Return the indices of distinct fields, ascending; only the outermost ones if there are too many."""
+    """Return the indices of distinct fields, ascending; only the first and the outermost ones if there are too many."""
     places = list({field: k for k, field in reversed(list(enumerate(lens.fields)))}.values())
-    farthest = sorted(places, key=lambda k: -math.hypot(*lens.fields[k]))[:_MOST_FIELDS]
-    return sorted(farthest)
+    chosen = sorted(places, key=lambda k: (k > 0, -math.hypot(*lens.fields[k])))[:_MOST_FIELDS]
+    return sorted(chosen)
 
 
 def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
