@@ -112,23 +112,20 @@ def trace(
     flux_threshold, cut_below, cut_below_W, scatter_threshold, below_threshold
         Thresholds below which branches end or play Russian roulette, see `mistray.trace.Settings`.
     splitting, seed, ray_control, polarization
-        Splitting of rays, seed of the random numbers, allowed events and treatment of polarisation, see
-        `mistray.trace.Settings`; `polarization` may be a `mistray.trace.PolarizationChoice` that was made before.
+        Splitting, seed, allowed events, and polarisation or a `mistray.trace.PolarizationChoice`, see `Settings`.
     detector : str or sequence of str
-        Ids of the detectors, by default all of the scene; light on the others is absorbed. `Trace.on` returns the
-        result of one of several detectors.
+        Ids of the detectors, by default all; light on the others is absorbed. `Trace.on` returns the result of one.
     ledger : bool
         Whether to keep the path table; without it a trace is a little faster.
     progress : callable
         Called about every second with (rays done, rays in all).
     seconds : float
-        Time, s, after which the trace ends with the rays that it has, a sample of all; `Trace.rays_traced` is their
-        number. The kernel's compilation is included, and the last launch may take a second longer. Where there is
-        not time for all wavelengths some are traced, spread over all, and stand for their neighbours; a note names the
-        rest.
+        Time, s, after which the trace ends with the rays that it has, `Trace.rays_traced`, a sample of all. It includes
+        the kernel's compilation, and the last launch may take a second longer. Where there is not time for all
+        wavelengths some are traced, spread over all, and stand for their neighbours; a note names the rest.
     recorders : Recorder or sequence of Recorder
-        Recorders of all events of the rays: probes and far fields, see docs/detectors.md, or your own, see
-        docs/extending.md; not where workers trace. The recorders of the scene's sensors come before these.
+        Probes and far fields, see docs/detectors.md, or recorders of your own, see docs/extending.md; not where workers
+        trace. The recorders of the scene's sensors come before these.
 
     Returns
     -------
@@ -141,12 +138,9 @@ def trace(
         If the scene lacks a source, a detector or an ``interface``, or an argument is out of range. Also if arguments
         exclude each other, two recorders have the same name, or all rays of an emitter miss every surface.
     Interrupted
-        On Ctrl-C, after rays of every source and wavelength were traced: ``partial`` is a `Trace` of them.
-    KeyboardInterrupt
-        On Ctrl-C before that.
+        On Ctrl-C after rays of all sources and wavelengths; ``partial`` is their `Trace`. KeyboardInterrupt before.
     UnfinishedError
-        If workers end before all rays are traced; ``partial`` is a `Trace` of those that are, or None if they are too
-        few.
+        If workers end too early; ``partial`` is a `Trace` of the rays that are traced, or None if they are too few.
 
     Examples
     --------

@@ -247,15 +247,15 @@ class PathTable(
         alone = self._numbers[heads]
         if not len(groups) or counts.max() == 1:
             return alone
-        many = np.flatnonzero(counts > 1)
+        several_rows = np.flatnonzero(counts > 1)
         parts = []
-        for chosen in np.array_split(many, -(-len(many) // CHUNK)):
+        for chosen in np.array_split(several_rows, -(-len(several_rows) // CHUNK)):
             group = np.repeat(np.arange(len(chosen)), counts[chosen])
             ids = np.concatenate([np.asarray(groups[k], dtype=np.int64) for k in chosen])
             parts.append(path_numbers([self._sums(k, ids, group) for k in np.unique(self._run[ids])]))
         order = np.empty(len(groups), dtype=np.int64)
-        order[counts == 1] = np.arange(len(groups) - len(many))
-        order[many] = np.arange(len(groups) - len(many), len(groups))
+        order[counts == 1] = np.arange(len(groups) - len(several_rows))
+        order[several_rows] = np.arange(len(groups) - len(several_rows), len(groups))
         return PathNumbers.joined([alone[counts == 1], *parts])[order]
 
     def _groups(self, groups: int | Sequence[int | Sequence[int]]) -> list[list[int]]:
