@@ -13,6 +13,7 @@ import mistray
 from mistray import MistrayError, Pst
 from mistray.analyses.optimize.page import write_optimization
 from mistray.analyses.optimize.tables import optimization_record, report_text
+from mistray.analyses.pst.figures import level_curves
 from mistray.analyses.pst.next_order import with_next_orders
 from mistray.analyses.pst.tables import pst_record, pst_text
 from mistray.metrics.next_order import NextOrder, next_limits
@@ -184,6 +185,8 @@ def test_limits_of_curves_and_progress(scene):
     found = mistray.first_level(scene, [0.0], limits=limits, rays=1000, progress=lambda name, now: seen.append(name))
     assert (list(found.curves), found.limits) == (list(limits), limits)
     assert list(dict.fromkeys(seen)) == list(limits)
+    many = mistray.first_level(scene, [0.0], limits={f"set {k}": {} for k in range(20)}, rays=1000)
+    assert len(level_curves(many).axes[0].containers) == 20  # more than there are colours
     with pytest.raises(MistrayError, match="limits is empty"):
         mistray.first_level(scene, limits={})
     with pytest.raises(MistrayError, match="limits of 'x': there is no 'max_ghosts'; "):

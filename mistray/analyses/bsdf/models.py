@@ -10,6 +10,7 @@ from typing import Any
 from mistray._variant import ensure_variant, plugins_of_others
 from mistray.analyses.bsdf.request import BsdfRequest
 from mistray.errors import MistrayError
+from mistray.materials import refractive_index
 from mistray.named_values import as_number, named_values
 from mistray.param import Param
 from mistray.physics.abg import AbgFromRms, abg_from_rms
@@ -20,13 +21,12 @@ from mistray.scatter.lobe import PLACEMENT
 from mistray.toolkit.command import Group, Option
 from mistray.toolkit.field_options import flag
 
-DELTA_N = 2.0  # of a mirror in air
 METAVARS = {"nm": "NM", "um": "UM", "mm": "MM", "%": "PERCENT", "file": "FILE", "string": "TEXT"}
 # What the command takes beside the parameters of a model, and makes them of
 FROM_ROUGHNESS = {
     "rms_nm": Param("nm", doc="roughness, with --correlation-um instead of A, B and g"),
     "correlation_um": Param("um", doc="from --rms-nm: length of the exponential autocovariance"),
-    "delta_n": Param(doc="from --rms-nm: difference of the indices (2, a mirror in air)"),
+    "delta_n": Param(doc="from --rms-nm: index step (2, a mirror in air; in transmission that of the materials)"),
     "raw_integral": Param(doc="from --rms-nm: integral to normalise by, instead of the exact one"),
 }
 MADE_OF = {
@@ -161,7 +161,7 @@ def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tup
     parts = [f"{key} = {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in found.items()]
     title = " ".join([name if name in KINDS else Path(name).name, ", ".join(parts)]).rstrip()
     sheet = _roughness_sheet(found, request) if kind == name == "abg" and "rms_nm" in found else None
-    if sheet is not None:  # R is in A
+    if sheet is not None:  # R or T is in A
         found = {"A": sheet.a, "B": sheet.b, "g": sheet.g, "relative_to": "incident", "event": "reflection"}
     for key in FROM_ROUGHNESS.keys() - {"rms_nm"} & found.keys():
         raise MistrayError(f"abg: {flag(key)} is for parameters from a roughness; give --rms-nm as well")
@@ -191,8 +191,10 @@ def _roughness_sheet(found: Mapping[str, Any], request: BsdfRequest) -> AbgFromR
             raise MistrayError(f"abg: --rms-nm gives A, B and g; leave {flag(key)} out")
     if not found.get("correlation_um"):
         raise MistrayError("abg from --rms-nm needs --correlation-um; --correlation-um is missing")
-    rms_um, length_um, delta_n = found["rms_nm"] * 1e-3, found["correlation_um"], found.get("delta_n", DELTA_N)
-    return abg_from_rms(rms_um, length_um, request.wavelength_nm * 1e-3, delta_n, request.R, found.get("raw_integral"))
+    sides = [refractive_index(material, request.wavelength_nm) for material in (request.front, request.back)]
+    own, share = (abs(sides[0] - sides[1]), request.T) if request.event == "transmission" else (2.0, request.R)
+    lengths_um = found["rms_nm"] * 1e-3, found["correlation_um"], request.wavelength_nm * 1e-3
+    return abg_from_rms(*lengths_um, found.get("delta_n", own), share, found.get("raw_integral"))
 
 
 def _coefficients(text: str) -> dict[str, float]:

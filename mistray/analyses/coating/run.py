@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -93,8 +94,9 @@ def _lit(request: CoatingRequest, band: tuple[float, float]) -> CoatingRequest:
 
 
 def is_scene(text: str) -> bool:
-    """True if a text names a scene: an XML file, a folder with one (without blanks in its name), or a shipped scene."""
-    if " " in text or text in PRESETS or text == "bare" or ".csv" in text.lower() or ".dat" in text.lower():
+    """True if a text names a scene: an XML file, a folder with one, or a shipped scene; a coating's name goes first."""
+    is_layers_or_table = any(part in text.lower() for part in (" ", ".csv", ".dat")) and not os.path.isdir(text)
+    if text in PRESETS or text == "bare" or is_layers_or_table:
         return text.lower().endswith(".xml")
     from mistray._variant import ensure_variant
 

@@ -13,7 +13,7 @@ CALLS: dict[str, Callable[[Explorer, dict[str, Any]], Any]] = {
     "page": lambda explorer, _: {**explorer.page(), "view": explorer.view()},
     "move": lambda explorer, given: explorer.move(_values(given)),
     "reset": lambda explorer, _: explorer.reset(),
-    "detail": lambda explorer, given: explorer.detail(str(given.get("events", ""))),
+    "detail": lambda explorer, given: explorer.detail(*_path(given)),
     "save_scene": lambda explorer, _: {"path": str(explorer.save_scene())},
     "save_study": lambda explorer, _: {"path": str(explorer.save_study())},
     "wait": lambda explorer, given: explorer.wait(_version(given), WAIT_S),
@@ -31,7 +31,7 @@ def answer(explorer: Explorer, call: Any, given: Any) -> Any:
     call : str
         One of `CALLS`.
     given : dict
-        Arguments: ``values`` of a move, ``events`` of a detail, ``since`` of a wait.
+        Arguments: ``values`` of a move, ``events`` and ``source`` of a detail, ``since`` of a wait.
 
     Raises
     ------
@@ -50,6 +50,11 @@ def _values(given: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise MistrayError("call 'move': values are missing; give an object of controls and values")
     return values
+
+
+def _path(given: dict[str, Any]) -> tuple[str, str | None]:
+    source = given.get("source")
+    return str(given.get("events", "")), None if source is None else str(source)
 
 
 def _version(given: dict[str, Any]) -> int:

@@ -12,7 +12,6 @@ from mistray.analyses.explorer.estimate import guess
 from mistray.analyses.explorer.looks import Looks
 from mistray.analyses.explorer.traced import Traced
 from mistray.analyses.ghosts.page.path_explorer import EVENT_WORDS
-from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, LETTERS
 from mistray.ids import event_words
 from mistray.recorders.path_events import DIRECT
@@ -28,7 +27,7 @@ def path_detail(
     looks: Looks,
     controls: Mapping[str, Control],
     state: Mapping[str, VALUES],
-    events: str,
+    row: int,
     digits: int,
 ) -> dict[str, Any]:
     """
@@ -44,8 +43,8 @@ def path_detail(
         Controls of the explorer, by name.
     state : mapping
         Values of all controls.
-    events : str
-        Events of the path, as the path table writes them.
+    row : int
+        Row of the path in `Traced.ways`.
     digits : int
         Decimals of coordinates.
 
@@ -57,16 +56,8 @@ def path_detail(
         percentage of all stray light that turns there. ``remedies``: for each part with a choice of coatings and such a
         surface, the coating that leaves the least stray light, the best part first. Each has the power of the path and
         of all stray light left, W. Powers are those at the field of the trace.
-
-    Raises
-    ------
-    MistrayError
-        If the trace has no such path.
     """
-    rows = np.flatnonzero(of.ways.events == events)
-    if not len(rows):
-        raise MistrayError(f"path '{events[:120]}' is not one of the last trace; choose one of the table")
-    row = int(rows[0])
+    events = str(of.ways.events.iloc[row])
     lines = [of.sample.lines[k] for k in np.flatnonzero(of.sample.way == row)]
     words = [word.rpartition(":") for word in event_words(events)]
     now = guess(of, looks, controls, {**state, **({"field": of.state["field"]} if "field" in state else {})})

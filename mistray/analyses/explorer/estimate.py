@@ -22,7 +22,7 @@ from mistray.recorders.path_events import DIRECT
 
 Floats = npt.NDArray[np.float64]
 OF_FIRST_ORDER = "first order"
-COLUMNS = ["events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm", "rms_irradiance_W_mm2",
+COLUMNS = ["source", "events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm", "rms_irradiance_W_mm2",
            "rms_irradiance_se_W_mm2"]  # fmt: skip
 IN_PROPORTION = [name for name in COLUMNS if "_W" in name]  # to the power, the radius being as it was traced
 
@@ -37,8 +37,8 @@ class Guess:
     ways : DataFrame
         `COLUMNS` of each path of the light, see `mistray.trace.path_row.PathRow`.
     stray_W, direct_W, ratio : Estimate
-        Stray and direct power, W, and stray over direct. In `guess` the errors are those of the trace, in proportion;
-        that of `stray_W` includes the sample of rays and the derivatives.
+        Stray and direct power, W, and stray over direct. In `guess` the errors are those of the trace, in proportion,
+        with those of the sample of rays and of the derivatives.
     map_W : (h, w) float64
         Stray power on the cells of `Traced.maps`, W.
     extent : tuple of float
@@ -80,23 +80,28 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
     traced, stray = np.asarray(of.ways.power_W), of.stray
     power, sampled_se = traced * factor, traced * factor_se
     change, change_se = _of_first_order(of, state, moved)
-    stray_W = _in_proportion(of.stray_W, float(power[stray].sum()) * max(1 + change, 0.0))
-    of_sample = float(np.linalg.norm(sampled_se[stray]))
-    stray_W = stray_W._replace(se=math.hypot(stray_W.se, of_sample, of.stray_W.value * change_se))
-    direct_W = _in_proportion(of.direct_W, float(power[~stray].sum()))
-    ratio = stray_W.value / direct_W.value if direct_W.value > 0 else math.nan
+    # With the errors of the sample and of the derivatives; those of the trace are beside them, in proportion
+    found = [
+        Estimate(
+            float(power[stray].sum()) * max(1 + change, 0.0),
+            math.hypot(float(np.linalg.norm(sampled_se[stray])), of.stray_W.value * change_se),
+        ),
+        Estimate(float(power[~stray].sum()), float(np.linalg.norm(sampled_se[~stray]))),
+    ]
+    totals = [
+        Estimate(now.value, math.hypot(_in_proportion(was, now.value).se, now.se))
+        for was, now in zip((of.stray_W, of.direct_W, of.ratio), (*found, found[0].over(found[1])), strict=True)
+    ]
     ways = of.ways[COLUMNS].copy()
     for value, se in (("power_W", "power_se_W"), ("rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2")):
         ways[se] = np.hypot(of.ways[se] * factor, of.ways[value] * factor_se)
         ways[value] = of.ways[value] * factor
     return Guess(
         ways,
-        stray_W,
-        direct_W,
-        _in_proportion(of.ratio, ratio),
-        _map(of, factor),
-        of.maps.extent,
-        tuple(_left_out(of, moved)),
+        *totals,
+        map_W=_map(of, factor),
+        extent=of.maps.extent,
+        left_out=tuple(_left_out(of, moved)),
     )
 
 
@@ -148,8 +153,8 @@ def at_field(
         for one, part, sign in zip(found, shares, (-1, 1), strict=True)
     )
     added = partial(pd.Series.sum, skipna=False)  # what one of both does not know is not known
-    ways = both.groupby("events", sort=False, as_index=False).agg(
-        {name: added if name in (*IN_PROPORTION, "rise_W") else "first" for name in (*COLUMNS[1:], "rise_W")}
+    ways = both.groupby(COLUMNS[:2], sort=False, as_index=False).agg(
+        {name: added if name in (*IN_PROPORTION, "rise_W") else "first" for name in (*COLUMNS[2:], "rise_W")}
     )
     missed = 2 * share * (1 - share) * np.abs(np.asarray(ways.rise_W))
     ways = ways.assign(power_se_W=np.hypot(ways.power_se_W, missed))[COLUMNS]

@@ -54,7 +54,6 @@ FIELD_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # traced ahead, where the scene 
 MOST_RAYS, PILOT_RAYS, TRACE_S = 20_000, 2000, 0.8
 FEWEST_RAYS = 1000
 GRADIENT_RAYS, COMPILING_RAYS = 1500, 64
-LAYERED = "bbar3"
 QUIET_S, LATER_S = 0.3, 2.0  # without a move before a trace begins, and what is done ahead
 SCENES_KEPT = 4
 
@@ -205,7 +204,7 @@ class Explorer:
         """Reset all controls to the values of the scene, and return the view as `move` does."""
         return self.move({name: one.start for name, one in self.controls.items()})
 
-    def detail(self, events: str) -> dict[str, Any]:
+    def detail(self, events: str, source: str | None = None) -> dict[str, Any]:
         """
         Return the details of a path: its rays, its power, and the effect of coatings on the surfaces where it turns.
 
@@ -213,16 +212,19 @@ class Explorer:
         ----------
         events : str
             Events of the path, by which the view names it.
+        source : str, optional
+            Source of its light; needed if several sources light such a path.
 
         Raises
         ------
         MistrayError
-            If the last trace has no such path.
+            If the last trace has no such path, or one of each of several sources.
         """
         with self._changed:
             if self._traced is None:
                 raise MistrayError("nothing is traced yet; wait for the first trace")
-            return path_detail(self._traced, self._looks, self.controls, self.state, events, self._drawing["digits"])
+            row = self._traced.row(events, source)
+            return path_detail(self._traced, self._looks, self.controls, self.state, row, self._drawing["digits"])
 
     def save_scene(self) -> Path:
         """Write the scene with the present coatings and parameters and return its path; see `Saving.scene`."""
@@ -284,7 +286,6 @@ class Explorer:
             with self._changed:
                 self._tried.add(_key(state))
                 self.message = " ".join(str(error).split()) or type(error).__name__
-                self._busy = ""
                 self._note()
         return True
 
@@ -326,22 +327,20 @@ class Explorer:
         return self._trace_ahead if self._fields_missing() else None
 
     def _trace_now(self, state: dict[str, VALUES]) -> None:
-        self._begin("tracing")
-        found = self._trace(state)
-        with self._changed:
-            before = self._traced
-            if before is not None:
-                # Coatings change a relative derivative little
-                alike = _shapes(before, self.controls) == _shapes(found, self.controls)
-                found.slopes = dict(before.slopes) if alike else {}
-                self._difference = self._compared(before, found)
-            self._traced = found
-            self._traces += 1
-            if found.state.get("field") in self.fields:
-                self._grid[float(found.state["field"])] = found
-            self._busy = ""
-            self._estimate()
-            self._note()
+        with self._doing("tracing"):
+            found = self._trace(state)
+            with self._changed:
+                before = self._traced
+                if before is not None:
+                    # Coatings change a relative derivative little
+                    alike = _shapes(before, self.controls) == _shapes(found, self.controls)
+                    found.slopes = dict(before.slopes) if alike else {}
+                    self._difference = self._compared(before, found)
+                self._traced = found
+                self._traces += 1
+                if found.state.get("field") in self.fields:
+                    self._grid[float(found.state["field"])] = found
+                self._estimate()
 
     def _compared(self, before: Traced, found: Traced) -> dict[str, Any] | None:
         """
@@ -362,7 +361,6 @@ class Explorer:
 
     def _compile_ahead(self, state: dict[str, VALUES]) -> None:
         """Compile the kernels for bare and for layered surfaces before they are needed, by traces of 64 rays."""
-        self._begin("compiling")
         coatings = self._uncompiled.pop()
         with self._ahead("compiling"):
             self._trace({**state, **coatings}, COMPILING_RAYS)
@@ -370,8 +368,7 @@ class Explorer:
     def _trace_ahead(self, state: dict[str, VALUES]) -> None:
         """Trace the missing field angle of the grid that is nearest to the present one."""
         field = min(self._fields_missing(), key=lambda value: abs(value - float(state["field"])))
-        self._begin(f"tracing {field:g}° ahead")
-        with self._ahead(field):
+        with self._ahead(f"tracing {field:g}° ahead", field):
             found = self._trace({**state, "field": field})
             with self._changed:
                 self._grid[field] = found
@@ -383,7 +380,6 @@ class Explorer:
         They are relative to the power, per unit of each control. The present estimate is renewed with them.
         """
         assert self._traced is not None
-        self._begin("derivatives")
         turned, field = self._first_order(), self._field(state)
         with self._ahead("derivatives"):
             scene = self._loaded(state)
@@ -402,22 +398,32 @@ class Explorer:
                 self._estimate()
 
     @contextlib.contextmanager
-    def _ahead(self, what: Any) -> Iterator[None]:
-        """Run a background job, known as `what`, in a `with` block; an error is reported, and it is not tried again."""
+    def _ahead(self, shown: str, what: Any = None) -> Iterator[None]:
+        """
+        Run a background job in a `with` block, while the view shows the text `shown`.
+
+        An error is reported, and the job, known as `what` or else by the text, is not tried again.
+        """
+        with self._doing(shown):
+            try:
+                yield
+            except (MistrayError, RuntimeError) as error:
+                with self._changed:
+                    self._impossible.add(shown if what is None else what)
+                    self.message = " ".join(str(error).split())
+
+    @contextlib.contextmanager
+    def _doing(self, shown: str) -> Iterator[None]:
+        """Show a text for the job in a `with` block while it lasts, however it ends."""
+        with self._changed:
+            self._busy = shown
+            self._note()
         try:
             yield
-        except (MistrayError, RuntimeError) as error:
+        finally:
             with self._changed:
-                self._impossible.add(what)
-                self.message = " ".join(str(error).split())
-        with self._changed:
-            self._busy = ""
-            self._note()
-
-    def _begin(self, what: str) -> None:
-        with self._changed:
-            self._busy = what
-            self._note()
+                self._busy = ""
+                self._note()
 
     # -- traces ------------------------------------------------------------------------------------------------------
 
@@ -559,13 +565,16 @@ def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES
     """
     Return control states with different kernels, to be compiled ahead: a bare part, a layered part, and both.
 
-    They name coatings alone. There are none without a control of coatings.
+    They name coatings alone. There are none without a control of coatings, and no layers where no preset is offered.
     """
-    names = [name for name, one in controls.items() if one.kind == COATING]
-    if not names:
-        return []
-    both: dict[str, VALUES] = dict(zip(names, (BARE, LAYERED), strict=False))
-    return [*([both] if len(names) > 1 else []), {names[0]: BARE}, {names[0]: LAYERED}]
+    choices = {name: one.choices for name, one in controls.items() if one.kind == COATING}
+    layered = next(((name, offered[2]) for name, offered in choices.items() if len(offered) > 2), None)
+    found: list[dict[str, VALUES]] = [{name: BARE} for name in list(choices)[:1]]
+    if layered is not None:
+        part, preset = layered
+        both = [{name: BARE, part: preset} for name in choices if name != part]
+        found = [*both[:1], *found, {part: preset}]
+    return found
 
 
 def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:

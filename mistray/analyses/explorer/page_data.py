@@ -18,13 +18,15 @@ from mistray.toolkit.tables.frames import row_of
 from mistray.toolkit.tables.text import with_error
 from mistray.toolkit.typeset import typeset
 
-SHOWN = ("events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm", "rank_power", "rank_rms")
+SHOWN = ("source", "events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm", "rank_power", "rank_rms")
 PATHS = 25  # rows of the table, by either rank
 
 
 def view_data(found: Guess) -> dict[str, Any]:
     """Return powers (W), the worst paths and the map of a state as JSON-serialisable values."""
     stray = found.ways[found.ways.kind != DIRECT].sort_values("power_W", ascending=False)
+    if found.ways.source.nunique() > 1:
+        stray = stray.assign(label=stray.label + " (" + stray.source + ")")
     stray = stray.assign(rank_power=range(len(stray)), low=bounds(stray)[0])
     stray = stray.sort_values("low", ascending=False, kind="stable").assign(rank_rms=range(len(stray)))
     total = found.stray_W.value

@@ -12,8 +12,10 @@ import pandas as pd
 
 from mistray.analyses.explorer.controls import VALUES
 from mistray.analyses.explorer.looks import SurfaceHits
+from mistray.analyses.ghosts.combine import by_path
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.verdict import Remedy, remedy
+from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.events import AIMED_TRANSMITTED, FIRST_SCATTERED, RANDOM_TRANSMITTED
 from mistray.recorders.path_events import DIRECT
@@ -58,7 +60,7 @@ class Sample:
     way : (r,) int
         Row of `Traced.ways` to which each ray belongs.
     weight : (r,) float64
-        Flux at the detector, W.
+        Flux that the detector absorbs, W; the rays of a trace's path share its power in proportion to their flux.
     groups : tuple of HitGroup
         All hits of all rays, grouped by surface and event.
     lines : list of (k, 3) float64
@@ -101,7 +103,7 @@ class Traced:
     state : mapping
         Values of all controls.
     ways : DataFrame
-        Paths of the light, see `mistray.trace.paths.PathTable.by_way`.
+        Paths of the light, one for each source and events, see `mistray.analyses.ghosts.combine.by_path`.
     stray_W, direct_W, ratio : Estimate
         Power of the stray and of the direct light, W, and stray over direct.
     sample : Sample
@@ -133,6 +135,24 @@ class Traced:
         """Mask of the paths that are stray light, (paths,) bool."""
         return np.asarray(self.ways.kind != DIRECT)
 
+    def row(self, events: str, source: str | None) -> int:
+        """
+        Return the row of `ways` of a path, by its events and its source; None: the only source.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such path, or one of each of several sources.
+        """
+        found = self.ways[self.ways.events == events]
+        found = found if source is None else found[found.source == source]
+        name = f"path '{events[:120]}'" + ("" if source is None else f" of source '{str(source)[:80]}'")
+        if found.empty:
+            raise MistrayError(f"{name} is not one of the last trace; choose one of the table")
+        if len(found) > 1:
+            raise MistrayError(f"{name} has light of several sources; choose one of {', '.join(found.source)}")
+        return int(found.index[0])
+
 
 def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
     """
@@ -145,7 +165,7 @@ def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
     state : mapping
         Values of the controls with which the scene was traced.
     """
-    ways, field = t.paths.by_way(), float(t.settings["field_deg"])
+    ways, field = by_path(t.paths.by_way(), t.paths), float(t.settings["field_deg"])
     stray = np.asarray(ways.kind != DIRECT)
     groups = [_ids(ways, stray), _ids(ways, ~stray)]
     powers = [Estimate(*t.paths.power(ids)) for ids in groups]
@@ -179,13 +199,14 @@ def _ratio(t: Trace, groups: Sequence[Sequence[int]]) -> Estimate:
 
 
 def _sample(t: Trace, ways: pd.DataFrame) -> Sample:
-    row_of_path = np.full(len(t.paths), -1, dtype=np.int64)
+    row_of_path, power = np.full(len(t.paths), -1, dtype=np.int64), t.paths.column("power_W")
     for row, ids in enumerate(ways.path_ids):
         row_of_path[list(ids)] = row
     rows, weights, groups, lines, before = [], [], [], [], 0
     for found in t.sampled_hits(START_RAYS, RAYS_OF_A_PATH):
         rows.append(row_of_path[found.path_ids])
-        weights.append(found.weight)
+        of_its_path = np.bincount(found.path_ids, found.weight, minlength=len(power))[found.path_ids]
+        weights.append(power[found.path_ids] * found.weight / of_its_path)
         groups += _groups(found, before)
         lines += [found.polyline(k) for k in range(len(found.path_ids))]
         before += len(found.path_ids)

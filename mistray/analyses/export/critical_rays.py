@@ -23,7 +23,7 @@ def run(scene: mi.Scene, request: CriticalRaysRequest) -> pd.DataFrame:
     """
     Return the ray nearest to the centre of the image-forming light, and the outermost rays around it, node by node.
 
-    What is nearest or outermost is decided by the points at which the rays start, seen along the light.
+    What is nearest or outermost is decided by the points where the rays first meet a surface, seen along the light.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ def run(scene: mi.Scene, request: CriticalRaysRequest) -> pd.DataFrame:
         # The strongest path of each source and wavelength: others are the same light by another way
         for row in {(row.source, row.wavelength_nm): row for row in reversed(image)}.values():
             history = t.history(row.path_id, row.rays)
-            starts = np.array([points[0] for points in history.rays])
+            met = np.array([points[1] for points in history.rays])  # rays of a near source may share their start
             first = history.to_pandas().query("node == 0")[["dx", "dy", "dz"]].to_numpy(np.float64)
-            chosen = _outermost(starts, first.mean(axis=0), request.rim)
+            chosen = _outermost(met, first.mean(axis=0), request.rim)
             table = history[list(chosen.values())].to_pandas()
             table.insert(0, "name", [list(chosen)[number] for number in table.ray])
             table.insert(0, "field_deg", angle)
@@ -79,19 +79,19 @@ def run(scene: mi.Scene, request: CriticalRaysRequest) -> pd.DataFrame:
 critical_rays = analysis("critical_rays", CriticalRaysRequest, run)
 
 
-def _outermost(starts: np.ndarray, along: np.ndarray, rim: int) -> dict[str, int]:
+def _outermost(points: np.ndarray, along: np.ndarray, rim: int) -> dict[str, int]:
     """
     Return the index of the ray nearest the beam's centre, and indices of rays at its rim, by name.
 
-    The rays start at `starts`, (n, 3), mm, along the vector `along`, (3,). The rim has `rim` directions; a ray that is
-    outermost in several has the name of the first. Names are those of `run`.
+    The rays go through `points`, (n, 3), mm, about the vector `along`, (3,). The rim has `rim` directions; a ray that
+    is outermost in several has the name of the first. Names are those of `run`.
     """
     along = along / np.linalg.norm(along)
     across = np.array([1.0, 0.0, 0.0]) - along[0] * along
     if np.linalg.norm(across) < 1e-6:
         across = np.array([0.0, 1.0, 0.0]) - along[1] * along
     across /= np.linalg.norm(across)
-    plane = (starts - starts.mean(axis=0)) @ np.column_stack([across, np.cross(along, across)])
+    plane = (points - points.mean(axis=0)) @ np.column_stack([across, np.cross(along, across)])
     found = {"centre": int(np.argmin(np.linalg.norm(plane, axis=1)))}
     for k in range(rim):
         turn = 2 * np.pi * k / rim

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 
 import numpy as np
 from matplotlib.colors import LogNorm
@@ -46,7 +47,7 @@ def _mtf(images: Sequence[FieldImage], last: float, title: str, of_all: str = ""
     made, axes = Figure.of_panels(8.0, 4.8)
     f = np.linspace(0, last, 201)
     axes.plot(f, images[0].diffraction_limit(f, "sagittal"), color="#888888", lw=1, ls=":", label="diffraction limit")
-    for image, colour in zip(images, COLOURS * 2, strict=False):
+    for image, colour in zip(images, cycle(COLOURS), strict=False):
         axes.plot(f, image.mtf(f, "tangential"), color=colour, lw=1.4, label=image.name)
         axes.plot(f, image.mtf(f, "sagittal"), color=colour, lw=1.2, ls="--")
     axes.set(xlim=(0, last), ylim=(0, 1))
@@ -111,7 +112,7 @@ def spot_figure(found: ImageQuality, title: str = "") -> Figure:
     made, (panels,) = Figure.of_panels(1.2 + 2.6 * len(images), 3.4, 1, len(images), **shared)
     turn = np.linspace(0, 2 * np.pi, 97)
     for axes, image in zip(panels, images, strict=True):
-        for line, colour in zip(image.lines, COLOURS * 2, strict=False):
+        for line, colour in zip(image.lines, cycle(COLOURS), strict=False):
             points = 1e3 * line.spot_mm[line.pupil.share > 0.5]
             points = points[:: max(1, len(points) // RAYS)]
             axes.plot(*points.T, ".", ms=1.2, color=colour, label=f"{line.wavelength_nm:g} nm")
@@ -135,7 +136,7 @@ def energy_figure(found: ImageQuality, title: str = "") -> Figure:
     made, axes = Figure.of_panels(8.0, 4.4)
     most = min(max(2 * _half(image) for image in images), min(image.largest_radius_mm for image in found))
     radii = np.linspace(0, most, 101)
-    for image, colour in zip(images, COLOURS * 2, strict=False):
+    for image, colour in zip(images, cycle(COLOURS), strict=False):
         axes.plot(1e3 * radii, 100 * image.encircled_energy(radii), color=colour, lw=1.4, label=image.name)
     axes.axhline(100 * ENERGY, color="#888888", lw=0.8, ls=":")
     axes.set(xlim=(0, 1e3 * most), ylim=(0, 100))

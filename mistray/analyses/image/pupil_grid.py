@@ -143,7 +143,8 @@ def sample_pupil(
     origin = frame.cosines(design_light(path, *bundle.rays(chief)))[1]
     flux = light.throughput * bundle.density(x[used]) / np.abs(np.linalg.det(slopes[used]))
     fine = np.isfinite(opl) & np.isfinite(flux)
-    used, share[used[~fine]] = used[fine], 0.0
+    share[used[~fine]] = 0.0
+    used = used[fine]
 
     # Of a cell that a rim cuts the ray in the middle may lie beyond it, where the spot is not lit
     hit = design_light(path, *bundle.rays((x + aside)[used])).hit

@@ -5,6 +5,7 @@ The public functions return Matplotlib figures that are not registered with pypl
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -102,7 +103,7 @@ def level_curves(found: FirstLevel, title: str = "") -> Figure:
     """
     made, axes = Figure.of_panels(8.6, 4.2)
     lit = False
-    for (name, pst), colour in zip(found.curves.items(), CAUSE_COLOURS * 2, strict=False):
+    for (name, pst), colour in zip(found.curves.items(), cycle(CAUSE_COLOURS), strict=False):
         value, se = pst.curve("stray")
         seen = value > 0
         lit |= bool(seen.any())

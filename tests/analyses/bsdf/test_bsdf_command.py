@@ -89,6 +89,16 @@ def test_sheet_of_a_rough_surface(capsys: Captured) -> None:
     assert made["A_1_sr"] / made["B"] == pytest.approx(answer["totals"][0]["peak_1_sr"], rel=1e-2)
 
 
+@pytest.mark.parametrize(("more", "step"), [((), 0.5), (("--delta-n", 0.2), 0.2)])
+def test_roughness_in_transmission(capsys: Captured, more: tuple[str, float] | tuple[()], step: float) -> None:
+    """Bennett and Porteus: T (1 - exp(-(2π Δn σ/λ)²)), whatever is reflected."""
+    sheet = ("bsdf", "abg", "--rms-nm", 5, "--correlation-um", 100, "--wavelength-nm", 550, "--back", 1.5, *more)
+    out = succeeds(capsys, *sheet, "--event", "transmission", "--T", 0.5, "--R", 0.1, "--angles-deg", 0, "--json")
+    (row,) = json_units.read(out)["totals"]
+    assert row["event"] == "transmission"
+    assert row["scattered"] == pytest.approx(-0.5 * np.expm1(-((2 * np.pi * step * 5 / 550) ** 2)), rel=1e-4)
+
+
 class TestFiles:
     def test_particles(self, capsys: Captured, tmp_path: Path) -> None:
         path = tmp_path / "particles.png"

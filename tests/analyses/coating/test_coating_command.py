@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import vectors
 from command_line import Captured, fails, succeeds
+from oracles.small_scenes import plates_text, write
 
 from mistray.coatings import CoatingTable, preset, spectrum
 
@@ -77,3 +78,17 @@ class TestCoating:
         assert path.stat().st_size > 5000
         assert sum(len(surface["names"]) for surface in answer["surfaces"]) >= 6
         assert {row["angle_deg"] for surface in answer["surfaces"] for row in surface["angles"]} == {0.0, 30.0}
+
+    def test_a_folder_whose_name_could_be_a_coating(
+        self, capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Blanks, as between layers, or the ending of a table; the name of a preset is that of the preset."""
+        for name in ("1.38 0.25w", "ar.csv", "bbar3"):
+            (tmp_path / name).mkdir()
+            write(tmp_path / name, plates_text(1))
+        monkeypatch.chdir(tmp_path)
+        more = ("--wavelength-nm", 550, "--angles-deg", 0)
+        for name in ("1.38 0.25w", "ar.csv"):
+            assert "p0_front" in succeeds(capsys, "coating", name, *more)
+        for name in ("bbar3", "1.38 0.25w, 2.1 0.5w"):
+            assert "N-BK7" in succeeds(capsys, "coating", name, *more)

@@ -119,6 +119,7 @@ def test_ten_steps(tmp_path):
             click(shown, ".buttons button", button)
             shown.until(f"document.querySelector('.said').textContent.includes({json.dumps(str(tmp_path / file))})")
             assert (tmp_path / file).is_file()
+        until_traced(shown)  # lest this trace end between the click and its answer
         click(shown, ".buttons button", "Reset")  # 10: all as it was
         shown.until(f"document.querySelector('.numbers dd').textContent !== {json.dumps(numbers(shown)[0])}")
         until_traced(shown)

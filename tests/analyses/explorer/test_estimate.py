@@ -1,6 +1,8 @@
 """What the explorer says at once agrees with what a trace of the same state finds, in the coatings that are put on."""
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +10,15 @@ import pytest
 from refusals import refused
 
 import mistray
+from mistray import MistrayError
+from mistray.analyses.explorer import explorer as module
 from mistray.analyses.explorer.controls import AS_IT_IS, COATING, controls_of
-from mistray.analyses.explorer.explorer import Explorer
+from mistray.analyses.explorer.explorer import Explorer, _kinds_of_coatings
 from mistray.analyses.explorer.looks import Looks
 from mistray.prescription import from_zemax
 from mistray.surfaces.optics import unpolarized_shares
+
+TOTALS = ("stray_W", "direct_W", "ratio")
 
 
 def power(view: dict, *words: str) -> float:
@@ -52,11 +58,17 @@ def test_a_share_of_the_detector_scales_its_ghosts_exactly(at_start):
 
 def test_a_coating_is_followed_within_what_the_sample_of_rays_knows(at_start):
     part = next(name for name in at_start.controls if name.startswith("coating "))
+    before = at_start.view()
     estimate = at_start.move({part: "bbar3"})
     assert estimate["label"] == "estimate"
+    # The sample of rays adds errors to those of the trace; in the ratio those of both lights add up, squared
+    squares = [[(view[name][1] / view[name][0]) ** 2 for name in TOTALS] for view in (estimate, before)]
+    stray, direct, ratio = np.subtract(*squares)
+    assert min(stray, direct) > 0
+    assert ratio == pytest.approx(stray + direct, rel=1e-6)
     traced = at_start.settle()
     assert traced["label"] == "traced"
-    for name in ("stray_W", "direct_W", "ratio"):
+    for name in TOTALS:
         assert estimate[name][0] == pytest.approx(traced[name][0], rel=5e-3)
     by_events = {path["events"]: path["power_W"] for path in estimate["paths"]}
     for path in traced["paths"][:8]:
@@ -192,6 +204,18 @@ def test_what_cannot_be_done_ahead_is_said_once():
     assert set(control.keys) == {"stop_front.r1", "stop_wall.r0", "stop_wall.r1", "stop_rear.r0"}
 
 
+def test_a_trace_that_fails_is_over(at_start, monkeypatch):
+    def fails(*args, **light):
+        raise MistrayError("no light")
+
+    monkeypatch.setattr(module, "trace", fails)
+    at_start.move({"layers": 91.0})
+    for work in (at_start.settle, at_start.prepare):
+        with refused("no light"):
+            work()
+        assert at_start.view()["busy"] == "waiting to trace"
+
+
 CHOSEN = {"cooke_triplet": ("L2", "bbar3", 550.0), "lwir": ("L2", "bbar4_lwir", 1e4)}
 
 
@@ -216,6 +240,10 @@ def test_an_estimate_has_the_coating_that_is_put_on(name, tmp_path):
         ]
         np.testing.assert_allclose(shares[0], shares[1], atol=1e-6)
         assert np.abs(shares[0] - shares[2]).max() > 1e-4, "the design is another one"
+    for coatings in _kinds_of_coatings(controls):  # compiled ahead
+        assert all(choice in controls[one].choices for one, choice in coatings.items())
+    without = {key: replace(one, choices=one.choices[:2]) for key, one in controls.items()}
+    assert [set(coatings.values()) for coatings in _kinds_of_coatings(without)] == [{"bare"}]
     # Choices suit the body and the light
     visible = name == "cooke_triplet"
     for control in controls.values():
@@ -227,3 +255,32 @@ def test_an_estimate_has_the_coating_that_is_put_on(name, tmp_path):
             assert not (visible and any(preset.endswith("wir") for preset in presets))
             mistray.coat(path, {control.label: presets[0]})
             mistray.coat(path, {control.label: presets[-1]})
+
+
+@pytest.mark.long
+def test_a_path_of_several_wavelengths_and_sources(tmp_path):
+    """One row for both wavelengths, the sum of what a trace finds at each; one for each source, told apart by it."""
+    text = mistray.scene.find("singlet_window_detector").read_text(encoding="utf-8")
+    text = re.sub(r'<float (name="wavelength_nm" value=)"587.5618"', r'<string \1"486 656"', text)
+    source = re.search(r'<emitter type="collimated" id="source">.*?</emitter>', text, re.DOTALL)[0]
+    other = source.replace('id="source"', 'id="other"').replace('"radius" value="10"', '"radius" value="5"')
+    path, light = tmp_path / "scene.xml", {"rays": 500, "max_reflections": 2}
+    path.write_text(text.replace(source, source + other), encoding="utf-8")
+    powers = {}
+    for row in mistray.trace(mistray.load(path), **light).paths:
+        powers[row.source, row.events] = powers.get((row.source, row.events), 0.0) + row.power_W
+    explorer = Explorer(path, **light)
+    view = explorer.settle()
+    shown = {(one["source"], one["events"]): one["power_W"] for one in view["paths"]}
+    assert len(shown) == len(view["paths"])
+    assert shown == pytest.approx({path: powers[path] for path in shown}, rel=1e-9)
+    worst = view["paths"][0]["events"]
+    labels = [one["label"].rpartition(" ")[2] for one in view["paths"] if one["events"] == worst]
+    assert sorted(labels) == ["(other)", "(source)"]
+    for name in ("source", "other"):
+        assert explorer.detail(worst, name)["power_W"] == pytest.approx(powers[name, worst], rel=1e-9)
+    with refused("several sources"):
+        explorer.detail(worst)
+    # A coating is followed at both wavelengths
+    estimate = explorer.move({"coating window": "mgf2_quarter_wave"})
+    assert estimate["stray_W"][0] == pytest.approx(explorer.settle()["stray_W"][0], rel=0.01)

@@ -10,7 +10,7 @@ from oracles import ideal_images
 from refusals import each_refused
 
 import mistray
-from mistray.analyses.image import figures
+from mistray.analyses.image import figures, pupil_grid
 from mistray.analyses.transfer.surface import product, transfer_of_bsdf, transfer_of_spectrum
 from mistray.errors import MistrayWarning
 from mistray.physics.imaging import surface_transfer as formulas
@@ -126,6 +126,32 @@ def test_pictures_of_some_fields_hold_the_last_one_and_say_so(monkeypatch):
         assert made.get_suptitle().endswith(", 2 of 3 fields")
         named = [text.get_text() for text in made.findobj(Text)]
         assert [any(text.startswith(image.name) for text in named) for image in found] == [True, False, True]
+
+
+def test_spots_of_more_wavelengths_than_colours(monkeypatch):
+    monkeypatch.setattr(figures, "COLOURS", figures.COLOURS[:1])
+    found = mistray.image_quality(mistray.load(paraboloid()), 0.0, wavelength_nm=[400, 500, 600], grid=16)
+    (axes,) = figures.spot_figure(found).axes
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["400 nm", "500 nm", "600 nm"]
+
+
+def test_a_cell_without_a_path_length_is_dark(monkeypatch):
+    """It is left out of the wavefront, and the cells beside it keep their light."""
+    scene, real = mistray.load(paraboloid()), pupil_grid.design_light
+
+    def broken(*rays, throughput=False):
+        light = real(*rays, throughput)
+        if throughput:
+            light.opl_mm[0] = np.nan
+        return light
+
+    whole = mistray.image_quality(scene, 0.0, grid=32)[0].main.pupil
+    monkeypatch.setattr(pupil_grid, "design_light", broken)
+    pupil = mistray.image_quality(scene, 0.0, grid=32)[0].main.pupil
+    first = np.flatnonzero(whole.share)[0]
+    np.testing.assert_array_equal(np.flatnonzero(pupil.share != whole.share), first)
+    np.testing.assert_array_equal(np.delete(pupil.flux, first), np.delete(whole.flux, first))
+    assert pupil.share.flat[first] == pupil.flux.flat[first] == 0
 
 
 def test_wavelengths_count_by_the_light_that_arrives():

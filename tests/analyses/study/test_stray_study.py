@@ -447,6 +447,24 @@ def test_the_rim_of_a_stop(load_scene: Callable[[str], Any]) -> None:
     assert np.ptp(ends.opl_mm) < 1e-9
 
 
+@pytest.mark.parametrize(("source", "size"), [("point_source", 0.0), ("surface_source", 0.1)])
+def test_the_rim_of_a_cone_of_light(load_scene: Callable[[str], Any], source: str, size: float) -> None:
+    """A cone of half angle θ meets a mirror within z tan θ of its axis; the outermost rays do so there."""
+    rim, more = 100 * math.tan(math.radians(5)), f'<float name="radius" value="{size}"/>' if size else ""
+    cone = f'<float name="z" value="-100"/><float name="half_angle_deg" value="5"/>{more}'
+    text = scatter_scene(
+        f'<emitter type="{source}">{cone}</emitter>',
+        placed_xml("asphere", "mirror", interface_xml(R=0.9, mirror=True), semi_diameter=20.0),
+        placed_xml("asphere", "detector", at=(0, 0, -150.0), half_width=40.0, half_height=40.0, pixels=4),
+    )
+    table = critical_rays(load_scene(text), rim=4, rays=4000)
+    assert table.name.unique().tolist() == ["centre", "rim 0°", "rim 90°", "rim 180°", "rim 270°"]
+    met = table[table.surface == "mirror"].set_index("name")[["x_mm", "y_mm"]]
+    for name, across in (("rim 0°", (1, 0)), ("rim 90°", (0, 1)), ("rim 180°", (-1, 0)), ("rim 270°", (0, -1))):
+        assert rim * (1 - 3 / 4000**0.5) < met.loc[name].to_numpy() @ across <= rim + size + 1e-6
+    assert np.linalg.norm(met.loc["centre"]) < 0.05 * rim
+
+
 def test_rays_of_fields_and_wavelengths_and_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = mistray.load("cooke_triplet")
     table = critical_rays(scene, [0.0, 8.0], wavelength_nm=[486.1, 656.3], rays=2000)

@@ -191,8 +191,8 @@ class LiveExplorer {
     const paths = this.worst(view);
     const rows = paths.map((path) => {
       const pick = make("button", { type: "button", textContent: path.label });
-      pick.setAttribute("aria-pressed", String(path.events === this.chosen));
-      pick.addEventListener("click", () => this.choose(path.events));
+      pick.setAttribute("aria-pressed", String(this.isChosen(path)));
+      pick.addEventListener("click", () => this.choose(path));
       const cells = [path.kind, path.power, printed(path.percent, 3), path.rms_radius_mm === null ? "–" : printed(path.rms_radius_mm, 3)];
       return make("tr", {}, make("td", {}, pick), ...cells.map((text) => make("td", { textContent: text })));
     });
@@ -201,11 +201,14 @@ class LiveExplorer {
     if (focused) this.table.querySelector('button[aria-pressed="true"]')?.focus();
     this.more.textContent = view.count > paths.length ? `and ${view.count - paths.length} more paths` : "";
   }
-  async choose(events) {
-    this.chosen = events;
+  isChosen({ events, source }) {
+    return events === this.chosen?.events && source === this.chosen?.source;
+  }
+  async choose({ events, source }) {
+    this.chosen = { events, source };
     try {
-      const found = await this.transport.call("detail", { events });
-      if (this.chosen === events) this.showDetail(found);
+      const found = await this.transport.call("detail", { events, source });
+      if (this.isChosen({ events, source })) this.showDetail(found);
     } catch (error) {
       this.say(error.message);
     }
