@@ -83,7 +83,7 @@ def critical_rays(
     r"""
     Return the ray nearest to the centre of the image-forming light, and the outermost rays around it, node by node.
 
-    What is nearest or outermost is decided by the points at which the rays start, seen along the light.
+    What is nearest or outermost is decided by the points where the rays first meet a surface, seen along the light.
 
     Parameters
     ----------
