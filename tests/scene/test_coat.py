@@ -175,7 +175,7 @@ class TestPatterns:
         """Not from the current folder, though it has such a path and a file; the file has a blank in its name."""
         glass(tmp_path / "scene" / folder / "my glass.csv", 1.4)
         glass(tmp_path / folder / "my glass.csv", 1.9)
-        file = plate(tmp_path / "scene", *2 * ["my glass.csv"], f'<path value="{folder}"/>' * (folder != "."))
+        file = plate(tmp_path / "scene", *2 * ["my glass.csv k=0"], f'<path value="{folder}"/>' * (folder != "."))
         monkeypatch.chdir(tmp_path)
         (tmp_path / "scene" / "out").mkdir()
         rules, expected = {"rear": "R=0 T=1"}, pytest.approx(passed(1, 1.4), rel=2e-6)
