@@ -15,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.param import Param
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import rayleigh_rice
-from mistray.ranges import Demand, Words
+from mistray.ranges import Demand, Words, shown
 from mistray.scatter.harvey_shack import index_step, need_smooth
 from mistray.scatter.lobe import Lobe, Placement, RatioTable
 from mistray.scatter.ratio_tables import Directions, over_cosines
@@ -37,11 +37,11 @@ class Substrate(Demand):
     def check(self, name: str, value: Any, owner: str = "") -> complex:
         """Return the index as a complex number; raise `MistrayError` if the value is not an index."""
         n = complex(math.nan)
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError, TypeError, OverflowError):
             n = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)
         if not (math.isfinite(n.real) and math.isfinite(n.imag) and n.real > 0 and n.imag >= 0):
-            shown = f"'{value}'" if isinstance(value, str) else f"{n:g}"
-            raise MistrayError(f"{owner}: {name} is {shown}; it {self.demand}")
+            found = f"{value:g}" if isinstance(value, complex) else shown(value)
+            raise MistrayError(f"{owner}: {name} is {found}; it {self.demand}")
         return n
 
 

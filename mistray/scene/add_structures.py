@@ -16,7 +16,7 @@ from mistray.ranges import OfType, shown
 from mistray.replace_file import replace_files
 from mistray.scatter.kinds import KINDS
 from mistray.scene.load import find
-from mistray.scene.xml_file import Element, SceneFile
+from mistray.scene.xml_file import Element, SceneFile, is_true
 
 Shared = Coating | Scatter
 AnyStructure = Structure | Surface | MeshStructure
@@ -125,7 +125,7 @@ def _values(element: Element) -> dict[str, Value] | None:
             elif child.tag == "integer":
                 values[name] = int(text)
             elif child.tag == "boolean":
-                values[name] = text == "true"
+                values[name] = is_true(text)
             elif child.tag == "string":
                 values[name] = text
             else:

@@ -32,7 +32,7 @@ from mistray.scene.surface_rules import (
     Rules,
     ScatterRules,
 )
-from mistray.scene.xml_file import SceneFile
+from mistray.scene.xml_file import SceneFile, is_true
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -307,7 +307,7 @@ def faces_of(file: SceneFile) -> list[Face]:
                 name,
                 part,
                 opaque=_is_opaque(coating),
-                mirror=values.get("mirror") == "true",
+                mirror=is_true(values.get("mirror", "")),
                 cemented=not any(is_gas(values.get(side, "air")) for side in ("front", "back")),
                 front=values.get("front", "air"),
                 back=values.get("back", "air"),
@@ -327,6 +327,6 @@ def light_nm(file: SceneFile) -> tuple[float, ...]:
 
 def _is_opaque(coating: Mapping[str, str]) -> bool:
     """True if the properties of a coating in a scene file say that it transmits no light."""
-    if coating.get("opaque") == "true" or getattr(PRESETS.get(coating.get("preset", "")), "metal", None) is not None:
+    if is_true(coating.get("opaque", "")) or getattr(PRESETS.get(coating.get("preset", "")), "metal", None) is not None:
         return True
     return "R" in coating and number_of(coating.get("T", "0")) == 0

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from mistray.errors import errors_of
-from mistray.scene.xml_file import SceneFile, filled
-
-LONGEST_NAME = 6  # words of a file name with blanks, within a longer text such as a list of layers
+from mistray.scene.xml_file import SceneFile, filled, possible_names
 
 
 def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
+    """Return the files whose content a scene depends on; raise as `files_and_homes` does, which finds them."""
+    return list(files_and_homes(path, text))
+
+
+def files_and_homes(path: Path, text: bytes | None = None) -> dict[Path, set[Path]]:
     """
-    Return the files whose content a scene depends on.
+    Return the files whose content a scene depends on, and the folders that its names for them are relative to.
 
     A value counts as the name of a file where a file of that name exists: better one too many than one too few.
 
@@ -28,8 +30,9 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
 
     Returns
     -------
-    list of Path
-        The scene file first, then the scenes that it includes, then all others, each once; absolute.
+    dict of Path to set of Path
+        File → folders: that of the scene, the current folder, or both. The scene file comes first, then the scenes that
+        it includes, then all others. All paths are absolute.
 
     Raises
     ------
@@ -37,8 +40,8 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
         If the scene, or a scene that it includes, cannot be read or is not XML in UTF-8.
     """
     first = path.resolve()
-    scenes = {first: None}
-    folders = {first.parent: None, Path.cwd(): None}
+    files = {first: {first.parent}}
+    folders = {first.parent: first.parent, Path.cwd(): Path.cwd()}  # the folders searched → where they are named from
     defaults: dict[str, str] = {}  # as in Mitsuba: of all scenes together, the first of a name holds
     texts: list[str] = []
 
@@ -50,33 +53,30 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
             if element.tag == "default":
                 defaults.setdefault(element.values.get("name", ""), value)
             elif element.tag == "path":
-                folders.update({(folder / value).resolve(): None for folder in list(folders)})
+                for folder, home in list(folders.items()):
+                    folders.setdefault((folder / value).resolve(), home)
             elif element.tag == "include":
-                for found in named_files(name, folders):
-                    if found not in scenes:
-                        scenes[found] = folders[found.parent] = None
+                for found, home in named_files(name, folders):
+                    if found not in files:
+                        files[found] = {home}
+                        folders.setdefault(found.parent, home)
                         read(found)
 
     read(first)
-    return list(scenes | {file: None for text in texts for file in named_files(text, folders)})
+    for value in texts:
+        for file, home in named_files(value, folders):
+            files.setdefault(file, set()).add(home)
+    return files
 
 
-def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
-    """Yield existing files that a string may name, whole or by some of its words, relative to any of the folders."""
-    for name in _names(text):
-        for folder in tuple(folders):
+def named_files(text: str, folders: Mapping[Path, Path]) -> Iterator[tuple[Path, Path]]:
+    """
+    Yield existing files that a string may name, whole or by some of its words, relative to any of the folders.
+
+    With each file comes the value of its folder in the mapping.
+    """
+    for name in possible_names(text):
+        for folder, home in tuple(folders.items()):
             # os.path.isfile, because that of Path raises for a text that is too long for a name
             if os.path.isfile(folder / name):
-                yield (folder / name).resolve()
-
-
-def _names(text: str) -> Iterator[str]:
-    """Yield possible file names in a string: the whole text, and runs of words, also without ``:entry`` or ``key=``."""
-    found = {text}
-    for part in re.split(r"[,;\n]", text):
-        words = part.split()
-        for length in range(1, min(LONGEST_NAME, len(words)) + 1):
-            for start in range(len(words) - length + 1):
-                whole = " ".join(words[start : start + length])
-                found |= {whole, whole.rpartition(":")[0], whole.partition("=")[2]}
-    yield from sorted(found - {"", "."})
+                yield (folder / name).resolve(), home

@@ -29,6 +29,7 @@ from mistray.scene.mitsuba_bsdfs import translate_bsdfs
 from mistray.scene.other_sensors import sensor_dicts
 from mistray.scene.other_sources import source_dicts, with_parts
 from mistray.scene.source import remember
+from mistray.scene.xml_file import with_whole_paths
 from mistray.spectra.spectrum import DEFAULT_NM
 
 LONGEST_NAME = 400  # characters of a path that a message repeats
@@ -132,6 +133,7 @@ def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], mor
     if isinstance(given, Path):
         check_source(given, text)
         name = _utf8(given)
+        text = None if text is None else with_whole_paths(name, text)
     try:
         scene = _from_dict(given) if isinstance(given, dict) else _from_file(name, text)
     except Exception as error:  # Mitsuba raises RuntimeError and TypeError with text of many lines

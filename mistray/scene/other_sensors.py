@@ -48,13 +48,12 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
     if word not in NORMAL:
         raise MistrayError(f"sensor '{sensor}': '{word}' is none; give {' or '.join(NORMAL)}")
     owner = f"{word.replace('_', ' ')} '{sensor.partition(':')[2]}'"
-    found["edges_deg"] = str(found.get("edges_deg", "0:180:2")).replace(" ", ",")
-    if word == "probe":
-        del found["edges_deg"]
-        if not place:
-            raise MistrayError(f"{owner}: its place is missing; give x,y,z of its middle in mm, then names=values")
-    elif place:
-        raise MistrayError(f"{owner}: it has no place; leave out x,y,z, the light leaves the whole scene")
+    if word == "probe" and not place:
+        raise MistrayError(f"{owner}: its place is missing; give x,y,z of its middle in mm, then names=values")
+    if word == "far_field":
+        found["edges_deg"] = str(found.get("edges_deg", "0:180:2")).replace(" ", ",")
+        if place:
+            raise MistrayError(f"{owner}: it has no place; leave out x,y,z, the light leaves the whole scene")
     z = _numbers(found.pop(NORMAL[word], "0,0,1"), NORMAL[word], owner)
     up = found.pop("up", None)
     y = _numbers(up, "up", owner) if up else np.eye(3)[1 if abs(z[1]) < 0.9 * np.linalg.norm(z) else 2]

@@ -1,12 +1,13 @@
 """Reader of the optical surfaces of a scene file, for export; the scene itself is not loaded.
 
 It reads shapes of type `asphere` whose `interface` transmits light or is a mirror, the detector, the aperture stop, and
-the source. The stop is the frustums whose ``part`` is ``stop``; the source is `collimated` or `point_source`.
-Everything else is structure, of which only the names are returned.
+the source, also in scenes that the file includes. The stop is the frustums whose ``part`` is ``stop``; the source is
+`collimated` or `point_source`. Everything else is structure, of which only the names are returned.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,8 +22,11 @@ from mistray.physics.geometry.sag import trimmed
 from mistray.physics.polarization.state import jones_numbers
 from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Source, Stop, Surface
 from mistray.prescription.model import MAX_COEFFICIENTS
+from mistray.prescription.spectral import DEFAULT_NM
+from mistray.scene.depth import check_source
 from mistray.scene.load import find
-from mistray.scene.xml_file import Element, SceneFile, filled
+from mistray.scene.recoat import COATED
+from mistray.scene.xml_file import Element, SceneFile, filled, is_true
 
 _SHIFTS = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 _COEFFICIENTS = tuple(f"a{2 * place}" for place in range(2, 2 + MAX_COEFFICIENTS))
@@ -58,6 +62,9 @@ def read_optics(source: str | Path) -> tuple[Prescription, tuple[str, ...]]:
 class _Reader:
     def __init__(self, path: Path, name: str) -> None:
         self.file = SceneFile(path)
+        if any(element.tag == "include" for element in self.file.root.walk()):
+            check_source(path)  # or the files might have no end
+            self.file = _whole(path, ())
         self.name = Path(name).stem if Path(name).suffix else name
 
     def read(self) -> tuple[Prescription, tuple[str, ...]]:
@@ -106,28 +113,31 @@ class _Reader:
         """
         Return an optical surface; None for a shape that neither reflects as a mirror nor transmits light.
 
-        It is also None if the BSDF is not an ``interface``.
+        It is also None if the BSDF is neither an ``interface`` nor a ``thinfilm`` by itself.
         """
         found = self.file.surface(element)
-        if found is None or found[1].values.get("type") != "interface":
+        if found is None or found[1].values.get("type") not in COATED:
             return None
         values = self.file.values(found[1])
-        mirror = values.get("mirror", "false").lower() == "true"
-        coating = self._coating(found[1], values)
-        if not mirror and coating is not None and coating.opaque:
+        mirror = is_true(values.get("mirror", ""))
+        coating, opaque = self._coating(found[1], values)
+        if opaque and not mirror:
             return None
         front, back = values.get("front", "air"), values.get("back", "air")
         form = self._form(element, label)
         return Surface(label, **form, front=front, back=back, coating=coating, mirror=mirror)
 
-    def _coating(self, element: Element, values: Mapping[str, str]) -> Coating | None:
-        if "R" in values or "table" in values:
-            return Coating(**self._recipe("an interface", values))
-        for child in element.children:
-            film = self.file.meant(child)
+    def _coating(self, element: Element, values: Mapping[str, str]) -> tuple[Coating | None, bool]:
+        """Return the coating of a BSDF, None for a bare surface, and whether it transmits no light."""
+        if element.values["type"] == "interface" and ("R" in values or "table" in values):
+            coating = Coating(**self._recipe("an interface", values))
+            return coating, coating.opaque
+        for film in (element, *map(self.file.meant, element.children)):
             if film is not None and film.values.get("type") == "thinfilm":
-                return Coating(**self._recipe("a thinfilm", self.file.values(film)), name=film.values.get("id"))
-        return None
+                values = self.file.values(film)
+                coating = Coating(**self._recipe("a thinfilm", values), name=film.values.get("id"))
+                return coating, coating.opaque or is_true(values.get("opaque", ""))
+        return None, False
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
         """
@@ -195,10 +205,18 @@ class _Reader:
         values = [self.file.values(element) for element in elements]
         where = f"the aperture stop (part '{_STOP_PART}')"
         radii = [self._number(where, row, key) for row in values for key in ("r0", "r1")]
-        places = [self._number(where, row, key) for row in values for key in ("z0", "z1")]
+        shifts = [self._number(where, row, "z", 0.0) for row in values]
+        places = [
+            self._number(where, row, key) + z for row, z in zip(values, shifts, strict=True) for key in ("z0", "z1")
+        ]
         poses = [self._to_world(element, where) for element in elements]
         if any(not np.array_equal(pose, np.eye(4)) for pose in poses):
             raise MistrayError(f"scene '{self.file.path}', {where}: it is moved by to_world; put its place into z0, z1")
+        for row, key in itertools.product(values, ("x", "y", "tilt_x", "tilt_y")):
+            if self._number(where, row, key, 0.0):
+                raise MistrayError(
+                    f"scene '{self.file.path}', {where}: its {key} is {row[key]}; leave it out to export"
+                )
         outer = max(radii)
         return Stop(min(radii), min(places), max(places), outer, outer)
 
@@ -223,19 +241,52 @@ class _Reader:
 
         A value that is not of numbers raises `MistrayError`.
         """
-        names = [key for key in ("wavelength_nm", "weights", "stokes") if key in values]
+        names = [key for key in ("wavelength_nm", "weights", "band_nm", "stokes") if key in values]
         lists = {key: values[key].replace(",", " ").split() for key in names}
         numbers = {key: tuple(self._number(where, {key: word}, key) for word in words) for key, words in lists.items()}
         angle = "polarization_deg"
         return {
             "field_deg": self._number(where, values, "field_deg", 0.0),
             "azimuth_deg": self._number(where, values, "azimuth_deg", 0.0),
-            "wavelength_nm": numbers.get("wavelength_nm", (550.0,)),
+            "wavelength_nm": numbers.get("wavelength_nm", DEFAULT_NM),
             "weights": numbers.get("weights"),
+            "spectrum": self._spectrum(values["spectrum"]) if "spectrum" in values else None,
+            "band_nm": numbers.get("band_nm"),
+            "bands": int(self._number(where, values, "bands")) if "bands" in values else None,
             "stokes": numbers.get("stokes"),
             "jones": jones_numbers(where, values["jones"]) if "jones" in values else None,
             angle: self._number(where, values, angle) if angle in values else None,
         }
+
+    def _spectrum(self, text: str) -> str:
+        """Return the spectrum of a source; the path of a file beside the scene leads there from the current folder."""
+        beside = self.file.path.parent / text
+        return str(beside) if text.lower().endswith(".csv") and beside.is_file() else text
+
+
+def _whole(path: Path, folders: tuple[Path, ...]) -> SceneFile:
+    """
+    Return a scene file in which the scenes that it includes stand in place of their ``<include>``.
+
+    They are searched beside the file that includes them, then in its ``<path>`` and in `folders`, as in Mitsuba. Raise
+    `MistrayError` if one is missing.
+    """
+    file = SceneFile(path)
+    folders = (path.parent, *folders)
+    edits = []
+    for element in file.root.walk():
+        if element.tag == "path":
+            way = filled(element.values.get("value", ""), file.defaults)
+            folders = (*(folder / way for folder in folders), *folders)
+        if element.tag != "include":
+            continue
+        name = filled(element.values.get("filename", ""), file.defaults)
+        found = next((folder / name for folder in (*folders, Path()) if (folder / name).is_file()), None)
+        if found is None:
+            raise MistrayError(f"scene '{path}': there is no file '{name}' for its <include>; correct the name")
+        inner = _whole(found, folders)
+        edits.append((element.start, element.end, inner.data[inner.root.inside : inner.root.close]))
+    return file.changed(edits)
 
 
 def _placed(pose: np.ndarray) -> dict[str, Any]:

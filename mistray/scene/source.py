@@ -17,7 +17,7 @@ import mitsuba as mi
 from mistray.cache.fingerprint import file_fingerprint
 from mistray.errors import MistrayError
 from mistray.read_file import read_file, require_file
-from mistray.scene.files import scene_files
+from mistray.scene.files import files_and_homes
 
 OURS = "mistray.plugins."
 ATTRIBUTE = "mistray_source"  # of a plugin of the scene: a scene itself, of C++, takes no attribute
@@ -216,14 +216,22 @@ def _packed(path: Path, text: bytes) -> PackedScene:
     Files named by an absolute path are not packed, only their hashes. Raise `MistrayError` if one cannot be read.
     """
     require_file(path, "scene")
-    first, *others = scene_files(path, text)
+    named = files_and_homes(path, text)
+    first, *others = named
     contents = {file: read_file(file) for file in others}
     texts = [text, *(content for file, content in contents.items() if file.suffix == ".xml")]
     absolute = {file for file in others if any(str(file).encode() in content for content in texts)}
-    ways = {file: Path(os.path.relpath(file, first.parent)) for file in others if file not in absolute}
+    # Files found in the current folder are packed beside the scene, whose own of the same name come first
+    ways = {
+        Path(os.path.relpath(file, home)): file
+        for beside in (False, True)
+        for file in others
+        for home in named[file]
+        if file not in absolute and (home == first.parent) == beside
+    }
     # A folder that lies as deep as the files lie upwards
-    inside = Path(*("in",) * max((way.parts.count("..") for way in ways.values()), default=0))
-    files = {os.path.normpath(inside / way): contents[file] for file, way in ways.items()}
+    inside = Path(*("in",) * max((way.parts.count("..") for way in ways), default=0))
+    files = {os.path.normpath(inside / way): contents[file] for way, file in ways.items()}
     scene = os.path.normpath(inside / SCENE_NAME)
     checked = {str(file): hashlib.sha256(contents[file]).hexdigest() for file in absolute}
     return PackedScene(str(path), {**files, scene: text}, scene, checked)

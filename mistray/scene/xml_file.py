@@ -20,6 +20,7 @@ from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.read_file import read_file
 
+LONGEST_NAME = 6  # words of a file name with blanks, within a longer text such as a list of layers
 DEEPEST = 100  # levels of elements within each other; scenes need about six
 INDENT = "    "
 MOST_TEXT = 32 << 20  # characters of a scene, each file counted as often as it is read, parameters in place
@@ -271,15 +272,20 @@ class SceneFile:
         return [*edits, (element.inside, element.inside, added.encode())]
 
     def with_copies(self, references: Iterable[Element]) -> SceneFile:
-        """Return the file with given references replaced by copies of the objects they refer to, without id."""
+        """Return the file with given references replaced by copies of the objects they refer to, without ids."""
         return self.changed(
             [(place.start, place.end, self._copy(place, self.ids[place.values["id"]])) for place in references]
         )
 
     def _copy(self, place: Element, shared: Element) -> bytes:
         deeper = self.indent(place)[len(self.indent(shared)) :].encode()
-        tag, rest = self.data[shared.start : shared.inside], self.data[shared.inside : shared.end]
-        return (_ID.sub(b"", tag, count=1) + rest).replace(b"\n", b"\n" + deeper)
+        copied, at = b"", shared.start
+        for element in shared.walk():
+            if "id" in element.values and element.tag != "ref":  # those of objects within it are taken, too
+                tag = self.data[element.start : element.inside]
+                copied += self.data[at : element.start] + _ID.sub(b"", tag, count=1)
+                at = element.inside
+        return (copied + self.data[at : shared.end]).replace(b"\n", b"\n" + deeper)
 
     def changed(self, edits: Iterable[Edit]) -> SceneFile:
         """
@@ -317,9 +323,10 @@ class SceneFile:
         return self.changed(edits).data.decode("utf-8")
 
     def _names_files(self) -> bool:
-        """True if any value in the scene names a file relative to the scene's folder, see `names_a_file`."""
+        """True if a value names a file, see `names_a_file`, or a ``<path>`` a folder, relative to that of the scene."""
         return any(
-            names_a_file(element.values.get(key, ""), self.path.parent)
+            names_a_file(text := filled(element.values.get(key, ""), self.defaults), self.path.parent)
+            or (element.tag == "path" and not os.path.isabs(text) and os.path.isdir(self.path.parent / text))
             for element in self.root.walk()
             for key in ("value", "filename")
         )
@@ -330,11 +337,64 @@ def too_deep(path: Path, line: int, tag: str) -> MistrayError:
     return MistrayError(f"scene '{path}', line {line}: <{tag}> lies within {DEEPEST} other elements; close them first")
 
 
+def is_true(text: str) -> bool:
+    """True if the value of a ``<boolean>`` is true; Mitsuba takes capitals, too."""
+    return text.lower() == "true"
+
+
 def names_a_file(text: str, folder: Path) -> bool:
-    """True if a string, or one of its words, is the name of an existing file relative to a folder."""
-    words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
+    """True if a string, or some of its words, is the name of an existing file relative to a folder."""
     # os.path.isfile, because that of Path raises for a text that is too long for a name, such as a list of layers
-    return any(not os.path.isabs(word) and os.path.isfile(folder / word) for word in words)
+    return any(not os.path.isabs(name) and os.path.isfile(folder / name) for name in possible_names(text))
+
+
+def possible_names(text: str) -> list[str]:
+    """
+    Return what may be names of files in a string, sorted: the whole text, and runs of its words.
+
+    A run also counts without ``:entry`` at its end, and without ``key=`` before it.
+    """
+    found = {text}
+    for part in re.split(r"[,;\n]", text):
+        words = part.split()
+        for length in range(1, min(LONGEST_NAME, len(words)) + 1):
+            for start in range(len(words) - length + 1):
+                whole = " ".join(words[start : start + length])
+                found |= {whole, whole.rpartition(":")[0], whole.partition("=")[2]}
+    return sorted(found - {"", "."})
+
+
+def with_whole_paths(name: str, text: str) -> str:
+    """
+    Return the text of a scene in which each ``<path>`` to a folder beside the scene, or in another path, is absolute.
+
+    Mitsuba looks for such folders first if it reads a file, but in the current folder if it reads a string.
+
+    Parameters
+    ----------
+    name : str
+        Path of the scene file whose content the text replaces.
+    text : str
+        Scene XML.
+
+    Raises
+    ------
+    MistrayError
+        If the text is not XML in UTF-8.
+    """
+    file, home = SceneFile(Path(name), text.encode()), os.path.dirname(os.path.abspath(name))
+    edits: list[Edit] = []
+    paths: list[str] = []  # the last one is searched first, but after the scene's folder
+    for element in file.root.walk():
+        if element.tag != "path":
+            continue
+        way = filled(element.values.get("value", ""), file.defaults)
+        found = next(filter(os.path.isdir, (os.path.join(folder, way) for folder in (home, *paths))), None)
+        if found is not None:
+            paths.insert(0, found)
+            whole = quoteattr(found.replace("$", "\\$"))
+            edits.append((element.start, element.end, f"<path value={whole}/>".encode()))
+    return file.changed(edits).data.decode() if edits else text
 
 
 def filled(text: str, defaults: Mapping[str, str]) -> str:

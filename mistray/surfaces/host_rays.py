@@ -113,7 +113,7 @@ def first_hit(
         order = order[t[order] < best[rays[order]]]
         best[rays[order]], surface[rays[order]] = t[order], members[order]
     # Mitsuba aborts the process when it is asked for the hits of no rays
-    stock = _stock_hit(table, o, d, best) if table.mitsuba_scene is not None and len(o) else None
+    stock = _stock_hit(table, o, d) if table.mitsuba_scene is not None and len(o) else None
     if stock is not None:
         nearer = stock[0] < best
         best, surface = np.where(nearer, stock[0], best), np.where(nearer, stock[1], surface)
@@ -321,13 +321,11 @@ class HostSurfaces:
         return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
-def _stock_hit(
-    table: SurfaceTable, o: np.ndarray, d: np.ndarray, before: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _stock_hit(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Return the hits of rays with Mitsuba shapes: distances, (n,), mm, surface indices, (n,), and unit normals, (n, 3).
 
-    Without a hit the distance is infinite and the index `NO_SURFACE`. `before` is not used.
+    Without a hit the distance is infinite and the index `NO_SURFACE`.
     """
     start = o + table.mitsuba_epsilon * d
     assert table.mitsuba_scene is not None

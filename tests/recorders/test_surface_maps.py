@@ -198,6 +198,8 @@ def test_a_sensor_of_a_scene_and_its_text():
     for text in ("surface_maps:azimuths=many", "surface_maps:x,width=3", "surface_maps:id=a,id=b"):
         with pytest.raises(MistrayError):
             sensor_dict(text)
+    with pytest.raises(MistrayError, match=r"edges_deg.* of probe"):
+        mistray.load("plate", sensors="probe:0,0,17,edges_deg=0:90:5")
     with pytest.raises(Exception, match="to_world"):
         mi.load_dict({"type": "surface_maps", "to_world": mi.ScalarTransform4f()})
     walls = {"type": "surface_maps", "surfaces": "tube_?", "azimuths": 8, "lengths": 4}

@@ -46,6 +46,8 @@ REFUSED: list[tuple[type, dict[str, Any], str]] = [
     (KCorrelation, ROUGH | {"reference_nm": 550.0}, "reference_nm goes with band_limited"),
     (KCorrelation, ROUGH | {"substrate": 1.5 + 0j}, "substrate goes with theory rayleigh_rice_vector"),
     (KCorrelation, ROUGH | VECTOR | {"substrate": -1 + 2j}, "substrate is -1"),
+    (KCorrelation, ROUGH | VECTOR | {"substrate": [0.9, 6.6]}, r"substrate is \[0.9, 6.6\]; it must be n\+ik"),
+    (KCorrelation, ROUGH | VECTOR | {"substrate": 10**400}, "substrate is 1000*…; it must be"),
     (Paint, {}, "nothing is scattered"),
     (Paint, {"reflectance": 0.99, "b0": 1.0}, "of the light at 0°; lower reflectance or b0"),
     (Paint, {"reflectance": 0.9, "b0": 1.0, "l": 0.1, "s": -3.0, "n": 1.5}, r"scatters 1\.\d+ of the light at \d+.*°"),

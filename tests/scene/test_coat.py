@@ -7,7 +7,7 @@ import pytest
 import tmm
 import vectors
 from command_line import Captured, fails, run, succeeds
-from oracles.small_scenes import write
+from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
 from refusals import refused
 from scene.test_rewrite import changes
 
@@ -43,6 +43,24 @@ def file(tmp_path: Path) -> Path:
 
 def bsdfs(scene: object) -> dict[str, object]:
     return {shape.id(): shape.bsdf() for shape in scene.shapes()}
+
+
+def glass(path: Path, n: float) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"wavelength_nm,n,k\n400,{n},0\n700,{n},0\n")
+
+
+def plate(folder: Path, front: str, rear: str, *more: str) -> Path:
+    """A plate, the faces of which name their glass each."""
+    folder.mkdir(exist_ok=True)
+    faces = ("front", 0.0, interface_xml(back=front)), ("rear", 2.0, interface_xml(front=rear))
+    shapes = [shape_xml("asphere", name, z, bsdf, semi_diameter=5.0) for name, z, bsdf in faces]
+    return write(folder, scene_text(*more, *shapes, shape_xml("asphere", "d", 9.0, sensor=True, semi_diameter=4.0)))
+
+
+def passed(n: float, m: float) -> float:
+    """Transmittance between two indices at normal incidence, by Fresnel's equations."""
+    return 1 - ((n - m) / (n + m)) ** 2
 
 
 def texts(scene: object) -> dict[str, str]:
@@ -81,6 +99,16 @@ class TestLight:
         assert texts(again) == texts(scene)
         assert [e.size[0] for e in again.emitters()] == [1.0]
         assert bsdfs(mistray.load(file))["B_rear"].film is None, "the file stays as it is"
+
+    def test_files_of_the_current_folder_travel(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """The faces of a plate name its glass by a file there, and by one in a path there."""
+        for name in ("1.csv", "glasses/2.csv"):
+            glass(tmp_path / "here" / name, 1.4)
+        file = plate(tmp_path / "scene", "1.csv", "2.csv", '<path value="glasses"/>')
+        monkeypatch.chdir(tmp_path / "here")
+        scene = source_of(mistray.load(file))
+        monkeypatch.chdir("/")
+        assert direct(scene.load()) == pytest.approx(passed(1, 1.4) ** 2, rel=2e-6)
 
 
 class TestPatterns:
@@ -139,6 +167,48 @@ class TestPatterns:
         expected = (tmm.coh_tmm("s", [1, 1.5, 1.5168], [float("inf"), 80, float("inf")], 0, 550)["T"]
                     * (1 - ((1.7 - 1.5168) / (1.7 + 1.5168)) ** 2) * 0.8)  # fmt: skip
         assert direct(scene) == pytest.approx(expected, rel=2e-6)
+
+    @pytest.mark.parametrize("folder", ["data", "."])
+    def test_names_in_the_scene_count_from_it(
+        self, folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Not from the current folder, though it has such a path and a file; the file has a blank in its name."""
+        glass(tmp_path / "scene" / folder / "my glass.csv", 1.4)
+        glass(tmp_path / folder / "my glass.csv", 1.9)
+        file = plate(tmp_path / "scene", *2 * ["my glass.csv k=0"], f'<path value="{folder}"/>' * (folder != "."))
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "scene" / "out").mkdir()
+        rules, expected = {"rear": "R=0 T=1"}, pytest.approx(passed(1, 1.4), rel=2e-6)
+        assert direct(mistray.coat(file, rules)) == expected
+        write_coated("scene/scene.xml", "scene/out/new.xml", Rules(rules))
+        assert direct(mistray.load("scene/out/new.xml")) == expected
+        monkeypatch.chdir("/")
+        assert direct(mistray.load(tmp_path / "scene" / "out" / "new.xml")) == expected
+
+    def test_capitals_and_ids_within_a_shared_interface(self, tmp_path: Path) -> None:
+        """Mitsuba takes "True" as well; the copy of an interface for one surface has no id of the original."""
+        rough = "".join(
+            f'<float name="{k}" value="{v}"/>'
+            for k, v in {"rms_nm": 2, "B_um": 20, "slope": 3, "reference_nm": 550}.items()
+        )
+        shared = (
+            '<bsdf type="interface" id="glass"><string name="back" value="1.5"/>'
+            '<bsdf type="thinfilm" id="ar"><string name="preset" value="bbar3"/></bsdf></bsdf>'
+            f'<bsdf type="k_correlation" id="polish">{rough}<boolean name="band_limited" value="True"/></bsdf>'
+        )
+        mirror = interface_xml(R=0.9, mirror=True).replace('"true"', '"True"')
+        lenses = [
+            shape_xml("asphere", "LK"[k], 0.0, '<ref id="glass"/>', semi_diameter=5.0, x=20.0 * k) for k in (0, 1)
+        ]
+        shapes = (*lenses, shape_xml("asphere", "M", 9.0, mirror, semi_diameter=5.0))
+        file = write(
+            tmp_path, scene_text(shared, *shapes, shape_xml("asphere", "d", 20.0, sensor=True, semi_diameter=2.0))
+        )
+        found = bsdfs(mistray.coat(file, {"M*": "protected_al"}, scatter={"L": "harvey_shack rms_nm=1"}))
+        assert found["M"].coating.name == "protected_al"
+        assert [len(found[name].scatter) for name in "LK"] == [1, 0]
+        assert found["L"].coating.layers == found["K"].coating.layers
+        assert len(found["L"].coating.layers) == len(preset("bbar3").layers)
 
 
 def test_wrong_rules(file: Path, tmp_path: Path) -> None:

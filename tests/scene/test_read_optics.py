@@ -97,6 +97,52 @@ def test_what_a_scene_may_say_and_its_coatings(read):
     assert [surface.radius for surface in prescription.surfaces] == [50.0, -70.0]
 
 
+def test_light_and_stop_are_those_of_the_trace(read, tmp_path):
+    frustum = "".join(number(key, value) for key, value in {"r0": 3, "z0": 5, "r1": 8, "z1": 5, "z": 4}.items())
+    stop = shape(frustum, '<string name="part" value="stop"/>', name="stop_front", kind="frustum")
+    prescription, _ = read(shape(), stop)
+    assert prescription.stop == Stop(3.0, 9.0, 9.0, 8.0, 8.0)
+    text = (tmp_path / "camera.xml").read_text()
+    for key in ("x", "tilt_y"):
+        with refused(rf"scene '.*camera\.xml'.*aperture stop.*: its {key} is 0\.5; leave it out"):
+            read(stop.replace('"z"', f'"{key}"').replace('"4"', '"0.5"'))
+    lines = text.replace('wavelength_nm" value="486.1, 656.3"', 'spectrum" value="F d C"').replace('"1 3"', '"1 2 1"')
+    (tmp_path / "lines.xml").write_text(lines)
+    found, _ = read_optics(tmp_path / "lines.xml")
+    assert found.source.light.wavelengths_nm == pytest.approx([486.1, 587.6, 656.3], abs=0.1)
+    band = '<string name="band_nm" value="500, 600"/><integer name="bands" value="2"/>'
+    lines = lines.replace("F d C", "blackbody:3000").replace('<string name="weights" value="1 2 1"/>', band)
+    (tmp_path / "lines.xml").write_text(lines)
+    source = read_optics(tmp_path / "lines.xml")[0].source
+    assert (source.spectrum, source.band_nm, source.bands) == ("blackbody:3000", (500.0, 600.0), 2)
+
+
+def test_surfaces_with_a_thinfilm_alone_and_in_an_included_scene(read, tmp_path):
+    """A film that the scene says is opaque makes a wall; without that it is a clear coating."""
+    metal = '<bsdf type="thinfilm">{}<string name="layers" value="Al 100"/><string name="back" value="N-BK7"/></bsdf>'
+    opaque = metal.format('<boolean name="opaque" value="True"/>')
+    nested = f'<bsdf type="interface">{opaque.replace("back", "first").replace("N-BK7", "front")}</bsdf>'
+    (tmp_path / "parts").mkdir()
+    blind = shape(name="blind", bsdf=opaque)
+    (tmp_path / "parts" / "wall.xml").write_text(f'<scene version="3.0.0">{blind}</scene>')
+    inner = (
+        f'<scene version="3.0.0"><default name="R" value="7"/>{{}}{shape(number("radius", "$R"), name="L1")}</scene>'
+    )
+    (tmp_path / "parts" / "lens.xml").write_text(inner.format('<include filename="wall.xml"/>'))
+    include = '<path value="parts"/><include filename="lens.xml"/>'
+    prescription, left_out = read(include, shape(name="L2", bsdf=metal.format("")), shape(name="B", bsdf=nested))
+    assert [surface.name for surface in prescription.surfaces] == ["L1", "L2"]
+    assert prescription.surfaces[0].radius == 50.0  # the first default of a name holds, that of the scene
+    assert prescription.surfaces[1].coating == Coating(layers="Al 100")
+    assert prescription.surfaces[1].back == "N-BK7"
+    assert left_out == ("blind", "B")
+    with refused(r"there is no file 'none\.xml' for its <include>; correct the name"):
+        read('<include filename="none.xml"/>')
+    (tmp_path / "parts" / "lens.xml").write_text(inner.format('<include filename="lens.xml"/>'))
+    with refused("lies within itself"):
+        read(include)
+
+
 def test_errors_name_file_and_shape(read):
     for part, message in (
         ('<emitter type="collimated"/>', "it has two sources; remove one"),

@@ -185,6 +185,15 @@ def test_every_surface_has_its_own(source: Path) -> None:
     assert "AR.thickness_nm" in after  # a coating stays shared
 
 
+def test_ids_within_a_shared_interface(tmp_path: Path) -> None:
+    """Each surface has a copy of the interface, whose model had an id."""
+    shared = f'<bsdf type="interface" id="glass"><string name="back" value="1.5"/>{MODELS[0]}</bsdf>'
+    shapes = [shape_xml("asphere", "ab"[k], 0.0, '<ref id="glass"/>', semi_diameter=5.0, x=20.0 * k) for k in (0, 1)]
+    detector = shape_xml("asphere", "detector", 20.0, sensor=True, half_width=3.0, half_height=3.0)
+    after = with_own(SceneText(write(tmp_path, scene_text(shared, *shapes, detector))), tmp_path)
+    assert {"a.bsdf.harvey_shack.rms_nm", "b.bsdf.harvey_shack.rms_nm"} <= set(after.keys())
+
+
 def test_new_values(source: Path) -> None:
     """One value changes, and nothing else; without models of their own they stay shared."""
     for key, value in vectors.toml("tables.toml")["new values"]:

@@ -155,6 +155,17 @@ def test_the_kernel_keeps_to_an_outline_and_light_the_other_way_passes() -> None
         assert ids == hits
 
 
+def test_a_first_figure_with_the_sign_of_an_intersection_is_an_area() -> None:
+    o, d = np.array([[0.0, 0.0, -5.0], [8.0, 0.0, -5.0], [0.0, 9.0, -5.0]]), np.tile([0.0, 0.0, 1.0], (3, 1))
+    plate = {"type": "freeform", "clip_1": "&rectangle", "clip_1_half_width": 10.0, "clip_1_half_height": 10.0}
+    hole = {"type": "freeform", "clip_1": "&circle", "clip_1_radius": 8.5}
+    for shape, hits in (
+        (plate | {"clip_2": "+circle", "clip_2_radius": 2.0}, ["shape", "shape", "shape"]),
+        (hole, ["shape", "shape", "detector"]),
+    ):
+        assert kernel_hits(scene(shape), o, d)[1] == hits
+
+
 def test_outlines_end_at_a_circle() -> None:
     """The parts of random outlines within a circle and of the circle outside them, also where figures reach beyond."""
     rng, radius = np.random.default_rng(3), 6.0

@@ -15,12 +15,12 @@ from mistray.analyses.export.profiles import Profile, profile_of
 from mistray.errors import MistrayError
 from mistray.io.cad.write_step import StepFile
 from mistray.physics.geometry.outline import rectangle
+from mistray.prescription.geometry import is_gas
 from mistray.toolkit.drawings.chains import route
 from mistray.toolkit.drawings.cut_open import primitive, role_of, surface_names
 
 Array = npt.NDArray[np.float64]
 
-GASES = ("air", "vacuum")
 # A transform in single precision turns and moves an axis by this: a distance in units of the size, and 1 - cosine
 SAME_AXIS, PARALLEL = 2e-7, 1e-13
 JOINED_MM, CONNECTED = 1e-7, 1e-6  # ends nearer than this are one point: mm, and of the size
@@ -241,7 +241,8 @@ def _add(
     `matrix` and `profile` are those of `_turned`. `lit` is the side of a mirror as in `bodies_of`, 0 for none.
     """
     size = float(np.abs(profile.poles).max())
-    front, back = shape.bsdf().front, shape.bsdf().back
+    bsdf = shape.bsdf()
+    front, back = getattr(bsdf, "front", "air"), getattr(bsdf, "back", "air")  # one of Mitsuba has none
     for axis in axes:
         along = float(matrix[:3, 2] @ axis.matrix[:3, 2])
         away = matrix[:3, 3] - axis.matrix[:3, 3]
@@ -256,7 +257,7 @@ def _add(
         axes.append(axis)
     minus, plus = (front, back) if sign > 0 else (back, front)
     sheet = hasattr(shape, "sag")
-    refracts = sheet and role in ("glass", "detector") and not shape.bsdf().opaque
+    refracts = sheet and role in ("glass", "detector") and not getattr(bsdf, "opaque", True)
     axis.rings.append(Ring(name, part, role, profile, minus, plus, refracts, int(sign * lit)))
 
 
@@ -270,7 +271,7 @@ def _lenses(axis: Axis, found: Found) -> set[str]:
     for k, face in enumerate(faces):
         glass = face.plus
         partner = next((other for other in faces[k + 1 :] if other.minus == glass), None)
-        if glass in GASES or partner is None:
+        if is_gas(glass) or partner is None:
             continue
         if (face.profile.start[0] > 0) != (partner.profile.start[0] > 0):
             found.notes.append(f"{face.part}: one of its faces has a hole and the other has none; they are sheets")

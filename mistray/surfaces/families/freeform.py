@@ -268,9 +268,10 @@ def _least_half(figure: OutlineFigure) -> float:
 def _reach(outline: Outline, half: tuple[float, float]) -> float:
     """Return an upper bound, mm, of the distance of an outline's points from the middle of its bounding box."""
     box = float(np.hypot(*half))
-    if outline.figures[0].sign == "-":
+    first, *others = outline.figures
+    if first.sign == "-":
         return box
-    return min(box, max(_farthest(figure) for figure in outline.figures if figure.sign == "+"))
+    return min(box, max(_farthest(figure) for figure in (first, *(one for one in others if one.sign == "+"))))
 
 
 def _farthest(figure: OutlineFigure) -> float:

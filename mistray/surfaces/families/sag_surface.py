@@ -209,7 +209,7 @@ class SagSurface(TracedSurface):
 
     def proposals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         share = np.full(len(u), np.pi * (self.outer**2 - self.inner**2) or 4 * self.half_size[0] * self.half_size[1])
-        if self.outer and self.slope > STEEP:  # towards the rim of a hemisphere the stretch grows as 1 / (1 - u)
+        if self._steep:
             u, share = u * (2 - u), share * 2 * (1 - u)
         q = self.points(u, v)
         return q, share * self._stretch(q[:, 0] ** 2 + q[:, 1] ** 2)
@@ -223,12 +223,22 @@ class SagSurface(TracedSurface):
     def areas(self, first: int, second: int) -> np.ndarray:
         if self.outer:
             low, high = self.inner**2, self.outer**2
-            rings = np.pi * (high - low) * self._stretch(low + (high - low) * _nodes(first)) @ WEIGHTS / first
+            edges = np.arange(first + 1) / first
+            edges = 1 - np.sqrt(1 - edges) if self._steep else edges
+            width = np.diff(edges)
+            w = edges[:-1, None] + width[:, None] * NODES
+            u, share = (w * (2 - w), 2 * (1 - w)) if self._steep else (w, np.ones_like(w))
+            rings = np.pi * (high - low) * width * ((share * self._stretch(low + (high - low) * u)) @ WEIGHTS)
             return np.repeat(rings[:, None] / second, second, axis=1)
         a, b = self.half_size
         x, y = a * (2 * _nodes(first) - 1), b * (2 * _nodes(second) - 1)
         r2 = x[:, None, :, None] ** 2 + y[None, :, None, :] ** 2
         return np.asarray(4 * a * b / (first * second) * (self._stretch(r2) @ WEIGHTS) @ WEIGHTS)
+
+    @property
+    def _steep(self) -> bool:
+        """True if areas are integrated over w with u = w (2 - w): the stretch of a hemisphere grows as 1 / (1 - w)."""
+        return bool(self.outer) and self.slope > STEEP
 
     def _stretch(self, r2: np.ndarray) -> np.ndarray:
         """Return the ratio of the surface's area to that of its projection along the axis, at squared radii, mm²."""

@@ -7,7 +7,7 @@ not on chords of a tessellation. Those on other shapes lie on the triangles of t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ from mistray.surfaces.surfaces import solid_shapes
 
 Points = npt.NDArray[Any]
 Faces = npt.NDArray[np.int64]
+Onto = Callable[[Points], Points]
 
 TURN_PER_RING = math.radians(4.0)  # of the normal along the generatrix, between two rings of the mesh
 FEWEST_RINGS, MOST_RINGS = 7, 25  # of a curved surface
@@ -92,10 +93,16 @@ def surface_names(scene: Any) -> list[tuple[str, Any]]:
 
 
 def role_of(shape: Any) -> str:
-    """Return the role of a shape for the light: "detector", "mirror", "structure" (opaque) or "glass" (refracts)."""
+    """
+    Return the role of a shape for the light: "detector", "mirror", "structure" (opaque) or "glass" (refracts).
+
+    A shape with a BSDF of Mitsuba's own, which states no role, is a structure.
+    """
     if shape.is_sensor():
         return "detector"
     bsdf = shape.bsdf()
+    if not hasattr(bsdf, "mirror"):
+        return "structure"
     if bsdf.mirror:
         return "mirror"
     return "structure" if bsdf.opaque else "glass"
@@ -124,7 +131,7 @@ def open_surfaces(scene: Any, cut: CutPlane | None) -> list[OpenSurface]:
     surfaces = []
     for name, shape in named:
         if _of_revolution(shape):
-            mesh = turned(_profile(shape, rings[name], cut), np.asarray(shape.matrix), steps, cut)
+            mesh = turned(shape.profile(rings[name]), np.asarray(shape.matrix), steps, cut, _onto(shape))
         elif getattr(shape, "rectangular", False):
             mesh = _rectangular(shape, cut)
         else:
@@ -149,7 +156,11 @@ def triangles(shape: Any, name: str) -> tuple[Points, Faces]:
 
 
 def turned(
-    profile: npt.ArrayLike, matrix: npt.NDArray[np.float64], steps: int, cut: CutPlane | None
+    profile: npt.ArrayLike,
+    matrix: npt.NDArray[np.float64],
+    steps: int,
+    cut: CutPlane | None,
+    onto: Onto | None = None,
 ) -> tuple[Points, Faces, list[Points]]:
     """
     Return the mesh of a generatrix turned about the local z axis, without the half that a plane removes.
@@ -167,17 +178,21 @@ def turned(
         Steps of the mesh along each arc.
     cut : CutPlane or None
         Plane of the cut; None: nothing is removed.
+    onto : callable, optional
+        Function that moves points (n, 2) near a curved generatrix onto it; none for one of straight lines. Circles that
+        only touch the plane are added to the rings, and lie on it.
 
     Returns
     -------
     vertices : (k, 3) float64
-        Vertices that faces use, mm; at most n·(steps + 1).
+        Vertices that faces use, mm.
     faces : (m, 3) int
         Vertex indices of each triangle.
     lines : list of (k, 3) float64
         First and last ring, and the two ends of all arcs where they lie on the plane.
     """
     profile = np.asarray(profile, dtype=np.float64)
+    profile = profile if cut is None else _with_touching(profile, matrix, cut, onto)
     rotation, origin = matrix[:3, :3], matrix[:3, 3]
     r, z = profile[:, 0], profile[:, 1]
     centres = origin + z[:, None] * rotation[:, 2]
@@ -192,7 +207,11 @@ def turned(
         half = math.pi - np.arccos(cosine)
         touching = np.abs(reach - np.abs(level)) <= near
         half[touching & (reach <= near)] = math.pi  # a point on the plane, as every point of its circle
-    turn = middle + half[:, None] * np.linspace(-1.0, 1.0, steps + 1)
+    turn = half[:, None] * np.linspace(-1.0, 1.0, steps + 1)
+    if cut is not None and onto is None and np.ptp(z) * abs(along[2]) > near:  # a straight line, oblique to the plane
+        # Triangles between arcs of different lengths would lie across a cone or cylinder
+        turn = np.clip(np.linspace(-math.pi, math.pi, steps + 1), -half[:, None], half[:, None])
+    turn += middle
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1) * r[:, None, None]
     grid = centres[:, None] + circle @ rotation[:, :2].T
     vertices, faces = grid.reshape(-1, 3), _strips(len(r), steps)
@@ -263,24 +282,52 @@ def _of_revolution(shape: Any) -> bool:
     return hasattr(shape, "profile") and not getattr(shape, "rectangular", False)
 
 
-def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.float64]:
-    """
-    Return points (r, z) of a shape's generatrix, one for each ring of its mesh, (n, 2), mm.
+def _onto(shape: Any) -> Onto | None:
+    """Return the function of `turned` for a shape with a profile; None for a straight profile."""
+    if not hasattr(shape, "sag"):
+        return None
+    return lambda points: np.column_stack([points[:, 0], shape.sag(points[:, 0])])
 
-    A plane parallel to the axis adds the point where it touches a circle, if it does between the rims.
+
+def _with_touching(profile: Points, matrix: Points, cut: CutPlane, onto: Onto | None) -> Points:
     """
-    profile = np.asarray(shape.profile(rings), dtype=np.float64)
-    if cut is None or abs(cut.normal @ shape.matrix[:3, 2]) > 1e-12:
+    Return the points (r, z) of a generatrix, mm, and more where the plane begins or ceases to cut the circles.
+
+    A straight line gets further points between these, because the cut of its surface is a curve. The arguments are
+    those of `turned`.
+    """
+    along = cut.normal @ matrix[:3, :3]
+    across, middle = math.hypot(along[0], along[1]), float(cut.height(matrix[:3, 3]))
+
+    def ends(points: Points) -> Points:
+        """Return the greatest and the least height of circles over the plane, (2, n), mm."""
+        height, reach = middle + along[2] * points[:, 1], across * points[:, 0]
+        return np.stack([height + reach, height - reach])
+
+    height = ends(profile)
+    slanted = onto is None and len(profile) == 2 and profile[0, 1] != profile[1, 1]
+    if slanted and across and height[1].min() < 0 < height[0].max():
+        roots = np.divide(height[:, 0], height[:, 0] - height[:, 1], out=np.zeros(2), where=np.ptp(height, axis=1) > 0)
+        first, last = np.clip(np.sort(roots), 0.0, 1.0)
+        share = 0.5 - 0.5 * np.cos(np.linspace(0.0, math.pi, MOST_RINGS))  # about even in angle
+        way = np.unique([0.0, *(first + (last - first) * share), 1.0])
+        return np.asarray(profile[0] + way[:, None] * (profile[1] - profile[0]))
+    height[np.abs(height) <= 1e-11 * (1.0 + np.abs(profile).max() + abs(middle))] = 0.0
+    places: list[float] = []
+    added: list[Points] = []
+    for side, k in np.argwhere(height[:, :-1] * height[:, 1:] < 0):
+        low, high = 0.0, 1.0
+        for _ in range(60):  # bisection
+            place = 0.5 * (low + high)
+            point = profile[k : k + 1] + place * (profile[k + 1] - profile[k])
+            point = point if onto is None else onto(point)
+            low, high = (place, high) if ends(point)[side, 0] * height[side, k] > 0 else (low, place)
+        places.append(k + place)
+        added.append(point[0])
+    if not places:
         return profile
-    r, aside = profile[:, 0], abs(float(cut.height(shape.matrix[:3, 3])))
-    if not r.min() < aside < r.max() or aside in r:
-        return profile
-    if hasattr(shape, "sag"):
-        z = float(shape.sag(np.array([aside]))[0])
-    else:  # a straight line
-        z = float(profile[0, 1] + (aside - r[0]) * (profile[-1, 1] - profile[0, 1]) / (r[-1] - r[0]))
-    place = int(np.searchsorted(r, aside)) if r[-1] > r[0] else len(r) - int(np.searchsorted(r[::-1], aside))
-    return np.insert(profile, place, [aside, z], axis=0)
+    order = np.argsort(places)
+    return np.insert(profile, np.array(places)[order].astype(int) + 1, np.array(added)[order], axis=0)
 
 
 def _rings(shape: Any) -> int:
@@ -347,7 +394,11 @@ def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Poi
         "Cylinder": [[size[0], 0.0], [size[0], size[2]]],
         "Sphere": size[0] * np.column_stack([np.sin(turn), -np.cos(turn)]),
     }[kind]
-    return turned(profile, rigid, steps, cut)
+
+    def on_sphere(points: Points) -> Points:
+        return np.asarray(size[0] * points / np.linalg.norm(points, axis=1, keepdims=True))
+
+    return turned(profile, rigid, steps, cut, on_sphere if kind == "Sphere" else None)
 
 
 def primitive(shape: Any) -> tuple[str, Points, Points]:

@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 
 from mistray.errors import MistrayError
 from mistray.ids import event_words
+from mistray.prescription.geometry import is_gas
 from mistray.ranges import several
 from mistray.recorders.path_events import DIRECT
 from mistray.replace_file import replace_file
@@ -98,12 +99,13 @@ def glass_bodies(scene: Any) -> list[Polyline]:
     surface to the other; without any, straight lines join the rims.
     """
     shapes = [shape for shape in solid_shapes(scene) if hasattr(shape, "profile") and _in_plane(shape)]
+    shapes = [shape for shape in shapes if hasattr(shape.bsdf(), "opaque")]  # those of mistray
     faces = [shape for shape in shapes if not shape.bsdf().opaque and shape.profile()[0, 0] == 0]
     faces.sort(key=lambda shape: float(shape.matrix[2, 3]))
     bodies = []
     for k, face in enumerate(faces):
         glass = face.bsdf().back
-        if glass in ("air", "vacuum"):
+        if is_gas(glass):
             continue
         partner = next((other for other in faces[k + 1 :] if other.bsdf().front == glass), None)
         if partner is None:
@@ -404,8 +406,13 @@ def _draw_system(axes: Axes, scene: Any, lines: Sequence[SectionLine], weight: f
 
 
 def _in_plane(shape: Any) -> bool:
-    """True if the axis of a surface of revolution lies in the plane x = 0, the plane of the drawing."""
-    return abs(shape.matrix[0, 3]) < 1e-9 and abs(shape.matrix[0, 2]) < 1e-9
+    """
+    True if the profile of a surface is its section with the plane x = 0, the plane of the drawing.
+
+    Its axis lies in the plane then, and of a rectangle the y axis, too.
+    """
+    axes = shape.matrix[0, 1:] if getattr(shape, "rectangular", False) else shape.matrix[0, 2:]
+    return bool(np.abs(axes).max() < 1e-9)
 
 
 def _cut(shape: Any, name: str) -> list[Polyline]:

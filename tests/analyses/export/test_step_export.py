@@ -156,6 +156,18 @@ def test_a_lens_is_a_solid_of_the_volume_of_its_formula(tmp_path):
     assert len(text.of("CYLINDRICAL_SURFACE")) == 1
 
 
+def test_gas_between_lenses_and_a_bsdf_of_mitsuba(tmp_path):
+    """Air is no solid, whatever its name, and a ball with a BSDF of Mitsuba's own is a solid like any other."""
+    faces = {
+        f"{name}_{k}": {"type": "asphere", "semi_diameter": 4.0, "z": z + k, "part": name, "bsdf": bsdf}
+        for name, z in (("A", 0.0), ("B", 20.0))
+        for k, bsdf in enumerate((GLASS | {"front": "1.0"}, GLASS_BACK | {"back": "1.0"}))
+    }
+    ball = {"type": "sphere", "center": [0, 0, 40], "radius": 2.0, "bsdf": {"type": "roughconductor"}}
+    written = mistray.export_step(scene_of(**faces, ball=ball), tmp_path / "gap.step")
+    assert set(written.solids) == {"A", "B", "ball"}
+
+
 def revolved(profiles: list[np.ndarray]) -> float:
     r, z = np.concatenate(profiles).T
     r1, z1 = np.roll(r, -1), np.roll(z, -1)

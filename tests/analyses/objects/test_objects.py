@@ -350,6 +350,16 @@ AREAS = [
 ]
 
 
+def test_rings_of_a_hemisphere(load_scene):
+    """Rings of a sphere have 2π R times their height along the axis (Archimedes), the outermost too."""
+    dome = placed_xml("asphere", "dome", radius=5.0, semi_diameter=5.0)
+    detector = placed_xml("asphere", "detector", at=(0.0, 0.0, 30.0), pixels=8, semi_diameter=1.0)
+    table = SurfaceTable(load_scene(scatter_scene(beam_xml(1.0), dome, detector)), 550.0)
+    piece = table.pieces[table.ids.index("dome")]
+    heights = 5.0 * np.sqrt(1 - np.arange(41) / 40)  # of the rims of rings of equal area across the axis
+    np.testing.assert_allclose(piece.areas(40, 2).sum(axis=1), -2 * np.pi * 5.0 * np.diff(heights), rtol=1e-6)
+
+
 @pytest.mark.parametrize(("kind", "numbers", "area"), AREAS)
 def test_patches_have_known_areas(load_scene, kind, numbers, area):
     """The areas add up to that of the surface, and uniform points fall into the patches in proportion to them."""

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from analyses.fake_trace import SHARES, paths_at, scatter_trace_at, trace_in_colours
-from analyses.view.view_scene import A4, CONIC, EXACT, FORMULAS, RADIUS, SCENE, RayTrace, glass, mm, tilted
+from analyses.view.view_scene import A4, BLACK, CONIC, EXACT, FORMULAS, RADIUS, SCENE, RayTrace, glass, mm, tilted
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 from refusals import each_refused, refused
@@ -21,7 +21,14 @@ from mistray.analyses.view.controls import NO_LIGHT, FluxScale
 from mistray.analyses.view.ray_files import read_rays, write_rays
 from mistray.toolkit.drawings.cut_open import CutPlane, clip, open_surfaces, triangulate, turned
 from mistray.toolkit.drawings.path_polylines import RayLine, rays_of_paths, row_name
-from mistray.toolkit.drawings.section_layout import CANDIDATES, layout_figure, meridional, section, write_layout
+from mistray.toolkit.drawings.section_layout import (
+    CANDIDATES,
+    glass_bodies,
+    layout_figure,
+    meridional,
+    section,
+    write_layout,
+)
 
 view = mistray.view
 
@@ -239,6 +246,40 @@ def test_halves_have_the_area_of_the_whole(scene):
     assert np.abs(vertices @ matrix[:3, 2]).max() < 1e-11
 
 
+def segment(radius, distance):
+    """Area of a disc beyond a chord at a distance from its centre."""
+    return radius**2 * np.arccos(distance / radius) - distance * np.sqrt(radius**2 - distance**2)
+
+
+def test_what_is_left_of_a_surface_whose_vertex_is_gone(load_scene):
+    """Segments of discs, half of cylinders whose middle lies in the plane, and the parts on both sides of a plane."""
+
+    def opened(kind, numbers, cut, place=""):
+        values = "".join(f'<float name="{key}" value="{value}"/>' for key, value in numbers.items())
+        text = f'<shape type="{kind}" id="it">{values}{place}{glass("air", "1.5")}</shape>'
+        (it,) = open_surfaces(load_scene(f'<scene version="3.0.0">{text}</scene>'), cut)
+        return it.vertices, area(it.vertices, it.faces)
+
+    fold = {"semi_diameter": 10.0, "x": -3.0, "tilt_y": 45.0}
+    assert opened("asphere", fold, CutPlane())[1] == pytest.approx(segment(10.0, 3 * np.sqrt(2)), rel=5e-3)
+    disk = '<transform name="to_world"><scale value="3"/><translate y="1"/></transform>'
+    assert opened("disk", {}, CutPlane(90.0, 0.3), disk)[1] == pytest.approx(segment(3.0, 0.7), rel=5e-3)
+    for tilt in (90.0, 45.0):
+        tube = {"r0": 2.0, "z0": -5.0, "r1": 2.0, "z1": 5.0, "tilt_y": tilt}
+        assert opened("frustum", tube, CutPlane())[1] == pytest.approx(20 * np.pi, rel=1e-2)
+    for kind, shape, place in (
+        ("asphere", {"radius": 40.0, "semi_diameter": 10.0, "x": -3.0, "tilt_y": 30.0}, ""),
+        ("sphere", {"radius": 3.0}, '<point name="center" x="-1" y="0" z="0"/>'),
+    ):
+        parts = [opened(kind, shape, cut, place) for cut in (None, CutPlane(180.0), CutPlane(0.0))]
+        (_, whole), (vertices, near), (_, far) = parts
+        assert near + far == pytest.approx(whole, rel=2e-3)
+        centre = (
+            [-3.0 + 40 * np.sin(np.radians(30.0)), 0.0, 40 * np.cos(np.radians(30.0))] if "x" in shape else [-1.0, 0, 0]
+        )
+        np.testing.assert_allclose(np.linalg.norm(vertices - centre, axis=1), shape["radius"], atol=1e-6)
+
+
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (0, 2) for z in (5, 6)], dtype=float)
 BOX = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
        [1, 5, 7], [1, 7, 3]]  # fmt: skip
@@ -354,6 +395,27 @@ def test_section_of_a_surface_of_revolution_is_exact(scene):
     r2 = 0.3**2 + lens[:, 1] ** 2
     sag = (r2 / RADIUS) / (1 + np.sqrt(1 - (1 + CONIC) * r2 / RADIUS**2)) + A4 * r2**2
     assert np.abs(lens[:, 0] - 3.0 - sag).max() < 2e-3
+
+
+def test_sections_of_a_turned_rectangle_of_air_gaps_and_of_other_bsdfs(load_scene):
+    """The gap between two lenses is no glass, whatever its name; a BSDF of Mitsuba is drawn as structure."""
+    turn = '<float name="half_width" value="2"/><float name="half_height" value="10"/><float name="tilt_z" value="90"/>'
+    lenses = [
+        f'<shape type="asphere" id="L{k}"><float name="semi_diameter" value="4"/>{mm(z=z)}{glass(*sides)}</shape>'
+        for k, (z, gas) in enumerate([(0, "1.0"), (3, "1.0"), (20, "Air"), (23, "1.0")])
+        for sides in [(gas, "N-BK7") if k % 2 == 0 else ("N-BK7", gas)]
+    ]
+    ball = (
+        '<shape type="sphere" id="ball"><point name="center" x="0" y="0" z="40"/><bsdf type="roughconductor"/></shape>'
+    )
+    rectangle = f'<shape type="asphere" id="turned">{turn}{mm(z=30)}{BLACK}</shape>'
+    scene = load_scene(f'<scene version="3.0.0">{"".join(lenses)}{rectangle}{ball}</scene>')
+    bodies = sorted((body[:, 0].min(), body[:, 0].max()) for body in glass_bodies(scene))
+    np.testing.assert_allclose(bodies, [(0, 3), (20, 23)], atol=1e-9)
+    lines = {surface.name: np.concatenate(surface.lines) for surface in section(scene)}
+    assert (lines["turned"][:, 1].min(), lines["turned"][:, 1].max()) == pytest.approx((-2, 2), abs=1e-6)
+    assert {surface.name: surface.role for surface in open_surfaces(scene, None)}["ball"] == "structure"
+    assert layout_figure(scene) is not None
 
 
 @pytest.fixture(scope="module")
