@@ -282,13 +282,17 @@ def shares_at(
     from_front: mi.Bool,
     cos_i: mi.Float,
     active: mi.Bool,
+    optics: mi.Vector4f | None = None,
 ) -> tuple[mi.Float, mi.Float, mi.Float]:
     """
     Return R, T and cos θt of surfaces s for unpolarised light that arrives at the cosine `cos_i`.
 
     `word` is that of each surface in `Optics.words`, and `from_front` says whether the light comes from its front.
+    `optics` holds the refractive indices in front and behind, and R and T of an ideal coating; None: they are read from
+    the table.
     """
-    optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
+    if optics is None:
+        optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
     at = _incidence(optics, word, from_front, cos_i)
     return *_unpolarized(table, optics, _place(table, s, at, active), at, active), at.cos_t
 
@@ -327,8 +331,7 @@ def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i:
     """
     Return indices and angles of light at a surface by Snell's law n_i sin θi = n_t sin θt.
 
-    `optics` holds the refractive indices in front and behind, and R and T of an ideal coating; the others are as in
-    `shares_at`. At an opaque surface only the cosine of incidence has a meaning.
+    Parameters are as in `shares_at`. At an opaque surface only the cosine of incidence has a meaning.
     """
     n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
     eta, opaque = n_i / n_t, (word & OPAQUE) != 0
@@ -362,7 +365,7 @@ def _unpolarized(
     Return R and T for unpolarised light.
 
     T is 0 at opaque surfaces, and in total reflection, in which the T of an ideal coating is added to R. `optics` is as
-    in `_incidence`.
+    in `shares_at`.
     """
     kinds = table.optics.kinds
     # Ideal coatings have R and T of their own
@@ -399,7 +402,7 @@ def _mueller(
     """
     Return the Mueller matrices of surfaces for reflection and transmission, in axes of the plane of incidence.
 
-    That of transmission has no meaning in total reflection or at an opaque surface. `optics` is as in `_incidence`.
+    That of transmission has no meaning in total reflection or at an opaque surface. `optics` is as in `shares_at`.
     """
     kinds = table.optics.kinds
     # An ideal coating acts on s and p alike, as a bare surface does at normal incidence

@@ -88,17 +88,19 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
         ),
         Estimate(float(power[~stray].sum()), float(np.linalg.norm(sampled_se[~stray]))),
     ]
-    totals = [
+    stray_W, direct_W, ratio = (
         Estimate(now.value, math.hypot(_in_proportion(was, now.value).se, now.se))
         for was, now in zip((of.stray_W, of.direct_W, of.ratio), (*found, found[0].over(found[1])), strict=True)
-    ]
+    )
     ways = of.ways[COLUMNS].copy()
     for value, se in (("power_W", "power_se_W"), ("rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2")):
         ways[se] = np.hypot(of.ways[se] * factor, of.ways[value] * factor_se)
         ways[value] = of.ways[value] * factor
     return Guess(
         ways,
-        *totals,
+        stray_W,
+        direct_W,
+        ratio,
         map_W=_map(of, factor),
         extent=of.maps.extent,
         left_out=tuple(_left_out(of, moved)),

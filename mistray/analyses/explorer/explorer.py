@@ -572,7 +572,7 @@ def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES
     found: list[dict[str, VALUES]] = [{name: BARE} for name in list(choices)[:1]]
     if layered is not None:
         part, preset = layered
-        both = [{name: BARE, part: preset} for name in choices if name != part]
+        both: list[dict[str, VALUES]] = [{name: BARE, part: preset} for name in choices if name != part]
         found = [*both[:1], *found, {part: preset}]
     return found
 
