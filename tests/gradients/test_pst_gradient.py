@@ -93,10 +93,15 @@ def test_less_noise_than_one_direction(scene) -> None:
 
 
 def test_errors_hold(scene) -> None:
-    """The spread of 24 runs is off by 50 % or -45 % once in 20 000 times, of five derivatives five times as often."""
+    """
+    The spread of 24 runs is off by 50 % or -45 % once in 20 000 times, of five derivatives five times as often.
+
+    The rim has 72 runs: a single one may state twice the usual error. It was 0.5 to 0.7 in sets of 24, 0.61 in all.
+    """
     runs = [derivative(scene, seed=100 + k) for k in range(24)]
+    more = [derivative(scene, ["vane.r0"], seed=124 + k) for k in range(48)]
     for key in STEPS:
-        found, errors = np.array([run[key] for run in runs]).T
+        found, errors = np.array([run[key] for run in (*runs, *more) if key in run]).T
         assert 0.55 < found.std(ddof=1) / np.sqrt(np.mean(errors**2)) < 1.5, key
 
 

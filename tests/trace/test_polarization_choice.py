@@ -147,6 +147,7 @@ class TestChoice:
 
 def test_the_same_light_is_tested_once(monkeypatch) -> None:
     scene, tested = mistray.load("cooke_triplet"), []
+    monkeypatch.setattr(polarization_choice, "_known", {})  # of other tests in this process
     monkeypatch.setattr(polarization_choice, "follow", lambda *of: tested.append(of) or follow(*of))
 
     def tests(**light: float) -> int:
