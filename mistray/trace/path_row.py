@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mistray.events import INTERCEPTS, LETTERS
 from mistray.ids import event_words
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)

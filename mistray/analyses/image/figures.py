@@ -11,6 +11,7 @@ from matplotlib.colors import LogNorm
 from mistray.analyses.image.result import ENERGY, FieldImage, ImageQuality
 from mistray.toolkit.figures.figure import Figure, plain_axes
 from mistray.toolkit.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.trace.history import spread
 
 COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, "#555555")
 SHOWN = 8  # fields in one picture, spread evenly over all
@@ -35,8 +36,7 @@ def _shown(found: ImageQuality) -> tuple[list[FieldImage], str]:
     """Return the fields in one picture, spread evenly over all, and how many they are for its heading if not all."""
     if len(found) <= SHOWN:
         return [*found], ""
-    places = np.linspace(0, len(found) - 1, SHOWN).round().astype(int)
-    return [found[int(k)] for k in places], f", {SHOWN} of {len(found)} fields"
+    return [found[int(k)] for k in spread(len(found), SHOWN)], f", {SHOWN} of {len(found)} fields"
 
 
 def _last_frequency(image: FieldImage) -> float:

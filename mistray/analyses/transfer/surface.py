@@ -201,7 +201,7 @@ def run_spectrum(model: RoughSurface, request: SurfaceTransferRequest) -> Surfac
     else:
         path = ghs.path_in_transmission(cos_i, cos_0, n_in, n_out)
     phase = float(harvey_shack.phase_rms(rms_um, wavelength_um, index_step(event, n_in, n_out)))
-    if phase > harvey_shack.MAX_PHASE and getattr(model, "theory", "") != "ghs_full":
+    if phase > harvey_shack.MAX_PHASE and model.theory != "ghs_full":
         warnings.warn(
             f"{model.title}: rms roughness {rms_um * 1e3:.3g} nm is not smooth in {event} at {wavelength_nm:g} nm "
             f"(2π Δn σ/λ is {phase:.3g}, the most is {harvey_shack.MAX_PHASE:.3g}); the transfer function holds, the "
