@@ -61,9 +61,10 @@ class Node:
         Lanes whose flux enters the energy ledger; not those of connected rays, whose light other rays carry as well.
     rng : mi.PCG32
         Random number generator of each lane.
-    row : mi.UInt32 or None
-        Row of the weight window of each node, see `mistray.recorders.importance.window_row`; None: there are no
-        windows.
+    split : mi.UInt32
+        Factor of the weight window on the number of rays that the surface scatters at random, see `WeightWindows`.
+    survival : mi.Float
+        Probability of the weight window that a node scatters at the first visit.
     """
 
     start: StartRays
@@ -76,7 +77,8 @@ class Node:
     again: mi.Bool
     contributes: mi.Bool
     rng: mi.PCG32
-    row: mi.UInt32 | None = None
+    split: mi.UInt32
+    survival: mi.Float
 
     @property
     def visit(self) -> mi.Bool:
@@ -216,7 +218,7 @@ class Branching:
         self, scene: KernelScene, settings: Settings, limits: BranchLimits, lose: Loss, batch: mi.UInt32
     ) -> None:
         self._optics, self._scattering, self._probabilities = scene.table.optics, scene.scattering, scene.probabilities
-        self._backward, self._vertices, self._windows = scene.backward, scene.vertices, scene.windows
+        self._backward, self._vertices, self._windows = scene.backward, scene.vertices, scene.windows is not None
         self._batch = batch
         self._limits, self._lose, self._max_events = limits, lose, settings.max_events
         self._bulk, self._scatters = scene.table.optics.scatters, scene.scatters(settings)
@@ -276,8 +278,8 @@ class Branching:
             rays = self._scatter_rays
             if budget is not None:
                 rays = dr.select(budget.random_rays > 0, budget.random_rays, rays)
-            if self._windows is not None:
-                rays *= self._windows.split(node.row, self._windows.value(node.start, w, visit), visit)
+            if self._windows:
+                rays *= node.split
             random_rays = dr.select(at_random, rays, 0)
             remainder = dr.select(at_random, mi.UInt32(SAMPLING), mi.UInt32(SCATTERS))  # aimed rays leave light out
             aimed_rays = budget.aimed_t + budget.aimed_r if budget is not None else mi.UInt32(0)
@@ -398,11 +400,9 @@ class Branching:
         # Probabilities by surface, and by weight window; a connected ray always scatters at its vertex
         if self._probabilities is not None:
             q = q * dr.gather(mi.Float, self._probabilities.scatter, state["s"], first)
-        if self._windows is not None:
-            survival = self._windows.survival(node.row, self._windows.value(node.start, w, first), first)
-            if self._vertices is not None:
-                survival = dr.select(state["light_vertex"] == 0, survival, 1)
-            q = q * survival
+        if self._windows:
+            connected = mi.Bool(False) if self._vertices is None else state["light_vertex"] != 0
+            q = q * dr.select(connected, 1, node.survival)
         factor = dr.select(1 - u <= q, dr.rcp(q), 0)
         return ScatterFactors(*(dr.select(first, factor, kept) for kept in self._kept(state)))
 

@@ -80,15 +80,18 @@ class WeightWindows:
             return weight
         return weight * dr.gather(mi.Float, self.values, start.cell, active)
 
-    def split(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
-        """Return the factor, 1 … `MOST_RAYS`, on a hit's number of scattered rays: `weight` over the upper bound."""
-        rays = weight * dr.gather(mi.Float, self.inverse_upper, row, active)
-        return mi.UInt32(dr.clip(dr.round(rays), 1, MOST_RAYS))
+    def read(self, row: mi.UInt32, weight: mi.Float, split: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.Float]:
+        """
+        Return the factor on a hit's number of scattered rays, and the probability that the hit scatters.
 
-    def survival(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the probability that a hit scatters, `LEAST_PROBABILITY` … 1: `weight` over lower bound, clipped."""
-        rays = weight * dr.gather(mi.Float, self.inverse_lower, row, active)
-        return dr.clip(rays, LEAST_PROBABILITY, 1)
+        The factor is `weight` over the upper bound, 1 … `MOST_RAYS`; it remains `split` in lanes that are not active.
+        The probability is `weight` over the lower bound, `LEAST_PROBABILITY` … 1.
+        """
+        above, below = (
+            weight * dr.gather(mi.Float, inverse, row, active) for inverse in (self.inverse_upper, self.inverse_lower)
+        )
+        rays = mi.UInt32(dr.clip(dr.round(above), 1, MOST_RAYS))
+        return dr.select(active, rays, split), dr.clip(below, LEAST_PROBABILITY, 1)
 
 
 @dataclass(frozen=True)

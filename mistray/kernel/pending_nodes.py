@@ -41,6 +41,7 @@ OPTIONAL: dict[str, tuple[type, int]] = {
     "aimed_from": WORD,
     "medium": WORD,
     "reference": FLOAT,
+    "split": WORD,
     "scatter_factor": FLOAT,
     "medium_factor": FLOAT,
     "pdf_ratio": FLOAT,
@@ -149,6 +150,7 @@ def needed_variables(scene: KernelScene, settings: Settings) -> set[str]:
         (competing is not None, {"pdf_ratio", "survival_ratio"}),
         (competing is not None and competing.connects, {"partial_ratio", "connection_ratio", "light_vertex"}),
         (scatters, {"child", "medium", "scatters", "aimed_from", "reference", "scatter_factor"}),
+        (scene.windows is not None, {"split"}),
         (scatters and bulk, {"away", "shared"}),
         (scatters and bulk and table.optics.one_child, {"medium_factor"}),
     )

@@ -139,9 +139,7 @@ class _Tree:
         reflections, scatters = start.given("reflections", full()), start.given("scatters", full())
 
         # Intersect; rays that start on a surface, at a node, are there
-        under_way = start.w > 0
-        if start.at is not None:
-            under_way &= start.at == NO_SURFACE
+        under_way = start.w > 0 if start.at is None else (start.w > 0) & (start.at == NO_SURFACE)
         t, s, normal = next_hit(table, self.scene.intersector, o, d, leaves_surface, under_way, normal=start.normal)
         if start.at is not None:
             t, s = dr.select(under_way, t, 0), dr.select(under_way, s, start.at)
@@ -150,7 +148,6 @@ class _Tree:
         passed = missed if start.scale is None else ~hit  # aimed rays may have no flux
         run = start.given("run", full(NO_RUN))
         hit = self.limits.arrive(run, s, start.w, hit, mi.Bool(True))
-
         # Record the start, the segment and what leaves the scene
         lose, depth = self.recorders.lose, start.given("depth", full())
         lose(ESCAPED, start.w, missed, memory)
@@ -186,6 +183,7 @@ class _Tree:
             "aimed_from": mi.UInt32(start.given("aimed_from", full(NO_SURFACE))),
             # Throughput at the source or after the last scatter event, see `Branching.reference`
             "reference": mi.Float(start.given("reference", start.w)),
+            "split": full(1),  # factor of its weight window on the number of its scattered rays
             "scatter_factor": dr.full(mi.Float, 1, n),  # 1/q of its scattered rays, see `ScatterFactors`
             "medium_factor": dr.full(mi.Float, 1, n),  # 1/q of those that its medium scatters, where it differs
             # Density ratios for MIS weights
@@ -339,8 +337,7 @@ class _Tree:
 
         # Record the hit, with MIS weights if it is on the detector of a forward trace
         detected = mi.Bool(False) if self.scene.backward else counted & ((it.word & DETECTOR) != 0) & counts
-        if not self.recorders.incident:
-            detected &= absorbed > 0
+        detected &= mi.Bool(self.recorders.incident) | (absorbed > 0)
         code = event_of(s, ABSORBED)
         ratios = None if self.scene.backward else self.pdf_ratios
         hits = Visit(
@@ -364,12 +361,14 @@ class _Tree:
             pdf_ratio=None if ratios is None else ratios.at_end(state),
             connection_ratio=None if ratios is None else ratios.connection_ratio_at_end(state),
         )
-        row = None
-        if self.scene.windows is not None:
-            hits.window_place = self.scene.windows.place(it)
-            row = window_row(s, hits.window_place, hits.before(active), state["scatters"] & COUNT_MASK)
+        # Weight window, found once: rounding may put a later visit into the place beside
+        split, survival = state["split"], mi.Float(1)
+        if (windows := self.scene.windows) is not None:
+            hits.window_place = windows.place(it)
+            row = window_row(s, hits.window_place, hits.before(first), state["scatters"] & COUNT_MASK)
+            split, survival = windows.read(row, windows.value(start, w, first), split, first)
         self.recorders.visit(hits, memory)
-        return Node(start, state, it, budget, R, T, first & ~at_rim, again, contributes, state["rng"], row)
+        return Node(start, state, it, budget, R, T, first & ~at_rim, again, contributes, state["rng"], split, survival)
 
     def _send(self, node: Node, children: Children, choice: Choice, memory: Memory) -> Sent:
         """Return the chosen child ray of each node; its flux is 0 where no child goes on, for example at a limit."""
@@ -443,7 +442,7 @@ class _Tree:
         """Store nodes by depth and report their child rays to recorders; return the stored nodes and event codes."""
         state, it = node.state, node.interaction
         depth, go = state["depth"], sent.active
-        stored = {**state, "p": sent.origin, "away": sent.away}
+        stored = {**state, "p": sent.origin, "away": sent.away, "split": node.split}
         stored |= {"child": choice.later, "scatter_factor": choice.kept.surface, "medium_factor": choice.kept.medium}
         path = self.nodes.keep(path, stored, depth, choice.pending, choice.pending | go, self.recorders.node_floats)
         aim = mi.Bool(False) if self.merges_aimed else sent.aim

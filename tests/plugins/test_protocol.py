@@ -216,6 +216,7 @@ def test_a_scene_of_a_file(plate: Path, load_text) -> None:
 
 
 @pytest.mark.quick
+@pytest.mark.core
 def test_light_of_surfaces_and_a_probe_under_stock_integrators() -> None:
     """`surface_maps` and `flux_split` on a Lambertian wall across a beam of 1 W/mm²: shares and map in closed form."""
     scene = scene_dicts.load(

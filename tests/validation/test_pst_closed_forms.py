@@ -246,6 +246,6 @@ class TestWhiteFurnace:
     )
     def test_cavity(self, load_scene: Load, text: str, squared_index: float, method: str) -> None:
         """Nothing absorbs, so that what 64 events cut would have come out; they cut less than 1e-3 here."""
-        found = of(load_scene(text), method, (240_000, 200_000), **ONE_BRANCH)
+        found = of(load_scene(text), method, (240_000, 400_000), **ONE_BRANCH)
         e = source_irradiance(found, SkyRadiance(), "total")
         check("furnace", e.value / np.pi, np.hypot(e.se / np.pi, 3e-4), squared_index, 0.01)

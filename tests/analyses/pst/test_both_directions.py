@@ -24,6 +24,7 @@ from oracles.vane_tube import VaneTube
 
 import mistray
 from mistray import MistrayWarning, Pst
+from mistray.analyses.pst import pilot as pilots_of_pst
 from mistray.analyses.pst import plan as plans
 from mistray.analyses.pst import request as requests
 from mistray.analyses.pst.pilot import FIRST_ROUND, LEAST_UNSCATTERED, Pilot
@@ -383,7 +384,7 @@ def test_windows_of_scenes_kernel_and_pilot() -> None:
     assert Plan.of_arrays(plan(None).arrays()).sharing.windows is None
     windows = WeightWindows(mi.Float([0.0, 40.0, 1e9, 0.0]), mi.Float([0.5, np.inf, np.inf, 1e-6]), mi.Float(1.0))
     row, weight = mi.UInt32([0, 1, 1, 2, 3]), mi.Float([1.0, 0.1, 1e-3, 1.0, 1.0])
-    rays, chances = windows.split(row, weight, mi.Bool(True)), windows.survival(row, weight, mi.Bool(True))
+    rays, chances = windows.read(row, weight, mi.UInt32(1), mi.Bool(True))
     assert np.array(rays).tolist() == [1, 4, 1, MOST_RAYS, 1]
     assert np.array(chances).tolist() == [0.5, 1, 1, 1, LEAST_PROBABILITY]
     assert dr.width(rays) == 5
@@ -678,10 +679,13 @@ def test_backward_rays_find_what_few_points_of_the_detector_see(monkeypatch: pyt
     """
     Of a Cassegrain the edge alone sees the rim of a baffle, which is half of the light at 16°.
 
-    Weight windows, which find a part of it, too, are left out. Means of three seeds agree to 4 standard errors (6e-5),
-    and the median of their errors is at most 0.7 of that without a map; it was 0.48, 0.56 and 0.59 (1.0 in a fourth).
+    Weight windows, which find a part of it, too, are left out, and the pilot is so long that five of six seeds find the
+    rim: their errors are 0.3 to 0.6 of those without a map. Means of three seeds agree to 4 standard errors (6e-5), and
+    the median of their errors is at most 0.7 of that without a map (two of three seeds miss the rim in 7 %).
     """
     monkeypatch.setattr(Pilot, "_windows", lambda *_: None)
+    monkeypatch.setattr(pilots_of_pst, "FIRST_ROUND", 1 << 16)
+    monkeypatch.setattr(pilots_of_pst, "SHARE_OF_RUN", 8.0)
     scene = mistray.load("cassegrain")
 
     def found() -> tuple[float, float, float]:
