@@ -258,6 +258,7 @@ class AllCells:
                     (trace.settings.seed, *stream, band, k),
                     np.where(group == number, here, 0),
                     weight,
+                    trace.bands[band].outside,
                 )
 
     def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:

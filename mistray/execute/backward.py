@@ -361,7 +361,7 @@ class BackwardTrace(GridTrace):
         starts_per_connection = balance.sharing.starts_per_connection
         lanes = whole_batches(np.ceil(VERTICES_OF_RAY * rays * forward.share * starts_per_connection))
         seed = (self.settings.seed, VERTEX_SEED, *stream, number)
-        start = cell_starts(self.waves, balance.starts, seed, lanes, (lanes > 0).astype(float))
+        start = cell_starts(self.waves, balance.starts, seed, lanes, (lanes > 0).astype(float), forward.outside)
         scene = KernelScene(forward.table, forward.scattering, self.intersector, self._forward_probabilities)
         settings = replace(self.settings, max_scatters=0)
 
@@ -391,7 +391,8 @@ class BackwardTrace(GridTrace):
 
     def scene(self, band: Band) -> KernelScene:
         """Return the kernel's scene for backward rays at a wavelength, without weight windows or a competing trace."""
-        return KernelScene(band.table, band.scattering, self.intersector, self._probabilities, backward=True)
+        given = band.table, band.scattering, self.intersector, self._probabilities
+        return KernelScene(*given, backward=True, closed=band.closed)
 
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
         """Trace ray trees of wavelength index `number` into recorders, with weight windows, without MIS weights."""

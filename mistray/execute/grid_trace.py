@@ -20,6 +20,7 @@ from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_sums import PathSums
 from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.importance_targets import importance_targets
+from mistray.sampling.outer_medium import closed_media, outer_medium
 from mistray.sampling.outlines import detector_area
 from mistray.sampling.plane_wave import Entrance, hull_points
 from mistray.sampling.sharing.cell_waves import CellWaves
@@ -28,6 +29,7 @@ from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
+from mistray.surfaces.upload import upload
 
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20  # largest sizes of the tables of paths, and of their sums by cell
 # Slots per start ray, and the fewest: 1e4 rays have found up to 2400 paths; setting a table of all to zero takes 0.13 s
@@ -36,11 +38,27 @@ SLOTS_OF_RAY, FEWEST_SLOTS = 2, 1 << 14
 
 @dataclass(frozen=True)
 class Band:
-    """One wavelength of a trace: its surfaces, their scatter, and its share of the light and of the rays."""
+    """
+    One wavelength of a trace.
+
+    Attributes
+    ----------
+    table, scattering : SurfaceTable, Scattering
+        Surfaces and their scatter.
+    share : float
+        Fraction of the light and of the rays.
+    closed : mi.Bool or None
+        Mask of the media in which no ray can leave the scene, see `mistray.sampling.outer_medium`; None: there are
+        none.
+    outside : int
+        Position of the medium that surrounds the scene in `Optics.media`; 0 if it is unknown or there are no others.
+    """
 
     table: SurfaceTable
     scattering: Scattering
     share: float
+    closed: mi.Bool | None
+    outside: int
 
 
 class GridTrace:
@@ -102,6 +120,7 @@ class GridTrace:
         self.intersector = Intersector(self.table)
         self.design = design_sequences(scene, *self._tables, free=True)
         self.design_keys = DesignKeys(self.design, self.table.detector)
+        self._outside = outer_medium(self.table, scene)
         # Maps with the aspect ratio of the film
         self.area = detector_area(self.table)
         width, height, self.extent = self.table.film()
@@ -110,10 +129,16 @@ class GridTrace:
 
     def with_aims(self, aims: Mapping[Any, Any], backward: bool = False) -> list[Band]:
         """Return one `Band` per wavelength, with scattered rays aimed at the given importance targets."""
-        return [
-            Band(table, Scattering(ScatterTables(table, aims, backward=backward)), share)
-            for table, share in zip(self._tables, self.weights, strict=True)
-        ]
+        bands = []
+        for table, share in zip(self._tables, self.weights, strict=True):
+            scattering = Scattering(ScatterTables(table, aims, backward=backward))
+            closed = closed_media(table, self._outside)
+            if closed is None:
+                bands.append(Band(table, scattering, share, None, 0))
+            else:
+                outside = table.optics.media.index(self._outside)
+                bands.append(Band(table, scattering, share, upload(mi.Bool, closed), outside))
+        return bands
 
     @property
     def notes(self) -> list[Note]:

@@ -13,6 +13,7 @@ from mistray.kernel.scattering import Scattering
 from mistray.recorders.importance import BACK
 from mistray.recorders.path_key import mixed_word
 from mistray.recorders.start_rays import StartRays
+from mistray.recorders.tallies import ESCAPED, MEDIUM
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
@@ -139,6 +140,8 @@ class KernelScene:
         Light vertices that backward rays are connected to; None: no ray is connected.
     windows : WeightWindows or None
         Weight windows of scattered rays; None: all hits scatter as many rays as the settings say.
+    closed : mi.Bool or None
+        Mask of the media in which no ray can leave the scene, so that one which does is lost; None: there are none.
     """
 
     table: SurfaceTable
@@ -149,6 +152,18 @@ class KernelScene:
     competing: CompetingTrace | None = None
     vertices: LightVertices | None = None
     windows: WeightWindows | None = None
+    closed: mi.Bool | None = None
+
+    def way_out(self, medium: mi.UInt32, gone: mi.Bool) -> tuple[int | mi.UInt32, mi.Bool]:
+        """
+        Return the channel of the energy ledger for rays that meet no further surface, and a mask of those that leave.
+
+        `gone` is a mask of such rays. In a medium where no ray can leave, the channel is MEDIUM, else ESCAPED.
+        """
+        if self.closed is None:
+            return ESCAPED, gone
+        lost = dr.gather(mi.Bool, self.closed, medium, gone)
+        return dr.select(lost, mi.UInt32(MEDIUM), ESCAPED), gone & ~lost
 
     def scatters(self, settings: Settings) -> bool:
         """True if surfaces or media can scatter light in a trace with these settings."""

@@ -37,7 +37,7 @@ from mistray.recorders.importance import window_row
 from mistray.recorders.path_key import COUNT_MASK, FIRST_KEY, after_scatter, extend_key
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Segment, Visit
 from mistray.recorders.start_rays import StartRays
-from mistray.recorders.tallies import ESCAPED, FIRST_MISS, MEDIUM, STARTED
+from mistray.recorders.tallies import FIRST_MISS, MEDIUM, STARTED
 from mistray.settings import Settings
 from mistray.surfaces.optics import DETECTOR, NO_LOSS
 from mistray.surfaces.surface import NO_SURFACE
@@ -145,17 +145,17 @@ class _Tree:
             t, s = dr.select(under_way, t, 0), dr.select(under_way, s, start.at)
         hit = s != NO_SURFACE
         missed = ~hit & (start.w > 0)
-        passed = missed if start.scale is None else ~hit  # aimed rays may have no flux
         run = start.given("run", full(NO_RUN))
         hit = self.limits.arrive(run, s, start.w, hit, mi.Bool(True))
         # Record the start, the segment and what leaves the scene
         lose, depth = self.recorders.lose, start.given("depth", full())
-        lose(ESCAPED, start.w, missed, memory)
-        lose(FIRST_MISS, 1.0, passed, memory)
+        channel, leaving = self.scene.way_out(medium, missed)
+        lose(channel, start.w, missed, memory)
+        lose(FIRST_MISS, 1.0, missed if start.scale is None else ~hit, memory)  # aimed rays may have no flux
         lose(STARTED, 1.0, mi.Bool(True), memory)
         self.recorders.travel(Segment(start, o, d, start.w, medium, t, missed, under_way), memory)
         if self.scene.backward:
-            gone = Departure(start, d, start.w, reflections, scatters, key, depth, lambda k, _: k, missed)
+            gone = Departure(start, d, start.w, reflections, scatters, key, depth, lambda k, _: k, leaving)
             self.recorders.depart(gone, memory)
 
         # Attenuate
@@ -487,14 +487,13 @@ class _Tree:
         before, intersector = state["normal"] if self.has_mitsuba_shapes else None, self.scene.intersector
         t, s2, normal = next_hit(table, intersector, sent.origin, sent.heading, leaves_surface, go, normal=before)
         hit = go & (s2 != NO_SURFACE)
-        leaving = go & ~hit
+        gone = go & ~hit
 
         # Record the segment
-        self.recorders.lose(ESCAPED, sent.flux, leaving & sent.contributes, memory)
+        channel, leaving = self.scene.way_out(medium, gone)
+        self.recorders.lose(channel, sent.flux, gone & sent.contributes, memory)
         recorded = go & sent.contributes
-        self.recorders.travel(
-            Segment(start, sent.origin, sent.heading, sent.flux, medium, t, leaving, recorded), memory
-        )
+        self.recorders.travel(Segment(start, sent.origin, sent.heading, sent.flux, medium, t, gone, recorded), memory)
         run = self.limits.run_after(state["run"], s, by_medium)
         hit = self.limits.arrive(run, s2, sent.flux, hit, sent.contributes)
 
@@ -525,7 +524,7 @@ class _Tree:
         # Record what leaves the scene
         if self.scene.backward or self.recorders.departs:
             ratios = self.pdf_ratios
-            gone = Departure(
+            departure = Departure(
                 start=start,
                 heading=sent.heading,
                 weight=sent.flux,
@@ -541,7 +540,7 @@ class _Tree:
                 connection_ratio=None if ratios is None else ratios.connection_ratio_at_end(following),
                 light_vertex=sent.light_vertex if self.connects else None,
             )
-            self.recorders.depart(gone, memory)
+            self.recorders.depart(departure, memory)
 
         # Attenuate
         flux, in_scattered = self._attenuate(start, sent.flux, medium, t, hit, sent.contributes)

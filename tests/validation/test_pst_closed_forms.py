@@ -47,6 +47,18 @@ def check_sky(what: str, found: Pst, expected: float, relative: float) -> None:
     check(what, e.value / np.pi, e.se / np.pi, expected, relative)
 
 
+def test_a_plate_without_an_edge(load_scene: Load) -> None:
+    """Light through the side of the glass is lost in both directions; before, that of the sky was too bright by n²."""
+    plate = [placed_xml("asphere", "front", interface_xml("air", "4.0"), semi_diameter=2.0)]
+    plate += [placed_xml("asphere", "rear", interface_xml("4.0", "air"), at=(0, 0, 3.0), semi_diameter=2.0)]
+    detector = placed_xml("asphere", "detector", at=(0, 0, 4.0), pixels=4, semi_diameter=1.0)
+    scene = load_scene(scatter_scene(beam_xml(2.0), *plate, detector))
+    forward, *others = (of(scene, method, (200_000, 40_000)) for method in ("forward", "adjoint", "joined"))
+    for one in others:
+        assert_z("PST", one.value, forward.value, np.hypot(one.standard_error, forward.standard_error))
+        assert any(note.code == "medium" for note in one.facts["notes"])
+
+
 class TestDirect:
     @METHODS
     def test_bare_detector(self, load_scene: Load, method: str) -> None:

@@ -29,6 +29,7 @@ from mistray.interrupts import later, requested
 from mistray.messages import Message, fewer_rays
 from mistray.percent import percent_text
 from mistray.recorders.path_sums import PathsByCell
+from mistray.recorders.tallies import MEDIUM
 from mistray.time_budget import is_limited, left, share, time_is_up
 
 PILOT_SHARE = 6  # rays of a run to an error over those of its pilot, about;
@@ -38,6 +39,7 @@ DARK_AFTER = 4_000_000  # rays without light in a cell after which it counts as 
 SAVING = 0.1  # fraction of the time that saving the state may take
 LONG_PASS = 0.5  # s; a longer pass is saved at once, for an interrupt may not wait for the next
 LEAST_PASS = 1 << 11  # least rays of a pass, however short the time is
+LEAST_STRAYED = 1e-4  # share of what the detector sees, lost in wrong materials, from which on a note says so
 PLAN, LIGHT, DONE = "plan_", "light_", "done"  # prefixes of the names of saved arrays; rounds and seconds
 
 
@@ -337,6 +339,9 @@ class BackwardRun:
             found = FoundPaths.of(trace, against=sums.found(trace.unit, paths), along=along)
         # Notes and facts
         lines = [*notes(bare, largest, rays), *trace.notes]
+        strayed = float(sums.channels[MEDIUM].sum()) / rays
+        if strayed > LEAST_STRAYED:
+            lines.append(Message.VIEW_LOST.note(share=strayed))
         needed, up_to_deg = self._needed
         if needed is None and rays < trace.settings.rays and not self._open_ended:
             lines.append(fewer_rays(rays, trace.settings.rays))

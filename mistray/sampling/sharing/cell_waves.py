@@ -89,7 +89,12 @@ class CellWaves:
 
 
 def cell_starts(
-    waves: CellWaves, starts: DeviceMap | None, seed: tuple[int, ...], lanes: np.ndarray, weight: np.ndarray
+    waves: CellWaves,
+    starts: DeviceMap | None,
+    seed: tuple[int, ...],
+    lanes: np.ndarray,
+    weight: np.ndarray,
+    medium: int = 0,
 ) -> StartRays:
     """
     Return the forward start rays of a pass, cell by cell; the rays of each cell are stratified in each batch.
@@ -107,6 +112,8 @@ def cell_starts(
         Number of rays of each cell, multiples of `BATCHES`.
     weight : (c,) float64
         Throughput of a ray that starts at density 1, the mean.
+    medium : int
+        Position in `Optics.media` of the medium outside of the scene; 0 if it is unknown.
     """
     # Cell of each ray, and its index there
     cell = upload(mi.UInt32, np.repeat(np.arange(len(lanes)), lanes))
@@ -129,7 +136,8 @@ def cell_starts(
     scale = dr.rcp(density)
     w = scale * dr.gather(mi.Float, upload_rows(mi.Float, weight), cell)
     dr.eval(lane, batch, rng, o, d, w, cell, scale, place)
-    return StartRays(lane, batch, rng, o, d, w, cell=cell, scale=scale, place=place)
+    outside = dr.full(mi.UInt32, medium, dr.width(lane))
+    return StartRays(lane, batch, rng, o, d, w, cell=cell, scale=scale, place=place, medium=outside)
 
 
 def whole_batches(rays: np.ndarray) -> np.ndarray:
