@@ -45,6 +45,20 @@ def test_slab_against_photons(load_scene, albedo: float, g: float, splitting: st
     assert taken[0] / energy.launched_W == pytest.approx(absorbed, abs=5 * np.hypot(taken[1], 5e-4))
 
 
+def test_what_a_thin_slab_takes(load_scene) -> None:
+    """The optical depth, also where 1 - exp(-depth) is below the last bit of float32."""
+    share = []
+    for depth in (1e-8, 1e-7, 3e-5):
+        k = 0.5 * depth / THICKNESS * 550e-6 / (4 * np.pi)
+        scene = load_scene(slab_text(f"1.0+{k:.12g}i scatter={0.5 * depth / THICKNESS:.12g}"))
+        energy = mistray.trace(scene, rays=1000, ledger=False).energy
+        (absorbed, _), *_ = energy.absorbed_in.values()
+        share.append([absorbed / energy.launched_W / depth, energy.escaped_W / energy.launched_W / depth])
+    # A half each; of the scattered light the half that goes back escapes, but for 2 % that meet the edge
+    assert np.array(share)[:, 0] == pytest.approx(0.5, rel=1e-4)
+    assert np.array(share)[:, 1] == pytest.approx(0.25, rel=0.1)
+
+
 @pytest.mark.parametrize("depth", [60.0, 2000.0])
 def test_what_a_dense_slab_sends_back(load_scene, depth: float) -> None:
     """1 - H(1) √(1 - ω) of a half space (Chandrasekhar, Radiative Transfer, section 38); false alarm 1e-4 each."""
