@@ -16,7 +16,9 @@ from refusals import refused
 import mistray
 from mistray.execute.tracer import prepare
 from mistray.physics.geometry.healpix import pixel
+from mistray.sampling import sky_map
 from mistray.sampling.emission_laws import cosine_power_angle
+from mistray.sampling.sky_map import SkyMap
 from mistray.sampling.sources import scene_sources
 from mistray.settings import Settings
 
@@ -217,6 +219,19 @@ def test_the_sun_gaussian_beams_and_near_sources() -> None:
     for lamp in ({"type": "collimated", "radius": 1.0}, {"type": "point_source"}, {"type": "sky"}):
         with pytest.raises(mistray.MistrayError, match="degrees"):
             mistray.trace(lit(lamp), rays=1000, field_mm=1.0)
+
+
+def test_small_suns_of_a_large_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a picture has more rows than the sky has cells, no pixel falls between these, nor counts for a cell."""
+    monkeypatch.setattr(sky_map, "MOST_ROWS", 64)
+    width = np.radians(0.7)  # of a row of the picture
+    for sun in np.random.default_rng(0).normal(size=(20, 3)):
+        towards = sun / np.linalg.norm(sun)
+
+        def radiance(d: np.ndarray, towards: np.ndarray = towards) -> np.ndarray:
+            return np.asarray(np.exp(-np.sum((d - towards) ** 2, axis=1) / width**2))
+
+        assert SkyMap(radiance, 256).irradiance == pytest.approx(np.pi * width**2, rel=0.02)
 
 
 def test_picture_of_a_sky(tmp_path: Path) -> None:
