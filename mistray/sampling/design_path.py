@@ -286,8 +286,8 @@ def medium_around(table: SurfaceTable, source: SceneSource) -> int:
     """
     Return the position in `Optics.media` of the medium in which a near source stands, if that weakens its light.
 
-    It is the one that the surfaces declare which its probes meet first, by majority; walls decide where there are no
-    others. A source that has a medium keeps it. One with a middle ray, as from far away, has 0.
+    It is the one that all surfaces declare which its probes meet first; walls are asked where there are no others. A
+    source that has a medium keeps it. One with a middle ray, as from far away, has 0, and so has one in several media.
 
     Raises
     ------
@@ -333,11 +333,10 @@ def _first_sides(
 
 
 def _declared_medium(table: SurfaceTable, surface: np.ndarray, front: np.ndarray) -> int:
-    """Return the position of the medium that most sides of surfaces declare, walls only without others; 0: none."""
+    """Return the position of the medium that all these sides of surfaces declare, of walls if there are only such."""
     said, walls = table.optics.declared[surface, 1 - front], (table.optics.host_words[surface] & OPAQUE) != 0
-    counts = np.bincount(said[~walls] if np.any(~walls) else said, minlength=1)
-    counts[0] = 0  # walls that declare nothing
-    return int(counts.argmax())
+    found = set((said[~walls] if np.any(~walls) else said).tolist()) - {0}  # 0: a wall that declares nothing
+    return found.pop() if len(found) == 1 else 0
 
 
 def sphere_of(target: Target) -> Sphere:
