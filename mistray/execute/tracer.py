@@ -31,7 +31,7 @@ from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.recorders.tallies import STARTED, Tallies
 from mistray.sampling.design.search import design_sequences, traced_table
-from mistray.sampling.design_path import check_place, first_aperture, footprint
+from mistray.sampling.design_path import first_aperture, footprint, medium_around
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources
@@ -557,11 +557,11 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
         # All wavelengths of a source light the same part of it
         lit = {source.name: footprint(first, source, aperture) for source in sources if source.aims}
         sources = [source.aimed_at(aperture, lit.get(source.name)) for source in sources]
-    for source in sources if aims else ():
-        check_place(first, source)
     # Tables of each wavelength
     wavelengths = dict.fromkeys(source.wavelength_nm for source in sources)
     tables = {nm: first if nm == first.wavelength_nm else first.at(nm) for nm in wavelengths}
+    if aims or any(table.optics.absorbs for table in tables.values()):
+        sources = [replace(one, medium=medium_around(tables[one.wavelength_nm], one)) for one in sources]
     scattering = {nm: Scattering(ScatterTables(table, targets)) for nm, table in tables.items()}
     design = design_sequences(scene, *tables.values())
     # Runs, with a stream of random numbers each

@@ -82,7 +82,9 @@ class SegmentMedia:
             dr.scatter(self._media, medium, self._index(k), active)
             return k + 1, dr.select(stays(node.code), medium, beyond)
 
-        start = dr.zeros(mi.UInt32, count), dr.zeros(mi.UInt32, count)
+        known = rays.start.medium
+        first = dr.zeros(mi.UInt32, count) if known is None else dr.gather(mi.UInt32, known, rays.lane)
+        start = dr.zeros(mi.UInt32, count), first
         dr.while_loop(start, lambda k, _: k < rays.length, step, mode="symbolic", label="media")
         dr.eval(self._media)
 

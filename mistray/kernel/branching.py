@@ -378,8 +378,7 @@ class Branching:
 
         It is `flux_threshold`, multiplied by `StartRays.scale` where that is given.
         """
-        scale = node.start.scale
-        return self._threshold if scale is None else self._threshold * scale
+        return self._threshold * node.start.given("scale", 1)
 
     def _scatter_factors(self, node: Node, children: Children, scatter_limit: mi.Float, u: mi.Float) -> ScatterFactors:
         """
@@ -460,7 +459,7 @@ class Branching:
         reflections where there are branch probabilities. Which of these apply depends on the settings.
         """
         first, again, probabilities = node.first, node.again, self._probabilities
-        w_t, w_r = children.transmitted, children.reflected
+        w_t, w_r, u_r = children.transmitted, children.reflected, u
 
         # Cut unscattered light below the flux threshold
         if not self._roulette:
@@ -473,15 +472,16 @@ class Branching:
         # Roulette of reflections, whose probability is the same for all
         if probabilities is not None:
             by_roulette = unscattered & self.plays_roulette(node.interaction, children)
-            survives = again | (u < probabilities.reflection)
-            kept_r = dr.select(by_roulette, dr.select(survives, w_r / probabilities.reflection, 0), w_r)
+            u_r = dr.select(by_roulette, u / probabilities.reflection, u)  # of those that survive uniform again
+            kept_r = dr.select(by_roulette, dr.select(again | (u_r < 1), w_r / probabilities.reflection, 0), w_r)
             self._lost(node, ROULETTE, w_r - kept_r, first & by_roulette, memory)
             w_r = kept_r
 
         # Roulette of weak light; a later visit is for a child that has survived
         if self._roulette or self._scatters:
             kept_t, kept_r = (
-                dr.select((v > 0) & (v < limit), dr.select(u * limit < v, limit, 0), v) for v in (w_t, w_r)
+                dr.select((v > 0) & (v < limit), dr.select(draw * limit < v, limit, 0), v)
+                for v, draw in ((w_t, u), (w_r, u_r))
             )
             kept_r = dr.select(again & (w_r > 0), dr.maximum(w_r, limit), kept_r)
             self._lost(node, ROULETTE, w_t + w_r - kept_t - kept_r, first & (dr.minimum(w_t, w_r) < limit), memory)

@@ -17,6 +17,7 @@ from mistray.sampling.design.sequences import chosen_orders, has_optics, is_plan
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource, Sphere
 from mistray.sampling.sources import scene_sources, source_emitters
+from mistray.surfaces.host_points import sphere_points
 from mistray.surfaces.host_rays import crossings, first_hit, inside, normals, onward, specular
 from mistray.surfaces.optics import MIRROR, OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
@@ -281,9 +282,12 @@ def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneS
             yield light, PROBES
 
 
-def check_place(table: SurfaceTable, source: SceneSource) -> None:
+def medium_around(table: SurfaceTable, source: SceneSource) -> int:
     """
-    Check that a near source does not stand in a metal; sources with a middle ray are not checked.
+    Return the position in `Optics.media` of the medium in which a near source stands, if that weakens its light.
+
+    It is the one that all surfaces declare which its probes meet first; walls are asked where there are no others. A
+    source that has a medium keeps it. One with a middle ray, as from far away, has 0, and so has one in several media.
 
     Raises
     ------
@@ -291,28 +295,48 @@ def check_place(table: SurfaceTable, source: SceneSource) -> None:
         If all light of the source meets surfaces from sides through which no light travels.
     """
     if source.middle is not None:
-        return
+        return source.medium
     # Sides of surfaces that its probes meet first
-    sample = mi.Point2f(*(upload(mi.Float, v) for v in np.random.default_rng(0).random((2, PROBES))))
-    o, d = source.probes(sample)
-    start = table.ids.index(source.shape) if source.shape else -1
-    surface, _, normal = first_hit(table, o, d, np.full(PROBES, start))
-    met = surface >= 0
-    sides = {
-        (int(s), bool(front))
-        for s, front in zip(surface[met], (np.einsum("ij,ij->i", d, normal) > 0)[met], strict=True)
-    }
+    rng = np.random.default_rng(0)
+    o, d = source.probes(mi.Point2f(*(upload(mi.Float, v) for v in rng.random((2, PROBES)))))
+    surface, front = _first_sides(table, source, o, d)
     # One of them in a material that transmits is enough
-    materials = []
-    for s, front in sorted(sides):
-        material = table.interfaces[s].front if front else table.interfaces[s].back
+    metals = []
+    for s, from_front in sorted(set(zip(surface.tolist(), front.tolist(), strict=True))):
+        material = table.interfaces[s].front if from_front else table.interfaces[s].back
         if complex_index(material, source.wavelength_nm).imag <= METAL_K:
-            return
-        materials.append((material, table.ids[s]))
-    for material, name in materials:
-        raise MistrayError(
-            f"source '{source.name}': it stands in '{material}' behind surface '{name}', where nothing travels; move it"
-        )
+            break
+        metals.append((material, table.ids[s]))
+    else:
+        for material, name in metals:
+            raise MistrayError(
+                f"source '{source.name}': it stands in '{material}' behind surface '{name}', where nothing travels; "
+                "move it"
+            )
+    if source.medium or not table.optics.absorbs:
+        return source.medium
+    # The medium that they declare; where a narrow cone meets walls alone, other directions may know
+    number = _declared_medium(table, surface, front)
+    if not number and not source.shape:
+        number = _declared_medium(table, *_first_sides(table, source, o, sphere_points(rng, PROBES)))
+    return number if np.array(table.optics.extinction)[number] > 0 else 0
+
+
+def _first_sides(
+    table: SurfaceTable, source: SceneSource, o: np.ndarray, d: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the surfaces that rays of a source meet first, (m,) int, and a mask of those met from the front."""
+    start = table.ids.index(source.shape) if source.shape else -1
+    surface, _, normal = first_hit(table, o, d, np.full(len(o), start))
+    met = surface >= 0
+    return surface[met], (np.einsum("ij,ij->i", d, normal) > 0)[met]
+
+
+def _declared_medium(table: SurfaceTable, surface: np.ndarray, front: np.ndarray) -> int:
+    """Return the position of the medium that all these sides of surfaces declare, of walls if there are only such."""
+    said, walls = table.optics.declared[surface, 1 - front], (table.optics.host_words[surface] & OPAQUE) != 0
+    found = set((said[~walls] if np.any(~walls) else said).tolist()) - {0}  # 0: a wall that declares nothing
+    return found.pop() if len(found) == 1 else 0
 
 
 def sphere_of(target: Target) -> Sphere:

@@ -15,7 +15,7 @@ import numpy as np
 from mistray.sampling.emission_laws import step_of
 from mistray.surfaces.upload import upload
 
-LEAST_ROWS, MOST_ROWS = 64, 1024  # cells in polar angle
+LEAST_ROWS, MOST_ROWS, MOST_PARTS = 64, 1024, 4  # cells in polar angle, and points of a cell along either side
 
 
 class SkyMap:
@@ -27,7 +27,8 @@ class SkyMap:
     radiance : callable
         Radiance (n,), W/mm²/sr, of directions (n, 3) in which the light travels: unit vectors in the frame of the axis.
     rows : int
-        Number of cells in polar angle, clipped to `LEAST_ROWS` … `MOST_ROWS`; there are twice as many in azimuth.
+        Number of cells in polar angle, clipped to `LEAST_ROWS` … `MOST_ROWS`; there are twice as many in azimuth. More
+        rows are averaged, up to `MOST_PARTS` within each cell.
 
     Attributes
     ----------
@@ -36,22 +37,26 @@ class SkyMap:
     """
 
     def __init__(self, radiance: Callable[[np.ndarray], np.ndarray], rows: int) -> None:
-        self._rows = rows = int(np.clip(rows, LEAST_ROWS, MOST_ROWS))
-        self._columns = 2 * rows
-        # Radiance at the middle of each cell
-        theta = (np.arange(rows) + 0.5) / rows * np.pi
-        phi = (np.arange(self._columns) + 0.5) / self._columns * 2 * np.pi
-        (s, c), (sp, cp) = (np.sin(theta), np.cos(theta)), (np.sin(phi), np.cos(phi))
-        d = np.stack([np.outer(s, cp), np.outer(s, sp), np.outer(c, np.ones_like(phi))], axis=-1)
-        # Flux of each cell, and its running sum
-        edges = np.cos(np.arange(rows + 1) / rows * np.pi)
-        solid = (edges[:-1] - edges[1:]) * 2 * np.pi / self._columns
-        flux = np.maximum(radiance(d.reshape(-1, 3)).reshape(rows, -1), 0.0) * solid[:, None]
+        self._rows = count = int(np.clip(rows, LEAST_ROWS, MOST_ROWS))
+        self._columns = 2 * count
+        # Flux of each cell, from points as close as those of the requested rows: a star must not fall between them
+        parts = min(-(-rows // count), MOST_PARTS)
+        edges = np.cos(np.arange(count * parts + 1) / (count * parts) * np.pi)
+        solid = (edges[:-1] - edges[1:]) * 2 * np.pi / (self._columns * parts)
+        flux = np.zeros((count, self._columns))
+        for a, b in np.ndindex(parts, parts):
+            theta = (np.arange(count) + (a + 0.5) / parts) / count * np.pi
+            phi = (np.arange(self._columns) + (b + 0.5) / parts) / self._columns * 2 * np.pi
+            (s, c), (sp, cp) = (np.sin(theta), np.cos(theta)), (np.sin(phi), np.cos(phi))
+            d = np.stack([np.outer(s, cp), np.outer(s, sp), np.outer(c, np.ones_like(phi))], axis=-1)
+            found = np.maximum(radiance(d.reshape(-1, 3)).reshape(count, -1), 0.0)
+            flux += found * solid[a::parts, None]
+        # And its running sum
         self.irradiance = float(flux.sum())
         ends = np.cumsum(flux) / (self.irradiance or 1.0)
         ends[-1] = 1.0
         self._ends = upload(mi.Float64, np.concatenate([[0.0], ends]))
-        self._edges = upload(mi.Float64, edges)
+        self._edges = upload(mi.Float64, edges[::parts])
 
     def directions(self, sample: mi.Point2d) -> mi.Vector3d:
         """Return unit directions in which light travels, distributed as the radiance, for points of the unit square."""

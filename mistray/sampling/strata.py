@@ -16,6 +16,7 @@ from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
 BITS = 32  # bits of a position on the curve
+FEW = 16  # rays of the last stratum in a batch, below which batches are closed together
 
 
 class Strata:
@@ -54,6 +55,7 @@ class Strata:
         for k in range(count - 1):
             bound = dr.gather(mi.UInt32, upload(mi.UInt32, bounds[:, k].copy()), batch)
             self.number += dr.select(within >= bound, mi.UInt32(1), 0)
+        self._few = int(numbers[:, -1].min()) < FEW
         self.group = batch * count + self.number
         shares_of = numbers / np.maximum(sizes, 1)[:, None]
         self.parts = [dr.gather(mi.Float64, upload(mi.Float64, part.copy()), batch) for part in shares_of.T]
@@ -61,6 +63,8 @@ class Strata:
     def closed(self, weight: mi.Float64, zone: mi.UInt32, zones: int) -> mi.Float:
         """
         Return ray weights scaled so that their mean over each batch is 1; a batch of weights 0 stays as it is.
+
+        Small batches are scaled together: alone, the weights would be biased.
 
         Parameters
         ----------
@@ -74,8 +78,9 @@ class Strata:
         """
         sums = dr.zeros(mi.Float64, BATCHES * zones)
         dr.scatter_reduce(dr.ReduceOp.Add, sums, weight, self._batch * zones + zone)
-        flux = np.array(sums).reshape(BATCHES, zones)
-        rays = self._sizes
+        flux, rays = np.array(sums).reshape(BATCHES, zones), self._sizes
+        if self._few:  # the zones of one batch may have no ray, and zone 0 would make up for them
+            flux, rays = (np.broadcast_to(each.sum(axis=0), each.shape) for each in (flux, rays))
         scale, done = np.ones_like(flux), np.zeros(BATCHES, dtype=bool)
         # The outermost zones whose factor lies between 1/2 and 2 make up for all noise, so that zone 0 is rarely scaled
         for first in range(zones - 1, -1, -1):

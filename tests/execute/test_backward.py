@@ -26,6 +26,7 @@ from mistray.execute.backward import BackwardTrace
 from mistray.execute.cell_sums import BackwardSums
 from mistray.execute.seen import Seen, see
 from mistray.light import Light
+from mistray.recorders.direction_recorder import GHOST
 from mistray.recorders.directions import DirectionGrid
 from mistray.settings import BATCHES, Settings
 
@@ -50,6 +51,19 @@ def balance(seen: Seen) -> tuple[float, float]:
     by_batch = sum(row.emission_by_batch for row in seen.rows)
     by_batch = by_batch + sum(part[2] for part in seen.media.values()) + seen.escaped[2] + seen.lost[2]
     return float(np.mean(by_batch)), float(np.std(by_batch, ddof=1) / np.sqrt(BATCHES))
+
+
+@pytest.mark.long
+def test_ghosts_by_two_roulettes(load_scene) -> None:
+    """Followed by chance at each reflection and below the threshold: 5 standard errors (false alarm 6e-7)."""
+    scene, found = load_scene(plates_text(4, R=0.2, T=0.8)), []
+    for limits in ({}, {"flux_threshold": 0.1, "below_threshold": "roulette"}):
+        trace = traced(scene, DirectionGrid.of([10.0], cell_deg=20.0), rays=8192, **limits)
+        ghosts = trace.sums.by_batch(trace.unit)[GHOST, 0, 0]
+        found.append((ghosts.mean(), ghosts.std(ddof=1) / np.sqrt(BATCHES)))
+    (cut, cut_se), (played, se) = found
+    assert_z("ghosts", played, cut, np.hypot(se, cut_se), k=5.0)
+    assert se < 0.1 * cut
 
 
 class TestSee:

@@ -1,5 +1,6 @@
 """Media that absorb and scatter: Beer and Lambert's law, slabs against float64 photons, quadratures."""
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from oracles import bulk
@@ -7,6 +8,7 @@ from oracles.scatter_integrals import gauss_legendre
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 from oracles.statistics import assert_z, z_limit, z_score
+from scene_dicts import BLACK, at, detector, load
 
 import mistray
 
@@ -43,6 +45,41 @@ def test_slab_against_photons(load_scene, albedo: float, g: float, splitting: st
     assert abs(energy.closure) < 1e-5
     (taken,) = energy.absorbed_in.values() if albedo < 1 else [(0.0, 0.0)]
     assert taken[0] / energy.launched_W == pytest.approx(absorbed, abs=5 * np.hypot(taken[1], 5e-4))
+
+
+@pytest.mark.long
+def test_what_a_thin_slab_takes(load_scene) -> None:
+    """The optical depth, also where 1 - exp(-depth) is below the last bit of float32."""
+    share = []
+    for depth in (1e-8, 1e-7, 3e-5):
+        k = 0.5 * depth / THICKNESS * 550e-6 / (4 * np.pi)
+        scene = load_scene(slab_text(f"1.0+{k:.12g}i scatter={0.5 * depth / THICKNESS:.12g}"))
+        energy = mistray.trace(scene, rays=1000, ledger=False).energy
+        (absorbed, _), *_ = energy.absorbed_in.values()
+        share.append([absorbed / energy.launched_W / depth, energy.escaped_W / energy.launched_W / depth])
+    # A half each; of the scattered light the half that goes back escapes, but for 2 % that meet the edge
+    assert np.array(share)[:, 0] == pytest.approx(0.5, rel=1e-4)
+    assert np.array(share)[:, 1] == pytest.approx(0.25, rel=0.1)
+
+
+@pytest.mark.long
+def test_a_lamp_within_a_medium() -> None:
+    """Its light is weakened from the lamp on, also where it goes to a black wall."""
+    glass = f"1.0+{0.05 * 550e-6 / (4 * np.pi):.12g}i"
+    front = {"type": "interface", "front": glass, "back": "air", "R": 0.0, "T": 1.0}
+    body = {
+        "front": {"type": "asphere", "semi_diameter": 5.0, "bsdf": front},
+        "edge": {"type": "frustum", "z0": -20.0, "z1": 0.0, "r0": 5.0, "r1": 5.0, "bsdf": BLACK},
+        "back": {"type": "asphere", "to_world": at(-20.0), "semi_diameter": 5.0, "bsdf": BLACK},
+        "detector": detector(1.0, semi_diameter=10.0),
+    }
+    for along, seen, length in ((1.0, np.exp(-0.75), 15.0), (-1.0, 0.0, 5.0)):
+        turned = mi.ScalarTransform4d().rotate([0, 1, 0], 90 - 90 * along)
+        lamp = {"type": "point_source", "to_world": turned, "z": -15.0 * along, "half_angle_deg": 1.0}
+        energy = mistray.trace(load(lamp=lamp, **body), rays=1000, ledger=False).energy
+        assert energy.detected_W / energy.launched_W == pytest.approx(seen, rel=1e-3)
+        (absorbed, _), *_ = energy.absorbed_in.values()
+        assert absorbed / energy.launched_W == pytest.approx(1 - np.exp(-0.05 * length), rel=1e-3)
 
 
 @pytest.mark.parametrize("depth", [60.0, 2000.0])
