@@ -40,6 +40,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "Zemax lens": read_zemax,
     "OBJ file": read_mechanics,
     "ray set": read_ray_set,
+    "Zemax rays": read_ray_set,
 }
 
 

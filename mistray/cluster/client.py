@@ -174,6 +174,10 @@ class Cluster:
             f"the connection to the scheduler {self.address} is lost; start it and its workers again"
         )
 
+    def deserted(self) -> UnfinishedError:
+        """Return the error for a scheduler without workers."""
+        return UnfinishedError(f"no worker is left at the scheduler {self.address}; start new ones")
+
     @contextlib.contextmanager
     def job(self, task: Any) -> Iterator[DaskJob]:
         """
@@ -310,14 +314,22 @@ class DaskJob:
                 continue
             alone_since = time.monotonic() if alone_since is None else alone_since
             if time.monotonic() - alone_since > self._cluster.patience_s:
-                raise UnfinishedError(f"no worker is left at the scheduler {self._cluster.address}; start new ones")
+                raise self._cluster.deserted()
 
     def _take(self, part: Any) -> Any:
         from distributed import KilledWorker
 
-        future = self._waiting.pop(part)
+        future, limit_s = self._waiting.pop(part), self._cluster.patience_s
         try:
-            return future.result()
+            while True:
+                try:
+                    return future.result(timeout=limit_s)
+                except TimeoutError:  # its worker is lost, so that another one repeats the part; or it is large
+                    if future.status == "error":  # of the part itself
+                        raise
+                    if not self._cluster.hosts():
+                        raise self._cluster.deserted() from None
+                    limit_s *= 2
         except MistrayError:
             raise
         except KilledWorker:

@@ -324,7 +324,7 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
 
 def _is_transmission(name: str) -> bool:
     """True if a name is that of an ideal coating with a stated transmittance, such as I.99."""
-    return name[:2].upper() == "I." and name[2:].isdigit()
+    return name[:2].upper() == "I." and name[2:].isdecimal()
 
 
 def _phases(r_s: float, r_p: float, t_s: float, t_p: float) -> dict[str, float]:

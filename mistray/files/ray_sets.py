@@ -8,6 +8,7 @@ bytes, then seven 32-bit floats for each ray (x, y, z, the direction cosines, th
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -278,7 +279,7 @@ def _read_zemax_text(text: str, unit: str | None) -> RaySet:
     """
     lines = text.split("\n", 1)
     words = lines[0].split()
-    if not words or not all(word.lstrip("+-").isdigit() for word in words[:2]):
+    if not words or not all(re.fullmatch(r"[+-]?\d+", word) for word in words[:2]):
         raise MistrayError("its first line is not a number of rays; give a Zemax source file")
     count = int(words[0])
     given = UNITS[int(words[1])] if len(words) > 1 and 0 <= int(words[1]) < 5 else unit

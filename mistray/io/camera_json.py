@@ -43,6 +43,7 @@ _SURFACE_NAME = re.compile(r"S\d+\s+(\S+)\s+(front|rear)")
 _PART_NAMES = {"IR": "filter", "IR filter": "filter", "Window": "window"}
 _PIECE_LABEL = re.compile(r"Space \d+: (\w+)[^(]*(?:\((.*)\))?")
 _COEFFICIENT = re.compile(r"A(\d{1,2})")
+_CHANGED = ("z", "radius", "conic", "semi_diameter", "edge_z")  # what a variant may change of a surface
 _MOST_DIGITS = 300  # of a whole number: no float is longer
 _PIXELS = (512, 512)
 
@@ -150,10 +151,10 @@ class _Reader:
         changes: dict[str, dict[str, float]] = {}
         for key, value in known[variant]["change"].items():
             label, _, quantity = key.partition(".")
-            if not quantity:
+            if quantity not in _CHANGED:
                 raise MistrayError(
                     f"prescription '{self.path}': variant '{variant}' changes '{key}'; name surface and quantity, as "
-                    "in S13.radius"
+                    f"in S13.radius; quantities are {', '.join(_CHANGED)}"
                 )
             changes.setdefault(label, {})[quantity] = float(value)
         return changes
@@ -163,11 +164,12 @@ class _Reader:
         Return the optical surfaces of the camera, one wherever the medium changes.
 
         Store in `moves` pairs of rims (r, z), as printed and exact, mm. Raise `MistrayError` if a name does not follow
-        the scheme of the file.
+        the scheme of the file, or the variant changes a surface that is not there.
         """
         self.moves: list[tuple[Point, Point]] = []
         materials = {key: _material(key, value) for key, value in self.data["materials"].items()}
         result = []
+        changes = dict(self.changes)
         before = "AIR"
         for row in self.data["surfaces"]:
             after = row["medium_after"]
@@ -180,7 +182,7 @@ class _Reader:
                     "'… rear'; rename it"
                 )
             part, face = _PART_NAMES.get(match[1], match[1]), match[2]
-            row = {**row, **self.changes.get(row["name"].split()[0], {})}
+            row = {**row, **changes.pop(row["name"].split()[0], {})}
             surface = Surface(
                 f"{part}_{face}",
                 z=float(row["z"]),
@@ -196,6 +198,11 @@ class _Reader:
             self.moves.append(((surface.outer_radius, float(row.get("edge_z", row["z"]))), surface.rim))
             result.append(surface)
             before = after
+        if changes:
+            raise MistrayError(
+                f"prescription '{self.path}': the variant changes '{next(iter(changes))}', which is no surface between "
+                "two media of this file; name one that is, as in S13.radius"
+            )
         return tuple(result)
 
     def _coefficients(self, row: Mapping[str, Any]) -> tuple[float, ...]:
@@ -345,4 +352,6 @@ def _scatter(row: Mapping[str, Any]) -> Scatter:
 def _material(key: str, row: Mapping[str, Any]) -> str:
     if key == "AIR":
         return "air"
-    return f"nd={row['nd']} Vd={row['Vd']} k={row.get('k', 0)}" if row.get("Vd") else str(row["nd"])
+    if row.get("Vd"):
+        return f"nd={row['nd']} Vd={row['Vd']} k={row.get('k', 0)}"
+    return str(row["nd"]) + (f" k={row['k']}" if "k" in row else "")

@@ -52,13 +52,15 @@ class TraceView:
     def _arguments(self, scene: Any, times: float, changes: Mapping[str, Any]) -> dict[str, Any]:
         arguments = {**self.arguments, **changes}
         if times != 1:
-            rays = arguments.get("rays") or self._usual_rays(scene)
-            arguments["rays"] = max(round(times * rays), 1)
+            arguments["rays"] = max(round(times * self._rays(scene, arguments.get("rays"))), 1)
         return arguments
 
     def rays(self, scene: Any) -> int:
         """Return the number of start rays of the trace: that of its arguments, else the default of the scene."""
-        return int(self.arguments.get("rays") or self._usual_rays(scene))
+        return self._rays(scene, self.arguments.get("rays"))
+
+    def _rays(self, scene: Any, given: int | None) -> int:
+        return self._usual_rays(scene) if given is None else Settings.of(scene, rays=given).rays
 
     def _usual_rays(self, scene: Any) -> int:
         return Settings.of(scene).rays

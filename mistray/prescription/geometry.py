@@ -98,6 +98,7 @@ def lens_edge(
     coating: Coating | None = ABSORBER,
     bevel_coating: Coating | None = None,
     contact_radii: tuple[float | None, float | None] = (None, None),
+    outside: str | None = None,
 ) -> tuple[Structure, ...]:
     """
     Return the edge cylinder and the flat rings that close a lens body between its two surfaces.
@@ -121,6 +122,8 @@ def lens_edge(
     contact_radii : tuple of two float or None
         Radii at which the mount begins on the front and on the rear ring, mm; ``None``: at the clear radius, so that no
         bevel is visible.
+    outside : str or None
+        Material around the edge; ``None``: the gas in front of the body or behind it, air if there is none.
 
     Returns
     -------
@@ -174,10 +177,11 @@ def lens_edge(
         return wall(f"{part}_{face}", [(inner, z), (outer, z)], coating=own, part=part, front=sides[0], back=sides[1])
 
     before, after = (first.front, glass), (glass, second.back)
+    around = gas_of(first.front, second.back) if outside is None else outside
     return (
         *ring("bevel_1", clear_1, touch_1, z_1, before, bevel_coating),
         *ring("flange_1", touch_1, rim, z_1, before, coating),
-        *wall(f"{part}_edge", [(rim, z_1), (rim, z_2)], coating=coating, part=part, front=glass),
+        *wall(f"{part}_edge", [(rim, z_1), (rim, z_2)], coating=coating, part=part, front=glass, back=around),
         *ring("flange_2", touch_2, rim, z_2, after, coating),
         *ring("bevel_2", clear_2, touch_2, z_2, after, bevel_coating),
     )
@@ -193,6 +197,8 @@ def barrel(
 ) -> tuple[Structure, ...]:
     """
     Return the faces that close a coaxial group: lens edges in glass, opaque barrel walls in gas, from rim to rim.
+
+    Around them is the gas in front of the group; if that is a glass, the first gas in the group.
 
     Parameters
     ----------
@@ -230,14 +236,15 @@ def barrel(
     """
     result: list[Structure] = []
     space = first_space
-    for a, b in pairwise(ITEMS.check("items", items, f"barrel '{name}'")):
-        material = _shared_material(a, b)
+    pairs = [(a, b, _shared_material(a, b)) for a, b in pairwise(ITEMS.check("items", items, f"barrel '{name}'"))]
+    ahead = [a.front if isinstance(a, Surface) else "air" for a, _, _ in pairs[:1]]
+    outside = gas_of(*ahead, *(material for _, _, material in pairs))
+    for a, b, material in pairs:
         if isinstance(a, Surface) and isinstance(b, Surface) and not is_gas(material):
-            result += lens_edge(a, b, coating=edge_coating)
+            result += lens_edge(a, b, coating=edge_coating, outside=outside)
         else:
-            result += wall(
-                f"{name}_{space}_wall", _profile(a, b), coating=coating, part=name, space=space, front=material
-            )
+            own, points = f"{name}_{space}_wall", _profile(a, b)
+            result += wall(own, points, coating=coating, part=name, space=space, front=material, back=outside)
             space += 1
     return tuple(result)
 
@@ -321,6 +328,11 @@ def is_gas(material: str) -> bool:
     """True if a material is air, vacuum or a constant index below 1.01, by which some programs describe air."""
     index = number_of(material)
     return material.strip().lower() in ("air", "vacuum") if index is None else index < GAS_INDEX
+
+
+def gas_of(*materials: str) -> str:
+    """Return the first gas among materials, air if there is none."""
+    return next(filter(is_gas, materials), "air")
 
 
 def _shared_material(a: Surface | Stop, b: Surface | Stop) -> str:

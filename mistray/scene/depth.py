@@ -19,7 +19,7 @@ from mistray.errors import MistrayError, printable
 from mistray.read_file import read_file, require_file
 from mistray.scene.check import LAST_ROW
 from mistray.scene.messages import FILE, VALUE_TAGS, SceneElement
-from mistray.scene.xml_file import DEEPEST, MOST_TEXT, filled, too_deep
+from mistray.scene.xml_file import DEEPEST, MOST_TEXT, behind_path, filled, too_deep
 
 DEEPEST_FILE = 15  # files within each other, the scene's own counted, as Mitsuba has it
 MOST_INCLUDES = 1000  # each counted as often as it is read
@@ -117,7 +117,7 @@ class _Look:
             if tag == "default":
                 self.defaults.setdefault(element.name, values.get("value", ""))
             elif tag == "path":
-                folders[:0] = [folder / values.get("value", "") for folder in folders]
+                folders[:] = behind_path(folders, values.get("value", ""))
             if name := values.get(FILE):
                 for folder in folders:
                     if os.path.exists(folder / name) and not os.path.isdir(folder / name):

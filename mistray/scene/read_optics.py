@@ -1,35 +1,43 @@
 """Reader of the optical surfaces of a scene file, for export; the scene itself is not loaded.
 
-It reads shapes of type `asphere` whose `interface` transmits light or is a mirror, the detector, the aperture stop, and
-the source, also in scenes that the file includes. The stop is the frustums whose ``part`` is ``stop``; the source is
-`collimated` or `point_source`. Everything else is structure, of which only the names are returned.
+It reads shapes of type `asphere` and `freeform` whose `interface` transmits light or is a mirror, the detector, the
+aperture stop, and the source, also in scenes that the file includes. The stop is the frustums whose ``part`` is
+``stop``; the source is `collimated` or `point_source`. Everything else is structure, of which only the names are
+returned.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.files.sag_grid import read_sag_grid
 from mistray.named_values import number_of
+from mistray.physics.geometry.outline import outline_of
 from mistray.physics.geometry.pose import fixed_angles_deg, moved, rotation
 from mistray.physics.geometry.sag import trimmed
 from mistray.physics.polarization.state import jones_numbers
+from mistray.physics.sags.grid import Grid
+from mistray.physics.sags.terms import GRID, RADII, length_power
 from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Source, Stop, Surface
 from mistray.prescription.model import MAX_COEFFICIENTS
 from mistray.prescription.spectral import DEFAULT_NM
 from mistray.scene.depth import check_source
 from mistray.scene.load import find
 from mistray.scene.recoat import COATED
-from mistray.scene.xml_file import Element, SceneFile, filled, is_true
+from mistray.scene.xml_file import Element, SceneFile, behind_path, filled, is_true
 
 _SHIFTS = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 _COEFFICIENTS = tuple(f"a{2 * place}" for place in range(2, 2 + MAX_COEFFICIENTS))
+_OPTICAL = ("asphere", "freeform")
 _STOP_PART = "stop"
 _PIXELS = (1, 1)
 
@@ -64,7 +72,11 @@ class _Reader:
         self.file = SceneFile(path)
         if any(element.tag == "include" for element in self.file.root.walk()):
             check_source(path)  # or the files might have no end
-            self.file = _whole(path, ())
+            self.file = _whole(path, [])
+        self.folders = [path.parent]
+        for element in self.file.root.walk():
+            if element.tag == "path":
+                self.folders = behind_path(self.folders, filled(element.values.get("value", ""), self.file.defaults))
         self.name = Path(name).stem if Path(name).suffix else name
 
     def read(self) -> tuple[Prescription, tuple[str, ...]]:
@@ -82,14 +94,14 @@ class _Reader:
             if element.tag != "shape":
                 continue
             label = element.values.get("id", kind or "shape")
-            if kind == "asphere" and any(child.tag == "sensor" for child in element.children):
+            if kind in _OPTICAL and any(child.tag == "sensor" for child in element.children):
                 if detector is not None:
                     raise MistrayError(
                         f"scene '{self.file.path}': detectors '{detector.name}' and '{label}'; a lens has one image, "
                         "remove one to export"
                     )
                 detector = self._detector(element, label)
-            elif kind == "asphere" and (surface := self._surface(element, label)) is not None:
+            elif kind in _OPTICAL and (surface := self._surface(element, label)) is not None:
                 surfaces.append(surface)
             elif kind == "frustum" and self.file.values(element).get("part") == _STOP_PART:
                 stop.append(element)
@@ -113,8 +125,10 @@ class _Reader:
         """
         Return an optical surface; None for a shape that neither reflects as a mirror nor transmits light.
 
-        It is also None if the BSDF is neither an ``interface`` nor a ``thinfilm`` by itself.
+        It is also None if the BSDF is neither an ``interface`` nor a ``thinfilm`` by itself, or the shape is mechanics.
         """
+        if is_true(self.file.values(element).get("mechanics", "")):
+            return None
         found = self.file.surface(element)
         if found is None or found[1].values.get("type") not in COATED:
             return None
@@ -167,8 +181,24 @@ class _Reader:
         for key in ("semi_diameter", "inner_semi_diameter", "half_width", "half_height"):
             if key in values:
                 form[key] = self._number(where, values, key)
+        if element.values["type"] == "freeform":
+            form |= self._freeform(where, values)
         pose = self._to_world(element, where)
         return form | _placed(moved(pose, *(self._number(where, values, key, 0.0) for key in _SHIFTS)))
+
+    def _freeform(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
+        """Return what a `freeform` has beside an `asphere` as arguments of `Surface`: sag, outline and direction."""
+        number = partial(self._number, where, values)
+        terms = {key for key in values if length_power(key) is not None} - {"curvature", "conic", *_COEFFICIENTS}
+        sag: dict[str, Any] = {key: number(key) for key in sorted(terms)}
+        for key, curvature in RADII.items():
+            if key in values and key != "radius":
+                sag[curvature] = 1 / (number(key) or math.inf)
+        if GRID in values:
+            path = self._beside(values[GRID])
+            sag[GRID] = Grid.of_values(*read_sag_grid(path), path)
+        outline = outline_of(values, number, f"scene '{self.file.path}', {where}")
+        return {"sag": sag, "outline": outline, "meets": values.get("meets", "both")}
 
     def _detector(self, element: Element, label: str) -> Detector:
         form = self._form(element, label)
@@ -250,7 +280,7 @@ class _Reader:
             "azimuth_deg": self._number(where, values, "azimuth_deg", 0.0),
             "wavelength_nm": numbers.get("wavelength_nm", DEFAULT_NM),
             "weights": numbers.get("weights"),
-            "spectrum": self._spectrum(values["spectrum"]) if "spectrum" in values else None,
+            "spectrum": self._beside(values["spectrum"]) if "spectrum" in values else None,
             "band_nm": numbers.get("band_nm"),
             "bands": int(self._number(where, values, "bands")) if "bands" in values else None,
             "stokes": numbers.get("stokes"),
@@ -258,26 +288,25 @@ class _Reader:
             angle: self._number(where, values, angle) if angle in values else None,
         }
 
-    def _spectrum(self, text: str) -> str:
-        """Return the spectrum of a source; the path of a file beside the scene leads there from the current folder."""
-        beside = self.file.path.parent / text
-        return str(beside) if text.lower().endswith(".csv") and beside.is_file() else text
+    def _beside(self, text: str) -> str:
+        """Return the path of a file beside the scene, or in its ``<path>``, from the current folder; else the text."""
+        # os.path.isfile, because that of Path raises for a long text
+        return next((str(folder / text) for folder in self.folders if os.path.isfile(folder / text)), text)
 
 
-def _whole(path: Path, folders: tuple[Path, ...]) -> SceneFile:
+def _whole(path: Path, folders: list[Path]) -> SceneFile:
     """
     Return a scene file in which the scenes that it includes stand in place of their ``<include>``.
 
-    They are searched beside the file that includes them, then in its ``<path>`` and in `folders`, as in Mitsuba. Raise
-    `MistrayError` if one is missing.
+    They are searched beside the file that includes them, then in its ``<path>``, the last one first, and in `folders`,
+    as in Mitsuba. Raise `MistrayError` if one is missing.
     """
     file = SceneFile(path)
-    folders = (path.parent, *folders)
+    folders = [path.parent, *folders]
     edits = []
     for element in file.root.walk():
         if element.tag == "path":
-            way = filled(element.values.get("value", ""), file.defaults)
-            folders = (*(folder / way for folder in folders), *folders)
+            folders = behind_path(folders, filled(element.values.get("value", ""), file.defaults))
         if element.tag != "include":
             continue
         name = filled(element.values.get("filename", ""), file.defaults)

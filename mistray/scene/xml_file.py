@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -382,19 +382,28 @@ def with_whole_paths(name: str, text: str) -> str:
     MistrayError
         If the text is not XML in UTF-8.
     """
-    file, home = SceneFile(Path(name), text.encode()), os.path.dirname(os.path.abspath(name))
+    file = SceneFile(Path(name), text.encode())
     edits: list[Edit] = []
-    paths: list[str] = []  # the last one is searched first, but after the scene's folder
+    folders = [Path(os.path.abspath(name)).parent]
     for element in file.root.walk():
         if element.tag != "path":
             continue
-        way = filled(element.values.get("value", ""), file.defaults)
-        found = next(filter(os.path.isdir, (os.path.join(folder, way) for folder in (home, *paths))), None)
-        if found is not None:
-            paths.insert(0, found)
-            whole = quoteattr(found.replace("$", "\\$"))
+        known, folders = folders, behind_path(folders, filled(element.values.get("value", ""), file.defaults))
+        if len(folders) > len(known):
+            whole = quoteattr(str(folders[1]).replace("$", "\\$"))
             edits.append((element.start, element.end, f"<path value={whole}/>".encode()))
     return file.changed(edits).data.decode() if edits else text
+
+
+def behind_path(folders: Sequence[Path], way: str) -> list[Path]:
+    """
+    Return the folders in which Mitsuba searches files behind a ``<path>`` with this value, the first one first.
+
+    `folders` are those before it; the first of them, that of the scene file itself, stays the first.
+    """
+    # os.path.isdir, because that of Path raises for a text that is too long for a name
+    found = next((folder / way for folder in folders if os.path.isdir(folder / way)), None)
+    return [folders[0], *([] if found is None else [found]), *folders[1:]]
 
 
 def filled(text: str, defaults: Mapping[str, str]) -> str:

@@ -96,13 +96,17 @@ class SampleAxis:
         return mi.Vector3f(x.x, x.y, 0)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, SampleAxis) and (self.axis, self.rotation_deg) == (other.axis, other.rotation_deg)
+        return isinstance(other, SampleAxis) and self._key == other._key
 
     def __str__(self) -> str:
         return f"{self.axis} turned by {self.rotation_deg:g}°"
 
     def __hash__(self) -> int:
-        return hash((self.axis, self.rotation_deg))
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple[str, float]:
+        return self.axis, self.rotation_deg % 360
 
     def _rows(self) -> mi.Float | None:
         """

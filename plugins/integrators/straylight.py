@@ -24,8 +24,9 @@ from mistray.light import Light
 from mistray.param import documented, fixed, params_of, take
 from mistray.plugins.sensors.passing_sensor import PassingSensor
 from mistray.ranges import EDGE_WIDTH, FLAG
-from mistray.sampling.sources import source_emitters
+from mistray.sampling.sources import source_emitters, spectrum_of
 from mistray.settings import Settings
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace.forward import trace
 
 COATING = (*LAYER_PARAMETERS, *IDEAL_PARAMETERS)
@@ -95,7 +96,7 @@ class StrayLight(mi.CppADIntegrator):
         An `spp` of 0 keeps the integrator's own number of rays.
         """
         own = self.settings.resolved(scene)
-        rays = spp * _pixels(scene, sensor, own) if spp else own.rays
+        rays = spp * _pixels(scene, sensor) if spp else own.rays
         return replace(own, rays=rays, seed=(own.seed + int(mi.UInt32(seed)[0])) % 2**32)
 
     def _detector(self, sensor: mi.Sensor) -> str | None:
@@ -198,14 +199,14 @@ class StrayLight(mi.CppADIntegrator):
         return f"StrayLight[{inside}]"
 
 
-def _pixels(scene: mi.Scene, sensor: mi.Sensor, settings: Settings) -> int:
+def _pixels(scene: mi.Scene, sensor: mi.Sensor) -> int:
     """Return the number of pixels of the image that a rendering gives for a sensor."""
     if not isinstance(sensor, PassingSensor):
         width, height = sensor.film().size()
         return int(width) * int(height)
     recorder = sensor.recorder()
     if not sensor.placed:  # it has pixels for each surface
-        recorder.lay_out(prepare(scene, settings)[0].table)
+        recorder.lay_out(SurfaceTable(scene, float(spectrum_of(scene, None, None)[0][0])))
     return recorder.image_size
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import mitsuba as mi
@@ -13,9 +14,9 @@ import numpy as np
 from mistray.errors import MistrayError, errors_of
 from mistray.files.sag_grid import read_sag_grid
 from mistray.param import Param, documented, fixed, take
-from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Outline, OutlineFigure
+from mistray.physics.geometry.outline import MOST_FIGURES, Outline, OutlineFigure, outline_of
 from mistray.physics.sags.grid import Grid
-from mistray.physics.sags.terms import FIXED, GRID, LENGTHS, check_names, length_power, sag
+from mistray.physics.sags.terms import FIXED, GRID, LENGTHS, RADII, check_names, length_power, sag
 from mistray.plugins.shapes.formula_shape import (
     CURVATURE,
     DETECTOR,
@@ -37,7 +38,6 @@ NUMBER = Range(-1e300, 1e300)
 POLYNOMIALS = fixed("mm", PLACE_MM, "half sizes over which polynomials with these names are defined, > 0", None)
 TERM = Param("mm", NUMBER, default=0.0)
 CLIP = Param("mm", NUMBER, otherwise="none")
-RADII = {"radius": "curvature", "radius_x": "curvature_x", "toroid_radius": "toroid_curvature"}
 WAYS = {"both": 0, "+z": 1, "-z": -1}
 SAMPLES = 61  # samples of the outline in each direction, at which the kernel's sag is checked
 # Sizes that may stand together for an outline without a list of figures
@@ -155,7 +155,7 @@ class FreeformShape(FormulaShape):
         self._grid = _read_grid(props, self.owner)
         check_names({*values, *self._grid}, self.owner)
         values |= {"grid_scale": 1.0, "grid_x": 0.0, "grid_y": 0.0} | values if self._grid else {}
-        self._forms = self._figures(props, values)
+        self._figures = self._outline_of(props, values)
         self.in_double = tuple(key for key in values if key not in ("curvature", "conic"))
         self.ranges = dict.fromkeys(values, NUMBER) | {"curvature": FINITE, "conic": FINITE}
         declare_columns(dict.fromkeys(values, OWN))
@@ -164,12 +164,11 @@ class FreeformShape(FormulaShape):
     def _number(self, props: mi.Properties, key: str, default: float | None = None) -> float:
         return float(TERM.typed(props.get(key, default), key, self.owner))
 
-    def _figures(self, props: mi.Properties, values: dict[str, float]) -> list[tuple[str, str, int]]:
+    def _outline_of(self, props: mi.Properties, values: dict[str, float]) -> Outline | None:
         """
-        Return the sign, kind and number of sizes of each figure; add its parameters to `values`.
+        Return the outline that figures define, None without them; add its parameters to `values`.
 
-        A centred circle or rectangle without figures returns an empty list. Raise `MistrayError` if the outline is not
-        valid.
+        A centred circle or rectangle adds its sizes. Raise `MistrayError` if the outline is not valid.
         """
         short = tuple(key for key in (*SHORT[1], *SHORT[2]) if key in props)
         clips = [k for k in range(1, MOST_FIGURES + 1) if f"clip_{k}" in props]
@@ -177,32 +176,13 @@ class FreeformShape(FormulaShape):
             raise MistrayError(
                 f"{self.owner}: it needs semi_diameter, or half_width and half_height, or an outline clip_1, clip_2, …"
             )
-        if short:
-            if short not in SHORT:
-                raise MistrayError(
-                    f"{self.owner}: {', '.join(short)}; give either semi_diameter or both half_width and half_height"
-                )
-            values |= {key: self._number(props, key) for key in short}
-            return []
-        forms = []
-        for k in clips:
-            text = str(props[f"clip_{k}"]).strip()
-            sign, kind = (text[:1], text[1:].strip()) if text[:1] in SIGNS else ("+", text)
-            if kind not in KINDS:
-                raise MistrayError(f"{self.owner}: clip_{k} is '{text}'; use + - or & and one of {', '.join(KINDS)}")
-            names = ["x", "y", "angle_deg"]
-            corners = 1
-            while kind == "polygon" and f"clip_{k}_x{corners}" in props:
-                names += [f"x{corners}", f"y{corners}"]
-                corners += 1
-            names += SIZES.get(kind, ())
-            for name in names:
-                default = 0.0 if name in ("x", "y", "angle_deg") else None
-                if default is None and f"clip_{k}_{name}" not in props:
-                    raise MistrayError(f"{self.owner}: {kind} clip_{k} needs clip_{k}_{name}; add it")
-                values[f"clip_{k}_{name}"] = self._number(props, f"clip_{k}_{name}", default)
-            forms.append((sign, kind, len(names) - 3))
-        return forms
+        if short and short not in SHORT:
+            raise MistrayError(
+                f"{self.owner}: {', '.join(short)}; give either semi_diameter or both half_width and half_height"
+            )
+        outline = outline_of(props, partial(self._number, props), self.owner)
+        values |= {key: self._number(props, key) for key in short} if outline is None else outline.numbers()
+        return outline
 
     # ---- outline and sag
 
@@ -219,8 +199,8 @@ class FreeformShape(FormulaShape):
             return Outline(tuple(figures))
         if "half_width" in v:
             return Outline((OutlineFigure("rectangle", sizes=(v["half_width"], v["half_height"])),))
-        forms = [OutlineFigure(kind, sign, sizes=(0.0,) * sizes) for sign, kind, sizes in self._forms]
-        return Outline(tuple(forms)).with_numbers(v)
+        assert self._figures is not None
+        return self._figures.with_numbers(v)
 
     def _sag_numbers_of(self, values: Mapping[str, float]) -> dict[str, Any]:
         """Return the parameters of the sag by name, in mm and powers of it, with its grid, if it has one."""

@@ -153,7 +153,10 @@ def test_thermal_text_and_pictures() -> None:
     assert all(patch.get_width() > axes.get_xlim()[0] for patch in axes.patches)
     lines = [line.get_xdata()[0] for line in axes.lines if len(set(line.get_xdata())) == 1]
     assert {5.01e-6, 6e-6} <= set(lines)
-    thermal_figure(NOTHING)
+    assert thermal_figure(REPORT).get_supxlabel().endswith("; 4 more emitters are not drawn")
+    eight = narcissus_figure(replace(REPORT, returned=4 * REPORT.returned))
+    assert eight.get_supxlabel().endswith("; 2 more surfaces are not drawn")
+    assert "drawn" not in thermal_figure(NOTHING).get_supxlabel() + narcissus_figure(REPORT).get_supxlabel()
     (axes,) = narcissus_figure(REPORT).axes
     assert [stairs.get_data().values.tolist() for stairs in axes.patches] == [[500.0, 300.0], [60.0, 60.0]]
 

@@ -24,6 +24,7 @@ from workers_here import Here, assert_same
 
 import mistray
 from mistray import MistrayError, UnfinishedError
+from mistray.cluster.client import DaskJob
 from mistray.cluster.travel import Parcel, Unpacked
 from mistray.execute import by_parts
 from mistray.execute.scene_numbers import put_numbers, read_numbers
@@ -523,6 +524,34 @@ def test_an_error_of_a_part_is_not_taken_for_a_lost_connection():
     ):
         next(results)
     assert not isinstance(caught.value, UnfinishedError)
+
+
+class Easy(Failing):
+    """A task that succeeds."""
+
+    def do(self, made, part):
+        return part
+
+
+@pytest.mark.long
+def test_a_result_that_is_lost_with_the_last_worker_is_not_waited_for(monkeypatch):
+    layout = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    finished = DaskJob._next
+    with (
+        distributed.LocalCluster(**layout) as here,
+        distributed.Client(here) as client,
+        mistray.distribute(client, patience_s=0.2),
+        do_parts(current_workers(), Easy(), [0]) as results,
+    ):
+
+        def lost(job):
+            part = finished(job)
+            here.sync(here.workers[0].close)
+            return part
+
+        monkeypatch.setattr(DaskJob, "_next", lost)
+        with pytest.raises(UnfinishedError, match="no worker is left at the scheduler"):
+            next(results)
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "8786", "", "tcp://", "tcp://host:port", "tls://host:8786"])

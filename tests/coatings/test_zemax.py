@@ -157,6 +157,8 @@ def test_names_of_coatings(tmp_path: Path) -> None:
     (tmp_path / "ar.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,.1,.9\n")
     assert isinstance(coating_from_text(str(tmp_path / "ar.csv")), CoatingTable)
     assert coating_from_text(f"{SAMPLE}:SPLIT") == Ideal(0.5, 0.4, "SPLIT")
+    (tmp_path / "c.dat").write_text("COAT I.²\n", encoding="utf-8")
+    assert coating_from_text(f"{tmp_path / 'c.dat'}:I.²") == Stack((), name="I.²")  # no transmittance: ² is no decimal
     assert read_coating(f"{SAMPLE.name}:ALUM", mirror=True, resolve=lambda path: str(SAMPLE.parent / path)).opaque
 
 

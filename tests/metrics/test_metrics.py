@@ -313,6 +313,7 @@ def test_refusals(scene) -> None:
         (lambda scene: relative_illumination(scene, field_deg=0.0), "needs field_deg off the axis"),
         (lambda scene: relative_illumination(scene, field_deg=3.0, step_deg=-1), "step_deg is -1"),
         (lambda scene: rms_spot(scene).value(times=0), "times is 0"),
+        (lambda scene: path_power(scene, rays=0).value(times=2), "rays is 0; it must be a whole number"),
         (lambda scene: rms_spot(scene, field_deg=60.0, rays=64).value(), "no (direct )?light .*at field 60°"),
         (lambda scene: ghost_to_signal(scene, field_deg=60.0, rays=64).value(), "no (direct )?light .*at field 60°"),
         (lambda scene: log(path_power(scene, "TIR", rays=64)).value(), "the path power is 0"),

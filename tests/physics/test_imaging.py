@@ -60,6 +60,8 @@ def test_transfer_function(obstruction, azimuth_deg):
     assert np.abs(found) == pytest.approx(ideal_images.annular_mtf(share, obstruction), abs=1e-3)
     assert found[0] == pytest.approx(1.0, abs=1e-12)
     assert pupil.cut_off((x, y)) == pytest.approx(CUT_OFF, rel=2e-3 if azimuth_deg in (0, 90) else 0.01)
+    slit = replace(pupil, share=0.3 * (pupil.alpha == pupil.alpha[9]) * np.ones_like(pupil.share))
+    assert slit.cut_off((1, 0)) == pytest.approx(0.3 * pupil.step / WAVELENGTH_MM)  # 30 % of one column
 
 
 def test_defocus_and_tilt():

@@ -95,6 +95,7 @@ class TestRefused:
             surface(small | values, **({} if values else {"second": small | {"rotation_deg": 30.0}}))
         both = surface(small | {"rotation_deg": 30.0}, second=small | {"rotation_deg": 30.0}, R=0.0, T=0.0)
         assert str(both.sample_axis) == "x turned by 30°"
+        surface(small | {"rotation_deg": -90.0}, second=small | {"rotation_deg": 270.0}, R=0.0, T=0.0)  # one axis
 
     @pytest.mark.parametrize(
         ("shape", "message"),

@@ -376,6 +376,13 @@ def test_rims_rays_coatings_and_edges_of_lenses():
     open_ = by_name(to_prescription(triplet(), edges="open"))
     assert open_["L2_edge"].coating is None
     assert not any(name.startswith(("barrel", "board")) for name in open_)
+    # In another gas it is around all edges, walls and rims of mirrors, too
+    for given in (triplet(), newtonian()):
+        rows = [replace(row, material="1.005" if row.material == "air" else row.material) for row in given.rows]
+        around = to_prescription(replace(given, rows=tuple(rows), object_material="1.005")).structures
+        pieces = [piece for piece in around if piece.name.endswith(("_edge", "_wall", "_rim"))]
+        assert {piece.back for piece in pieces} == {"1.005"}
+        assert len(pieces) > 0
 
 
 def test_provenance_lists_notes_and_every_line_without_effect(tmp_path):

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -97,6 +98,14 @@ def test_barrels_and_frames():
         barrel((first, plano("b", -1.0, 3.0)))
     gas = barrel((plano("a", 0.0, 5.0, back="1.00027"), plano("b", 3.0, 5.0, front="1.00027")))
     assert [piece.part for piece in gas] == ["barrel"]  # no lens
+    assert (gas[0].front, gas[0].back) == ("1.00027", "air")  # a cell that is filled, in air
+    # A doublet and a lens that stand in another gas: it is around all their edges and walls
+    doublet = (replace(cemented[0], front="1.005"), cemented[1], replace(cemented[2], back="1.005"))
+    lens = plano("D_front", 12.0, 3.0, front="1.005", back="1.5"), plano("D_rear", 13.0, 3.0, front="1.5", back="1.005")
+    assert {piece.back for piece in barrel((*doublet, *lens)) if piece.r0 == piece.r1 or piece.part == "barrel"} == {
+        "1.005"
+    }
+    assert [piece.back for piece in lens_edge(*lens)] == ["1.005"]
     detector = Detector(z=5.0, half_width=2.0, half_height=1.0)
     frame = detector_frame(detector, 4.0, space=7)
     for x, y in [(2.5, 0.0), (-3.0, 3.5), (0.0, 1.5), (1.9, -1.2), (0.0, -3.9), (3.9, 3.9)]:

@@ -273,6 +273,9 @@ def test_bad_files(tmp_path):
     (tmp_path / "list.json").write_text("[]")
     with refused("variant 'x' changes 'S13'; name surface and quantity, as in S13.radius"):
         from_json(changed(tmp_path, lambda d: d["variants"].update(x={"change": {"S13": 5.0}})), variant="x")
+    for key, words in (("S99.radius", "changes 'S99', which is no surface"), ("S13.radios", "changes 'S13.radios'")):
+        with refused(words):
+            from_json(changed(tmp_path, lambda d, key=key: d["variants"].update(x={"change": {key: 5}})), variant="x")
     for file, words in (
         ("none.json", "No such file"),
         ("text.json", "must be a JSON file"),
@@ -290,9 +293,11 @@ def test_missing_orders_are_0_and_every_piece_of_one_name_is_there(tmp_path):
         data["surfaces"][6]["coefficients"] = {"A8": -0.015, "A4": -0.02}
         halves = [piece | {f"{key}{end}": value for key, value in middle.items()} for end in (2, 1)]
         data["barrel"]["optical_spaces"]["3"] = halves
+        data["materials"]["BK7"] = {"nd": 1.516, "k": 1e-6}  # no Vd
 
     lens = from_json(changed(tmp_path, change))
     assert next(s for s in lens.surfaces if s.name == "L1_front").coefficients == (-0.02, 0.0, -0.015)
+    assert "1.516 k=1e-06" in {surface.back for surface in lens.surfaces}
     first, second = (s for s in lens.structures if s.name in ("barrel_3_cone", "barrel_3_cone_2"))
     assert (first.r1, first.z1) == (second.r0, second.z0) == (middle["r"], middle["z"])
 

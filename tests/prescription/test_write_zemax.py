@@ -264,7 +264,7 @@ def test_the_stop_surfaces_from_behind_and_what_is_refused():
             to_sequential(Prescription(name="camera", surfaces=surfaces, detector=detector))
 
 
-@pytest.mark.parametrize("name", exported_lenses.SCENES)
+@pytest.mark.parametrize("name", [*exported_lenses.SCENES, "three_mirror_telescope"])  # mirrors off the axis
 def test_command_writes_the_lens_of_the_scene_file(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     lens = to_sequential(exported_lenses.importlib.import_module(f"mistray.scenes.{name}.prescription").build())

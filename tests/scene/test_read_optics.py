@@ -7,8 +7,11 @@ import pytest
 import vectors
 from refusals import refused
 
+from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
 from mistray.physics.geometry.pose import moved
-from mistray.prescription import Coating, Stop
+from mistray.physics.sags.grid import Grid
+from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
+from mistray.scene.depth import check_source
 from mistray.scene.files import scene_files
 from mistray.scene.load import shipped_scenes
 from mistray.scene.read_optics import read_optics
@@ -95,6 +98,58 @@ def test_what_a_scene_may_say_and_its_coatings(read):
     second = shape(number("radius", "$R2"), name="rear")
     prescription, _ = read('<default name="R2" value="-70"/>', shape(number("radius", "$R")), second)
     assert [surface.radius for surface in prescription.surfaces] == [50.0, -70.0]
+
+
+def test_freeforms_come_back(tmp_path):
+    polygon = OutlineFigure("polygon", "&", x=0.5, angle_deg=10.0, sizes=(-8.0, -8.0, 8.0, -8.0, 0.0, 8.0))
+    surfaces = (
+        Surface("zernike", semi_diameter=10.0, back="1.5", sag={"zernike_6": 0.01, "zernike_radius": 12.0, "a2": 1e-4}),
+        Surface("cylinder", z=5.0, outline=Outline((*circle(9.0, 2.0).figures, polygon)), sag={"curvature_x": -0.01},
+                front="1.5", meets="+z"),
+        Surface("toroid", z=8.0, radius=90.0, half_width=5.0, half_height=4.0, sag={"toroid_curvature": -0.01}),
+        Surface("grid", z=9.0, semi_diameter=4.0, sag={"grid": Grid.of(np.eye(9), (1.0, 1.0)), "grid_scale": 1e-3}),
+    )  # fmt: skip
+    spider = Surface("spider", z=30.0, outline=rectangle(9.0, 0.1), coating=None)
+    detector = Detector(z=60.0, half_width=4.0, half_height=3.0)
+    lens = Prescription(name="x", surfaces=surfaces, structures=(spider,), detector=detector, source=Source(radius=5.0))
+    lens.to_xml(tmp_path / "lens.xml")
+    text = (tmp_path / "lens.xml").read_text()
+    (tmp_path / "lens.xml").write_text(text.replace('name="curvature_x" value="-0.01"', 'name="radius_x" value="-100"'))
+    found, left_out = read_optics(tmp_path / "lens.xml")
+    for ours, theirs in zip(found.surfaces, surfaces, strict=True):
+        for key in (*KEYS, "outline", "meets"):
+            assert getattr(ours, key) == getattr(theirs, key), (theirs.name, key)
+        assert {**ours.sag, "grid": None} == {**theirs.sag, "grid": None}
+    np.testing.assert_allclose(found.surfaces[3].sag["grid"].corners, surfaces[3].sag["grid"].corners)
+    assert left_out == ("spider",)  # mechanics, though light gets through
+
+
+ORDERS = (
+    ('<path value="a"/>{}', ("x.xml", "a/x.xml")),
+    ('<path value="a"/><path value="b"/>{}', ("b/x.xml", "a/b/x.xml", "a/x.xml")),
+    ('<path value="a"/><path value="b"/>{}', ("a/b/x.xml", "a/x.xml")),
+    ('<path value="a"/><include filename="in/y.xml"/>', ("in/x.xml", "in/a/x.xml", "x.xml", "a/x.xml")),
+    ('<path value="a"/><include filename="in/y.xml"/>', ("in/a/x.xml", "x.xml", "a/x.xml")),
+    ('<path value="a"/><include filename="in/y.xml"/>', ("a/x.xml", "x.xml")),
+)
+
+
+@pytest.mark.parametrize(("text", "files"), ORDERS)
+def test_a_file_in_several_folders_is_that_of_mitsuba(tmp_path, text, files):
+    """The first one of each list; the others are searched later, as `mi.load_file` 3.9.1 does."""
+    include = '<include filename="x.xml"/>'
+    for name in files:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f'<scene version="3.0.0">{shape(name=name.replace("/", "_")[:-4])}</scene>')
+    (tmp_path / "in").mkdir(exist_ok=True)
+    (tmp_path / "in" / "y.xml").write_text(f'<scene version="3.0.0"><path value="a"/>{include}</scene>')
+    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{text.format(include)}</scene>')
+    found, _ = read_optics(tmp_path / "scene.xml")
+    assert [surface.name for surface in found.surfaces] == [files[0].replace("/", "_")[:-4]]
+    wrong = (tmp_path / files[0]).read_text().replace('value="5"', 'value="five"')
+    (tmp_path / files[0]).write_text(wrong)
+    with refused("semi_diameter is 'five'"):
+        check_source(tmp_path / "scene.xml")
 
 
 def test_light_and_stop_are_those_of_the_trace(read, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import re
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from result_calls import CALLS, LONG
 
 import mistray
 from mistray.result import Result
+from mistray.toolkit.figures.bars import BARS
 from mistray.toolkit.summary import MOST_LETTERS, MOST_ROWS, main_figure
 
 long = pytest.mark.long
@@ -216,3 +218,11 @@ with mistray.ProgressBar("PST") as bar:
     assert text.rstrip("\n").count("\n") == 0
     assert "PST: 100%" in text
     assert "IProgress" not in text
+
+
+def test_a_figure_says_how_much_it_leaves_out() -> None:
+    t = mistray.trace(mistray.load("phone_camera"), rays=1000, field_deg=30.0, max_reflections=1)
+    surfaces = sum(row.absorbed_W > 0 for row in t.surfaces)
+    assert surfaces > BARS
+    assert main_figure(t.surfaces).get_suptitle().endswith(f"; {surfaces - BARS} more surfaces are not drawn")
+    assert re.search(r"; [0-9]+ more destinations are not drawn$", main_figure(t.energy).get_suptitle())

@@ -189,7 +189,7 @@ def _roughness_sheet(found: Mapping[str, Any], request: BsdfRequest) -> AbgFromR
     for key in ("A", "B", "g", "reference_nm", "file"):
         if key in found:
             raise MistrayError(f"abg: --rms-nm gives A, B and g; leave {flag(key)} out")
-    if not found.get("correlation_um"):
+    if "correlation_um" not in found:
         raise MistrayError("abg from --rms-nm needs --correlation-um; --correlation-um is missing")
     sides = [refractive_index(material, request.wavelength_nm) for material in (request.front, request.back)]
     own, share = (abs(sides[0] - sides[1]), request.T) if request.event == "transmission" else (2.0, request.R)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from mistray.analyses.explorer.controls import COATING, VALUES, Control
-from mistray.analyses.explorer.estimate import guess
-from mistray.analyses.explorer.looks import Looks
+from mistray.analyses.explorer.estimate import Guess
 from mistray.analyses.explorer.traced import Traced
 from mistray.analyses.ghosts.page.path_explorer import EVENT_WORDS
 from mistray.events import INTERCEPTS, LETTERS
@@ -24,7 +23,7 @@ PASSES = "TA"
 
 def path_detail(
     of: Traced,
-    looks: Looks,
+    guessed: Callable[[Mapping[str, VALUES]], Guess],
     controls: Mapping[str, Control],
     state: Mapping[str, VALUES],
     row: int,
@@ -37,8 +36,8 @@ def path_detail(
     ----------
     of : Traced
         Trace that contains the path.
-    looks : Looks
-        Coatings and scatter models of the surfaces.
+    guessed : callable
+        Returns the estimate of the light for values of all controls.
     controls : mapping of str to Control
         Controls of the explorer, by name.
     state : mapping
@@ -55,20 +54,27 @@ def path_detail(
         z, y, …, mm. ``power_W``: power of the path. ``turns``: surfaces that reflect or scatter the path, each with the
         percentage of all stray light that turns there. ``remedies``: for each part with a choice of coatings and such a
         surface, the coating that leaves the least stray light, the best part first. Each has the power of the path and
-        of all stray light left, W. Powers are those at the field of the trace.
+        of all stray light left, W.
     """
     events = str(of.ways.events.iloc[row])
     lines = [of.sample.lines[k] for k in np.flatnonzero(of.sample.way == row)]
     words = [word.rpartition(":") for word in event_words(events)]
-    now = guess(of, looks, controls, {**state, **({"field": of.state["field"]} if "field" in state else {})})
+    now = guessed(state)
     turns = list(dict.fromkeys(name for name, _, letter in words if letter not in PASSES))
     return {
         "events": [[name, _WORDS[letter], letter not in PASSES] for name, _, letter in words],
         "rays": rounded([line[:, [2, 1]] for line in meridional(lines, RAYS_DRAWN)] if lines else [], digits),
-        "power_W": float(now.ways.power_W.iloc[row]),
+        "power_W": _power(now, of, row),
         "turns": [{"surface": name, "percent": _share(now.ways, name)} for name in turns],
-        "remedies": _remedies(of, looks, controls, state, turns, row),
+        "remedies": _remedies(of, guessed, controls, state, turns, row),
     }
+
+
+def _power(guess: Guess, of: Traced, row: int) -> float:
+    """Return the power of a path, W, in an estimate, whose field may have other paths; 0 if it does not have it."""
+    path = of.ways.iloc[row]
+    ways = guess.ways
+    return float(ways.power_W[(ways.source == path.source) & (ways.events == path.events)].sum())
 
 
 def _share(ways: Any, surface: str) -> float:
@@ -84,7 +90,7 @@ def _share(ways: Any, surface: str) -> float:
 
 def _remedies(
     of: Traced,
-    looks: Looks,
+    guessed: Callable[[Mapping[str, VALUES]], Guess],
     controls: Mapping[str, Control],
     state: Mapping[str, VALUES],
     turns: list[str],
@@ -95,19 +101,18 @@ def _remedies(
 
     The best part is first. Each has the power of the path in row `row` and of all stray light that is left, W.
     """
-    here = {**state, **({"field": of.state["field"]} if "field" in state else {})}
     found = []
     for name, control in controls.items():
         if control.kind != COATING or not set(control.surfaces) & set(turns):
             continue
-        tried = [(choice, guess(of, looks, controls, {**here, name: choice})) for choice in control.choices]
+        tried = [(choice, guessed({**state, name: choice})) for choice in control.choices]
         choice, best = min(tried, key=lambda item: item[1].stray_W.value)
         found.append({
             "control": name,
             "part": control.label,
             "choice": choice,
             "now": state[name],
-            "path_W": float(best.ways.power_W.iloc[row]),
+            "path_W": _power(best, of, row),
             "stray_W": best.stray_W.value,
         })  # fmt: skip
     return sorted(found, key=lambda item: item["stray_W"])

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -223,8 +224,9 @@ class Explorer:
         with self._changed:
             if self._traced is None:
                 raise MistrayError("nothing is traced yet; wait for the first trace")
-            row = self._traced.row(events, source)
-            return path_detail(self._traced, self._looks, self.controls, self.state, row, self._drawing["digits"])
+            of, row = self._traced, self._traced.row(events, source)
+            guessed = partial(self._guessed, of)
+            return path_detail(of, guessed, self.controls, self.state, row, self._drawing["digits"])
 
     def save_scene(self) -> Path:
         """Write the scene with the present coatings and parameters and return its path; see `Saving.scene`."""

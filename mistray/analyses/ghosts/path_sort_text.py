@@ -159,9 +159,10 @@ def parse_path_sort(text: str) -> list[SortedPath]:
     events = _representative_rays(lines[end:])
     entries = []
     for line in lines[start:end]:
-        path_id, rays, *numbers, _ = line.split("\t")
+        path_id = line.partition("\t")[0]
         if not events.get(int(path_id)) or events[int(path_id)][-1][0] != ENDS[1]:
             raise MistrayError(f"path-sort file: path {path_id} has no whole representative ray; the file is cut off")
+        _, rays, *numbers, _ = line.split("\t")
         absorbed, se, percent, wavelength = map(float, numbers)
         entries.append(SortedPath(int(path_id), int(rays), absorbed, se, percent, wavelength, events[int(path_id)]))
     return entries
@@ -175,8 +176,8 @@ def _representative_rays(lines: Sequence[str]) -> dict[int, tuple[tuple[str, str
         if opened:
             current = rays.setdefault(int(opened[1]), [])
         elif line and line[0].isdigit():
-            _, kind, *names = line.split("\t")
-            current.append((kind, names[0] if names else "", names[1] if len(names) > 1 else ""))
+            _, kind, surface, target, *_ = [*line.split("\t"), "", "", ""]
+            current.append((kind, surface, target))
     return {path_id: tuple(events) for path_id, events in rays.items()}
 
 

@@ -132,9 +132,9 @@ class BackwardRun:
             return self._plan
         started = time.perf_counter()
         counts = cells_up_to(self._trace.grid, up_to_deg).ravel()
-        # A run that may be continued can become long. For an error the pilot grows, because its first variances are
-        # unreliable
-        run_rays = self._trace.settings.rays if needed is None and self._state is None else math.inf
+        # A run that may be continued can become long. For an error these are the most rays that it may take; the pilot
+        # grows, because its first variances are unreliable
+        run_rays = self._trace.settings.rays if self._state is None else math.inf
         earlier = earlier if needed is None and earlier is not None and earlier.lit else None
         self.pilot = pilot = Pilot(self._trace, self._points, counts, needed is not None, run_rays, earlier)
         with share(1 / (1 + PILOT_SHARE)):

@@ -72,7 +72,7 @@ class Pilot:
     to_an_error : bool
         Whether the run aims at the same error in all cells; else its number of rays is given.
     run_rays : float
-        Backward rays of the run: the pilot of a short one is short.
+        Backward rays of the run, or the most that it may have: the pilot of a short one is short.
     earlier : Pilot, optional
         Pilot of the same scene and cells with other limits of paths, from which this one goes on: it has fewer rounds.
     """

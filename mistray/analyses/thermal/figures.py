@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator
 
 from mistray.analyses.thermal.result import ThermalReport
-from mistray.toolkit.figures.bars import named_bars
+from mistray.toolkit.figures.bars import named_bars, not_drawn
 from mistray.toolkit.figures.figure import Figure, plain_axes
 from mistray.toolkit.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
@@ -21,10 +21,11 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
     """
     Draw the irradiance on the detector, W/mm², by emitter as bars, with lines for the total and the imaged scene.
 
-    Up to 12 emitters are shown, without those below 1e-8 of the largest.
+    Up to 12 emitters are shown, without those below 1e-8 of the largest; the small print says how many others emit.
     """
     least = FAINTEST * max((e.irradiance_W_mm2.value for e in report.emitters), default=0.0)
-    lit = [e for e in report.emitters if e.irradiance_W_mm2.value > least][:SHOWN]
+    emitters = [e for e in report.emitters if e.irradiance_W_mm2.value > 0]
+    lit = [e for e in emitters if e.irradiance_W_mm2.value > least][:SHOWN]
     made, axes = Figure.of_panels(8.6, 1.4 + 0.32 * max(len(lit), 3))
     values = np.array([e.irradiance_W_mm2.value for e in lit])
     colours = [COLD_COLOUR if e.temperature_K < report.temperature_K else KIND_COLOURS[e.kind] for e in lit]
@@ -45,14 +46,14 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
     if axes.get_legend_handles_labels()[0]:
         made.legend(loc="outside upper right", fontsize=8, frameon=False, ncols=2)
     how = "bars of one standard error; blue: surfaces, green: media, orange: what is colder than the rest"
-    return made.headed(title, small_print=how)
+    return made.headed(title, small_print=how + not_drawn(len(emitters) - len(lit), "emitters"))
 
 
 def narcissus_figure(report: ThermalReport, title: str = "") -> Figure:
     """
     Draw the narcissus-induced temperature difference, mK, of up to 6 surfaces.
 
-    The abscissa is the distance from the middle of the detector, mm.
+    The small print says how many others there are. The abscissa is the distance from the middle of the detector, mm.
     """
     made, axes = Figure.of_panels(8.6, 4.2)
     edges = np.array(report.zones_mm)
@@ -66,4 +67,4 @@ def narcissus_figure(report: ThermalReport, title: str = "") -> Figure:
     plain_axes(axes, below=True, xlabel="distance from the middle of the detector [mm]", ylabel="NITD [mK]")
     made.legend(loc="outside right upper", fontsize=8, frameon=False)
     how = "what is cold by one reflection, in zones of equal areas; bars of one standard error"
-    return made.headed(title, small_print=how)
+    return made.headed(title, small_print=how + not_drawn(len(report.returned[CURVES:]), "surfaces"))

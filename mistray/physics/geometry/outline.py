@@ -10,7 +10,7 @@ in an annulus is "+circle", "-circle" and a "-rectangle" for each vane.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -388,6 +388,44 @@ class Outline:
             else:
                 inside = inside & (~here if figure.sign == "-" else here)
         return inside
+
+
+def outline_of(values: Any, number: Callable[..., float], owner: str) -> Outline | None:
+    """
+    Return the outline that properties state as ``clip_1``, ``clip_2``, …, or None without them.
+
+    Parameters
+    ----------
+    values : mapping
+        Properties by name.
+    number : callable
+        Returns the number of a name, or the default that it gets.
+    owner : str
+        Name of the surface, for messages.
+
+    Raises
+    ------
+    MistrayError
+        If a figure is unknown or lacks a size.
+    """
+    figures = []
+    for k in range(1, MOST_FIGURES + 1):
+        if f"clip_{k}" not in values:
+            break
+        text = str(values[f"clip_{k}"]).strip()
+        sign, kind = (text[:1], text[1:].strip()) if text[:1] in SIGNS else ("+", text)
+        if kind not in KINDS:
+            raise MistrayError(f"{owner}: clip_{k} is '{text}'; use + - or & and one of {', '.join(KINDS)}")
+        sizes = list(SIZES.get(kind, ()))
+        while kind == "polygon" and f"clip_{k}_x{len(sizes) // 2 + 1}" in values:
+            sizes += [f"{axis}{len(sizes) // 2 + 1}" for axis in "xy"]
+        for name in sizes:
+            if f"clip_{k}_{name}" not in values:
+                raise MistrayError(f"{owner}: {kind} clip_{k} needs clip_{k}_{name}; add it")
+        x, y, angle = (number(f"clip_{k}_{name}", 0.0) for name in ("x", "y", "angle_deg"))
+        lengths = tuple(number(f"clip_{k}_{name}") for name in sizes)
+        figures.append(OutlineFigure(kind, sign, x, y, angle, lengths))
+    return Outline(tuple(figures)) if figures else None
 
 
 def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) -> Outline:

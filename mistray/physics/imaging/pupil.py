@@ -286,7 +286,8 @@ class Pupil:
         a, b = np.meshgrid(self.alpha, self.beta)
         along = (a * direction[0] + b * direction[1])[self.lit] / math.hypot(*direction)
         reach = (self.share[self.lit] - 0.5) * self.step  # the rim lies within the outermost cells
-        return float(self.scale * (np.max(along + reach) - np.min(along - reach)))
+        width = np.max(along + reach) - np.min(along - reach)
+        return float(self.scale * max(width, self.share.max() * self.step))  # a cell may be outermost on both sides
 
     # ---- energy
 

@@ -47,6 +47,7 @@ FIXED = {
     "zernike_radius": 1, "fringe_radius": 1, "q_radius": 1, "chebyshev_x": 1, "chebyshev_y": 1,
     "grid_scale": 0, "grid_x": 1, "grid_y": 1,
 }  # fmt: skip
+RADII = {"radius": "curvature", "radius_x": "curvature_x", "toroid_radius": "toroid_curvature"}  # mm, instead of these
 LENGTHS = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")  # of polynomials
 XY_ORDERS = tuple((total - j, j) for total in range(21) for j in range(total + 1))  # 1, x, y, x², xy, y², …
 MOST_EVEN, MOST_RADIAL, MOST_XY, MOST_CHEBYSHEV, MOST_Q = 30, 30, 12, 20, 20

@@ -13,7 +13,7 @@ from mistray.prescription.closing.mirrors import beam_shares, percent
 from mistray.prescription.closing.shadows import met_at
 from mistray.prescription.closing.surfaces import COVER_MM, OpticalSurfaces
 from mistray.prescription.coating import BLACK
-from mistray.prescription.geometry import is_gas
+from mistray.prescription.geometry import gas_of, is_gas
 from mistray.prescription.model import Structure, Surface
 
 _CLEARANCE = 1.02  # of what stands in the bore
@@ -70,12 +70,11 @@ class _Body:
     def wall(self, radius: float, closing: Closing) -> Structure:
         """Return the wall, in the world, of a hole of given radius, mm, through the lens; the glass is outside it."""
         low, high = self.lower, self.upper
-        outside = next((side for side in (low.front, high.back) if is_gas(side)), "air")
         part = low.part if low.mirror else high.part if high.mirror else low.part
         ends = [float(_sag(face, np.array(radius))) + z for face, z in ((low, 0.0), (high, self.gap))]
         wall = Structure(
             f"{part}_bore", radius, ends[0], radius, ends[1],
-            front=outside, back=low.back, coating=None if closing.edges == "open" else BLACK,
+            front=gas_of(low.front, high.back), back=low.back, coating=None if closing.edges == "open" else BLACK,
             scatter=closing.edge_scatter, part=part,
         )  # fmt: skip
         return placed(wall, low.to_world())

@@ -18,7 +18,7 @@ from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import fixed_angles_deg
 from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating
-from mistray.prescription.geometry import barrel, detector_frame, is_gas, lens_edge, wall
+from mistray.prescription.geometry import barrel, detector_frame, gas_of, is_gas, lens_edge, wall
 from mistray.prescription.model import Detector, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
 
@@ -157,6 +157,7 @@ class Closing:
         """
         frame, local = _local(run)
         rim = max(surface.outer_radius for surface in local)
+        outside = gas_of(local[0].front, local[-1].back)
         coating = None if self.edges == "open" else BLACK
         part = run[0].part or run[0].name
         faces: list[Structure] = []
@@ -166,7 +167,8 @@ class Closing:
         freeform = any(surface.sag for surface in local)
         try:
             for k, (first, second) in enumerate([] if freeform else pairwise(local)):
-                own = lens_edge(first, second, rim, part=(first if forward else second).part, coating=coating)
+                own_part = (first if forward else second).part
+                own = lens_edge(first, second, rim, part=own_part, coating=coating, outside=outside)
                 # The ring in a cemented plane belongs to the lens before it
                 faces += [face for face in own if k == 0 or not face.name.endswith("_flange_1")]
         except MistrayError:
@@ -177,7 +179,8 @@ class Closing:
             if freeform:  # past the lowest and the highest point of both rims, so that no light gets out between
                 points = [(first.outer_radius, _rim_heights(first)[0]), (second.outer_radius, _rim_heights(second)[1])]
             own_part = (first if forward else second).part
-            faces += wall(f"{own_part}_edge", points, coating=coating, part=own_part, front=first.back)
+            name = f"{own_part}_edge"
+            faces += wall(name, points, coating=coating, part=own_part, front=first.back, back=outside)
         self._put(faces, frame, self.edge_scatter)
 
     def _stops(self, chain: list[tuple[Item, bool]]) -> None:
@@ -222,7 +225,7 @@ class Closing:
             points = [(r_1, z_1), (outside, z_1), (outside, z_2), (r_2, z_2)]
             material = first.back
             name = f"barrel_{self.spaces}_wall"
-            faces = wall(name, points, coating=BLACK, part="barrel", space=self.spaces, front=material)
+            faces = wall(name, points, coating=BLACK, part="barrel", space=self.spaces, front=material, back=material)
         self._put(faces, frame)
         for surface in local:
             if isinstance(surface, Detector) and surface.half_width is not None:
@@ -278,7 +281,10 @@ def mirror_back(
     result: list[Surface | Structure] = [placed(rear, frame)]
     for name, r in walls:
         z = float(here.z_at(r))
-        wall = Structure(f"{mirror.name}_{name}", r, z, r, z + step, coating=coating, part=part)
+        wall = Structure(
+            f"{mirror.name}_{name}", r, z, r, z + step,
+            front=mirror.front, back=mirror.front, coating=coating, part=part,
+        )  # fmt: skip
         result.append(placed(wall, frame))
     return tuple(result)
 

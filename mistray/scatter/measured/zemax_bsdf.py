@@ -111,7 +111,7 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     grids: dict[str, np.ndarray] = {}
     for key in GRIDS:
         words = lines.next(key)
-        if words[0].lower() != key.lower() or len(words) != 2 or not words[1].isdigit() or int(words[1]) < 1:
+        if words[0].lower() != key.lower() or len(words) != 2 or not words[1].isdecimal() or int(words[1]) < 1:
             raise MistrayError(f"{lines.where}: '{' '.join(words)}'; expected {key} and how many angles there are")
         grids[key] = np.array(lines.values(int(words[1]), f"the angles of {key}"))
     for word in ("Monochrome", "DataBegin"):

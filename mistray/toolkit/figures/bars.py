@@ -48,6 +48,11 @@ def bars(values: Mapping[str, Estimate], colours: Sequence[str], label: str) -> 
     return made
 
 
+def not_drawn(count: int, what: str) -> str:
+    """Return the end of a sentence on a figure that leaves out `count` items, such as "paths"; "" if it has all."""
+    return f"; {count} more {what} are not drawn" if count else ""
+
+
 def named_bars(axes: Axes, names: Sequence[str], values: np.ndarray, errors: Any, colours: Sequence[str]) -> None:
     """Draw horizontal bars with their errors, as `Axes.errorbar` takes them, and names beside, the first at the top."""
     places = range(len(names))

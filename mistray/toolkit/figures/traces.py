@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mistray.estimate import Estimate
 from mistray.recorders.path_events import DIRECT
-from mistray.toolkit.figures.bars import BARS, bars
+from mistray.toolkit.figures.bars import BARS, bars, not_drawn
 from mistray.toolkit.figures.figure import Figure, plain_axes
 from mistray.toolkit.figures.palette import BLUE, GREEN, GREY, ORANGE, VERMILION
 from mistray.toolkit.figures.plots import HOW_TO_READ, scaled_map
@@ -42,8 +42,7 @@ def paths_figure(paths: PathTable, title: str = "") -> Figure:
     powers = {f"{row.path_id}  {row.label}": Estimate(row.power_W, row.power_se_W) for row in rows}
     colours = [BLUE if row.kind == DIRECT else VERMILION for row in rows]
     made = bars(powers, colours, "power [W absorbed]")
-    left = len(paths) - len(rows)
-    more = f"; {left} more paths are not drawn" if left else ""
+    more = not_drawn(len(paths) - len(rows), "paths")
     return made.headed(title, "strongest paths", f"blue: direct image, orange: stray light{more}")
 
 
@@ -53,10 +52,10 @@ def energy_figure(energy: Energy, title: str = "") -> Figure:
 
     At most `BARS` destinations with flux are drawn. The heading begins with `title`.
     """
-    flux = sorted(ledger(energy).items(), key=lambda item: -item[1].value)[:BARS]
-    shares = {name: one.times(100 / energy.launched_W) for name, one in flux if one.value > 0}
+    flux = sorted((item for item in ledger(energy).items() if item[1].value > 0), key=lambda item: -item[1].value)
+    shares = {name: one.times(100 / energy.launched_W) for name, one in flux[:BARS]}
     made = bars(shares, [LEDGER_COLOURS[name.split()[0]] for name in shares], "share of the launched flux [%]")
-    return made.headed(title, "energy ledger")
+    return made.headed(title, f"energy ledger{not_drawn(len(flux) - len(shares), 'destinations')}")
 
 
 def flux_figure(found: FluxReport, title: str = "") -> Figure:
@@ -65,9 +64,10 @@ def flux_figure(found: FluxReport, title: str = "") -> Figure:
 
     At most `BARS` surfaces that absorb flux are drawn. The heading begins with `title`.
     """
-    rows = sorted((row for row in found if row.absorbed_W > 0), key=lambda row: -row.absorbed_W)[:BARS]
-    fluxes = {row.id: Estimate(row.absorbed_W, row.absorbed_se_W) for row in rows}
-    return bars(fluxes, [GREY] * len(rows), "absorbed flux [W]").headed(title, "flux that surfaces absorb")
+    rows = sorted((row for row in found if row.absorbed_W > 0), key=lambda row: -row.absorbed_W)
+    fluxes = {row.id: Estimate(row.absorbed_W, row.absorbed_se_W) for row in rows[:BARS]}
+    made = bars(fluxes, [GREY] * len(fluxes), "absorbed flux [W]")
+    return made.headed(title, f"flux that surfaces absorb{not_drawn(len(rows) - len(fluxes), 'surfaces')}")
 
 
 def rays_figure(rays: RayHistory, title: str = "") -> Figure:

@@ -101,6 +101,12 @@ def test_a_field_between_two_that_are_known(at_start):
         assert abs(value - exact) < 2 * error
         assert error < 0.1 * value
     assert any("between those at 0° and 2°" in text for text in view["left_out"])
+    path = next(path for path in view["paths"] if "detector:R" not in path["events"])
+    detail = at_start.detail(path["events"])  # at the field of the view, too, not at that of the last trace
+    assert detail["power_W"] == pytest.approx(path["power_W"], rel=1e-12)
+    best = detail["remedies"][0]
+    assert best["stray_W"] == pytest.approx(at_start.move({best["control"]: best["choice"]})["stray_W"][0], rel=1e-12)
+    at_start.move({best["control"]: best["now"]})
     other = at_start.move({"field": 2.0})
     assert other["left_out"] == []
     middle = 0.5 * (first["stray_W"][0] + other["stray_W"][0])

@@ -319,7 +319,9 @@ def test_random_and_aimed_light_is_one_path(scattering):
     title, cut = "the title or the column line is missing", text[: text.index("Path 4: ")]
     missing = "path 4 has no whole representative ray"
     last = text[: text.rindex("\n", 0, len(text.rstrip()))]
-    for wrong, words in ((cut, missing), (last, "no whole"), ("", title), ("something else\n", title)):
+    in_event, in_row = text[: text.index("\t", len(last))], text[: text.index("\n4\t") + 2]
+    cuts = [(part, "no whole") for part in (last, in_event, in_row)]
+    for wrong, words in ((cut, missing), *cuts, ("", title), ("something else\n", title)):
         with pytest.raises(MistrayError, match=words):
             parse_path_sort(wrong)
     t = scatter_trace_at(0.0)

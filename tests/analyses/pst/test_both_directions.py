@@ -643,6 +643,7 @@ def test_a_pilot_goes_on_from_an_earlier_one() -> None:
     apart = (more.value - whole.value) / np.hypot(more.standard_error, whole.standard_error)
     assert np.all(np.abs(apart) < 4)
     assert found(relative_error=0.3).facts["pilot_rays"] >= 63 * FIRST_ROUND
+    assert found(relative_error=0.001, rays=100_000).facts["pilot_rays"] == 63 * 1024  # about half of the most rays
 
 
 @pytest.mark.long

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, asdict, dataclass, replace
 from typing import Any
 
@@ -361,12 +361,7 @@ class DesignStudy:
     def __post_init__(self) -> None:
         owner = f"study '{self.name}'"
         check_fields(self, owner)
-        for what, names in (("term", [t.name for t in self.terms]), ("coating", [c.name for c in self.coatings])):
-            for one in names:
-                if names.count(one) > 1:
-                    raise MistrayError(
-                        f"{owner}: {what}.name '{one}' is given twice; give every {what} a name of its own"
-                    )
+        check_names(self.terms, self.coatings, owner)
 
     @property
     def fingerprint(self) -> str:
@@ -378,6 +373,14 @@ class DesignStudy:
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()
+
+
+def check_names(terms: Sequence[Term], coatings: Sequence[CoatingGroup], owner: str) -> None:
+    """Raise `MistrayError` if two terms or two coatings have one name."""
+    for what, names in (("term", [term.name for term in terms]), ("coating", [one.name for one in coatings])):
+        for one in names:
+            if names.count(one) > 1:
+                raise MistrayError(f"{owner}: {what}.name '{one}' is given twice; give every {what} a name of its own")
 
 
 Study = DesignStudy  # its name before version 0.3

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mistray.analyses.optimize.search.nlopt import installed
-from mistray.analyses.optimize.study.model import PATIENCE, STARTS, DesignStudy, Optimizer
+from mistray.analyses.optimize.study.model import PATIENCE, STARTS, DesignStudy, Optimizer, check_names
 from mistray.analyses.optimize.study.terms import of_layers
 from mistray.analyses.optimize.toml.read_coating import read_coating
 from mistray.analyses.optimize.toml.read_term import TRACE_KEYS, check_coatings, read_term, read_traced
@@ -57,10 +57,7 @@ def read_study(source: str | Path | Mapping[str, Any]) -> DesignStudy:
     variables = tuple(read_variable(section) for section in whole.tables("variable"))
     if not coatings and not variables:
         raise whole.fail("variable", "is missing: nothing may change; add a section [[variable]] or [[coating]]")
-    for key, names in (("term", [t.name for t in terms]), ("coating", [c.name for c in coatings])):
-        for one in names:
-            if names.count(one) > 1:
-                raise whole.fail(f"{key}.name", f"'{one}' is given twice; give every [[{key}]] a name of its own")
+    check_names(terms, coatings, whole.title)
     check_coatings(terms, [coating.name for coating in coatings], whole)
     limits = any(term.goal != "minimise" for term in terms)
     optimizer = read_optimizer(whole.table("optimizer"), limits, bool(coatings))
