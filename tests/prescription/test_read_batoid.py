@@ -214,7 +214,6 @@ def test_a_baffle_in_a_flat_mirror_is_its_hole_only_in_the_middle(x, hole):
 
 def prime_focus() -> object:
     """A paraboloid of f = 4 m whose camera hangs in a cage, the bottom of which batoid knows as a full disc."""
-
     mirror = batoid.Mirror(batoid.Paraboloid(8.0), name="M", obscuration=clear(1.0))
     focus = batoid.CoordSys(origin=np.array([0, 0, 4.0]))
     film = batoid.optic.Detector(batoid.Plane(), name="D", obscuration=clear(0.02), coordSys=focus)
