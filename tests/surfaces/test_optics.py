@@ -221,27 +221,7 @@ def stock(kind: str, shape_id: str, inside: str, transform: str = "", bsdf: str 
     return f'<shape type="{kind}" id="{shape_id}">{inside}{pose}{bsdf or interface_xml(R=0.0)}</shape>'
 
 
-def detector_rectangle(transform: str) -> str:
-    return stock("rectangle", "detector", meter_xml(64), transform)
-
-
 SCREEN = shape_xml("asphere", "detector", 9.0, sensor=True, half_width=2.0, half_height=2.0)
-
-
-def prism_ply(path: Path) -> Path:
-    """A right-angle prism of 10 mm: entrance at z = 0, hypotenuse from (y -5, z 0) to (y 5, z 10), exit at y = -5."""
-    corners = [(x, y, z) for x in (-5.0, 5.0) for y, z in ((-5.0, 0.0), (5.0, 0.0), (-5.0, 10.0))]
-    # outward normals: entrance -z, exit -y, hypotenuse +y +z, and the two sides
-    quads = [(0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4)]
-    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))] + [(0, 2, 1), (3, 4, 5)]
-    centre = np.mean(corners, axis=0)
-    outward = []
-    for t in triangles:
-        a, b, c = (np.array(corners[i]) for i in t)
-        outside = np.dot(np.cross(b - a, c - a), (a + b + c) / 3 - centre) > 0
-        outward.append(t if outside else t[::-1])
-    path.write_bytes(ply_bytes(np.array(corners), np.array(outward)))
-    return path
 
 
 def by_events(t: Any) -> dict[str, Any]:
@@ -260,7 +240,7 @@ class TestDetector:
         ours = ours.replace('<translate z="30.0"/>', place)
         a, b = (
             mistray.trace(load_text(scene_text(*lens, d, radius=6.0))[0], rays=4000, field_deg=2.0)
-            for d in (ours, detector_rectangle(f'<scale x="6" y="4"/>{place}'))
+            for d in (ours, stock("rectangle", "detector", meter_xml(64), f'<scale x="6" y="4"/>{place}'))
         )
         assert a.extent == pytest.approx(b.extent, rel=1e-6)
         assert set(by_events(a)) == set(by_events(b))
@@ -306,7 +286,13 @@ def test_ball_lens_against_the_float64_oracle(load_text) -> None:
 
 
 def test_prism_turns_the_light_by_total_reflection(load_scene, tmp_path: Path) -> None:
-    prism = prism_ply(tmp_path / "prism.ply")
+    """Of 10 mm: entrance at z = 0, hypotenuse from (y -5, z 0) to (y 5, z 10), exit at y = -5."""
+    prism = tmp_path / "prism.ply"
+    corners = [(x, y, z) for x in (-5.0, 5.0) for y, z in ((-5.0, 0.0), (5.0, 0.0), (-5.0, 10.0))]
+    # outward normals: entrance -z, exit -y, hypotenuse +y +z, and the two sides
+    quads = [(0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4)]
+    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))] + [(0, 2, 1), (3, 4, 5)]
+    prism.write_bytes(ply_bytes(np.array(corners), np.array(triangles)))
     mesh = stock("ply", "prism", f'<string name="filename" value="{prism}"/>', bsdf=BALL)
     below = shape_xml("asphere", "detector", 0.0, sensor=True, half_width=4.0, half_height=4.0)
     below = below.replace('<translate z="0.0"/>', '<rotate x="1" angle="90"/><translate y="-9" z="5"/>')
