@@ -8,19 +8,9 @@ import pytest
 import vectors
 from refusals import refused
 
-from mistray.coatings import (
-    PRESETS,
-    Bare,
-    CoatingTable,
-    Ideal,
-    Layer,
-    Stack,
-    layer_text,
-    parse_layers,
-    preset,
-    spectrum,
-)
+from mistray.coatings import PRESETS, Bare, CoatingTable, Ideal, Layer, Stack, layer_text, parse_layers, preset
 from mistray.coatings.response import total_reflection
+from mistray.coatings.spectrum import spectrum
 from mistray.errors import MistrayError
 
 pytestmark = pytest.mark.quick

@@ -20,15 +20,13 @@ from mistray.coatings import (
     Ideal,
     Layer,
     Stack,
-    coating_from_text,
     fitted_preset,
     layer_text,
     preset,
-    read_coating,
-    read_coating_file,
     spectrum,
-    write_table,
 )
+from mistray.coatings.files import coating_from_text, read_coating, write_table
+from mistray.coatings.zemax_coating_dat import read_coating_file
 from mistray.materials import complex_index, nearest_known_nm, refractive_index, source
 from mistray.prescription import Coating, Detector, Prescription, Source, Surface
 

@@ -13,18 +13,7 @@ import scene_dicts
 from oracles.chi_square import Chart, p_value
 from oracles.statistics import assert_z
 from refusals import refused
-from scatter_surfaces import (
-    EVENTS,
-    IMPORTANCE,
-    MODELS,
-    RADIANCE,
-    context,
-    direction,
-    interaction,
-    surface,
-    vectors,
-    write_table,
-)
+from scatter_surfaces import EVENTS, IMPORTANCE, MODELS, RADIANCE, context, direction, interaction, surface, vectors
 from vectors import toml
 
 from mistray import MistrayError
@@ -348,7 +337,7 @@ SHAPE = {"type": "asphere", "semi_diameter": 5.0}
 
 class TestScene:
     def test_every_model_has_its_plugin(self, tmp_path: Path) -> None:
-        given = [*MODELS.values(), write_table(tmp_path)]
+        given = [*MODELS.values(), scatter_surfaces.write_table(tmp_path)]
         assert {values["type"] for values in given} == set(OWN_KINDS)
         for values in given:
             plugin = mi.load_dict(values)

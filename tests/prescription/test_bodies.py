@@ -10,30 +10,14 @@ from refusals import each_refused
 from sequential_lenses import by_name, lens, newtonian, triplet
 
 import mistray
-from mistray import Detector, MistrayError, Prescription, Source, Trace
-from mistray.physics.geometry.outline import Outline, OutlineFigure
-from mistray.prescription import (
-    Coating,
-    Decentre,
-    Row,
-    Sequential,
-    Structure,
-    Surface,
-    Unread,
-    array,
-    beam_splitter_cube,
-    box,
-    circle,
-    moved_as_one,
-    plate,
-    polygon,
-    prism,
-    rectangle,
-)
+from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface, Trace
+from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, polygon, rectangle
+from mistray.prescription import Unread, array, beam_splitter_cube, box, moved_as_one, plate, prism
 from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
 from mistray.prescription.sequential.edge_rays import edge_rays
 from mistray.prescription.sequential.rays import to_world, trace
+from mistray.prescription.sequential.table import Decentre, Row, Sequential
 from mistray.recorders import FarField, Probe
 
 pytestmark = pytest.mark.quick

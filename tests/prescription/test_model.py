@@ -10,19 +10,9 @@ import pytest
 import vectors
 
 import mistray
-from mistray.errors import MistrayError
-from mistray.io import to_sequential, write_zemax
-from mistray.prescription import (
-    Coating,
-    Detector,
-    ObjectPoint,
-    Prescription,
-    Source,
-    Stop,
-    Structure,
-    Surface,
-    from_zemax,
-)
+from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface
+from mistray.io import from_zemax, to_sequential, write_zemax
+from mistray.prescription import ObjectPoint, Stop
 from mistray.scene.read_optics import read_optics
 
 pytestmark = pytest.mark.quick

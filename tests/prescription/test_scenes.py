@@ -14,21 +14,9 @@ from oracles import beams, nonsequential, scene_xml
 from refusals import each_refused
 
 import mistray
-from mistray import MistrayError, thermal
+from mistray import Coating, Detector, MistrayError, Prescription, Scatter, Source, Structure, Surface, thermal
 from mistray.physics.sags.terms import sag
-from mistray.prescription import (
-    Coating,
-    Detector,
-    Prescription,
-    Scatter,
-    Source,
-    Stop,
-    Structure,
-    Surface,
-    from_zemax,
-    read_zemax,
-    wall,
-)
+from mistray.prescription import Stop, from_zemax, read_zemax, wall
 from mistray.prescription.scene_file import xml_text
 from mistray.prescription.sequential.rays import trace
 from mistray.scatter.abg import ABg

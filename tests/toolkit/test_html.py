@@ -29,24 +29,10 @@ from mistray.report import Look, remove_section, report_section, write_all, writ
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import FIGURE, within
 from mistray.toolkit.figures.figure import Figure as Drawing
+from mistray.toolkit.pages import model
 from mistray.toolkit.pages.embedded import palette_png
 from mistray.toolkit.pages.formats import write_formats
-from mistray.toolkit.pages.model import (
-    FigurePart,
-    Fold,
-    Folded,
-    Html,
-    HtmlCell,
-    Items,
-    Map,
-    NotePart,
-    PartGroup,
-    Report,
-    Section,
-    Table,
-    Terms,
-    columns,
-)
+from mistray.toolkit.pages.model import Items, NotePart, Report, Section, Table, columns
 from mistray.toolkit.pages.own_sections import section_record, section_tables, section_texts
 from mistray.toolkit.pages.pdf import _cell, _Writer, pdf_bytes
 from mistray.toolkit.pages.render import html_page, html_parts, runs
@@ -171,7 +157,7 @@ def drawing() -> Drawing:
 
 
 def test_a_figure_is_drawn_or_named() -> None:
-    report = Report("Page", "scene", [Section("a", "Curve", [FigurePart(drawing, "A <curve>.")], "Curve")])
+    report = Report("Page", "scene", [Section("a", "Curve", [model.FigurePart(drawing, "A <curve>.")], "Curve")])
     whole = html_page(report)
     assert whole.count("<figcaption>A &lt;curve&gt;.</figcaption>") == 1
     with within(FIGURE / 2):
@@ -213,10 +199,10 @@ def test_every_part_of_the_model():
         NotePart("$x_{1}$ **no** markdown & <tags> ± → λ"), NotePart("a heading", "h3"),
         NotePart("mistray --help", "pre"),
         Items([Markup("a <b>bold &amp; true</b> word")], "verdict"), Items(["one", "two"]), NotePart("word " * 4000),
-        Terms([("name", "value")]),
-        FigurePart(dot, "a dot", "a black dot"), FigurePart(draw, "a line"),
-        Map(np.ones((3, 4)), (0.0, 4.0, 0.0, 3.0), "a map"),
-        wide_table(70), Table(columns("none"), []), Html("<script>1</script>"), Folded("behind", [NotePart("hidden")]),
+        model.Terms([("name", "value")]),
+        model.FigurePart(dot, "a dot", "a black dot"), model.FigurePart(draw, "a line"),
+        model.Map(np.ones((3, 4)), (0.0, 4.0, 0.0, 3.0), "a map"), model.Html("<script>1</script>"),
+        wide_table(70), Table(columns("none"), []), model.Folded("behind", [NotePart("hidden")]),
     ]  # fmt: skip
     sections = [Section("a", "First (part)", parts), Section("b", "Folded", [NotePart("x")], folded="always")]
     pdf = pdf_bytes(Report("Heading", "scene", sections, warnings=["careful"]))
@@ -235,8 +221,8 @@ def test_tables_are_no_wider_than_the_page(tmp_path):
         assert sum(widths) <= writer.pdf.epw + 1e-6
     assert min(widths) > 3
     assert (size, sum(narrow) < 20) == (7.0, True)
-    assert _cell(HtmlCell("<td>one.<br>two &amp; <b>three</b></td>")) == "one.\ntwo & three"
-    letters = Table(columns("<path", "<events"), [["a", Fold("TTTRA", "L1:T", "path m")]])
+    assert _cell(model.HtmlCell("<td>one.<br>two &amp; <b>three</b></td>")) == "one.\ntwo & three"
+    letters = Table(columns("<path", "<events"), [["a", model.Fold("TTTRA", "L1:T", "path m")]])
     assert [column.head for column in letters.kept([0]).columns] == ["path"]
     assert runs("TTTRA") == "T×3 R A"
     assert [_cell(value) for value in (Estimate(1.5, 0.1), "a </ b")] == ["1.50\n±\u00a00.10", "a </ b"]
@@ -313,7 +299,7 @@ def test_a_section_of_thermal_emission(capsys: Captured, tmp_path: Path) -> None
 
 def test_parts_in_groups_and_folds_are_printed_and_exported() -> None:
     found = Table(columns("a"), [["1"]], "mine")
-    parts = [PartGroup("box", [NotePart("first")]), Folded("more", [PartGroup("box", [found])])]
+    parts = [model.PartGroup("box", [NotePart("first")]), model.Folded("more", [model.PartGroup("box", [found])])]
     sections = [Section("own", "Own", parts)]
     assert section_texts(sections) == ["Own\nfirst\nmore\na\n-\n1"]
     assert list(section_tables(sections)) == ["mine.csv"]
