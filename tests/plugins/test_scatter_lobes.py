@@ -12,7 +12,7 @@ import scatter_surfaces
 import scene_dicts
 from oracles.chi_square import Chart, p_value
 from oracles.statistics import assert_z
-from refusals import refused
+from refusals import each_refused
 from scatter_surfaces import EVENTS, IMPORTANCE, MODELS, RADIANCE, context, direction, interaction, surface, vectors
 from vectors import toml
 
@@ -125,9 +125,7 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     step = 4e-3 if tabled else 1e-3
     ends = [moved(name, key, 1 + sign * step) for sign in (-1, 1)]
     parts = list(zip((wo[:30], wo[30:]), EVENTS, strict=True))
-    low, high = (
-        value(end, wi, wo) if tabled else np.concatenate([host(end, wi, *part) for part in parts]) for end in ends
-    )
+    low, high = (value(end, wi, wo) if tabled else np.hstack([host(end, wi, *part) for part in parts]) for end in ends)
     expected = (high - low) / (2 * step * at)
     accuracy = 1e-2 if name == "rough" else 2e-3  # its shape changes with the roughness, over the angles too
     # Central differences are good to step² of the scale, in float32 to its rounding over the step
@@ -219,20 +217,15 @@ def draw(bsdf: Any, wi: np.ndarray, ctx: mi.BSDFContext, count: int, seed: int) 
     return sample, np.array(weight, dtype=float)[0]
 
 
-def density(bsdf: Any, wi: np.ndarray, ctx: mi.BSDFContext) -> Any:
-    def of(directions: np.ndarray) -> np.ndarray:
-        return np.array(bsdf.pdf(ctx, interaction(wi, len(directions)), vectors(directions)), dtype=float)
-
-    return of
-
-
-def scatter_p(
-    name: str, drawn_by: Any, claimed_by: Any, event: str, angle: float, front: bool, mode: Any, seed: int = 1
-) -> float:
+def scatter_p(name: str, drawn_by: Any, claimed_by: Any, event: str, angle: float, front: bool, mode: Any) -> float:
     wi, ctx = direction(angle, front), context(mode, event)
-    sample, _ = draw(drawn_by, wi, ctx, SAMPLES, seed)
+    sample, _ = draw(drawn_by, wi, ctx, SAMPLES, 1)
     wo = np.array(sample.wo, dtype=float).T[np.array(sample.pdf) > 0]
-    return p_value(wo, SAMPLES, density(claimed_by, wi, ctx), charts(name, wi, event))
+
+    def density(directions: np.ndarray) -> np.ndarray:
+        return np.array(claimed_by.pdf(ctx, interaction(wi, len(directions)), vectors(directions)), dtype=float)
+
+    return p_value(wo, SAMPLES, density, charts(name, wi, event))
 
 
 @pytest.mark.parametrize(("name", "event", "angle", "front", "mode"), DRAWN)
@@ -409,17 +402,16 @@ class TestScene:
         assert mirror.indices(550.0) == (1.0, 1.5)
 
     def test_errors_name_the_shape(self) -> None:
-        for values, words in (
+        each_refused(
             ({"type": "abg", "A": 1.0, "B": 0.1}, "g is missing; give A, B, g"),
             ({"type": "tabulated", "file": "nowhere.bsdf"}, "nowhere.bsdf"),
-        ):
-            with refused("wall", words):
-                scene_dicts.load(wall={**SHAPE, "bsdf": {"type": "interface", "model": values}})
+            by=lambda values: scene_dicts.load(wall={**SHAPE, "bsdf": {"type": "interface", "model": values}}),
+            pattern="wall.*{}",
+        )
 
     def test_an_impossible_sum(self) -> None:
         """R + T + scatter > 1 is refused when light is to be scattered, by surface and angle."""
         wall = {"type": "interface", "id": "wall", "R": 0.5, "p": {"type": "paint", "reflectance": 0.6}}
-
         si = interaction(direction(0.0, True), 1)
         with pytest.raises(MistrayError, match=r"'wall', light from the front: at .*° .*more than 1"):
             mi.load_dict(wall).sample(mi.BSDFContext(), si, mi.Float(0.5), mi.Point2f(0.5))

@@ -301,14 +301,8 @@ def test_defaults() -> None:
     assert plane.plane
     assert not plane.sag(np.linspace(0, 2, 5)).any()
     assert plane.space == -1
-    for given, curvature in (
-        ({}, 0.0),
-        ({"radius": 0.0}, 0.0),
-        ({"radius": -np.inf}, 0.0),
-        ({"curvature": 0.05}, 0.05),
-        ({"radius": 20}, 0.05),
-    ):
-        assert mi.load_dict(PLANE | given).values["curvature"] == curvature
+    flat, bent = ({}, {"radius": 0.0}, {"radius": -np.inf}), ({"curvature": 0.05}, {"radius": 20})
+    assert [mi.load_dict(PLANE | given).values["curvature"] for given in (*flat, *bent)] == [0, 0, 0, 0.05, 0.05]
     named = mi.load_dict(ASPHERE | {"id": "S1", "part": "L1", "space": 3})
     assert (named.id(), named.part, named.space) == ("S1", "L1", 3)
 

@@ -21,10 +21,8 @@ def plano(name, z, semi_diameter, **sides):
 
 
 def body(part="L1", z=0.0, front_radius=5.0, rear_radius=5.0):
-    return (
-        plano(f"{part}_front", z, front_radius, back="1.5", part=part),
-        plano(f"{part}_rear", z + 2.0, rear_radius, front="1.5", part=part),
-    )
+    front = plano(f"{part}_front", z, front_radius, back="1.5", part=part)
+    return front, plano(f"{part}_rear", z + 2.0, rear_radius, front="1.5", part=part)
 
 
 def test_wall_leaves_out_empty_pieces_and_numbers_the_rest():

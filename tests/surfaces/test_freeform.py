@@ -1,6 +1,7 @@
 """Freeforms against float64 and batoid, and surfaces that meet in a seam."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -137,10 +138,7 @@ def test_the_kernel_keeps_to_an_outline_and_light_the_other_way_passes() -> None
     c, s = math.cos(math.radians(20)), math.sin(math.radians(20))
     inside &= ((x * c + y * s) / 11) ** 2 + ((y * c - x * s) / 8) ** 2 <= 1
     for triangle in [((8, 8), (14, 8), (11, 9.5)), ((14, 8), (11, 12), (11, 9.5))]:
-        sides = [
-            (q[0] - p[0]) * (y - p[1]) - (x - p[0]) * (q[1] - p[1]) > 0
-            for p, q in zip(triangle, (*triangle[1:], triangle[0]), strict=True)
-        ]
+        sides = [(u - a) * (y - b) - (x - a) * (v - b) > 0 for (a, b), (u, v) in pairwise((*triangle, triangle[0]))]
         inside |= np.all(sides, axis=0)
     np.testing.assert_array_equal(OUTLINE.contains(x, y), inside)
     shape: dict[str, Any] = {"type": "freeform", "curvature": 1 / 100} | OUTLINE.numbers()
@@ -159,11 +157,8 @@ def test_a_first_figure_with_the_sign_of_an_intersection_is_an_area() -> None:
     o, d = np.array([[0.0, 0.0, -5.0], [8.0, 0.0, -5.0], [0.0, 9.0, -5.0]]), np.tile([0.0, 0.0, 1.0], (3, 1))
     plate = {"type": "freeform", "clip_1": "&rectangle", "clip_1_half_width": 10.0, "clip_1_half_height": 10.0}
     hole = {"type": "freeform", "clip_1": "&circle", "clip_1_radius": 8.5}
-    for shape, hits in (
-        (plate | {"clip_2": "+circle", "clip_2_radius": 2.0}, ["shape", "shape", "shape"]),
-        (hole, ["shape", "shape", "detector"]),
-    ):
-        assert kernel_hits(scene(shape), o, d)[1] == hits
+    assert kernel_hits(scene(plate | {"clip_2": "+circle", "clip_2_radius": 2.0}), o, d)[1] == 3 * ["shape"]
+    assert kernel_hits(scene(hole), o, d)[1] == ["shape", "shape", "detector"]
 
 
 def test_outlines_end_at_a_circle() -> None:

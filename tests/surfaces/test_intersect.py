@@ -3,6 +3,7 @@
 import random
 import re
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -362,12 +363,10 @@ def test_order_of_the_shapes_with_equal_powers(load_text) -> None:
 
 
 class TestRepeats:
-    @pytest.mark.parametrize(
-        "mode", [{}, {"splitting": "one"}, {"below_threshold": "roulette", "flux_threshold": 0.01}]
-    )
-    def test_same_seed_same_result(self, mode: dict[str, Any]) -> None:
+    @pytest.mark.parametrize("how", [{}, {"splitting": "one"}, {"below_threshold": "roulette", "flux_threshold": 0.01}])
+    def test_same_seed_same_result(self, how: dict[str, Any]) -> None:
         scene = mistray.load("double_gauss")
-        a, b, other = (mistray.trace(scene, rays=20_000, seed=seed, **mode) for seed in (5, 5, 6))
+        a, b, other = (mistray.trace(scene, rays=20_000, seed=seed, **how) for seed in (5, 5, 6))
         assert_same(a, b)
         assert a.energy.detected_W != other.energy.detected_W
 
@@ -484,11 +483,8 @@ def lit(shapes: str) -> str:
 
 def tube(rings: int) -> str:
     """A painted tube in rings."""
-    ends = np.linspace(0.0, LENGTH, rings + 1)
-    return "".join(
-        plain("frustum", f"ring_{k}", r0=RADIUS, z0=float(ends[k]), r1=RADIUS, z1=float(ends[k + 1]))
-        for k in range(rings)
-    )
+    ends = enumerate(pairwise(np.linspace(0.0, LENGTH, rings + 1).tolist()))
+    return "".join(plain("frustum", f"ring_{k}", r0=RADIUS, z0=z0, r1=RADIUS, z1=z1) for k, (z0, z1) in ends)
 
 
 def cups(count: int) -> str:

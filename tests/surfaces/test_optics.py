@@ -134,12 +134,10 @@ def plate(medium: str, thickness_mm: float, wavelength_nm: float) -> mi.Scene:
     )
 
 
-@pytest.mark.parametrize(
-    ("wavelength_nm", "thickness_mm", "field_deg"),
-    [(10_000.0, 0.1, 0.0), (13.5, 2e-4, 0.0), (4000.0, 0.02, 0.0), (10_000.0, 0.1, 40.0)],
-)
-def test_transmittance_of_a_plate(wavelength_nm: float, thickness_mm: float, field_deg: float) -> None:
+@pytest.mark.parametrize("case", [(10_000.0, 0.1, 0.0), (13.5, 2e-4, 0.0), (4000.0, 0.02, 0.0), (10_000.0, 0.1, 40.0)])
+def test_transmittance_of_a_plate(case: tuple[float, float, float]) -> None:
     """Beer and Lambert times Fresnel for every k, without a jump at any of them; aside the path is longer."""
+    wavelength_nm, thickness_mm, field_deg = case
     inside = np.cos(np.arcsin(np.sin(np.radians(field_deg)) / 1.5))
     settings = {"rays": 100, "max_reflections": 0, "field_deg": field_deg}
     clear = mistray.trace(plate("1.5", thickness_mm, wavelength_nm), **settings).energy.detected_W
@@ -270,11 +268,8 @@ def test_ball_lens_against_the_float64_oracle(load_text) -> None:
     scene, model = load_text(scene_text(ball, screen, radius=3.0))
     t = mistray.trace(scene, rays=400, max_reflections=4, polarization="unpolarized")
     (run,) = t.runs
-    origin, direction = run.start_rays(np.arange(400))
-    power = np.full(400, run.unit)
-    ledger = nonsequential.trace(
-        model, origin, direction, power, 550.0, max_reflections=4, max_events=64, flux_threshold=1e-8
-    )
+    rays = (*run.start_rays(np.arange(400)), np.full(400, run.unit))
+    ledger = nonsequential.trace(model, *rays, 550.0, max_reflections=4, max_events=64, flux_threshold=1e-8)
     theirs = {record.text.replace(":TIR", ":I"): record for record in ledger.paths}
     assert set(by_events(t)) == set(theirs)
     for events, row in by_events(t).items():
@@ -317,9 +312,8 @@ class TestMixtures:
         """Planes of both kinds in turn, in an order that differs from the file's: each ray meets them by distance."""
         weak = interface_xml(R=0.1, T=0.9)
         ours = [shape_xml("asphere", f"ours_{z}", float(z), weak, semi_diameter=3.0) for z in (6, 2, 4)]
-        theirs = [
-            stock("rectangle", f"theirs_{z}", "", f'<scale value="3"/><translate z="{z}"/>', weak) for z in (5, 1, 3)
-        ]
+        places = {z: f'<scale value="3"/><translate z="{z}"/>' for z in (5, 1, 3)}
+        theirs = [stock("rectangle", f"theirs_{z}", "", place, weak) for z, place in places.items()]
         screen = shape_xml("asphere", "detector", 8.0, sensor=True, half_width=3.0, half_height=3.0)
         scene, model = load_text(scene_text(*theirs, *ours, screen))
         t = mistray.trace(scene, rays=300, flux_threshold=0.0)
@@ -327,8 +321,8 @@ class TestMixtures:
         assert t.paths[0].events == " ".join(f"{name}:T" for name in order) + " detector:A"
         assert len(t.paths) == 1 + 15
         (run,) = t.runs
-        origin, direction = run.start_rays(np.arange(300))
-        ledger = nonsequential.trace(model, origin, direction, np.full(300, run.unit), 550.0, flux_threshold=0.0)
+        rays = (*run.start_rays(np.arange(300)), np.full(300, run.unit))
+        ledger = nonsequential.trace(model, *rays, 550.0, flux_threshold=0.0)
         assert {row.events for row in t.paths} == {record.text for record in ledger.paths}
         for row in t.paths:
             assert row.power_W == pytest.approx(ledger.find(*row.events.split()).power_W, rel=1e-6)
