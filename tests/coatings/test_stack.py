@@ -23,9 +23,7 @@ COSINES = np.cos(np.radians([0.0, 20.0, 45.0, 70.0, 89.0]))
 AIR, GLASS, METAL = 1 + 0j, 1.5168 + 0j, 0.958 + 6.69j
 
 
-def compare(
-    stack: Stack | Bare, front: complex, back: complex, from_front: bool, layers: list[tuple[complex, float]]
-) -> None:
+def compare(stack: Stack | Bare, front: complex, back: complex, from_front: bool, layers: list) -> None:
     """With `tmm`; `layers` in the order of incidence."""
     own = stack.response(550.0, front, back, COSINES, from_front)
     ends = (front, back) if from_front else (back, front)

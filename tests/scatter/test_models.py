@@ -351,9 +351,7 @@ def test_a_profile_ends_where_it_is_told_to() -> None:
     assert table.value(np.array([1.5]))[0] < 1e-25
 
 
-@pytest.mark.parametrize(
-    "bad", [lambda r: -r, lambda r: np.nan * r, lambda r: 0 * r, lambda r: 1 / np.maximum(r - 1, 0)]
-)
-def test_impossible_profiles(bad: Callable) -> None:
+@pytest.mark.parametrize("f", [lambda r: -r, lambda r: np.nan * r, lambda r: 0 * r, lambda r: 1 / np.maximum(r - 1, 0)])
+def test_impossible_profiles(f: Callable) -> None:
     with refused("give a BSDF > 0"), np.errstate(divide="ignore"):
-        RadialTable.of(bad)
+        RadialTable.of(f)
