@@ -199,16 +199,6 @@ def specular(wi: np.ndarray, event: str) -> np.ndarray:
     return np.array([*xy, -np.sign(wi[2]) * np.sqrt(1 - xy @ xy)])
 
 
-def charts(name: str, wi: np.ndarray, event: str) -> list[Chart]:
-    centre, flat, octaves = specular(wi, event), name not in BY_ANGLE, OCTAVES.get(name, 14)
-    if name == "abg_lambertian":  # it has no peak, and the horizon is an edge of cells about the normal
-        centre = np.array([0.0, 0.0, np.sign(centre[2])])
-    made = [Chart(centre, np.sign(centre[2]), flat, octaves)]
-    if name == "particulate" and event == "reflection" and np.linalg.norm(centre - wi) > 1e-3:
-        made.append(Chart(wi, np.sign(wi[2]), flat, octaves))
-    return made
-
-
 def draw(bsdf: Any, wi: np.ndarray, ctx: mi.BSDFContext, count: int, seed: int) -> tuple[Any, np.ndarray]:
     rng = mi.PCG32(count, seed)
     u = rng.next_float32()
@@ -221,11 +211,17 @@ def scatter_p(name: str, drawn_by: Any, claimed_by: Any, event: str, angle: floa
     wi, ctx = direction(angle, front), context(mode, event)
     sample, _ = draw(drawn_by, wi, ctx, SAMPLES, 1)
     wo = np.array(sample.wo, dtype=float).T[np.array(sample.pdf) > 0]
+    centre, flat, octaves = specular(wi, event), name not in BY_ANGLE, OCTAVES.get(name, 14)
+    if name == "abg_lambertian":  # it has no peak, and the horizon is an edge of cells about the normal
+        centre = np.array([0.0, 0.0, np.sign(centre[2])])
+    charts = [Chart(centre, np.sign(centre[2]), flat, octaves)]
+    if name == "particulate" and event == "reflection" and np.linalg.norm(centre - wi) > 1e-3:
+        charts.append(Chart(wi, np.sign(wi[2]), flat, octaves))
 
     def density(directions: np.ndarray) -> np.ndarray:
         return np.array(claimed_by.pdf(ctx, interaction(wi, len(directions)), vectors(directions)), dtype=float)
 
-    return p_value(wo, SAMPLES, density, charts(name, wi, event))
+    return p_value(wo, SAMPLES, density, charts)
 
 
 @pytest.mark.parametrize(("name", "event", "angle", "front", "mode"), DRAWN)

@@ -11,6 +11,7 @@ import scene_dicts
 import tmm
 from oracles import nonsequential
 from oracles.small_scenes import interface_xml, meter_xml, scene_text, shape_xml
+from refusals import each_refused
 
 import mistray
 from mistray.coatings import Layer, Stack
@@ -252,14 +253,12 @@ class TestDetector:
         assert rough < 2e-3  # rays that change the pixel
 
     def test_what_is_refused(self, load_scene) -> None:
-        for ball, words in (
+        each_refused(
             (stock("sphere", "detector", meter_xml(8)), "detector 'detector' is Sphere"),
             (stock("sphere", "ball", "", bsdf='<bsdf type="plastic"/>') + SCREEN, "shape 'ball' carries the BSDF .*"),
             (stock("sphere", "ball", "", bsdf="<!-- none -->") + SCREEN, "nest an 'interface' in it"),
-        ):
-            scene = load_scene(scene_text(ball))
-            with pytest.raises(mistray.MistrayError, match=words):
-                mistray.trace(scene, rays=10)
+            by=lambda ball: mistray.trace(load_scene(scene_text(ball)), rays=10),
+        )
 
 
 def test_ball_lens_against_the_float64_oracle(load_text) -> None:

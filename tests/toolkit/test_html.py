@@ -2,7 +2,6 @@
 
 import ast
 import contextlib
-import importlib
 import itertools
 import json
 import re
@@ -17,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from analyses.fake_trace import SHARES, FakeTrace, ghosts_of, trace_at, trace_in_colours
-from command_line import Captured, succeeds
+from command_line import Captured, Patch, succeeds
 from markupsafe import Markup
 
 import mistray
@@ -128,17 +127,12 @@ def test_a_failure_leaves_nothing(report: GhostReport, tmp_path: Path, monkeypat
     assert list(tmp_path.iterdir()) == []
 
 
-ghosts_output = importlib.import_module("mistray.analyses.ghosts.page.output")
-
-
 @pytest.mark.parametrize("fields", [0, 2])
-def test_a_page_shows_the_fields_that_there_was_time_for(
-    fields: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_shows_the_fields_that_there_was_time_for(fields: int, tmp_path: Path, monkeypatch: Patch) -> None:
     report = mistray.ghosts(mistray.load("singlet_window_detector"), [0, 2, 4], rays=200)
     # Time is asked for twice a field, before and after its pictures
     left = itertools.chain([1e6] * 2 * fields, itertools.repeat(0.0))
-    monkeypatch.setattr(ghosts_output, "left", lambda: next(left))
+    monkeypatch.setattr(output, "left", lambda: next(left))
     with within(1000), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         files = {path.name for path in write_all(report, tmp_path)}
@@ -151,7 +145,7 @@ def test_a_page_shows_the_fields_that_there_was_time_for(
 
 
 def drawing() -> Drawing:
-    made = Drawing()
+    made = Drawing(figsize=(4, 3))
     made.subplots().plot([0, 1])
     return made
 
@@ -189,18 +183,13 @@ def wide_table(count: int) -> Table:
 
 @pytest.mark.quick
 def test_every_part_of_the_model():
-    def draw():
-        drawn = Drawing(figsize=(4, 3))
-        drawn.subplots().plot([0, 1], [0, 1])
-        return drawn
-
     dot = palette_png(np.zeros((9, 9), dtype=np.uint8), np.zeros((1, 3), dtype=np.uint8))
     parts = [
         NotePart("$x_{1}$ **no** markdown & <tags> ± → λ"), NotePart("a heading", "h3"),
         NotePart("mistray --help", "pre"),
         Items([Markup("a <b>bold &amp; true</b> word")], "verdict"), Items(["one", "two"]), NotePart("word " * 4000),
         model.Terms([("name", "value")]),
-        model.FigurePart(dot, "a dot", "a black dot"), model.FigurePart(draw, "a line"),
+        model.FigurePart(dot, "a dot", "a black dot"), model.FigurePart(drawing, "a line"),
         model.Map(np.ones((3, 4)), (0.0, 4.0, 0.0, 3.0), "a map"), model.Html("<script>1</script>"),
         wide_table(70), Table(columns("none"), []), model.Folded("behind", [NotePart("hidden")]),
     ]  # fmt: skip
