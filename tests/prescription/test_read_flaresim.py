@@ -252,6 +252,7 @@ def changed(tmp_path, change):
 
 
 def test_bad_files(tmp_path):
+    words = "variant 'x' changes 'S13'; name surface and quantity, as in S13.radius"
     each_refused(
         (lambda d: d.pop("coatings"), "key 'coatings' is missing"),
         (lambda d: d["surfaces"][6].update(semi_diameter=-1.4), "surface 'L1_front': semi_diameter is -1.4; it must"),
@@ -264,10 +265,9 @@ def test_bad_files(tmp_path):
         (lambda d: d["barrel"]["optical_spaces"]["1"].pop(3), r"labelled '\(AS rear\)'"),
         (lambda d: d.update(scatter=[POLISH | {"shapes": ["L9_*"]}]), r"no shape is called 'L9_\*'"),
         (lambda d: None, "R13=5", "variant 'R13=5' is unknown"),
-        (lambda d: d["variants"].update(x={"change": {"S13": 5.0}}), "x",
-         "variant 'x' changes 'S13'; name surface and quantity, as in S13.radius"),
+        (lambda d: d["variants"].update(x={"change": {"S13": 5.0}}), "x", words),
         by=lambda change, variant=None: from_json(changed(tmp_path, change), variant=variant),
-    )  # fmt: skip
+    )
     (tmp_path / "text.json").write_text("{")
     (tmp_path / "list.json").write_text("[]")
     each_refused(
