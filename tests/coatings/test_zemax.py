@@ -20,15 +20,13 @@ from mistray.coatings import (
     Ideal,
     Layer,
     Stack,
-    coating_from_text,
     fitted_preset,
     layer_text,
     preset,
-    read_coating,
-    read_coating_file,
     spectrum,
-    write_table,
 )
+from mistray.coatings.files import coating_from_text, read_coating, write_table
+from mistray.coatings.zemax_coating_dat import read_coating_file
 from mistray.materials import complex_index, nearest_known_nm, refractive_index, source
 from mistray.prescription import Coating, Detector, Prescription, Source, Surface
 
@@ -209,10 +207,8 @@ def test_mirrors_and_what_is_no_table(tmp_path: Path) -> None:
     for coating in (preset("protected_al"), Stack((Layer("Al", 9000.0),))):
         write_table(coating, file, WAVELENGTHS, ANGLES, "air", "1.5168")
         for from_front in (True, False):
-            one, other = (
-                spectrum(c, WAVELENGTHS, ANGLES, back="1.5168", from_front=from_front)
-                for c in (coating, CoatingTable.read(file))
-            )
+            both = coating, CoatingTable.read(file)
+            one, other = (spectrum(c, WAVELENGTHS, ANGLES, back="1.5168", from_front=from_front) for c in both)
             np.testing.assert_allclose(other.R, one.R, atol=1e-12)
     each_refused(
         (550.0, 0.0, ("Al", "Ag"), "both are metals; no light gets there"),
@@ -241,15 +237,12 @@ def test_spectrum() -> None:
     np.testing.assert_allclose(outside.R, spectrum(Bare(), [550.0], [60.0], "air", "1.5168").R, atol=1e-12)
 
 
-POINTS = 41
-
-
 def by_tmm(stack: Stack, body: str, low_nm: float, high_nm: float) -> float:
     """Mean R over a band at normal incidence, by the program of S. J. Byrnes."""
     tmm = pytest.importorskip("tmm")
     thickness = [np.inf, *(layer.thickness_nm for layer in stack.layers), np.inf]
     found = []
-    for nm in np.linspace(low_nm, high_nm, POINTS):
+    for nm in np.linspace(low_nm, high_nm, 41):
         n = refractive_index(body, nearest_known_nm(body, nm))
         found.append(tmm.coh_tmm("s", [1.0, *stack.indices(nm), n], thickness, 0.0, nm)["R"])
     return float(np.mean(found))
@@ -287,7 +280,7 @@ def test_a_body_like_that_of_the_design_keeps_it_and_others_are_refused() -> Non
     each_refused(
         ("zns_lwir", "ZnSe", r"does not suit 'ZnSe': mean R = 1\d.* %"),
         ("bbar3", "Ge", "passes no light from 450 to 650 nm"),
-        by=lambda name, body: fitted_preset(name, body),
+        by=fitted_preset,
     )
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import scene_dicts
 import vectors
-from command_line import Captured, fails, run, succeeds
-from refusals import refused
+from command_line import Captured, Patch, fails, run, succeeds
+from refusals import each_refused, refused
 
 import mistray
 from mistray.mechanics import Finish, Mechanics, finish, read_mechanics
@@ -112,13 +112,12 @@ class TestScenes:
             return Structure(f"wall_{number}", 9.0, 0.0, 9.0, 5.0, scatter=(paint,))
 
         target, mesh = tmp_path / "with.xml", tmp_path / "mesh.ply"
-        for walls, words in (
+        each_refused(
             ([wall(1, "p", 0.1), wall(2, "p", 0.2)], "two different scatter models are called 'p', that of 'wall_2'"),
             ([wall(1, "p", 0.1), wall(1, "p", 0.1)], "it has an object 'wall_1' already"),
             ([wall(1, "barrel_paint", 0.2)], "its object 'barrel_paint' differs from the one of structure 'wall_1'"),
-        ):
-            with refused(words):
-                add_structures(scene_file, walls, target, files={mesh: b"ply"})
+            by=lambda walls: add_structures(scene_file, walls, target, files={mesh: b"ply"}),
+        )
         assert [path.name for path in tmp_path.iterdir()] == ["base.xml"]
         # Whether a value is the name of a file is asked where the scene goes to another folder
         layers = ", ".join(30 * ["MgF2 99.64", "TiO2 50"])
@@ -229,9 +228,7 @@ class TestCommand:
         assert all(Path(name).is_file() for name in found["files"])
         assert found["notes"] == ["5 more surfaces could be exact; they stay meshes by --most-analytic 3"]
 
-    def test_mistakes(
-        self, assembly: Mechanics, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_mistakes(self, assembly: Mechanics, tmp_path: Path, capsys: Captured, monkeypatch: Patch) -> None:
         monkeypatch.setattr(mistray.mechanics, "read_mechanics", lambda *_, **__: assembly)  # not read once more
         for arguments, words in (
             (["--paint", "rnig*=black"], "no part or face is called 'rnig*'; the nearest are ring"),

@@ -9,7 +9,7 @@ import numpy as np
 import peers
 import pytest
 import scene_dicts
-from refusals import refused
+from refusals import each_refused, refused
 from scipy.integrate import quad
 
 from mistray.physics.sags.forbes import q2d, q2d_values
@@ -120,15 +120,14 @@ def test_scenes_say_what_is_wrong(tmp_path: Path) -> None:
     mirror = {"type": "freeform", "semi_diameter": 4.0, "bsdf": {"type": "interface", "R": 1.0}}
     given = {"grid": save_grid(grid(), tmp_path / "grid.npz").path}
     scene_dicts.load(mirror=mirror | given)
-    for more, message in (
+    each_refused(
         (given | {"semi_diameter": 8.0}, "'mirror': its outline leaves its grid '.*grid.npz': it reaches -6 to 8 mm"),
         (given | {"grid_x": 5.0}, "its outline leaves its grid"),
         ({"grid": str(tmp_path / "no.npz")}, "'mirror': grid '.*no.npz'.*check the path"),
         ({"grid_scale": 2.0}, "grid_scale needs grid"),
         ({"grid": 3.0}, "grid is 3.0; give the name of a file"),
-    ):
-        with refused(message):
-            scene_dicts.load(mirror=mirror | more)
+        by=lambda more: scene_dicts.load(mirror=mirror | more),
+    )
 
 
 @pytest.mark.parametrize("m", [1, 2, 3, 7, 20])

@@ -12,19 +12,8 @@ import scatter_surfaces
 import scene_dicts
 from oracles.chi_square import Chart, p_value
 from oracles.statistics import assert_z
-from refusals import refused
-from scatter_surfaces import (
-    EVENTS,
-    IMPORTANCE,
-    MODELS,
-    RADIANCE,
-    context,
-    direction,
-    interaction,
-    surface,
-    vectors,
-    write_table,
-)
+from refusals import each_refused
+from scatter_surfaces import EVENTS, IMPORTANCE, MODELS, RADIANCE, context, direction, interaction, surface, vectors
 from vectors import toml
 
 from mistray import MistrayError
@@ -136,9 +125,7 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     step = 4e-3 if tabled else 1e-3
     ends = [moved(name, key, 1 + sign * step) for sign in (-1, 1)]
     parts = list(zip((wo[:30], wo[30:]), EVENTS, strict=True))
-    low, high = (
-        value(end, wi, wo) if tabled else np.concatenate([host(end, wi, *part) for part in parts]) for end in ends
-    )
+    low, high = (value(end, wi, wo) if tabled else np.hstack([host(end, wi, *part) for part in parts]) for end in ends)
     expected = (high - low) / (2 * step * at)
     accuracy = 1e-2 if name == "rough" else 2e-3  # its shape changes with the roughness, over the angles too
     # Central differences are good to step² of the scale, in float32 to its rounding over the step
@@ -212,16 +199,6 @@ def specular(wi: np.ndarray, event: str) -> np.ndarray:
     return np.array([*xy, -np.sign(wi[2]) * np.sqrt(1 - xy @ xy)])
 
 
-def charts(name: str, wi: np.ndarray, event: str) -> list[Chart]:
-    centre, flat, octaves = specular(wi, event), name not in BY_ANGLE, OCTAVES.get(name, 14)
-    if name == "abg_lambertian":  # it has no peak, and the horizon is an edge of cells about the normal
-        centre = np.array([0.0, 0.0, np.sign(centre[2])])
-    made = [Chart(centre, np.sign(centre[2]), flat, octaves)]
-    if name == "particulate" and event == "reflection" and np.linalg.norm(centre - wi) > 1e-3:
-        made.append(Chart(wi, np.sign(wi[2]), flat, octaves))
-    return made
-
-
 def draw(bsdf: Any, wi: np.ndarray, ctx: mi.BSDFContext, count: int, seed: int) -> tuple[Any, np.ndarray]:
     rng = mi.PCG32(count, seed)
     u = rng.next_float32()
@@ -230,20 +207,21 @@ def draw(bsdf: Any, wi: np.ndarray, ctx: mi.BSDFContext, count: int, seed: int) 
     return sample, np.array(weight, dtype=float)[0]
 
 
-def density(bsdf: Any, wi: np.ndarray, ctx: mi.BSDFContext) -> Any:
-    def of(directions: np.ndarray) -> np.ndarray:
-        return np.array(bsdf.pdf(ctx, interaction(wi, len(directions)), vectors(directions)), dtype=float)
-
-    return of
-
-
-def scatter_p(
-    name: str, drawn_by: Any, claimed_by: Any, event: str, angle: float, front: bool, mode: Any, seed: int = 1
-) -> float:
+def scatter_p(name: str, drawn_by: Any, claimed_by: Any, event: str, angle: float, front: bool, mode: Any) -> float:
     wi, ctx = direction(angle, front), context(mode, event)
-    sample, _ = draw(drawn_by, wi, ctx, SAMPLES, seed)
+    sample, _ = draw(drawn_by, wi, ctx, SAMPLES, 1)
     wo = np.array(sample.wo, dtype=float).T[np.array(sample.pdf) > 0]
-    return p_value(wo, SAMPLES, density(claimed_by, wi, ctx), charts(name, wi, event))
+    centre, flat, octaves = specular(wi, event), name not in BY_ANGLE, OCTAVES.get(name, 14)
+    if name == "abg_lambertian":  # it has no peak, and the horizon is an edge of cells about the normal
+        centre = np.array([0.0, 0.0, np.sign(centre[2])])
+    charts = [Chart(centre, np.sign(centre[2]), flat, octaves)]
+    if name == "particulate" and event == "reflection" and np.linalg.norm(centre - wi) > 1e-3:
+        charts.append(Chart(wi, np.sign(wi[2]), flat, octaves))
+
+    def density(directions: np.ndarray) -> np.ndarray:
+        return np.array(claimed_by.pdf(ctx, interaction(wi, len(directions)), vectors(directions)), dtype=float)
+
+    return p_value(wo, SAMPLES, density, charts)
 
 
 @pytest.mark.parametrize(("name", "event", "angle", "front", "mode"), DRAWN)
@@ -348,7 +326,7 @@ SHAPE = {"type": "asphere", "semi_diameter": 5.0}
 
 class TestScene:
     def test_every_model_has_its_plugin(self, tmp_path: Path) -> None:
-        given = [*MODELS.values(), write_table(tmp_path)]
+        given = [*MODELS.values(), scatter_surfaces.write_table(tmp_path)]
         assert {values["type"] for values in given} == set(OWN_KINDS)
         for values in given:
             plugin = mi.load_dict(values)
@@ -420,17 +398,16 @@ class TestScene:
         assert mirror.indices(550.0) == (1.0, 1.5)
 
     def test_errors_name_the_shape(self) -> None:
-        for values, words in (
+        each_refused(
             ({"type": "abg", "A": 1.0, "B": 0.1}, "g is missing; give A, B, g"),
             ({"type": "tabulated", "file": "nowhere.bsdf"}, "nowhere.bsdf"),
-        ):
-            with refused("wall", words):
-                scene_dicts.load(wall={**SHAPE, "bsdf": {"type": "interface", "model": values}})
+            by=lambda values: scene_dicts.load(wall={**SHAPE, "bsdf": {"type": "interface", "model": values}}),
+            pattern="wall.*{}",
+        )
 
     def test_an_impossible_sum(self) -> None:
         """R + T + scatter > 1 is refused when light is to be scattered, by surface and angle."""
         wall = {"type": "interface", "id": "wall", "R": 0.5, "p": {"type": "paint", "reflectance": 0.6}}
-
         si = interaction(direction(0.0, True), 1)
         with pytest.raises(MistrayError, match=r"'wall', light from the front: at .*° .*more than 1"):
             mi.load_dict(wall).sample(mi.BSDFContext(), si, mi.Float(0.5), mi.Point2f(0.5))

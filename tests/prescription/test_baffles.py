@@ -322,11 +322,8 @@ def test_vanes_may_begin_where_they_part(vanes, offset):
     shared = []
     for inner in (least, least - 0.1):
         along, aside = np.meshgrid(inner + np.arange(0.005, 6.0, 0.01), offset + np.arange(-0.995, 1.0, 0.01))
-        turns = [2 * math.pi * k / vanes for k in range(1, vanes)]
-        others = [
-            (c * along + s * aside, c * aside - s * along) for c, s in ((math.cos(t), math.sin(t)) for t in turns)
-        ]
-        shared.append(any(np.any((u > inner) & (np.abs(v - offset) < 1.0)) for u, v in others))
+        others = [(along + 1j * aside) * np.exp(-2j * math.pi * k / vanes) for k in range(1, vanes)]
+        shared.append(any(np.any((p.real > inner) & (np.abs(p.imag - offset) < 1.0)) for p in others))
     assert shared == [False, least > 0.0]
 
 
@@ -400,13 +397,13 @@ def test_nothing_of_the_field_is_cut(field_deg):
     assert radius_at(*between, z_a).max() <= r_a + 1e-9
     wall = made.tube.wall_radius(z_b)
     assert wall == pytest.approx(r_b + 4.0)
-    used = (between[0][unshadowed], between[1][unshadowed])
+    used, after = ([part[unshadowed] for part in leg] for leg in (between, behind))
     assert radius_at(*used, z_b).min() >= wall - 1e-9
     for z in (-50.0, -1.0):
         assert radius_at(*used, z).min() >= made.tube.wall_radius(z)
-    assert radius_at(behind[0][unshadowed], behind[1][unshadowed], z_b).max() <= r_b + 1e-9
+    assert radius_at(*after, z_b).max() <= r_b + 1e-9
     for vane in made.tube.vanes:
-        assert radius_at(behind[0][unshadowed], behind[1][unshadowed], vane.z).max() <= vane.radius + 0.05
+        assert radius_at(*after, vane.z).max() <= vane.radius + 0.05
     if field_deg:  # the rims touch the beam
         assert radius_at(*between, z_a).max() > r_a - 0.02
         assert radius_at(*used, z_b).min() < wall + 0.02
@@ -425,9 +422,8 @@ def test_no_smaller_pair_does_it():
         passing = radius_at(*before, nearer) > smaller
         # the mouth may move until its wall meets the innermost ray that is left
         places = np.arange(z_b + 5, z_b - 20, -0.1)
-        rooms = [
-            radius_at(inmost[0][passing], inmost[1][passing], z).min() - radius_at(*outmost, z).max() for z in places
-        ]
+        used = [part[passing] for part in inmost]
+        rooms = [radius_at(*used, z).min() - radius_at(*outmost, z).max() for z in places]
         z = places[np.argmax(np.array(rooms) < 4.0)]
         tau = (150.0 - nearer) / (150.0 - z)
         assert tau * radius_at(*outmost, z).max() + (tau - 1) * 10.0 > smaller + 0.02

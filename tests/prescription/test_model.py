@@ -10,19 +10,9 @@ import pytest
 import vectors
 
 import mistray
-from mistray.errors import MistrayError
-from mistray.io import to_sequential, write_zemax
-from mistray.prescription import (
-    Coating,
-    Detector,
-    ObjectPoint,
-    Prescription,
-    Source,
-    Stop,
-    Structure,
-    Surface,
-    from_zemax,
-)
+from mistray import Coating, Detector, MistrayError, Prescription, Source, Structure, Surface
+from mistray.io import from_zemax, to_sequential, write_zemax
+from mistray.prescription import ObjectPoint, Stop
 from mistray.scene.read_optics import read_optics
 
 pytestmark = pytest.mark.quick
@@ -146,30 +136,14 @@ def test_paraxial_and_placement_about_x_then_y_then_z():
 # An ellipsoid of revolution images one focus in the other without aberrations: at R/(1 - e) and R/(1 + e)
 RADIUS, ECCENTRICITY = -60.0, 0.5
 FAR, NEAR = -RADIUS / (1 - ECCENTRICITY), -RADIUS / (1 + ECCENTRICITY)
-ELLIPSOID = f"""MODE SEQ
-OBNA 0.1 0
-FTYP 1 0 2 1 0 0 0
-XFLN 0 0
-YFLN 0 2
-WAVM 1 0.55 1
-SURF 0
-  DISZ {FAR}
-SURF 1
-  STOP
-  CURV {1 / RADIUS}
-  CONI {-(ECCENTRICITY**2)}
-  GLAS MIRROR 0 0
-  DISZ {-NEAR}
-SURF 2
-  DISZ 0
-  DIAM 3 1
-"""
+OBJECT = f"MODE SEQ\nOBNA 0.1 0\nFTYP 1 0 2 1 0 0 0\nXFLN 0 0\nYFLN 0 2\nWAVM 1 0.55 1\nSURF 0\n  DISZ {FAR}"
+MIRROR = f"SURF 1\n  STOP\n  CURV {1 / RADIUS}\n  CONI {-(ECCENTRICITY**2)}\n  GLAS MIRROR 0 0\n  DISZ {-NEAR}"
 
 
 def test_an_ellipsoid_images_its_focus(tmp_path: Path) -> None:
     """It is written as it was read: Zemax file, scene, Zemax file."""
     file = tmp_path / "ellipsoid.zmx"
-    file.write_text(ELLIPSOID)
+    file.write_text(f"{OBJECT}\n{MIRROR}\nSURF 2\n  DISZ 0\n  DIAM 3 1\n")
     lens = from_zemax(file)
     assert isinstance(lens.source, ObjectPoint)
     lens.to_xml(tmp_path / "scene.xml")
@@ -185,7 +159,6 @@ def test_an_ellipsoid_images_its_focus(tmp_path: Path) -> None:
     assert back.distance - back.z == pytest.approx(FAR)
 
 
-EMPTY = Prescription(name="empty", surfaces=(), detector=Detector(z=20.0, half_width=10.0, half_height=10.0))
 SOURCES = [Source(radius=2.0), ObjectPoint(distance=50.0)]
 STATES = [
     ({"stokes": (0.25, -0.5, 0.75)}, (0.25, -0.5, 0.75)),
@@ -199,7 +172,7 @@ STATES = [
 @pytest.mark.parametrize(("light", "stokes"), STATES)
 @pytest.mark.parametrize("source", SOURCES)
 def test_a_polarised_source_comes_back(tmp_path: Path, source, light, stokes) -> None:
-    lens = replace(EMPTY, source=replace(source, **light))
+    lens = system(source=replace(source, **light))
     file = tmp_path / "lens.xml"
     lens.to_xml(file)
     for scene in (lens.to_scene(), mistray.load(file)):
@@ -222,18 +195,11 @@ def test_sources_of_a_call_and_refusals() -> None:
     assert mistray.trace(scene, rays=64).paths[0].s2 == pytest.approx(0.6, abs=1e-6)
 
 
-TABLE = """wavelength_nm,angle_deg,R,T
-500,0,0.2,0.1
-500,60,0.4,0.3
-700,0,0.1,0.5
-700,60,0.3,0.6
-"""
-
-
 @pytest.mark.parametrize("field_deg", [0.0, 40.0, 60.0])
 def test_the_books_have_what_is_detected_lost_and_reflected(tmp_path: Path, field_deg: float) -> None:
     """Linear between the nodes in wavelength and cosine; 600 nm lies in the middle."""
-    (tmp_path / "qe.csv").write_text(TABLE, encoding="utf-8")
+    rows = "500,0,.2,.1\n500,60,.4,.3\n700,0,.1,.5\n700,60,.3,.6\n"
+    (tmp_path / "qe.csv").write_text(f"wavelength_nm,angle_deg,R,T\n{rows}")
     size = {"half_width": 5.0, "half_height": 5.0}
     lost = Surface("lost", z=10.1, coating=Coating(R=0.0), **size)
     sensor = Detector("sensor", z=10.0, coating=Coating(table=str(tmp_path / "qe.csv")), **size)

@@ -139,25 +139,20 @@ def test_sums_add_zernikes_and_tilts():
 def test_unions_and_intersections_in_negations(clear):
     """By De Morgan's laws, against batoid's own test of points."""
     circle, strip = batoid.ObscCircle(0.5, 0.1), batoid.ObscRectangle(0.2, 3.0, theta=0.3)
-    ring, negation = batoid.ObscAnnulus(0.2, 0.8), batoid.ObscNegation
-    covered = (
-        (batoid.ObscIntersection(circle, batoid.ObscUnion(strip, ring)), False),
-        (negation(batoid.ObscIntersection(ring, strip)), True),
-    )
+    ring, negation, both = batoid.ObscAnnulus(0.2, 0.8), batoid.ObscNegation, batoid.ObscIntersection
+    covered = ((both(circle, batoid.ObscUnion(strip, ring)), False), (negation(both(ring, strip)), True))
     x, y = np.random.default_rng(0).uniform(-0.7, 0.7, (2, 500))
     for obscuration, opens in (
         (negation(batoid.ObscUnion(circle, strip)), True),
         (negation(batoid.ObscUnion(circle, negation(strip))), False),
-        (batoid.ObscIntersection(circle, negation(strip)), False),
+        (both(circle, negation(strip)), False),
         (batoid.ObscUnion(negation(circle), ring), True),
         (negation(negation(circle)), False),
         *(() if clear else covered),  # what these leave clear is not a list of figures
     ):
         outlines = [clear_outline(obscuration, 1.0, "e")] if clear else opaque_outlines(obscuration, 1.0, "e")
         found = np.any([outline.contains(1e3 * x, 1e3 * y) for outline in outlines], axis=0)
-        np.testing.assert_array_equal(
-            found, [obscuration.contains(*point) != clear for point in zip(x, y, strict=True)]
-        )
+        np.testing.assert_array_equal(found, [obscuration.contains(*at) != clear for at in zip(x, y, strict=True)])
         assert is_open(obscuration) == opens
 
 
@@ -214,7 +209,6 @@ def test_a_baffle_in_a_flat_mirror_is_its_hole_only_in_the_middle(x, hole):
 
 def prime_focus() -> object:
     """A paraboloid of f = 4 m whose camera hangs in a cage, the bottom of which batoid knows as a full disc."""
-
     mirror = batoid.Mirror(batoid.Paraboloid(8.0), name="M", obscuration=clear(1.0))
     focus = batoid.CoordSys(origin=np.array([0, 0, 4.0]))
     film = batoid.optic.Detector(batoid.Plane(), name="D", obscuration=clear(0.02), coordSys=focus)
@@ -252,9 +246,8 @@ def test_prime_focus_detects_what_batoid_passes(field_deg):
     energy = trace(scene, rays=40_000, field_deg=field_deg).energy
     share = energy.detected_W / energy.launched_W
     se = math.sqrt(share * (1 - share) / 40_000)
-    bundle = batoid.RayVector.asPolar(
-        optic=optic, wavelength=700e-9, theta_x=0.0, theta_y=math.radians(field_deg), nrandom=200_000, rng=1
-    )
+    field = {"theta_x": 0.0, "theta_y": math.radians(field_deg)}
+    bundle = batoid.RayVector.asPolar(optic=optic, wavelength=700e-9, nrandom=200_000, rng=1, **field)
     optic.trace(bundle)
     theirs = float(np.mean(~(bundle.vignetted | bundle.failed)))
     assert abs(share - theirs) < 3.9 * math.hypot(se, math.sqrt(theirs * (1 - theirs) / 200_000))

@@ -142,7 +142,6 @@ def test_signs_of_the_angles(lens):
     found = lens(system("S 0 10\nCDE 90\nS 0 10\n"))
     hits, _ = trace(found, [(1, 0, 0)], [(0, 0, 1)])
     assert hits[-1, 0] == pytest.approx([0, -1, 0], abs=1e-12)
-
     # A shift comes before the turn and stays; DAR returns, REV undoes
     move = "XDE 1;YDE 2;ZDE 3;ADE 10;BDE 20;CDE 30"
     for text, expected in (
@@ -160,10 +159,8 @@ def test_signs_of_the_angles(lens):
     assert placed[3] == pytest.approx(points + placed[1][0] - placed[0][0] - [0, 0, 10], abs=1e-12)
 
 
-BOTH = Outline((*circle(3).figures, OutlineFigure("rectangle", "&", sizes=(2, 9))))
-
-
 def test_apertures_glasses_and_private_catalogues(lens):
+    both = Outline((*circle(3).figures, OutlineFigure("rectangle", "&", sizes=(2, 9))))
     for text, radius, fixed, clear, opaque, unread in (
         ("CIR CLR 3; CIR EDG 4", 3, True, None, None, 1),
         ("CIR EDG 4", 4, False, None, None, 0),
@@ -171,7 +168,7 @@ def test_apertures_glasses_and_private_catalogues(lens):
         ("CIR 3; ADY 1", None, False, circle(3, y=1), None, 0),
         ("REX 2; REY 1; ADX -1", None, False, rectangle(2, 1, x=-1), None, 0),
         ("REY 1; ARO 10", None, False, rectangle(ALL, 1, angle_deg=10), None, 0),
-        ("CIR 3; REX 2; REY 9", None, False, BOTH, None, 0),
+        ("CIR 3; REX 2; REY 9", None, False, both, None, 0),
         ("CIR 3; CIR OBS 1; ADY OBS 2", 3, True, None, circle(1, y=2), 0),
         ("ELX 2; ELY 2", 2, True, None, None, 0),
         ("ELX 2; ELY 1", None, False, Outline((OutlineFigure("ellipse", sizes=(2, 1)),)), None, 0),

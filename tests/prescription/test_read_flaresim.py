@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import vectors
 from oracles import nonsequential, scene_xml
-from refusals import refused
+from refusals import each_refused, refused
 
 import mistray
 from mistray.prescription import Coating, Scatter, Structure, from_flaresim, from_json, read_flaresim, to_prescription
@@ -91,7 +91,6 @@ def test_a_lens_without_a_stop():
     place = filled.index(max(filled))
     assert [k for k, row in enumerate(lens.rows) if row.stop] == [place]
     assert any(f"surface {place + 1} is it" in note for note in lens.notes)
-
     path = DATA / "without_its_aspheres.lens"
     lens = read_flaresim(path)
     assert lens.rows[-2].thickness == pytest.approx(focus(rows_of(path))[1], rel=1e-6)
@@ -253,7 +252,8 @@ def changed(tmp_path, change):
 
 
 def test_bad_files(tmp_path):
-    for change, wanted in (
+    words = "variant 'x' changes 'S13'; name surface and quantity, as in S13.radius"
+    each_refused(
         (lambda d: d.pop("coatings"), "key 'coatings' is missing"),
         (lambda d: d["surfaces"][6].update(semi_diameter=-1.4), "surface 'L1_front': semi_diameter is -1.4; it must"),
         (lambda d: d["surfaces"][6].update(medium_after="GLASS"), "'GLASS'"),
@@ -264,25 +264,21 @@ def test_bad_files(tmp_path):
         (lambda d: d["barrel"]["optical_spaces"]["2"][0].update(label="cone"), "barrel piece 'cone'"),
         (lambda d: d["barrel"]["optical_spaces"]["1"].pop(3), r"labelled '\(AS rear\)'"),
         (lambda d: d.update(scatter=[POLISH | {"shapes": ["L9_*"]}]), r"no shape is called 'L9_\*'"),
-    ):
-        with refused(wanted):
-            from_json(changed(tmp_path, change))
-    with refused("variant 'R13=5' is unknown"):
-        from_json(FILE, variant="R13=5")
+        (lambda d: None, "R13=5", "variant 'R13=5' is unknown"),
+        (lambda d: d["variants"].update(x={"change": {"S13": 5.0}}), "x", words),
+        by=lambda change, variant=None: from_json(changed(tmp_path, change), variant=variant),
+    )
     (tmp_path / "text.json").write_text("{")
     (tmp_path / "list.json").write_text("[]")
-    with refused("variant 'x' changes 'S13'; name surface and quantity, as in S13.radius"):
-        from_json(changed(tmp_path, lambda d: d["variants"].update(x={"change": {"S13": 5.0}})), variant="x")
-    for key, words in (("S99.radius", "changes 'S99', which is no surface"), ("S13.radios", "changes 'S13.radios'")):
-        with refused(words):
+    for key, wrong in (("S99.radius", "changes 'S99', which is no surface"), ("S13.radios", "changes 'S13.radios'")):
+        with refused(wrong):
             from_json(changed(tmp_path, lambda d, key=key: d["variants"].update(x={"change": {key: 5}})), variant="x")
-    for file, words in (
+    each_refused(
         ("none.json", "No such file"),
         ("text.json", "must be a JSON file"),
         ("list.json", "compare with scenes/phone_camera"),
-    ):
-        with refused(words):
-            from_json(tmp_path / file)
+        by=lambda file: from_json(tmp_path / file),
+    )
 
 
 def test_missing_orders_are_0_and_every_piece_of_one_name_is_there(tmp_path):

@@ -232,9 +232,7 @@ def test_totals_of_smooth_surfaces() -> None:
         lost = -math.expm1(-harvey_shack.tis_from_rms(1e-3 * rms_nm, WAVELENGTH_UM, 2.0))
         assert lobe_total(lobe, np.ones(1), 1.0, GLASS)[0] == pytest.approx(lost, rel=TABLE)
     r = np.array([0.0, 0.01, 0.5])
-    full, first = (
-        KCorrelation(0.1, 12.0, 3.0, theory=one).lobes(550.0, 1.0, GLASS, True)[0] for one in ("ghs_full", "ghs")
-    )
+    full, first = (KCorrelation(0.1, 12.0, 3.0, theory=t).lobes(550, 1.0, GLASS, True)[0] for t in ("ghs_full", "ghs"))
     np.testing.assert_allclose(full.profile(r), first.profile(r), rtol=1e-5)
     # A total roughness and one of a reference wavelength are the surface's; one of the light's wavelength is not
     assert KCorrelation(1.0, 20.0, 3.0).amplitude_um4(400.0) == KCorrelation(1.0, 20.0, 3.0).amplitude_um4(800.0)

@@ -92,9 +92,8 @@ def test_light_that_a_model_does_not_describe() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("model", "words"),
-    [
+def test_advice() -> None:
+    for model, words in (
         (ABg(1e-4, 1e-8, 2.5), None),
         (ABg(1e-4, float(np.float32(1e-6)), 2), None),
         (ABg(0.3, 7, 0), None),
@@ -112,18 +111,15 @@ def test_light_that_a_model_does_not_describe() -> None:
         (KCorrelation(1.0, 20.0, 4.5), "slope 4.5"),
         (Phong(0.1, 16.0), None),
         (Phong(3.0, 16.0), "TIS is 1.05"),  # 6π/18
-    ],
-)
-def test_advice(model: Any, words: str | None) -> None:
-    assert words in str(model.advice()) if words else model.advice() is None
+    ):
+        assert words in str(model.advice()) if words else model.advice() is None, model
 
 
 BOTH, REFLECTED, TRANSMITTED = ["reflection", "transmission"], ["reflection"], ["transmission"]
 
 
-@pytest.mark.parametrize(
-    ("model", "indices", "from_front", "events"),
-    [
+def test_what_scatters() -> None:
+    for model, indices, from_front, events in (
         (ABg(**ABG), (1.0, 1.5), False, BOTH),
         (ABg(**ABG, event="transmission"), (1.0, 1.5), True, TRANSMITTED),
         (ABg(**ABG, side="back"), (1.0, 1.5), True, []),
@@ -140,10 +136,8 @@ BOTH, REFLECTED, TRANSMITTED = ["reflection", "transmission"], ["reflection"], [
         (EdgeDiffraction(0.05, side="back"), (1.0, 1.0), False, TRANSMITTED),
         (Particulate(level=300.0, immersion=1.5, particle="1.6"), (1.5, 1.0), True, [*TRANSMITTED, *2 * REFLECTED]),
         (Particulate(level=300.0), (1.5, 1.0), True, TRANSMITTED),  # light in the glass does not meet them
-    ],
-)
-def test_what_scatters(model: Any, indices: tuple[float, float], from_front: bool, events: list[str]) -> None:
-    assert [lobe.event for lobe in model.lobes(550.0, *indices, from_front)] == events
+    ):
+        assert [lobe.event for lobe in model.lobes(550.0, *indices, from_front)] == events, model
 
 
 def test_paint_over_wavelength() -> None:
@@ -351,9 +345,7 @@ def test_a_profile_ends_where_it_is_told_to() -> None:
     assert table.value(np.array([1.5]))[0] < 1e-25
 
 
-@pytest.mark.parametrize(
-    "bad", [lambda r: -r, lambda r: np.nan * r, lambda r: 0 * r, lambda r: 1 / np.maximum(r - 1, 0)]
-)
-def test_impossible_profiles(bad: Callable) -> None:
+@pytest.mark.parametrize("f", [lambda r: -r, lambda r: np.nan * r, lambda r: 0 * r, lambda r: 1 / np.maximum(r - 1, 0)])
+def test_impossible_profiles(f: Callable) -> None:
     with refused("give a BSDF > 0"), np.errstate(divide="ignore"):
-        RadialTable.of(bad)
+        RadialTable.of(f)

@@ -438,23 +438,17 @@ def test_one_polar_angle_that_is_held_is_a_lambertian() -> None:
     assert samples.totals(beyond="hold") == pytest.approx([0.1 * math.pi], rel=1e-3)
 
 
-CATALOGUE = vectors.text("abg_catalogue.dat")
-
-
 @pytest.fixture
 def catalogue(tmp_path: Path) -> Path:
     file = tmp_path / "ABG_DATA.DAT"
-    file.write_text(CATALOGUE, encoding="utf-8")
+    file.write_text(vectors.text("abg_catalogue.dat"), encoding="utf-8")
     return file
 
 
 def test_entries(catalogue: Path) -> None:
     entries = read_abg_data(catalogue)
-    assert [(entry.name, entry.line, len(entry.rows)) for entry in entries.values()] == [
-        ("Polish 1", 2, 1),
-        ("LAMBERT", 6, 2),
-        ("steep", 10, 2),
-    ]
+    found = [(entry.name, entry.line, len(entry.rows)) for entry in entries.values()]
+    assert found == [("Polish 1", 2, 1), ("LAMBERT", 6, 2), ("steep", 10, 2)]
     model = abg_from_catalogue(f"{catalogue}:polish 1", side="front")
     assert (model.A, model.B, model.g, model.side) == (2e-5, 1e-6, 2.0, "front")
     assert model.reference_nm == pytest.approx(632.8, rel=1e-12)

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import tmm
 import vectors
-from command_line import Captured, fails, run, succeeds
+from command_line import Captured, Patch, fails, run, succeeds
 from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
-from refusals import refused
+from refusals import each_refused, refused
 from scene.test_rewrite import changes
 
 import mistray
@@ -169,9 +169,7 @@ class TestPatterns:
         assert direct(scene) == pytest.approx(expected, rel=2e-6)
 
     @pytest.mark.parametrize("folder", ["data", "."])
-    def test_names_in_the_scene_count_from_it(
-        self, folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_names_in_the_scene_count_from_it(self, folder: str, tmp_path: Path, monkeypatch: Patch) -> None:
         """Not from the current folder, though it has such a path and a file; the file has a blank in its name."""
         glass(tmp_path / "scene" / folder / "my glass.csv", 1.4)
         glass(tmp_path / folder / "my glass.csv", 1.9)
@@ -187,23 +185,19 @@ class TestPatterns:
 
     def test_capitals_and_ids_within_a_shared_interface(self, tmp_path: Path) -> None:
         """Mitsuba takes "True" as well; the copy of an interface for one surface has no id of the original."""
-        rough = "".join(
-            f'<float name="{k}" value="{v}"/>'
-            for k, v in {"rms_nm": 2, "B_um": 20, "slope": 3, "reference_nm": 550}.items()
-        )
+        numbers = {"rms_nm": 2, "B_um": 20, "slope": 3, "reference_nm": 550}
+        rough = "".join(f'<float name="{k}" value="{v}"/>' for k, v in numbers.items())
         shared = (
             '<bsdf type="interface" id="glass"><string name="back" value="1.5"/>'
             '<bsdf type="thinfilm" id="ar"><string name="preset" value="bbar3"/></bsdf></bsdf>'
             f'<bsdf type="k_correlation" id="polish">{rough}<boolean name="band_limited" value="True"/></bsdf>'
         )
         mirror = interface_xml(R=0.9, mirror=True).replace('"true"', '"True"')
-        lenses = [
-            shape_xml("asphere", "LK"[k], 0.0, '<ref id="glass"/>', semi_diameter=5.0, x=20.0 * k) for k in (0, 1)
-        ]
-        shapes = (*lenses, shape_xml("asphere", "M", 9.0, mirror, semi_diameter=5.0))
-        file = write(
-            tmp_path, scene_text(shared, *shapes, shape_xml("asphere", "d", 20.0, sensor=True, semi_diameter=2.0))
-        )
+        glass = '<ref id="glass"/>'
+        lenses = [shape_xml("asphere", "LK"[k], 0.0, glass, semi_diameter=5.0, x=20.0 * k) for k in (0, 1)]
+        film = shape_xml("asphere", "d", 20.0, sensor=True, semi_diameter=2.0)
+        shapes = (*lenses, shape_xml("asphere", "M", 9.0, mirror, semi_diameter=5.0), film)
+        file = write(tmp_path, scene_text(shared, *shapes))
         found = bsdfs(mistray.coat(file, {"M*": "protected_al"}, scatter={"L": "harvey_shack rms_nm=1"}))
         assert found["M"].coating.name == "protected_al"
         assert [len(found[name].scatter) for name in "LK"] == [1, 0]
@@ -220,9 +214,7 @@ def test_wrong_rules(file: Path, tmp_path: Path) -> None:
 
 def test_wrong_rules_by_all_ways_in(file: Path, capsys: Captured) -> None:
     words = "'Z=bbar3' fits no surface and no part"
-    for system in (lens(), file):
-        with refused(words):
-            mistray.coat(system, {"Z": "bbar3"})
+    each_refused((lens(), words), (file, words), by=lambda system: mistray.coat(system, {"Z": "bbar3"}))
     assert words in fails(capsys, "coat", file, "Z=bbar3")
     assert words in fails(capsys, "ghosts", file, "--coating", "Z=bbar3")
     assert "scatter 'smooth': there is none" in fails(capsys, "ghosts", file, "--scatter", "A=smooth")
@@ -320,15 +312,14 @@ class TestWhatChanges:
 
 def test_files_that_are_refused(tmp_path: Path) -> None:
     interface = '<bsdf type="interface"/>'
-    for text, surfaces, words in (
+    each_refused(
         ("<scene>\n</scen>", ("a",), "line 2: broken XML, mismatched tag"),
         (SCENE.replace("utf-8", "latin-1"), ("a",), "its encoding is latin-1"),
         (SCENE.replace(interface, '<bsdf type="diffuse"/>'), ("e",), "shape 'e': its BSDF is 'diffuse'"),
         (SCENE.replace(interface, ""), ("e",), "shape 'e': it has no BSDF"),
         (SCENE, ("glass",), "it has no shape 'glass'"),
         (SCENE, ("a", "a"), "shape 'a' gets two coatings"),
-    ):
-        with refused(words):
-            recoated(write(tmp_path, text), [SharedCoating("AR", AR, surfaces)], tmp_path)
+        by=lambda text, surfaces: recoated(write(tmp_path, text), [SharedCoating("AR", AR, surfaces)], tmp_path),
+    )
     with refused(r"none\.xml': No such file"):
         recoated(tmp_path / "none.xml", [SharedCoating("AR", AR, ("a",))], tmp_path)

@@ -131,9 +131,8 @@ def test_reflectance_is_that_of_mitsubas_plugin(bsdf: dict[str, Any], side: floa
 def test_gold_at_an_angle(field_deg: float) -> None:
     """A trace at 550 nm, by the equations of Fresnel and by Mitsuba's function of them."""
     scene = scene_of({"type": "conductor", "material": "Au"}, field_deg=field_deg)
-    scene["ball"] = {"type": "rectangle", "to_world": T().translate([0, 0, 10]).rotate([0, 1, 0], 180).scale(50)} | {
-        "bsdf": scene["ball"]["bsdf"]
-    }
+    place = T().translate([0, 0, 10]).rotate([0, 1, 0], 180).scale(50)
+    scene["ball"] = {"type": "rectangle", "to_world": place, "bsdf": scene["ball"]["bsdf"]}
     energy = mistray.trace(mistray.load(scene), rays=2000, ledger=False).energy
     c = np.cos(np.radians(field_deg))
     root = np.sqrt(AU_550**2 - 1 + c * c)
@@ -171,21 +170,14 @@ class TestPlate:
         place = T().translate([0, 0, 20]).rotate([0, 1, 0], turned).scale(5)
         seen = T().translate([30, 0, -40]).rotate([0, 1, 0], -26.565051)
         irradiance = {"type": "spectrum", "value": self.E}
+        black = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 0.0}}
+        lid = seen.translate([0, 0, -0.1]).scale(2)  # against light on its back, which a trace would count
         return {
             "type": "scene",
             "lamp": {"type": "directional", "direction": [0, 0, 1], "irradiance": irradiance},
             "plate": {"type": "rectangle", "to_world": place, "bsdf": bsdf},
-            "meter": {
-                "type": "rectangle",
-                "to_world": seen,
-                "bsdf": {"type": "diffuse", "reflectance": 0.0},
-                "sensor": scene_dicts.meter(1),
-            },
-            "lid": {  # against light on its back, which a trace would count
-                "type": "rectangle",
-                "to_world": seen.translate([0, 0, -0.1]).scale(2),
-                "bsdf": {"type": "diffuse", "reflectance": 0.0},
-            },
+            "meter": black | {"to_world": seen, "sensor": scene_dicts.meter(1)},
+            "lid": black | {"to_world": lid},
         }
 
     def exact(self) -> float:

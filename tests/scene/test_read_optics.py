@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import vectors
-from refusals import refused
+from refusals import each_refused, refused
 
 from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
 from mistray.physics.geometry.pose import moved
@@ -22,8 +22,6 @@ pytestmark = pytest.mark.quick
 
 GLASS = '<bsdf type="interface"><string name="back" value="N-BK7"/></bsdf>'
 SCENE = vectors.text("optics.xml")
-
-
 KEYS = ("name", "curvature", "conic", "coefficients", "semi_diameter", "half_width", "front", "back", "mirror")
 
 
@@ -36,10 +34,8 @@ def read(tmp_path):
     return reader
 
 
-def shape(*properties: str, name: str = "front", bsdf: str = GLASS, kind: str = "asphere") -> str:
-    return (
-        f'<shape type="{kind}" id="{name}"><float name="semi_diameter" value="5"/>{"".join(properties)}{bsdf}</shape>'
-    )
+def shape(*parts: str, name: str = "front", bsdf: str = GLASS, kind: str = "asphere") -> str:
+    return f'<shape type="{kind}" id="{name}"><float name="semi_diameter" value="5"/>{"".join(parts)}{bsdf}</shape>'
 
 
 def number(name: str, value: float | str) -> str:
@@ -180,9 +176,8 @@ def test_surfaces_with_a_thinfilm_alone_and_in_an_included_scene(read, tmp_path)
     (tmp_path / "parts").mkdir()
     blind = shape(name="blind", bsdf=opaque)
     (tmp_path / "parts" / "wall.xml").write_text(f'<scene version="3.0.0">{blind}</scene>')
-    inner = (
-        f'<scene version="3.0.0"><default name="R" value="7"/>{{}}{shape(number("radius", "$R"), name="L1")}</scene>'
-    )
+    lens = shape(number("radius", "$R"), name="L1")
+    inner = f'<scene version="3.0.0"><default name="R" value="7"/>{{}}{lens}</scene>'
     (tmp_path / "parts" / "lens.xml").write_text(inner.format('<include filename="wall.xml"/>'))
     include = '<path value="parts"/><include filename="lens.xml"/>'
     prescription, left_out = read(include, shape(name="L2", bsdf=metal.format("")), shape(name="B", bsdf=nested))
@@ -199,16 +194,16 @@ def test_surfaces_with_a_thinfilm_alone_and_in_an_included_scene(read, tmp_path)
 
 
 def test_errors_name_file_and_shape(read):
-    for part, message in (
+    each_refused(
         ('<emitter type="collimated"/>', "it has two sources; remove one"),
         (shape("<sensor type='irradiancemeter'/>", name="second"), "detectors 'second' and 'film'; a lens has one"),
         (shape(number("radius", "wide")), r"shape 'front': radius is 'wide'; give a number"),
         (shape('<transform name="to_world"><scale value="2"/></transform>'), "shape 'front': its to_world has <scale>"),
         (shape('<transform name="to_world"><rotate y="1"/></transform>'), r"shape 'front': angle is missing"),
         (shape('<string name="part" value="stop"/>', kind="frustum"), r"aperture stop \(part 'stop'\): r0 is missing"),
-    ):
-        with refused(rf"scene '.*camera\.xml'.*{message}"):
-            read(part)
+        by=read,
+        pattern=r"scene '.*camera\.xml'.*{}",
+    )
 
 
 def named(tmp_path: Path, body: str, *files: str) -> list[str]:

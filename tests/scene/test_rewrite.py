@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import vectors
 from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
-from refusals import refused
+from refusals import each_refused, refused
 
 import mistray
 import mistray.scenes
@@ -119,7 +119,7 @@ class TestText:
 
 
 def test_what_cannot_be_placed(tmp_path: Path) -> None:
-    for values, message in (
+    each_refused(
         ({"a.curvatur": 1.0}, "it has no parameter 'a.curvatur'; did you mean a.curvature"),
         ({"nothing": 1.0}, "it has no parameter 'nothing'"),
         ({"detector.sensor.shutter_open": 1.0}, "is not a value of a surface, coating or scatter"),
@@ -128,9 +128,8 @@ def test_what_cannot_be_placed(tmp_path: Path) -> None:
         ({"waves.n_shift": 0.1}, "parameter 'waves.n_shift': 1 numbers are given; it has 2"),
         ({"a.x": float("nan")}, "parameter 'a.x': nan is given; it must be finite"),
         ({"shared.R": 0.5}, "it has no parameter 'shared.R'"),
-    ):
-        with refused(message):
-            rewritten(write(tmp_path, SCENE), values, tmp_path)
+        by=lambda values: rewritten(write(tmp_path, SCENE), values, tmp_path),
+    )
 
 
 def test_an_included_file_is_not_changed(tmp_path: Path) -> None:
@@ -210,9 +209,7 @@ def test_what_cannot_be_done(source: Path, tmp_path: Path) -> None:
     with refused(r"the model of 'side\.bsdf\.paint\.reflectance' does not stand in the file"):
         SceneText(source).set("side.bsdf.paint.reflectance", 0.1)
     (tmp_path / "broken.xml").write_text("<scene")
-    for name, words in (("nothing.xml", "No such file"), ("broken.xml", "broken XML")):
-        with refused(words):
-            SceneText(tmp_path / name)
+    each_refused((tmp_path / "nothing.xml", "No such file"), (tmp_path / "broken.xml", "broken XML"), by=SceneText)
 
 
 def scene(*models: dict[str, Any]) -> dict[str, Any]:

@@ -137,7 +137,5 @@ def test_bad_spectra(wrong: dict[str, Any]) -> None:
     own = dict(wrong)
     for key in {"band_nm", "weights", "wavelength_nm"} & own.keys():
         own[key] = tuple(float(word) for word in str(own[key]).split(","))
-    each_refused(
-        (lambda: mistray.load({"type": "scene", "lamp": {"type": "sky", **wrong}}), "'lamp'"),
-        (lambda: Source(radius=1.0, **own), "source"),
-    )
+    scene = {"type": "scene", "lamp": {"type": "sky", **wrong}}
+    each_refused((lambda: mistray.load(scene), "'lamp'"), (lambda: Source(radius=1.0, **own), "source"))

@@ -1,6 +1,7 @@
 """Freeforms against float64 and batoid, and surfaces that meet in a seam."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -137,10 +138,7 @@ def test_the_kernel_keeps_to_an_outline_and_light_the_other_way_passes() -> None
     c, s = math.cos(math.radians(20)), math.sin(math.radians(20))
     inside &= ((x * c + y * s) / 11) ** 2 + ((y * c - x * s) / 8) ** 2 <= 1
     for triangle in [((8, 8), (14, 8), (11, 9.5)), ((14, 8), (11, 12), (11, 9.5))]:
-        sides = [
-            (q[0] - p[0]) * (y - p[1]) - (x - p[0]) * (q[1] - p[1]) > 0
-            for p, q in zip(triangle, (*triangle[1:], triangle[0]), strict=True)
-        ]
+        sides = [(u - a) * (y - b) - (x - a) * (v - b) > 0 for (a, b), (u, v) in pairwise((*triangle, triangle[0]))]
         inside |= np.all(sides, axis=0)
     np.testing.assert_array_equal(OUTLINE.contains(x, y), inside)
     shape: dict[str, Any] = {"type": "freeform", "curvature": 1 / 100} | OUTLINE.numbers()
@@ -159,11 +157,8 @@ def test_a_first_figure_with_the_sign_of_an_intersection_is_an_area() -> None:
     o, d = np.array([[0.0, 0.0, -5.0], [8.0, 0.0, -5.0], [0.0, 9.0, -5.0]]), np.tile([0.0, 0.0, 1.0], (3, 1))
     plate = {"type": "freeform", "clip_1": "&rectangle", "clip_1_half_width": 10.0, "clip_1_half_height": 10.0}
     hole = {"type": "freeform", "clip_1": "&circle", "clip_1_radius": 8.5}
-    for shape, hits in (
-        (plate | {"clip_2": "+circle", "clip_2_radius": 2.0}, ["shape", "shape", "shape"]),
-        (hole, ["shape", "shape", "detector"]),
-    ):
-        assert kernel_hits(scene(shape), o, d)[1] == hits
+    assert kernel_hits(scene(plate | {"clip_2": "+circle", "clip_2_radius": 2.0}), o, d)[1] == 3 * ["shape"]
+    assert kernel_hits(scene(hole), o, d)[1] == ["shape", "shape", "detector"]
 
 
 def test_outlines_end_at_a_circle() -> None:
@@ -194,7 +189,7 @@ def test_bad_input_names_the_shape() -> None:
 
 
 CURVED = {"type": "freeform", "radius": 50.0, "xy_12_12": 0.0, "semi_diameter": 10.0}
-FLAT = {"type": "asphere", "semi_diameter": 10.0}
+ASPHERE = {"type": "asphere", "radius": 20.0, "a4": 1e-4, "a6": -2e-7, "semi_diameter": 6.0}
 
 
 @pytest.mark.parametrize(
@@ -202,11 +197,15 @@ FLAT = {"type": "asphere", "semi_diameter": 10.0}
     [
         (CURVED, {"xy_12_12": 1e-18}, "single precision has its sag"),
         (CURVED, {"semi_diameter": 60.0}, "its sag ends"),
-        (FLAT, {"x": 9e11, "semi_diameter": 9e11}, "it reaches"),
+        ({"type": "asphere", "semi_diameter": 10.0}, {"x": 9e11, "semi_diameter": 9e11}, "it reaches"),
+        (ASPHERE, {"semi_diameter": -1.0}, "semi_diameter is -1"),
+        (ASPHERE, {"curvature": 0.5}, "the conic ends at"),
+        (ASPHERE, {"a8": float("nan")}, "a8 is nan"),
+        (ASPHERE, {"inner_semi_diameter": 7.0}, "inner_semi_diameter is 7 mm"),
     ],
 )
 def test_a_refused_update_leaves_the_surface(shape: dict[str, Any], changes: dict[str, float], words: str) -> None:
-    """Its numbers, its mesh and the surface that is traced."""
+    """Its numbers, its mesh and the surface that is traced; and the next good one is taken."""
     here = scene(shape)
     params = mi.traverse(here)
     names = [f"shape.{name}" for name in (*changes, "vertex_positions")]
@@ -219,17 +218,14 @@ def test_a_refused_update_leaves_the_surface(shape: dict[str, Any], changes: dic
     for name, value in zip(names, before, strict=True):
         np.testing.assert_array_equal(np.array(mi.traverse(here)[name]), value)
     np.testing.assert_array_equal(mistray.trace(here, rays=500).irradiance, light)
+    params["shape.tilt_x"] = type(params["shape.tilt_x"])(0.25)
+    params.update()
+    assert float(mi.traverse(here)["shape.tilt_x"][0]) == 0.25
+    assert [np.array(params[name]).tolist() for name in names[:-1]] == [value.tolist() for value in before[:-1]]
 
 
 SIZE = 9.0
 MIRROR = {"type": "interface", "R": 0.9, "mirror": True}
-
-
-def hexagon(x: float, y: float) -> dict[str, Any]:
-    found: dict[str, Any] = {"clip_1": "+polygon"}
-    for k, angle in enumerate(np.pi / 3 * np.arange(6), start=1):
-        found |= {f"clip_1_x{k}": x + SIZE * np.cos(angle), f"clip_1_y{k}": y + SIZE * np.sin(angle)}
-    return found
 
 
 def segments(**changes: dict[str, Any]) -> dict[str, Any]:
@@ -237,7 +233,9 @@ def segments(**changes: dict[str, Any]) -> dict[str, Any]:
     found = {}
     around = np.pi / 6 + np.pi / 3 * np.arange(6)
     for k, (x, y) in enumerate([(0.0, 0.0), *1.8 * SIZE * np.stack([np.cos(around), np.sin(around)], axis=1)]):
-        shape = {"type": "freeform", "radius": -90.0, "conic": -1.0, "bsdf": MIRROR, **hexagon(float(x), float(y))}
+        shape = {"type": "freeform", "radius": -90.0, "conic": -1.0, "bsdf": MIRROR, "clip_1": "+polygon"}
+        for i, angle in enumerate(np.pi / 3 * np.arange(6), start=1):
+            shape |= {f"clip_1_x{i}": float(x + SIZE * np.cos(angle)), f"clip_1_y{i}": float(y + SIZE * np.sin(angle))}
         found[f"s{k}"] = shape | changes.get(f"s{k}", {})
     return found
 
@@ -314,14 +312,13 @@ PLACE = 131.3  # of the vessels along z, mm: it costs digits
 FRONT, REAR, HOLE = 9.7, 14.9, 6.1  # radii, mm
 RADIUS, A4 = 31.3, 2.3e-6  # of the front
 LENGTH = 83.7  # mm
-FRONTS = {
-    "disc": {"type": "asphere"},
-    "conic": {"type": "asphere", "radius": RADIUS},
-    "asphere": {"type": "asphere", "radius": RADIUS, "a4": A4},
-    "freeform": {"type": "freeform", "radius": RADIUS, "a4": A4},
-}
 CONIC = RADIUS - np.sqrt(RADIUS**2 - FRONT**2)
-SAGS_OF_SEAMS = {"disc": 0.0, "conic": CONIC, "asphere": CONIC + A4 * FRONT**4, "freeform": CONIC + A4 * FRONT**4}
+FRONTS = {  # with their sags at the seam
+    "disc": ({"type": "asphere"}, 0.0),
+    "conic": ({"type": "asphere", "radius": RADIUS}, CONIC),
+    "asphere": ({"type": "asphere", "radius": RADIUS, "a4": A4}, CONIC + A4 * FRONT**4),
+    "freeform": ({"type": "freeform", "radius": RADIUS, "a4": A4}, CONIC + A4 * FRONT**4),
+}
 
 
 class Drum(Implicit):
@@ -357,15 +354,15 @@ mi.register_shape("test_drum", Drum)
 
 def vessel(front: str, wall: str) -> tuple[SurfaceTable, list[tuple[float, float]]]:
     """A front, a wall around it, a ring and the detector in its hole, and the radii and places of their seams, mm."""
-    black = scene_dicts.BLACK
+    black, (figure, sag_of_seam) = scene_dicts.BLACK, FRONTS[front]
     rear = REAR if wall == "cone" else FRONT
-    ends = {"z0": PLACE + SAGS_OF_SEAMS[front], "z1": PLACE + LENGTH}
+    ends = {"z0": PLACE + sag_of_seam, "z1": PLACE + LENGTH}
     side: dict[str, Any] = {"type": "frustum", "r0": FRONT, "r1": rear, **ends}
     if wall == "drum":
         side = {"type": "test_drum", "radius": FRONT, "low": ends["z0"], "high": ends["z1"]}
     scene = scene_dicts.load(
         beam={"type": "collimated", "radius": 5.0},
-        front={**FRONTS[front], "semi_diameter": FRONT, "to_world": scene_dicts.at(PLACE), "bsdf": black},
+        front={**figure, "semi_diameter": FRONT, "to_world": scene_dicts.at(PLACE), "bsdf": black},
         side={**side, "bsdf": black},
         ring={"type": "frustum", "r0": rear, "z0": ends["z1"], "r1": HOLE, "z1": ends["z1"], "bsdf": black},
         detector=scene_dicts.detector(PLACE + LENGTH, semi_diameter=HOLE),

@@ -11,6 +11,7 @@ import scene_dicts
 import tmm
 from oracles import nonsequential
 from oracles.small_scenes import interface_xml, meter_xml, scene_text, shape_xml
+from refusals import each_refused
 
 import mistray
 from mistray.coatings import Layer, Stack
@@ -134,12 +135,10 @@ def plate(medium: str, thickness_mm: float, wavelength_nm: float) -> mi.Scene:
     )
 
 
-@pytest.mark.parametrize(
-    ("wavelength_nm", "thickness_mm", "field_deg"),
-    [(10_000.0, 0.1, 0.0), (13.5, 2e-4, 0.0), (4000.0, 0.02, 0.0), (10_000.0, 0.1, 40.0)],
-)
-def test_transmittance_of_a_plate(wavelength_nm: float, thickness_mm: float, field_deg: float) -> None:
+@pytest.mark.parametrize("case", [(10_000.0, 0.1, 0.0), (13.5, 2e-4, 0.0), (4000.0, 0.02, 0.0), (10_000.0, 0.1, 40.0)])
+def test_transmittance_of_a_plate(case: tuple[float, float, float]) -> None:
     """Beer and Lambert times Fresnel for every k, without a jump at any of them; aside the path is longer."""
+    wavelength_nm, thickness_mm, field_deg = case
     inside = np.cos(np.arcsin(np.sin(np.radians(field_deg)) / 1.5))
     settings = {"rays": 100, "max_reflections": 0, "field_deg": field_deg}
     clear = mistray.trace(plate("1.5", thickness_mm, wavelength_nm), **settings).energy.detected_W
@@ -221,27 +220,7 @@ def stock(kind: str, shape_id: str, inside: str, transform: str = "", bsdf: str 
     return f'<shape type="{kind}" id="{shape_id}">{inside}{pose}{bsdf or interface_xml(R=0.0)}</shape>'
 
 
-def detector_rectangle(transform: str) -> str:
-    return stock("rectangle", "detector", meter_xml(64), transform)
-
-
 SCREEN = shape_xml("asphere", "detector", 9.0, sensor=True, half_width=2.0, half_height=2.0)
-
-
-def prism_ply(path: Path) -> Path:
-    """A right-angle prism of 10 mm: entrance at z = 0, hypotenuse from (y -5, z 0) to (y 5, z 10), exit at y = -5."""
-    corners = [(x, y, z) for x in (-5.0, 5.0) for y, z in ((-5.0, 0.0), (5.0, 0.0), (-5.0, 10.0))]
-    # outward normals: entrance -z, exit -y, hypotenuse +y +z, and the two sides
-    quads = [(0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4)]
-    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))] + [(0, 2, 1), (3, 4, 5)]
-    centre = np.mean(corners, axis=0)
-    outward = []
-    for t in triangles:
-        a, b, c = (np.array(corners[i]) for i in t)
-        outside = np.dot(np.cross(b - a, c - a), (a + b + c) / 3 - centre) > 0
-        outward.append(t if outside else t[::-1])
-    path.write_bytes(ply_bytes(np.array(corners), np.array(outward)))
-    return path
 
 
 def by_events(t: Any) -> dict[str, Any]:
@@ -260,7 +239,7 @@ class TestDetector:
         ours = ours.replace('<translate z="30.0"/>', place)
         a, b = (
             mistray.trace(load_text(scene_text(*lens, d, radius=6.0))[0], rays=4000, field_deg=2.0)
-            for d in (ours, detector_rectangle(f'<scale x="6" y="4"/>{place}'))
+            for d in (ours, stock("rectangle", "detector", meter_xml(64), f'<scale x="6" y="4"/>{place}'))
         )
         assert a.extent == pytest.approx(b.extent, rel=1e-6)
         assert set(by_events(a)) == set(by_events(b))
@@ -274,14 +253,12 @@ class TestDetector:
         assert rough < 2e-3  # rays that change the pixel
 
     def test_what_is_refused(self, load_scene) -> None:
-        for ball, words in (
+        each_refused(
             (stock("sphere", "detector", meter_xml(8)), "detector 'detector' is Sphere"),
             (stock("sphere", "ball", "", bsdf='<bsdf type="plastic"/>') + SCREEN, "shape 'ball' carries the BSDF .*"),
             (stock("sphere", "ball", "", bsdf="<!-- none -->") + SCREEN, "nest an 'interface' in it"),
-        ):
-            scene = load_scene(scene_text(ball))
-            with pytest.raises(mistray.MistrayError, match=words):
-                mistray.trace(scene, rays=10)
+            by=lambda ball: mistray.trace(load_scene(scene_text(ball)), rays=10),
+        )
 
 
 def test_ball_lens_against_the_float64_oracle(load_text) -> None:
@@ -290,11 +267,8 @@ def test_ball_lens_against_the_float64_oracle(load_text) -> None:
     scene, model = load_text(scene_text(ball, screen, radius=3.0))
     t = mistray.trace(scene, rays=400, max_reflections=4, polarization="unpolarized")
     (run,) = t.runs
-    origin, direction = run.start_rays(np.arange(400))
-    power = np.full(400, run.unit)
-    ledger = nonsequential.trace(
-        model, origin, direction, power, 550.0, max_reflections=4, max_events=64, flux_threshold=1e-8
-    )
+    rays = (*run.start_rays(np.arange(400)), np.full(400, run.unit))
+    ledger = nonsequential.trace(model, *rays, 550.0, max_reflections=4, max_events=64, flux_threshold=1e-8)
     theirs = {record.text.replace(":TIR", ":I"): record for record in ledger.paths}
     assert set(by_events(t)) == set(theirs)
     for events, row in by_events(t).items():
@@ -306,7 +280,13 @@ def test_ball_lens_against_the_float64_oracle(load_text) -> None:
 
 
 def test_prism_turns_the_light_by_total_reflection(load_scene, tmp_path: Path) -> None:
-    prism = prism_ply(tmp_path / "prism.ply")
+    """Of 10 mm: entrance at z = 0, hypotenuse from (y -5, z 0) to (y 5, z 10), exit at y = -5."""
+    prism = tmp_path / "prism.ply"
+    corners = [(x, y, z) for x in (-5.0, 5.0) for y, z in ((-5.0, 0.0), (5.0, 0.0), (-5.0, 10.0))]
+    # outward normals: entrance -z, exit -y, hypotenuse +y +z, and the two sides
+    quads = [(0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4)]
+    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))] + [(0, 2, 1), (3, 4, 5)]
+    prism.write_bytes(ply_bytes(np.array(corners), np.array(triangles)))
     mesh = stock("ply", "prism", f'<string name="filename" value="{prism}"/>', bsdf=BALL)
     below = shape_xml("asphere", "detector", 0.0, sensor=True, half_width=4.0, half_height=4.0)
     below = below.replace('<translate z="0.0"/>', '<rotate x="1" angle="90"/><translate y="-9" z="5"/>')
@@ -331,9 +311,8 @@ class TestMixtures:
         """Planes of both kinds in turn, in an order that differs from the file's: each ray meets them by distance."""
         weak = interface_xml(R=0.1, T=0.9)
         ours = [shape_xml("asphere", f"ours_{z}", float(z), weak, semi_diameter=3.0) for z in (6, 2, 4)]
-        theirs = [
-            stock("rectangle", f"theirs_{z}", "", f'<scale value="3"/><translate z="{z}"/>', weak) for z in (5, 1, 3)
-        ]
+        places = {z: f'<scale value="3"/><translate z="{z}"/>' for z in (5, 1, 3)}
+        theirs = [stock("rectangle", f"theirs_{z}", "", place, weak) for z, place in places.items()]
         screen = shape_xml("asphere", "detector", 8.0, sensor=True, half_width=3.0, half_height=3.0)
         scene, model = load_text(scene_text(*theirs, *ours, screen))
         t = mistray.trace(scene, rays=300, flux_threshold=0.0)
@@ -341,8 +320,8 @@ class TestMixtures:
         assert t.paths[0].events == " ".join(f"{name}:T" for name in order) + " detector:A"
         assert len(t.paths) == 1 + 15
         (run,) = t.runs
-        origin, direction = run.start_rays(np.arange(300))
-        ledger = nonsequential.trace(model, origin, direction, np.full(300, run.unit), 550.0, flux_threshold=0.0)
+        rays = (*run.start_rays(np.arange(300)), np.full(300, run.unit))
+        ledger = nonsequential.trace(model, *rays, 550.0, flux_threshold=0.0)
         assert {row.events for row in t.paths} == {record.text for record in ledger.paths}
         for row in t.paths:
             assert row.power_W == pytest.approx(ledger.find(*row.events.split()).power_W, rel=1e-6)

@@ -176,7 +176,6 @@ def test_first_hits(major: float, minor: float, low: float, high: float, scale: 
         sure[k] = near[0] == near[1] and not np.any(np.abs(u[:, None] - ends) < 1e-4 * major)
     assert sure.mean() > 0.95
     assert np.isfinite(exact).mean() > 0.01
-
     intersector = Intersector(table)
     rays = [mi.Vector3f(*(upload(mi.Float, c) for c in v.T)) for v in (o - table.centre, d)]
     t, s = intersector.nearest(*rays, dr.full(mi.UInt32, NO_SURFACE, RAYS), mi.Bool(True))
@@ -188,7 +187,6 @@ def test_first_hits(major: float, minor: float, low: float, high: float, scale: 
     q = o[both] + exact[both, None] * d[both]
     slope = np.abs(np.einsum("ij,ij->i", table.pieces[number].gradient(q), d[both])) * 2
     assert np.all(np.abs(hit[both] - exact[both]) * np.maximum(slope, 1e-3) < 3e-6 * 3 * major)
-
     found = crossings(table, number, o, d)
     some = sure & np.isfinite(exact)
     for k in np.flatnonzero(some)[:300]:

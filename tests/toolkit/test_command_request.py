@@ -82,9 +82,8 @@ def test_every_schema(name: str) -> None:
     assert all(one["description"] for one in properties.values())
     assert "$comment" not in json.dumps(schema, allow_nan=False)
     options = [option for key in keywords(KNOWN[name]).values() for option in key.options]
-    assert sorted(option.name for option in (*options, *REQUEST.options)) == sorted(
-        option.name for option in KNOWN[name].options
-    )
+    names = sorted(option.name for option in (*options, *REQUEST.options))
+    assert names == sorted(option.name for option in KNOWN[name].options)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -2,7 +2,6 @@
 
 import ast
 import contextlib
-import importlib
 import itertools
 import json
 import re
@@ -17,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from analyses.fake_trace import SHARES, FakeTrace, ghosts_of, trace_at, trace_in_colours
-from command_line import Captured, succeeds
+from command_line import Captured, Patch, succeeds
 from markupsafe import Markup
 
 import mistray
@@ -29,24 +28,10 @@ from mistray.report import Look, remove_section, report_section, write_all, writ
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import FIGURE, within
 from mistray.toolkit.figures.figure import Figure as Drawing
+from mistray.toolkit.pages import model
 from mistray.toolkit.pages.embedded import palette_png
 from mistray.toolkit.pages.formats import write_formats
-from mistray.toolkit.pages.model import (
-    FigurePart,
-    Fold,
-    Folded,
-    Html,
-    HtmlCell,
-    Items,
-    Map,
-    NotePart,
-    PartGroup,
-    Report,
-    Section,
-    Table,
-    Terms,
-    columns,
-)
+from mistray.toolkit.pages.model import Items, NotePart, Report, Section, Table, columns
 from mistray.toolkit.pages.own_sections import section_record, section_tables, section_texts
 from mistray.toolkit.pages.pdf import _cell, _Writer, pdf_bytes
 from mistray.toolkit.pages.render import html_page, html_parts, runs
@@ -142,17 +127,12 @@ def test_a_failure_leaves_nothing(report: GhostReport, tmp_path: Path, monkeypat
     assert list(tmp_path.iterdir()) == []
 
 
-ghosts_output = importlib.import_module("mistray.analyses.ghosts.page.output")
-
-
 @pytest.mark.parametrize("fields", [0, 2])
-def test_a_page_shows_the_fields_that_there_was_time_for(
-    fields: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_shows_the_fields_that_there_was_time_for(fields: int, tmp_path: Path, monkeypatch: Patch) -> None:
     report = mistray.ghosts(mistray.load("singlet_window_detector"), [0, 2, 4], rays=200)
     # Time is asked for twice a field, before and after its pictures
     left = itertools.chain([1e6] * 2 * fields, itertools.repeat(0.0))
-    monkeypatch.setattr(ghosts_output, "left", lambda: next(left))
+    monkeypatch.setattr(output, "left", lambda: next(left))
     with within(1000), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         files = {path.name for path in write_all(report, tmp_path)}
@@ -165,13 +145,13 @@ def test_a_page_shows_the_fields_that_there_was_time_for(
 
 
 def drawing() -> Drawing:
-    made = Drawing()
+    made = Drawing(figsize=(4, 3))
     made.subplots().plot([0, 1])
     return made
 
 
 def test_a_figure_is_drawn_or_named() -> None:
-    report = Report("Page", "scene", [Section("a", "Curve", [FigurePart(drawing, "A <curve>.")], "Curve")])
+    report = Report("Page", "scene", [Section("a", "Curve", [model.FigurePart(drawing, "A <curve>.")], "Curve")])
     whole = html_page(report)
     assert whole.count("<figcaption>A &lt;curve&gt;.</figcaption>") == 1
     with within(FIGURE / 2):
@@ -203,20 +183,15 @@ def wide_table(count: int) -> Table:
 
 @pytest.mark.quick
 def test_every_part_of_the_model():
-    def draw():
-        drawn = Drawing(figsize=(4, 3))
-        drawn.subplots().plot([0, 1], [0, 1])
-        return drawn
-
     dot = palette_png(np.zeros((9, 9), dtype=np.uint8), np.zeros((1, 3), dtype=np.uint8))
     parts = [
         NotePart("$x_{1}$ **no** markdown & <tags> ± → λ"), NotePart("a heading", "h3"),
         NotePart("mistray --help", "pre"),
         Items([Markup("a <b>bold &amp; true</b> word")], "verdict"), Items(["one", "two"]), NotePart("word " * 4000),
-        Terms([("name", "value")]),
-        FigurePart(dot, "a dot", "a black dot"), FigurePart(draw, "a line"),
-        Map(np.ones((3, 4)), (0.0, 4.0, 0.0, 3.0), "a map"),
-        wide_table(70), Table(columns("none"), []), Html("<script>1</script>"), Folded("behind", [NotePart("hidden")]),
+        model.Terms([("name", "value")]),
+        model.FigurePart(dot, "a dot", "a black dot"), model.FigurePart(drawing, "a line"),
+        model.Map(np.ones((3, 4)), (0.0, 4.0, 0.0, 3.0), "a map"), model.Html("<script>1</script>"),
+        wide_table(70), Table(columns("none"), []), model.Folded("behind", [NotePart("hidden")]),
     ]  # fmt: skip
     sections = [Section("a", "First (part)", parts), Section("b", "Folded", [NotePart("x")], folded="always")]
     pdf = pdf_bytes(Report("Heading", "scene", sections, warnings=["careful"]))
@@ -235,8 +210,8 @@ def test_tables_are_no_wider_than_the_page(tmp_path):
         assert sum(widths) <= writer.pdf.epw + 1e-6
     assert min(widths) > 3
     assert (size, sum(narrow) < 20) == (7.0, True)
-    assert _cell(HtmlCell("<td>one.<br>two &amp; <b>three</b></td>")) == "one.\ntwo & three"
-    letters = Table(columns("<path", "<events"), [["a", Fold("TTTRA", "L1:T", "path m")]])
+    assert _cell(model.HtmlCell("<td>one.<br>two &amp; <b>three</b></td>")) == "one.\ntwo & three"
+    letters = Table(columns("<path", "<events"), [["a", model.Fold("TTTRA", "L1:T", "path m")]])
     assert [column.head for column in letters.kept([0]).columns] == ["path"]
     assert runs("TTTRA") == "T×3 R A"
     assert [_cell(value) for value in (Estimate(1.5, 0.1), "a </ b")] == ["1.50\n±\u00a00.10", "a </ b"]
@@ -313,7 +288,7 @@ def test_a_section_of_thermal_emission(capsys: Captured, tmp_path: Path) -> None
 
 def test_parts_in_groups_and_folds_are_printed_and_exported() -> None:
     found = Table(columns("a"), [["1"]], "mine")
-    parts = [PartGroup("box", [NotePart("first")]), Folded("more", [PartGroup("box", [found])])]
+    parts = [model.PartGroup("box", [NotePart("first")]), model.Folded("more", [model.PartGroup("box", [found])])]
     sections = [Section("own", "Own", parts)]
     assert section_texts(sections) == ["Own\nfirst\nmore\na\n-\n1"]
     assert list(section_tables(sections)) == ["mine.csv"]

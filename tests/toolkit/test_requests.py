@@ -41,9 +41,7 @@ class Toy(Request):
     share: float = field(ranges.SHARE, 0.25, "a share")
     _: KW_ONLY
     waves: tuple[float, ...] | None = field(ranges.Each(ranges.WAVELENGTH_UM), None, "wavelengths, µm")
-    band: tuple[float, float] = field(
-        ranges.Interval(ranges.WAVELENGTH_UM), (1.0, 2.0), "a band, µm", option="--in-band"
-    )
+    band: tuple[float, float] = field(ranges.Interval(ranges.WAVELENGTH_UM), (1.0, 2.0), "band, µm", option="--in-band")
     parts: Mapping[str, float] | None = field(ranges.ByName(ranges.SHARE, "wall=0.5"), None, "shares by part")
     how: str = field(ranges.Words(("fast", "slow")), "fast", "how it is done")
     loud: bool = field(ranges.FLAG, False, "whether it is said aloud")

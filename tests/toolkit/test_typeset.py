@@ -49,10 +49,8 @@ def test_digits_follow_the_error(most):
         assert not error or float(error) > 0, text
         assert len(digits(shown)) <= SIGNIFICANT or float(error) >= 1, text
         assert len(digits(error)) <= most or float(error) >= 1, text
-        scale = max(abs(value), se)
-        assert abs(float(shown) / scale - value / scale) <= 0.51 * max(se, last) / scale if scale else shown == "0", (
-            text
-        )
+        size = max(abs(value), se)
+        assert abs(float(shown) / size - value / size) <= 0.51 * max(se, last) / size if size else shown == "0", text
         if error and "e" not in text and shown != "0":  # both end at the same place
             assert len(shown.partition(".")[2]) == len(error.partition(".")[2]), text
     assert {with_error(Estimate(value, 1.0)) for value in (math.nan, math.inf, -math.inf)} == {"–"}
