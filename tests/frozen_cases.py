@@ -55,7 +55,6 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
     return bundles
 
 
-SCENES = Path(__file__).parents[1] / "scenes"
 LAYERS = '<bsdf type="thinfilm"><string name="layers" value="1.38 95, 2.1 120, 1.63 80"/></bsdf>'
 NORM = 16.0  # of the peak
 SMALL = 0.1  # of the largest derivative of its kind, or of what cancels in it: what a smaller one is compared with
@@ -66,7 +65,7 @@ Kinds = Callable[[str], str]
 
 
 def scene_text(name: str) -> str:
-    return (SCENES / name / "scene.xml").read_text(encoding="utf-8")
+    return (Path(__file__).parents[1] / "scenes" / name / "scene.xml").read_text(encoding="utf-8")
 
 
 def coated_text(text: str, *shape_ids: str) -> str:
@@ -194,8 +193,7 @@ class Case:
         one, everything = self.select([ghost]), self.select(None)
         x0, x1, y0, y1 = self.trace.extent
         area = (x1 - x0) * (y1 - y0) / self.trace.irradiance.size
-        ids = [row.path_id for row in self.trace.paths if row.events == ghost]
-        spot = self.trace.irradiance_of(ids)[0]
+        spot = self.trace.irradiance_of([row.path_id for row in self.trace.paths if row.events == ghost])[0]
         peak = spot.max() * np.sum((spot / spot.max()) ** NORM) ** (1 / NORM)
 
         image = self.image_functional(2 * self.trace.irradiance / area)

@@ -26,7 +26,6 @@ BY_NAME = {
     *("absorbed_W", "absorbed_in_W", "cut_W", "facts", "settings", "gaps", "holds", "edge_widths", "percentiles"),
     *("tables", "left_out", "values", "sampling", "grid", "left", "entrances"),
 }
-NO_FORCE = ("doctor", "cache")
 LIST = re.compile(r"\[[^\[\]{}]*\]")  # of words: on one line
 NAME = re.compile(r"[A-Za-z]\w*")
 
@@ -145,7 +144,7 @@ def outputs(name: str) -> Iterator[dict[str, Any]]:
             words = [name, *(word for word in words if word not in ("--quiet", "--json", "--force")), "--json"]
             if "nonsense://x" in words:
                 continue
-            code, out, err = ran(words if name in NO_FORCE or "--resume" in words else [*words, "--force"])
+            code, out, err = ran(words if name in ("doctor", "cache") or "--resume" in words else [*words, "--force"])
             if code:
                 print(f"mistray {' '.join(words)}: {err}", file=sys.stderr)
             else:

@@ -143,8 +143,7 @@ def test_ghosts_of_another_reflectance_are_not_the_same_work(monkeypatch):
 
     telescope = telescopes.TELESCOPES[0]
     trace = telescopes.ours(telescope, telescopes.scene_of(telescope), 300)
-    split = telescopes.theirs(telescope, trace)()
-    assert telescopes.same_ghosts(trace, split).startswith("34 ghosts, flux to ")
+    assert telescopes.same_ghosts(trace, telescopes.theirs(telescope, trace)()).startswith("34 ghosts, flux to ")
     monkeypatch.setattr(telescopes, "REFLECTANCE", 0.0202)
     brighter = telescopes.theirs(telescope, trace)()
     with pytest.raises(NotTheSameWorkError, match="flux"):
@@ -157,8 +156,7 @@ def test_run_keeps_compares_and_is_strict(tmp_path, monkeypatch, capsys):
 
     def measure(ratio, *options, more=()):
         monkeypatch.setattr(spheres, "rows", lambda quick: iter([row(ratio, bar=5.0), *more]))
-        code = bench.main(["--only", "mie", "--folder", str(tmp_path), *options])
-        return code, capsys.readouterr().out
+        return bench.main(["--only", "mie", "--folder", str(tmp_path), *options]), capsys.readouterr().out
 
     def kept():
         return [entry["ratio"] for entry in json.loads((tmp_path / "last.json").read_text())["rows"]]
@@ -292,8 +290,7 @@ def test_same_outputs_uses_every_option_of_every_command(monkeypatch):
 def test_outputs_are_the_same_but_for_their_errors(before, after, exact, places):
     from output_differences import unlike
 
-    start = "" if isinstance(before, dict) else "text"
-    assert [place for place, _, _ in unlike(before, after, exact, start)] == places
+    assert [place for place, _, _ in unlike(before, after, exact, "" if isinstance(before, dict) else "text")] == places
 
 
 @pytest.mark.long

@@ -190,13 +190,11 @@ class TestSensitivity:
         draws = pd.read_parquet(out / "draws.parquet")
         assert draws.ratio.tolist() == pytest.approx(pd.read_csv(out / "draws.csv").ratio.tolist(), rel=1e-8)
         assert list(pd.read_csv(out / "sensitivity.csv").change_percent.round(3)) == [20, 20, 5, 5]
-        html = (out / "report.html").read_text(encoding="utf-8")
-        assert html.count("data:image/png") == 2
+        assert (out / "report.html").read_text(encoding="utf-8").count("data:image/png") == 2
 
     def test_a_time_and_a_saved_run(self, capsys: Captured, plate: str, tmp_path: Path) -> None:
         """What had no time is told; the run goes on in its folder."""
-        out = tmp_path / "out"
-        command = ("sensitivity", plate, *SHARES, "--rays", "2e6", "--out", out, "--json")
+        command = ("sensitivity", plate, *SHARES, "--rays", "2e6", "--out", tmp_path / "out", "--json")
         code, printed, _ = run(capsys, *command, "--monte-carlo", "100000", "--seconds", "5")
         short = json.loads(printed)
         assert code == 0
@@ -440,8 +438,7 @@ class TestInterruption:
         assert (code, errors) == (130, "mistray: interrupted, nothing was written\n")
 
 
-EXPLORED = "singlet_window_detector"
-QUICK = ("app", EXPLORED, "--rays", "500", "--no-browser", "--field-deg", "0")
+QUICK = ("app", "singlet_window_detector", "--rays", "500", "--no-browser", "--field-deg", "0")
 
 
 def test_the_address_is_printed(capsys: Captured, tmp_path: Path) -> None:

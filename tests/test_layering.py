@@ -170,8 +170,7 @@ def test_modules_import_in_no_circle():
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 inside = [f"{node.module}.{alias.name}" for alias in node.names]
                 imports[module_of(file)] |= {name if name in names else node.module for name in inside} & names
-    graph = graphlib.TopologicalSorter(imports)
-    graph.prepare()  # raises where modules need each other
+    graphlib.TopologicalSorter(imports).prepare()  # raises where modules need each other
 
 
 def test_the_rooms_are_listed_in_their_order():

@@ -202,8 +202,7 @@ def test_addresses_stand_in_one_place_and_what_the_owner_says() -> None:
 @pytest.mark.long
 def test_the_page_of_support_says_how_to_read_addresses() -> None:
     """What pip prints has the addresses of pyproject.toml, once they are there."""
-    page = (ROOT / "docs" / "support.md").read_text(encoding="utf-8")
-    (command,) = re.findall(r"(?m)^pip (.*)$", page)
+    (command,) = re.findall(r"(?m)^pip (.*)$", (ROOT / "docs" / "support.md").read_text(encoding="utf-8"))
     done = subprocess.run([sys.executable, "-m", "pip", *command.split()], capture_output=True, text=True)
     assert "Name: mistray" in done.stdout, done.stderr
     assert "Project-URLs:" in done.stdout
@@ -290,6 +289,5 @@ def test_the_environment_is_as_large_as_the_page_says(page) -> None:
 
 def test_pythons_of_the_page_are_those_of_the_classifiers() -> None:
     named = [text.rpartition(" ")[2] for text in PROJECT["classifiers"] if re.search(r"Python :: 3\.\d+$", text)]
-    tested = re.findall(r"(?m)^\| (3\.\d+) \| tested", MATRIX.PAGE.read_text(encoding="utf-8"))
-    assert named == tested
+    assert named == re.findall(r"(?m)^\| (3\.\d+) \| tested", MATRIX.PAGE.read_text(encoding="utf-8"))
     assert f">={named[0]}" == PROJECT["requires-python"]

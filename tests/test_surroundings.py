@@ -183,9 +183,8 @@ def test_rows_of_a_sweep_without_time_are_not_traced(lens: Path) -> None:
 
 def test_cells_of_a_pst_without_time_are_not_traced(lens: Path, tmp_path: Path) -> None:
     scene = mistray.load(lens)
-    angles = [k / 4 for k in range(200)]
     with pytest.warns(mistray.MistrayWarning, match="not traced, for the time was up: .* of 200 cells"):
-        found = mistray.pst(scene, angles, method="forward", rays=1_000_000, seconds=1.5)
+        found = mistray.pst(scene, [k / 4 for k in range(200)], method="forward", rays=1_000_000, seconds=1.5)
     missing = [angle for angle, _ in found.facts["not_traced"]]
     assert 0 < len(missing) < 200
     assert found.field_deg[np.isnan(found.value)].tolist() == missing

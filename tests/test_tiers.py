@@ -19,7 +19,6 @@ import mistray
 
 ROOT = Path(__file__).parents[1]
 pytestmark = pytest.mark.quick
-Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def test_quick_tests_know_every_room() -> None:
@@ -39,8 +38,7 @@ def test_quick_tests_know_every_room() -> None:
 
 
 def test_the_continuous_integration_calls_the_command_of_the_readme() -> None:
-    lines = (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
-    assert "make test" in lines
+    assert "make test" in (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
     assert "make test\n" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -111,7 +109,7 @@ def pieces(path: Path) -> Iterator[str]:
         members = node.body if isinstance(node, ast.ClassDef) else [node]
         owner = f"{node.name}." if isinstance(node, ast.ClassDef) else ""
         for member in members:
-            if isinstance(member, Function) and member.name.startswith("test"):
+            if isinstance(member, ast.FunctionDef | ast.AsyncFunctionDef) and member.name.startswith("test"):
                 found = whole | marks(member) | (marks(node) if owner else set())
                 if found & {"long", "slow", "gpu"} or tiers.takes_long(file, owner + member.name, "core" in found):
                     continue

@@ -40,8 +40,7 @@ def recorded() -> Seconds:
 def place(item: pytest.Item) -> tuple[str, str]:
     """File, below tests, and function of a test; a method is "Class.method"."""
     file = item.path.relative_to(RECORD.parent).as_posix()
-    names = item.nodeid.partition("::")[2].partition("[")[0]
-    return file, names.replace("::", ".")
+    return file, item.nodeid.partition("::")[2].partition("[")[0].replace("::", ".")
 
 
 def seconds_of(file: str, function: str) -> float:

@@ -59,10 +59,9 @@ def check(what: str, found: np.ndarray, expected: float, expected_se: float = 0.
 
 
 STEP = 1e-5  # mm or 1/mm, of central differences of the oracle
-Load = Callable[[str], Any]
 
 
-def traced(load: Load, text: str, keys: list[str], **arguments: Any) -> Parts:
+def traced(load: Callable[[str], Any], text: str, keys: list[str], **arguments: Any) -> Parts:
     """Derivatives of the detected power, W, by some numbers of a scene."""
     return power_parts(load(text), keys, edge_width=0.04, **arguments)
 
@@ -393,17 +392,15 @@ def test_profile_of_a_shell(load_scene, coefficient: float) -> None:
 
     h = 1e-6
     slope = (area(c + h, k, coefficient) - area(c - h, k, coefficient)) / (2 * h)
-    found = power_parts(scene, ["shell.curvature"], rays=1_000_000, seed=3)
-    check("curvature", found["shell.curvature"], -slope)
+    check("curvature", power_parts(scene, ["shell.curvature"], rays=1_000_000, seed=3)["shell.curvature"], -slope)
 
 
 @pytest.mark.quick
 def test_outline_of_a_filter(load_scene) -> None:
     """A bowl with an ideal coating, oblique to the beam: rays inside of its outline pass it twice, each time with T."""
-    glass = interface_xml(R=0.1, T=0.7)
     tilt = np.radians(75.0)
     bowl = placed_xml(
-        "asphere", "bowl", glass, at=(0.0, 0.0, 10.0), facing=(np.sin(tilt), 0.0, np.cos(tilt)),
+        "asphere", "bowl", interface_xml(R=0.1, T=0.7), at=(0.0, 0.0, 10.0), facing=(np.sin(tilt), 0.0, np.cos(tilt)),
         curvature=0.3, semi_diameter=3.0,
     )  # fmt: skip
     scene = load_scene(scene_text(bowl, detector(20.0, 40.0), radius=BEAM))

@@ -144,8 +144,7 @@ def test_beams_and_cones_that_fill_rims():
     found = derived(["stop.r1"], beam(half_width=half, half_height=half), stop=plate())
     assert not found.full
     lit = 2 * math.pi - 8 * math.acos(half / RADIUS)
-    expected = lit * RADIUS / (4 * half * half)
-    assert has(found, "stop.r1", expected)
+    assert has(found, "stop.r1", lit * RADIUS / (4 * half * half))
 
 
 @pytest.mark.parametrize(
@@ -359,13 +358,11 @@ def inclined(name: str, sign: float) -> Surface:
     along = math.sqrt(0.5) * np.array([0.0, sign, 1.0])
     normal = math.sqrt(0.5) * np.array([0.0, sign, -1.0])
     place = face_place(np.array([0.0, 5.0 * sign, 5.0]), (np.cross(along, normal), along, normal))
-    half = 5 * math.sqrt(2)
-    return Surface(name, **place, half_width=10.0, half_height=half, coating=MIRROR, mirror=True, part="P")
+    return Surface(name, **place, half_width=10.0, half_height=5 * math.sqrt(2), coating=MIRROR, mirror=True, part="P")
 
 
 def two_mirrors(step: float = 0.0) -> Any:
-    faces = moved_as_one([inclined("top", 1.0), inclined("bottom", -1.0)], y=step)
-    return system(faces, ABOVE)
+    return system(moved_as_one([inclined("top", 1.0), inclined("bottom", -1.0)], y=step), ABOVE)
 
 
 def turned_box(step: float = 0.0) -> Any:
@@ -377,8 +374,7 @@ def turned_box(step: float = 0.0) -> Any:
 
 def biprism(step: float) -> Any:
     faces = moved_as_one(prism("P", [(-8, 0), (-8, -0.5), (0, -3), (8, -0.5), (8, 0)], 16.0, material="1.5"), y=step)
-    detector = Detector(y=5.0, z=60.0, half_width=20.0, half_height=5.0)
-    return system(faces, detector)
+    return system(faces, Detector(y=5.0, z=60.0, half_width=20.0, half_height=5.0))
 
 
 def tilted_prism(step: float) -> Any:
@@ -398,8 +394,7 @@ def lens(step: float, freeform: bool = True) -> Any:
     rim = 30 - math.sqrt(30**2 - 25)
     edge = Structure("edge", 5.0, rim, 5.0, 4.0 - rim, y=step, part="P", front="1.5", coating=ABSORBING)
     detector = Detector(y=12.0, z=12.0, half_width=20.0, half_height=10.0)
-    light = Source(radius=9.0, distance=30.0, field_deg=25.0)
-    return system((front, rear), detector, light, structures=(edge,))
+    return system((front, rear), detector, Source(radius=9.0, distance=30.0, field_deg=25.0), structures=(edge,))
 
 
 def mirrors_side_by_side(step: float = 0.0) -> Any:
@@ -415,8 +410,7 @@ def mirrors_side_by_side(step: float = 0.0) -> Any:
 def splitter(step: float) -> Any:
     """A cube whose splitting diagonal ends in two of its edges; half of it lies in the beam."""
     cube = beam_splitter_cube("P", 10.0, material="1.5", splitter=Coating(R=0.5, T=0.5))
-    faces = moved_as_one(cube, y=step + 5.0, z=10.0)
-    return system(faces, Detector(z=40.0, half_width=4.0, half_height=8.0))
+    return system(moved_as_one(cube, y=step + 5.0, z=10.0), Detector(z=40.0, half_width=4.0, half_height=8.0))
 
 
 def derivative(scene: Any, metric: Metric, name: str = "y", pivot: Sequence[float] | None = None) -> Estimate:

@@ -313,8 +313,7 @@ class TestPlugins:
         scattering, rays = scattering_of(table, False), Rays(True, True, 0.05)
         replay = ScatterReplay(scattering)
         for face in faces:
-            event = rays.event(table, face=face)
-            dr.backward(dr.sum(replay.log_flux(event, rays.direction, mi.Bool(True))))
+            dr.backward(dr.sum(replay.log_flux(rays.event(table, face=face), rays.direction, mi.Bool(True))))
         found = scatter_gradient(table, scattering, replay.derivatives(), lambda _, name: name == "A")
         return [self.ABG.values["A"] * float(gradient.sum()) for _, _, gradient in found]
 
@@ -364,15 +363,13 @@ def test_ends_of_ranges_and_rays_that_do_not_matter(load_scene: Load) -> None:
         value = replay.log_flux(event, rays.direction, active) + replay.log_kept(event, active)
         dr.backward(dr.sum(value + replay.absorbed(event, active)))
         assert np.all(np.array(value)[-2:] == 0)
-        found = replay.derivatives()
-        assert all(np.all(np.isfinite(values)) for values in found.values())
+        assert all(np.all(np.isfinite(values)) for values in replay.derivatives().values())
 
 
 @pytest.mark.parametrize("name", ["ghs", "rayleigh_rice_vector", "ghs_full", "particulate"])
 def test_directions_without_azimuth_or_slope(load_scene: Load, name: str) -> None:
     """Normal incidence, the specular direction itself, and the plane of incidence: derivatives are finite numbers."""
-    form = FORMS[name]
-    table = table_of(load_scene, model_xml(form))
+    table = table_of(load_scene, model_xml(FORMS[name]))
     for backward in (False, True):
         replay, rays = ScatterReplay(scattering_of(table, backward)), Rays(True, True, 0.05)
         angle = np.array([0.0, 0.0, 0.0, 0.3, 0.3, 0.3, 0.3, 0.3])

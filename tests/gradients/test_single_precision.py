@@ -100,11 +100,10 @@ def test_sides_of_incidence() -> None:
 
 
 GLASS = "nd=1.6 Vd=50 k=0"
-FILM = bsdf_xml("thinfilm", layers="1.38 60")
 POLISH = bsdf_xml("abg", A=0.003, B=0.1, g=2.0)
 SHAPES = (
     shape_xml("frustum", "stop", r0=4.0, z0=-1.0, r1=30.0, z1=-1.0),
-    shape_xml("asphere", "front", 0.0, scattering_xml([FILM], "air", GLASS),
+    shape_xml("asphere", "front", 0.0, scattering_xml([bsdf_xml("thinfilm", layers="1.38 60")], "air", GLASS),
               radius=40.0, conic=-0.5, a4=1e-5, semi_diameter=10.0),
     shape_xml("asphere", "rear", 4.0, scattering_xml([POLISH], GLASS, "air", R=0.02, T=0.9),
               radius=-50.0, semi_diameter=10.0),
@@ -166,8 +165,7 @@ def test_differences(tmp_path: Path, of: str) -> None:
 def test_rims_and_sources(tmp_path: Path) -> None:
     """Light of a lamp at a distance d through a hole of radius r goes with the solid angle 2π (1 - d/√(d² + r²))."""
     lens = scene(tmp_path, LAMP)
-    metric = path_power(lens, "direct", rays=4000, field_deg=0.0)
-    found = mistray.gradient(metric, mi.traverse(lens), keys=AT_EDGES)
+    found = mistray.gradient(path_power(lens, "direct", rays=4000, field_deg=0.0), mi.traverse(lens), keys=AT_EDGES)
     d, r = 149.0, 4.0
     slant = math.hypot(d, r)
     share = 1 - d / slant

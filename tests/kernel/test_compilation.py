@@ -138,8 +138,7 @@ def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Kernels
     def run(text: str, arguments: dict[str, Any]) -> set[str]:
         forget()
         launched.clear()
-        trace = mistray.trace(mistray.load(write(tmp_path, text)), **(TRACE | arguments))
-        assert trace.irradiance.any()
+        assert mistray.trace(mistray.load(write(tmp_path, text)), **(TRACE | arguments)).irradiance.any()
         forget()
         return {str(kernel["hash"]) for kernel in launched if kernel["type"] == dr.KernelType.JIT}
 

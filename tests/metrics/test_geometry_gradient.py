@@ -58,8 +58,7 @@ def double_gauss() -> Case:
 
 def phone_camera() -> Case:
     """Aspheres, ideal coatings, cones and stops that reflect; of its 150 ghosts the strongest."""
-    settings = {"rays": 80, "field_deg": 6.0, "seed": 6, **TRACED, "flux_threshold": 1e-3}
-    return Case(scene_text("phone_camera"), settings)
+    return Case(scene_text("phone_camera"), {"rays": 80, "field_deg": 6.0, "seed": 6, **TRACED, "flux_threshold": 1e-3})
 
 
 def solid() -> Case:
@@ -390,8 +389,7 @@ def case() -> Case:
 @pytest.fixture(scope="module")
 def smooth(case: Case) -> np.ndarray:
     """A smooth function over the pixels."""
-    shape = mistray.trace(case.scene, **COARSE).irradiance.shape
-    y, x = (np.linspace(-1, 1, n) for n in shape)
+    y, x = (np.linspace(-1, 1, n) for n in mistray.trace(case.scene, **COARSE).irradiance.shape)
     return np.cos(3 * x)[None, :] * np.exp(y)[:, None]
 
 
@@ -426,8 +424,7 @@ def test_identity(case: Case, smooth: np.ndarray, kind: str) -> None:
     forward, terms = inner_products(case, keys, smooth)
     scale = np.sqrt(np.sum(terms**2))
     assert abs(forward - terms.sum()) < OF_IDENTITY * scale
-    largest = int(np.argmax(np.abs(terms)))
-    wrong = terms.sum() + 1e-3 * terms[largest]  # one derivative that is 0.1 % too large
+    wrong = terms.sum() + 1e-3 * terms[int(np.argmax(np.abs(terms)))]  # one derivative that is 0.1 % too large
     assert abs(forward - wrong) > OF_IDENTITY * scale
 
 
@@ -458,8 +455,7 @@ LIGHT = {"rays": 1000, "max_reflections": 2, "azimuth_deg": 20.0}
 
 def new_kernels() -> int:
     """Kernels that are new to this process since the last call; one found in the disk cache counts too."""
-    entries = dr.kernel_history([dr.KernelType.JIT])
-    return sum(not entry["cache_hit"] or entry["cache_disk"] for entry in entries)
+    return sum(not entry["cache_hit"] or entry["cache_disk"] for entry in dr.kernel_history([dr.KernelType.JIT]))
 
 
 def changing(scene: Any, metric: Metric, keys: list[str], **more: Any) -> list[int]:

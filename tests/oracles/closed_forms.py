@@ -118,8 +118,7 @@ def ghost_sequences(surfaces: int, reflections: int) -> Iterator[tuple[int, ...]
             return
         backward = len(done) % 2 == 0
         lowest = (done[-1] + 1 if done else 0) if backward else 0
-        highest = surfaces if backward else done[-1]
-        for surface in range(lowest, highest):
+        for surface in range(lowest, surfaces if backward else done[-1]):
             yield from extend((*done, surface))
 
     yield from extend(())

@@ -22,17 +22,14 @@ ORDERS = tuple(range(4, 21, 2))
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 
 
-# Of a scatter model, from its numbers, the wavelength (nm), the index on the side of incidence and on the other
-LobesOf = Callable[[tuple[float, ...], float, float, float], tuple[Lobe, ...]]
-
-
 @dataclass(frozen=True)
 class ScatterModel:
     """A scatter model nested in an interface: key prefix of its numbers, and what makes lobes of them."""
 
     key: str
     names: tuple[str, ...]
-    lobes: LobesOf
+    # From its numbers, the wavelength (nm), the index on the side of incidence and on the other
+    lobes: Callable[[tuple[float, ...], float, float, float], tuple[Lobe, ...]]
 
 
 @dataclass(frozen=True)

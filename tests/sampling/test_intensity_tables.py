@@ -44,8 +44,7 @@ def lm63(
 
 def rough(phis: int = 13) -> Intensities:
     """An intensity without any symmetry, 20 to 140° from the axis, with a dark corner."""
-    rng = np.random.default_rng(3)
-    values = rng.uniform(0.1, 1.0, (9, phis))
+    values = np.random.default_rng(3).uniform(0.1, 1.0, (9, phis))
     values[:3, 2:5] = 0.0
     values[:, -1] = values[:, 0]
     return Intensities(np.linspace(20, 140, 9), np.linspace(0, 360, phis), values)
@@ -124,9 +123,8 @@ def test_ies(tmp_path: Path) -> None:
         ("any", np.ones(25), 0),
     ):
         keep = phi <= last
-        candela = 100 * np.outer(shape[keep], fall)
         file = tmp_path / f"{kind} one.ies"
-        file.write_bytes(lm63(theta, phi[keep], candela, multiplier=2.0).encode("latin-1"))
+        file.write_bytes(lm63(theta, phi[keep], 100 * np.outer(shape[keep], fall), multiplier=2.0).encode("latin-1"))
         found = read_intensities(file)
         assert found.unit == "cd"
         assert (found.phi_deg[0], found.phi_deg[-1]) == (0, 360)
@@ -222,6 +220,5 @@ def test_candela_to_watt(tmp_path: Path) -> None:
         ({"wavelength_nm": 555.0}, 683.0),
         ({}, 683 * 0.99495),  # V of 550 nm
     ):
-        power = mi.load_dict({**lamp, **spectrum}).power()
-        assert power == pytest.approx(400 * np.pi / efficacy, rel=1e-3)
+        assert mi.load_dict({**lamp, **spectrum}).power() == pytest.approx(400 * np.pi / efficacy, rel=1e-3)
     assert mi.load_dict({**lamp, "power": 2.0, "wavelength_nm": 900.0}).power() == 2.0

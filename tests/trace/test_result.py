@@ -215,8 +215,7 @@ def test_wavelengths_with_weights(load_text) -> None:
     assert sum(row.power_W for row in t.paths) == pytest.approx(t.energy.detected_W, rel=1e-9)
     assert t.energy.launched_W == pytest.approx(np.pi, rel=1e-12)
     assert abs(t.energy.closure) < 1e-6
-    table = t.rays(n=10)
-    assert set(table.wavelength_nm) == {486.1, 656.3}
+    assert set(t.rays(n=10).wavelength_nm) == {486.1, 656.3}
     one = t.paths.find("p0_rear:R")[0]
     assert set(t.history(one.path_id, 3).to_pandas().wavelength_nm) == {one.wavelength_nm}
     total, _ = t.irradiance_of([row.path_id for row in t.paths])
@@ -314,8 +313,7 @@ class TestSplitBeam:
             x0, x1, y0, y1 = view.extent
             assert view.box(x0, x1, y0, y1).column("power_W").sum() == pytest.approx(view.energy.detected_W, rel=1e-12)
             assert set(view.rays(n=50).type) <= {"SpecTran", "SpecRefl"}
-            history = view.history(0, 2).to_pandas()
-            assert history.object.tolist()[-1] == name
+            assert view.history(0, 2).to_pandas().object.tolist()[-1] == name
 
 
 def test_wrong_and_missing_names(load_text) -> None:
@@ -413,8 +411,7 @@ def deviations(heavy: float, weight: float) -> tuple[np.ndarray, np.ndarray]:
     truth, every, given = EXPECTED + heavy * weight, [], []
     for _ in range(SEEDS):
         numbers = paths_of_a_kind(rng, heavy, weight)
-        judged = numbers.judged(np.zeros(ROWS, dtype=np.int64))
-        for columns, found in ((numbers.columns, every), (judged, given)):
+        for columns, found in ((numbers.columns, every), (numbers.judged(np.zeros(ROWS, dtype=np.int64)), given)):
             with np.errstate(divide="ignore"):
                 z = (columns["power_W"] - truth) / columns["power_se_W"]
             found.append(z[np.isfinite(z)])

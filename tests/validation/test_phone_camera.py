@@ -13,7 +13,6 @@ from mistray.optimize import relative_illumination
 pytestmark = pytest.mark.validation
 
 GHOST_RAYS = {0.0: 30_000, 5.0: 40_000, 10.0: 60_000}
-FAR_GHOST_RAYS = 150_000
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +28,7 @@ def scene():
 @pytest.fixture(scope="module")
 def ghosts(scene):
     return {
-        field: phone_camera.ghost_table(scene, field, GHOST_RAYS.get(field, FAR_GHOST_RAYS))
+        field: phone_camera.ghost_table(scene, field, GHOST_RAYS.get(field, 150_000))
         for field in phone_camera.FIELDS_DEG
     }
 
