@@ -87,9 +87,7 @@ def test_record_keeps_what_was_not_run_again(tmp_path):
 
     path = tmp_path / "last.json"
     assert read(path) == {}
-    old = {
-        one.name: one for one in (kept("batoid", "lsst", 5.0), kept("films", "tmm", 7.0), kept("films", "gone", 1.0))
-    }
+    old = {k.name: k for k in (kept("batoid", "lsst", 5.0), kept("films", "tmm", 7.0), kept("films", "gone", 1.0))}
     write(path, old)
     found = read(path)
     assert found == old
@@ -304,9 +302,8 @@ def test_outputs_that_changed_are_named(tmp_path):
     design = before["options"]["coating"]["options"]["--design-nm"]
     assert "(550)" in design["help"]
     design["help"] = design["help"].replace("(550)", "(500)")
-    table = next(
-        one["files"]["ar.csv"] for name, one in before["calls"].items() if "--csv ar.csv" in name and one["files"]
-    )
+    wrote = (call["files"] for name, call in before["calls"].items() if "--csv ar.csv" in name and call["files"])
+    table = next(wrote)["ar.csv"]
     table["columns"]["reflectance"] = table["columns"].pop(table["head"][-1])
     first.write_text(json.dumps(before))
     told, _ = run(second, "--commands", "coating", "--against", first, program="same_outputs.py", code=1)

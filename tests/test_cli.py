@@ -174,9 +174,7 @@ def test_errors_are_one_line(capsys: Captured, monkeypatch: Patch, error: BaseEx
     assert fails(capsys, "ghosts", "lens.xml") == line
 
 
-def test_nothing_is_written_when_the_trace_fails(
-    capsys: Captured, fake: Calls, monkeypatch: Patch, tmp_path: Path
-) -> None:
+def test_a_trace_that_fails_writes_nothing(capsys: Captured, fake: Calls, monkeypatch: Patch, tmp_path: Path) -> None:
     traces = importlib.import_module("mistray.analyses.ghosts.field_traces")
     monkeypatch.setattr(traces, "trace", raising(MistrayError("field 80 deg: no ray meets the lens")))
     fails(capsys, "ghosts", "lens.xml", "--out", tmp_path / "out")
@@ -184,9 +182,7 @@ def test_nothing_is_written_when_the_trace_fails(
 
 
 @pytest.mark.parametrize("within", [False, True])
-def test_an_interrupt_before_anything_is_saved(
-    capsys: Captured, monkeypatch: Patch, tmp_path: Path, within: bool
-) -> None:
+def test_an_interrupt_before_all_is_saved(capsys: Captured, monkeypatch: Patch, tmp_path: Path, within: bool) -> None:
     """Also as Dr.Jit has it, as a RuntimeError; what another run has saved is none that --force goes on from."""
     error = RuntimeError("while_loop(): encountered an exception") if within else KeyboardInterrupt()
     error.__cause__ = KeyboardInterrupt() if within else None

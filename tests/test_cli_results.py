@@ -367,14 +367,11 @@ def searched(capsys: Captured, *arguments: str) -> tuple[int, str, str]:
 def test_a_time_budget(capsys: Captured, files: tuple[str, str, str]) -> None:
     """A search without an end of its own ends in time, says why, and leaves all files; later it goes on from there."""
     scene, study, out = files
-    endless = LONGER.replace(
-        "steps = 3", 'steps = 10000\ntolerance = 0\nmethod = "adam"\ndecay = 1.0\nstep_size = 1e-4'
-    )
-    Path(study).write_text(endless)
+    many = 'steps = 10000\ntolerance = 0\nmethod = "adam"\ndecay = 1.0\nstep_size = 1e-4'
+    Path(study).write_text(LONGER.replace("steps = 3", many))
     began = time.perf_counter()
-    code, printed, errors = searched(
-        capsys, scene, study, "--out", out, "--seconds", str(SECONDS), "--formats", "parquet"
-    )
+    more = ("--out", out, "--seconds", str(SECONDS), "--formats", "parquet")
+    code, printed, errors = searched(capsys, scene, study, *more)
     spent = time.perf_counter() - began
     assert code == 0
     assert all("compilation of kernels" in line for line in errors.splitlines())  # told where nothing is in the cache
@@ -421,9 +418,8 @@ class TestInterruption:
             self.interrupt(patch, 3)
             code, printed, errors = searched(capsys, scene, study, "--out", out)
         assert (code, printed) == (130, "")
-        assert (
-            errors == f"mistray: interrupted; all steps are in {Path(out) / 'checkpoint.json'}, go on with --resume\n"
-        )
+        place = Path(out) / "checkpoint.json"
+        assert errors == f"mistray: interrupted; all steps are in {place}, go on with --resume\n"
         code, printed, _ = searched(capsys, scene, study, "--out", out, "--resume")
         assert code == 0
         assert "before / after" in printed

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 import peers
 import pytest
-from command_line import Patch, run
+from command_line import Captured, Patch, run
 from example_scripts import script
 from oracles.layers import stack_powers
 from test_cli_import import SEQ, ZMX
@@ -144,9 +144,7 @@ def test_every_picture_is_shown_and_every_drawn_one_is_there(monkeypatch: Patch)
     "line",
     [line for line in dict.fromkeys(command_lines(README) + command_lines(COMMANDS)) if line.startswith("mistray")],
 )
-def test_a_command_of_the_readme_and_of_the_list(
-    line: str, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_of_the_readme_and_of_the_list(line: str, monkeypatch: Patch, capsys: Captured) -> None:
     monkeypatch.chdir(ROOT)
     Path("out").mkdir(exist_ok=True)
     force = ["--force"] if " out/" in line else []  # which may hold the results of an earlier run of this test

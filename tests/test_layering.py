@@ -178,9 +178,7 @@ def test_the_rooms_are_listed_in_their_order():
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     said = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE))
     rooms = {file.parent.name: file for file in (ROOT / "mistray").glob("*/__init__.py")}
-    assert said == {
-        name: ast.get_docstring(ast.parse(file.read_text())).splitlines()[0] for name, file in rooms.items()
-    }
+    assert said == {name: ast.get_docstring(ast.parse(f.read_text())).splitlines()[0] for name, f in rooms.items()}
     heights = [HEIGHT[name] for name in said if name not in ("cache", "files")]  # everybody uses these
     assert heights == sorted(heights)
 

@@ -52,14 +52,8 @@ def folder(tmp_path_factory: Any) -> Iterator[None]:
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        (3, [3]),
-        (0, [0]),
-        ("ab", ["ab"]),
-        ("", [""]),
-        ([], []),
-        ((1, 2), [1, 2]),
-        (np.int64(4), [4]),
-        (np.array(5), [5]),
+        *((3, [3]), (0, [0]), ("ab", ["ab"]), ("", [""]), ([], []), ((1, 2), [1, 2])),
+        *((np.int64(4), [4]), (np.array(5), [5])),
     ],
 )
 def test_several(given: Any, expected: list[Any]) -> None:

@@ -163,11 +163,8 @@ class TestClosedForms:
         n, c1, c2, D = 1.5, 0.01, -0.012, 70.0
         faces = 2 * 4 * n / (n + 1) ** 2 * 4 * (1 - n) / (1 + n) ** 3  # two of T = 4 n/(n + 1)²
         expected = [("front.curvature", 0, -HEIGHT * D * (n - 1)), ("rear.curvature", 0, HEIGHT * D * (n - 1))]
-        expected += [
-            ("front.x rear.x", 0, D * (n - 1) * (c1 - c2)),
-            (INDEX, 0, -HEIGHT * D * (c1 - c2)),
-            (INDEX, 2, faces),
-        ]
+        expected += [("front.x rear.x", 0, D * (n - 1) * (c1 - c2)), (INDEX, 2, faces)]
+        expected += [(INDEX, 0, -HEIGHT * D * (c1 - c2))]
         assert_slopes(lens(1e-5, c1, c2, str(n), D), THROUGH, [HEIGHT, 0.0, -10.0], AXIAL, expected, 1e-6)
         # An oblique ray: y at the screen moves by tan θ' - tan θ per mm of glass, by t d(tan θ')/dn per index
         n, theta, t = 1.5, np.radians(35.0), 4.0
@@ -212,9 +209,7 @@ class TestClosedForms:
 
 def asphere_text(c: float = 0.02, conic: float = -0.5, a6: float = 1e-6, z: float = 6.0, place: str = "") -> str:
     """An aspheric lens off the axis of a beam; `place` goes before the rear face's own translation."""
-    rear = shape_xml(
-        "asphere", "rear", z, interface_xml("1.6", "air"), curvature=-c, conic=conic, a6=a6, semi_diameter=9.0
-    )
+    rear = shape_xml("asphere", "rear", z, interface_xml("1.6"), curvature=-c, conic=conic, a6=a6, semi_diameter=9.0)
     return scene_text(
         shape_xml("asphere", "front", 0.0, interface_xml("air", "1.6"), curvature=0.03, semi_diameter=9.0),
         rear.replace("<translate", place + "<translate"),

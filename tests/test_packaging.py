@@ -79,9 +79,8 @@ def test_editable_install(clone, tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     zipfile.ZipFile(wheel).extractall(tmp_path)
     (finder,) = tmp_path.glob("__editable___mistray_*_finder.py")
-    statement = next(
-        node for node in ast.parse(finder.read_text()).body if "MAPPING" in ast.unparse(node).split("=")[0]
-    )
+    body = ast.parse(finder.read_text()).body
+    statement = next(node for node in body if "MAPPING" in ast.unparse(node).split("=")[0])
     mapping = {name.replace(".", "/"): Path(folder) for name, folder in ast.literal_eval(statement.value).items()}
     assert mapping == {inside: clone / outside for outside, inside in SOURCES.items()}
 

@@ -44,9 +44,7 @@ def test_the_continuous_integration_calls_the_command_of_the_readme() -> None:
 
 class TestParts:
     def test_together_they_are_the_tier_and_files_stay_together(self) -> None:
-        tier = {
-            file: {name: s for name, s in of.items() if s > tiers.AT_ONCE_S} for file, of in tiers.recorded().items()
-        }
+        tier = {file: {n: s for n, s in of.items() if s > tiers.AT_ONCE_S} for file, of in tiers.recorded().items()}
         cut = tiers.parts(tier)
         every = [place for part in cut for place in part]
         assert sorted(every) == sorted((file, name) for file, names in tier.items() for name in names)

@@ -444,10 +444,7 @@ def alone(scene):
 
 def test_a_worker_of_another_version_is_refused(cluster, scene, monkeypatch):
     monkeypatch.setattr("mistray.cluster.travel.surroundings", lambda: {"mistray": "9.9", "variant": "llvm_ad_rgb"})
-    with (
-        pytest.raises(MistrayError, match=r"has mistray .*, and 9.9 is used here"),
-        mistray.distribute(cluster.address),
-    ):
+    with pytest.raises(MistrayError, match=r"has mistray .*, and 9.9 is used"), mistray.distribute(cluster.address):
         mistray.trace(scene, rays=1000)
 
 

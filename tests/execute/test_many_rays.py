@@ -46,9 +46,8 @@ PROGRAM = """
 
 def traced(rays: int) -> dict:
     """The trace in a process of its own, with the peak of its memory."""
-    run = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(PROGRAM), str(rays)], capture_output=True, text=True, timeout=600
-    )
+    command = [sys.executable, "-c", textwrap.dedent(PROGRAM), str(rays)]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout.splitlines()[-1])
 

@@ -75,34 +75,25 @@ SINE, COSINE = np.sin(np.radians(40.0)), np.cos(np.radians(40.0))
 HALF_PASSES = interface_xml(R=0.0, T=0.5)
 # Shapes, and derivatives of the detected power in a beam of radius 5 mm and 1 W/mm²
 STOPS: dict[str, tuple[list[str], dict[str, float]]] = {
-    "hole": (
-        [shape_xml("frustum", "stop", 5.0, r0=3.0, z0=0.0, r1=8.0, z1=0.0), detector(10.0)],
-        {"stop.r0": 6 * np.pi, "stop.x": 0.0, "stop.z": 0.0},
-    ),
+    "hole": ([shape_xml("frustum", "stop", 5.0, r0=3.0, z0=0.0, r1=8.0, z1=0.0), detector(10.0)],
+             {"stop.r0": 6 * np.pi, "stop.x": 0.0, "stop.z": 0.0}),
     # 4 mm off the axis: the circles cross 3 mm off their line
-    "decentred": (
-        [placed_xml("frustum", "stop", at=(4.0, 0.0, 5.0), r0=3.0, z0=0.0, r1=12.0, z1=0.0), detector(10.0)],
-        {"stop.x": -6.0},
-    ),
+    "decentred": ([placed_xml("frustum", "stop", at=(4.0, 0.0, 5.0), r0=3.0, z0=0.0, r1=12.0, z1=0.0), detector(10.0)],
+                  {"stop.x": -6.0}),
     "tilted": (
         [placed_xml("frustum", "stop", at=(0.0, 0.0, 8.0), facing=(0.0, -SINE, COSINE), r0=3.0, z0=0.0, r1=8.0, z1=0.0),
-         detector(20.0)],
-        {"stop.tilt_x": -np.pi * 9.0 * SINE * np.pi / 180, "stop.r0": 6 * np.pi * COSINE},
+         detector(20.0)], {"stop.tilt_x": -np.pi * 9.0 * SINE * np.pi / 180, "stop.r0": 6 * np.pi * COSINE},
     ),
     # Light that misses the filter is detected whole
     "passes half": (
         [shape_xml("asphere", "plate", 5.0, HALF_PASSES, semi_diameter=3.0, inner_semi_diameter=1.0), detector(10.0)],
         {"plate.semi_diameter": -3 * np.pi, "plate.inner_semi_diameter": np.pi},
     ),
-    "rectangle": (
-        [shape_xml("asphere", "detector", 5.0, sensor=True, half_width=3.0, half_height=1.0, curvature=0.02)],
-        {"detector.half_width": 4.0, "detector.half_height": 12.0},
-    ),
+    "rectangle": ([shape_xml("asphere", "detector", 5.0, sensor=True, half_width=3.0, half_height=1.0, curvature=0.02)],
+                  {"detector.half_width": 4.0, "detector.half_height": 12.0}),
     # A cone that ends in a hole: where it begins and how long it is does not matter
-    "funnel": (
-        [shape_xml("frustum", "funnel", 5.0, r0=6.0, z0=0.0, r1=2.0, z1=7.0), detector(20.0)],
-        {"funnel.r1": 4 * np.pi, "funnel.r0": 0.0, "funnel.z1": 0.0},
-    ),
+    "funnel": ([shape_xml("frustum", "funnel", 5.0, r0=6.0, z0=0.0, r1=2.0, z1=7.0), detector(20.0)],
+               {"funnel.r1": 4 * np.pi, "funnel.r0": 0.0, "funnel.z1": 0.0}),
 }  # fmt: skip
 
 

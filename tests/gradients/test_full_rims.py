@@ -192,17 +192,9 @@ BEAM = 20.0
 
 def scene(numbers: dict[str, Any]) -> Any:
     """A beam of 1 W/mm², a black plate in it, and a detector behind both."""
-    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
-    return mistray.load(
-        {
-            "type": "scene",
-            "integrator": {"type": "straylight"},
-            "beam": {"type": "collimated", "radius": BEAM, "distance": 20.0},
-            "plate": {"type": "freeform", "bsdf": {"type": "interface", "R": 0.0}, **numbers},
-            "detector": {"type": "asphere", "semi_diameter": 30.0, "z": 50.0, "bsdf": {"type": "interface", "R": 0.0},
-                         "sensor": {"type": "irradiancemeter", "film": film}},
-        }
-    )  # fmt: skip
+    behind = {"type": "asphere", "semi_diameter": 30.0, "z": 50.0, "bsdf": BLACK, "sensor": meter(8)}
+    light = {"type": "collimated", "radius": BEAM, "distance": 20.0}
+    return lit(light, plate={"type": "freeform", "bsdf": BLACK, **numbers}, detector=behind)
 
 
 def polygon(k: int, sign: str, corners: list[tuple[float, float]]) -> dict[str, Any]:
@@ -223,14 +215,10 @@ def area_by_corners(k: int, corners: list[tuple[float, float]], sign: float) -> 
 TRIANGLE = [(-6.0, -5.0), (7.0, -3.0), (1.0, 6.0)]
 # Outline, and the derivatives of its area by its numbers
 CASES: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
-    "circle": (
-        {"clip_1": "+circle", "clip_1_radius": 8.0, "clip_1_x": 3.0},
-        {"clip_1_radius": 16 * math.pi, "clip_1_x": 0.0, "clip_1_y": 0.0},
-    ),
-    "disc with a hole": (
-        {"semi_diameter": 9.0, "inner_semi_diameter": 4.0},
-        {"semi_diameter": 18 * math.pi, "inner_semi_diameter": -8 * math.pi},
-    ),
+    "circle": ({"clip_1": "+circle", "clip_1_radius": 8.0, "clip_1_x": 3.0},
+               {"clip_1_radius": 16 * math.pi, "clip_1_x": 0.0, "clip_1_y": 0.0}),
+    "disc with a hole": ({"semi_diameter": 9.0, "inner_semi_diameter": 4.0},
+                         {"semi_diameter": 18 * math.pi, "inner_semi_diameter": -8 * math.pi}),
     "ellipse": (
         {"clip_1": "+ellipse", "clip_1_half_width": 9.0, "clip_1_half_height": 5.0, "clip_1_angle_deg": 30.0,
          "clip_1_y": -2.0},
@@ -238,8 +226,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     ),
     "rectangle": (
         {"clip_1": "+rectangle", "clip_1_half_width": 9.0, "clip_1_half_height": 5.0, "clip_1_angle_deg": -50.0},
-        {"clip_1_half_width": 20.0, "clip_1_half_height": 36.0, "clip_1_y": 0.0},
-    ),
+        {"clip_1_half_width": 20.0, "clip_1_half_height": 36.0, "clip_1_y": 0.0}),
     "polygon": (polygon(1, "+", TRIANGLE), area_by_corners(1, TRIANGLE, 1.0)),
     # Half a disc: what a move of the straight edge adds is its length
     "cut": (
@@ -268,10 +255,8 @@ STAR = [(0.0, -9.0), (2.0, -2.0), (9.0, 0.0), (2.0, 2.0), (0.0, 9.0), (-2.0, 2.0
 DISC = {"clip_1": "+circle", "clip_1_radius": 15.0}
 # Corners that jut in and out, on either side of the edge; figures that abut and overlap, whose seams are no edges
 CORNERS_AND_SEAMS: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
-    "square hole": (
-        {**DISC, **polygon(2, "-", SQUARE)},
-        {**area_by_corners(2, SQUARE, -1.0), "clip_2_x": 0.0, "clip_1_radius": 30 * math.pi},
-    ),
+    "square hole": ({**DISC, **polygon(2, "-", SQUARE)},
+                    {**area_by_corners(2, SQUARE, -1.0), "clip_2_x": 0.0, "clip_1_radius": 30 * math.pi}),
     "concave plate": (polygon(1, "+", ANGLE), area_by_corners(1, ANGLE, 1.0)),
     "concave hole": ({**DISC, **polygon(2, "-", ANGLE)}, area_by_corners(2, ANGLE, -1.0)),
     "star": (polygon(1, "+", STAR), area_by_corners(1, STAR, 1.0)),
@@ -399,9 +384,7 @@ def lens(step: float, freeform: bool = True) -> Any:
 
 def mirrors_side_by_side(step: float = 0.0) -> Any:
     """Two square segments that abut: no light is lost in their seam, whatever the direction they move in."""
-    tile = Surface(
-        "tile", outline=rectangle(4.0, 4.0), coating=MIRROR, mirror=True, part="P", tilt_deg=(45.0, 0.0, 0.0)
-    )
+    tile = Surface("tile", outline=rectangle(4.0, 4.0), coating=MIRROR, mirror=True, part="P", tilt_deg=(45.0, 0, 0))
     faces = [Surface(**{**vars(face), "part": "P"}) for face in array([tile], [(-4.0, step, 10.0), (4.0, step, 10.0)])]
     below = Detector("below", y=-30.0, z=10.0, tilt_deg=(90.0, 0.0, 0.0), half_width=20.0, half_height=20.0)
     return system(faces, below, Source(radius=2.0))

@@ -208,9 +208,7 @@ def compare_ledgers(case: Case) -> None:
             different.setdefault(int(lane), set()).add(events)
     if different:
         lanes = np.array(sorted(different))
-        before = {
-            (e, int(lane)) for e, r in theirs.items() for lane in everything[r.start_rays] if int(lane) in different
-        }
+        before = {(e, int(k)) for e, r in theirs.items() for k in everything[r.start_rays] if int(k) in different}
         changed = set()
         for origin in case.nudged(lanes):
             nudged = oracle(lanes, origin)

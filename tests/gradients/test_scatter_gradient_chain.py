@@ -116,9 +116,7 @@ def all_rays(form: Form, backward: bool) -> list[Rays]:
     # Tables of directions are uniform in the cosine of incidence, and so coarse near the normal: 2 % of the slope there
     least = 0.25 if is_tabled(form) else 0.05
     every = [Rays(reflect, front, least) for reflect in (False, True) for front in (False, True)]
-    return [
-        r for r in every if form.scatters(r.reflect, r.from_front if r.reflect or not backward else not r.from_front)
-    ]
+    return [r for r in every if form.scatters(r.reflect, r.from_front != (backward and not r.reflect))]
 
 
 def by_values(table: SurfaceTable, backward: bool, form: Form, rays: list[Rays]) -> dict[str, dict[Rays, np.ndarray]]:
@@ -128,9 +126,7 @@ def by_values(table: SurfaceTable, backward: bool, form: Form, rays: list[Rays])
     for some in rays:
         dr.backward(dr.sum(replay.log_flux(some.event(table), some.direction, mi.Bool(True))))
     found = scatter_gradient(table, scattering, replay.derivatives(), lambda _, name: name in differentiable(form))
-    parts = {
-        some: slice(first, first + RAYS) for some in rays for first in [RAYS * (2 * some.reflect + some.from_front)]
-    }
+    parts = {r: slice(first, first + RAYS) for r in rays for first in [RAYS * (2 * r.reflect + r.from_front)]}
     return {name: {some: gradient[part, 0] for some, part in parts.items()} for _, name, gradient in found}
 
 
@@ -328,18 +324,14 @@ class TestPlugins:
             assert self.by_amplitude(table, *faces) == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("kind", "name", "values", "reason"), vectors.toml("refusals.toml")["values without derivative"]
-)
-def test_values_without_derivative(
-    load_scene: Load, kind: str, name: str, values: dict[str, float], reason: str
-) -> None:
+@pytest.mark.parametrize(("kind", "name", "values", "why"), vectors.toml("refusals.toml")["values without derivative"])
+def test_values_without_derivative(load_scene: Load, kind: str, name: str, values: dict[str, float], why: str) -> None:
     table = table_of(load_scene, bsdf_xml(kind, **values))
     (plugin,) = table.optics.bsdfs[table.ids.index("face")].scatterers
-    assert fixed(plugin, name) == reason
+    assert fixed(plugin, name) == why
     scattering = scattering_of(table, False)
     derivatives = ScatterReplay(scattering).derivatives() if scattering.any else {}
-    with pytest.raises(MistrayError, match=f"{reason}, where it has no derivative"):
+    with pytest.raises(MistrayError, match=f"{why}, where it has no derivative"):
         list(scatter_gradient(table, scattering, derivatives, lambda _, key: key == name))
     assert all(fixed(plugin, other) is None for other in values if other in plugin.values and other != name)
 

@@ -51,9 +51,7 @@ def triplet() -> Case:
 
 def double_gauss() -> Case:
     """Cemented lenses; without the ghosts of their cement."""
-    return Case(
-        scene_text("double_gauss"), {"rays": 250, "field_deg": 4.0, "seed": 5, **TRACED, "flux_threshold": 2e-3}
-    )
+    return Case(scene_text("double_gauss"), {"rays": 250, "field_deg": 4, "seed": 5, **TRACED, "flux_threshold": 2e-3})
 
 
 def phone_camera() -> Case:
@@ -64,9 +62,7 @@ def phone_camera() -> Case:
 def solid() -> Case:
     """A detector cemented to glass that absorbs: each mm takes 2 % of the light."""
     glass = "1.5+1e-6i"
-    front = shape_xml(
-        "asphere", "front", 0.0, interface_xml("air", glass, R=0.2, T=0.7), radius=30.0, semi_diameter=15.0
-    )
+    front = shape_xml("asphere", "front", 0.0, interface_xml("air", glass, R=0.2, T=0.7), radius=30, semi_diameter=15)
     end = interface_xml(glass, "air", R=0.3)
     detector = shape_xml("asphere", "detector", 40.0, end, sensor=True, half_width=20.0, half_height=20.0)
     settings = {"rays": 300, "field_deg": 5.0, "seed": 7, **TRACED, "wavelength_nm": 550.0}
@@ -443,9 +439,7 @@ def test_render_is_the_gradient(case: Case, smooth: np.ndarray) -> None:
 
 
 WINDOW = small_text(
-    shape_xml(
-        "asphere", "front", 0.0, scattering_xml((ABG,), "air", "1.5", R=0.1, T=0.8), radius=60.0, semi_diameter=9.0
-    ),
+    shape_xml("asphere", "front", 0.0, scattering_xml((ABG,), "air", "1.5", R=0.1, T=0.8), radius=60, semi_diameter=9),
     shape_xml("asphere", "rear", 5.0, scattering_xml((POLISH,), "1.5", "air", R=0.1, T=0.8), semi_diameter=9.0),
     shape_xml("asphere", "detector", 60.0, sensor=True, half_width=10.0, half_height=10.0),
     radius=5.0,

@@ -148,9 +148,7 @@ class FrozenScene:
     def _film_powers(
         self, film: Film, n_front: float, n_back: float, from_front: bool, cosine: Array
     ) -> tuple[Array, Array]:
-        thickness, n_shift, k_shift = (
-            self.numbers[f"{film.key}.{name}"] for name in ("thickness_nm", "n_shift", "k_shift")
-        )
+        thickness, n_shift, k_shift = (self.numbers[f"{film.key}.{k}"] for k in ("thickness_nm", "n_shift", "k_shift"))
         n = np.array(film.indices) + n_shift + 1j * k_shift
         front_first = film.first == "front" or (film.first == "outside" and n_front <= n_back)
         if front_first != from_front:

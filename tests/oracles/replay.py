@@ -108,9 +108,8 @@ def replay(
             heading[good] = hit.transmitted
             if not shape.interface.opaque:
                 medium[good] = np.where(hit.from_front, n_back, n_front)
-                front, back = (
-                    absorption_per_mm(m, wavelength_nm) for m in (shape.interface.front, shape.interface.back)
-                )
+                media = shape.interface.front, shape.interface.back
+                front, back = (absorption_per_mm(m, wavelength_nm) for m in media)
                 absorption[good] = np.where(hit.from_front, back, front)
         elif kind == "A":
             flux[good] *= 1 - hit.reflectance - hit.transmittance

@@ -92,26 +92,16 @@ def test_the_wall_of_a_tube_about_a_lamp_on_its_axis():
 
 POSE = mi.ScalarTransform4d().translate([1, 2, -4]).rotate([1, 0, 0], 20).rotate([0, 0, 1], 35)
 CASES: dict[str, tuple[dict, Place]] = {
-    "tube": (
-        {"type": "frustum", "r0": 5.0, "r1": 5.0, "z0": -8.0, "z1": 10.0},
-        turned(lambda z: 5.0 + 0 * z, lambda z: z),
-    ),
-    "cone": (
-        {"type": "frustum", "r0": 7.0, "r1": 4.0, "z0": 9.0, "z1": -6.0},
-        turned(lambda z: 4.0 + (z + 6) / 5, lambda z: z),
-    ),
-    "ring": (
-        {"type": "frustum", "r0": 9.0, "r1": 2.0, "z0": 12.0, "z1": 12.0},
-        turned(lambda r: r, lambda r: 12.0 + 0 * r),
-    ),
-    "bowl": (
-        {"type": "asphere", "radius": -12.0, "conic": -0.4, "semi_diameter": 9.0, "inner_semi_diameter": 1.0, "z": 14},
-        turned(lambda r: r, lambda r: 14 - (r * r / 12) / (1 + np.sqrt(1 - 0.6 * (r / 12) ** 2))),
-    ),
-    "plane": (
-        {"type": "asphere", "half_width": 6.0, "half_height": 4.0, "z": 9.0},
-        lambda y, x: np.stack([x, y, 9.0 + 0 * x], axis=-1),
-    ),
+    "tube": ({"type": "frustum", "r0": 5.0, "r1": 5.0, "z0": -8.0, "z1": 10.0},
+             turned(lambda z: 5.0 + 0 * z, lambda z: z)),
+    "cone": ({"type": "frustum", "r0": 7.0, "r1": 4.0, "z0": 9.0, "z1": -6.0},
+             turned(lambda z: 4.0 + (z + 6) / 5, lambda z: z)),
+    "ring": ({"type": "frustum", "r0": 9.0, "r1": 2.0, "z0": 12.0, "z1": 12.0},
+             turned(lambda r: r, lambda r: 12.0 + 0 * r)),
+    "bowl": ({"type": "asphere", "radius": -12.0, "conic": -0.4, "semi_diameter": 9.0, "inner_semi_diameter": 1.0,
+              "z": 14}, turned(lambda r: r, lambda r: 14 - (r * r / 12) / (1 + np.sqrt(1 - 0.6 * (r / 12) ** 2)))),
+    "plane": ({"type": "asphere", "half_width": 6.0, "half_height": 4.0, "z": 9.0},
+              lambda y, x: np.stack([x, y, 9.0 + 0 * x], axis=-1)),
 }  # fmt: skip
 
 

@@ -124,9 +124,7 @@ def test_design_paths_through_cubes_roofs_and_mirrors() -> None:
     t = traced((splitter, ahead, aside), Detector("screen", y=-50.0, **ACROSS))
     assert kinds(t) == {"splitter:R aside:R splitter:T": "direct", "splitter:T ahead:R splitter:R": "direct"}
     bounds = {"half_width": 12.0, "half_height": 11.0, "coating": Coating(R=0.9), "mirror": True}
-    faces = [
-        Surface(f"face_{k}", y=8.0 * s, z=-8.0, tilt_deg=(-45.0 * s, 0, 0), **bounds) for k, s in enumerate((1, -1))
-    ]
+    faces = [Surface(f"face_{k}", y=8 * s, z=-8, tilt_deg=(-45 * s, 0, 0), **bounds) for k, s in enumerate((1.0, -1.0))]
     aside = Detector("camera", x=-60.0, tilt_deg=(0.0, 90.0, 0.0), half_width=15.0, half_height=15.0)
     t = traced(tuple(moved_as_one(faces, tilt_deg=(0.0, 45.0, 0.0))), aside, radius=5.0)
     assert kinds(t) == {"face_0:R face_1:R": "direct", "face_1:R face_0:R": "direct"}

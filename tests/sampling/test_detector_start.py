@@ -248,9 +248,7 @@ def test_cells_lend_what_they_have_met() -> None:
     assert np.median(densities[1]) > 5 * np.median(densities[0])
 
     there = samples.with_those_beside((1, 3))  # azimuths go round
-    assert [np.count_nonzero(there.cell == cell) > np.count_nonzero(samples.cell == cell) for cell in range(3)] == [
-        True
-    ] * 3
+    assert all(np.count_nonzero(there.cell == cell) > np.count_nonzero(samples.cell == cell) for cell in range(3))
 
 
 def test_samples_after_roulette_stand_for_all() -> None:

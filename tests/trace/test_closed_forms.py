@@ -91,13 +91,10 @@ class TestPlates:
         table = tmp_path / "coating.csv"
         table.write_text("\n".join(lines), encoding="utf-8")
         scene, _ = load_text(plates_text(1, table=str(table)))
-        light, limits = (
-            {"field_deg": incidence_deg, "wavelength_nm": 550.0},
-            {"max_reflections": 40, "flux_threshold": 1e-12},
-        )
+        light = {"field_deg": incidence_deg, "wavelength_nm": 550.0}
         r, t, back = coating(incidence_deg)
         loop = 1 - back * r  # the front seen from inside is its back, the rear seen from inside its front
-        e = mistray.trace(scene, rays=256, **light, **limits).energy
+        e = mistray.trace(scene, rays=256, **light, max_reflections=40, flux_threshold=1e-12).energy
         assert e.detected_W / e.launched_W == pytest.approx(t * t / loop, rel=1e-4)
         assert e.escaped_W / e.launched_W == pytest.approx(r + t * t * r / loop, rel=1e-3)
 

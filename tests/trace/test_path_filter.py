@@ -4,6 +4,7 @@ import itertools
 import re
 import warnings
 from collections.abc import Sequence
+from operator import eq, ge, gt, le, lt, ne
 
 import numpy as np
 import pytest
@@ -102,15 +103,7 @@ def test_flags_and_columns(rows: Rows) -> None:
         assert held(text, rows) == flags, text
         assert text in ("H(detector)", "") or 0 < sum(flags) < len(LISTS), "the case tells something"
     power = rows.columns["power_W"]
-    signs = {
-        "<": np.less,
-        "<=": np.less_equal,
-        ">": np.greater,
-        ">=": np.greater_equal,
-        "=": np.equal,
-        "!=": np.not_equal,
-    }
-    for sign, compare in signs.items():
+    for sign, compare in {"<": lt, "<=": le, ">": gt, ">=": ge, "=": eq, "!=": ne}.items():
         assert held(f"power_W {sign} .5", rows) == compare(power, 0.5).tolist()
     assert held("power_W>1e-1&power_W<=+3E-1", rows) == ((power > 0.1) & (power <= 0.3)).tolist()
     assert held('kind = "ghost + scatter"', rows) == (rows.columns["kind"] == "ghost + scatter").tolist()

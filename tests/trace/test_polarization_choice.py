@@ -156,12 +156,7 @@ def test_the_same_light_is_tested_once(monkeypatch) -> None:
     assert tests(field_deg=7.25)
     assert not tests(field_deg=7.25)
     assert not tests(field_deg=7.375)
-    for light in (
-        {"field_deg": -7.25},
-        {"field_deg": 7.25, "azimuth_deg": 90.0},
-        {"field_deg": 7.0},
-        {"field_deg": 8.0},
-    ):
+    for light in ({"field_deg": -7.25}, {"field_deg": 7.25, "azimuth_deg": 90.0}, {"field_deg": 7}, {"field_deg": 8}):
         assert tests(**light)
         assert not tests(**light)
     assert tests(field_deg=7.25, wavelength_nm=600.0)

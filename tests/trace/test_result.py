@@ -49,11 +49,8 @@ class TestMaps:
         se, direct_se, whole = (np.linalg.norm(one.apart, axis=-1) for one in (ghosts, direct, triplet.light))
         np.testing.assert_allclose(np.hypot(se, direct_se), whole, rtol=2e-2)
         assert not triplet.irradiance_of([])[0].any()
-        for groups, words in (
-            ([[99999]], "path_id 99999 does not exist"),
-            ([[0, 1], [1]], "path_id 1 is in two groups"),
-        ):
-            with pytest.raises(mistray.MistrayError, match=words):
+        for groups, why in (([[99999]], "path_id 99999 does not exist"), ([[0, 1], [1]], "path_id 1 is in two groups")):
+            with pytest.raises(mistray.MistrayError, match=why):
                 triplet.maps(groups)
 
     @pytest.mark.parametrize("turn_deg", [0, 90])

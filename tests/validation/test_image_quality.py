@@ -90,9 +90,7 @@ def test_on_the_axis(name):
     assert image.mtf(f[some]) == pytest.approx(np.asarray(theirs.mtf[0][0])[some], abs=0.006)
 
 
-@pytest.mark.parametrize(
-    ("file", "wavelength_nm", "field"), [("HSC_no_obsc", 750.0, 0.5), ("LSST_r_noobsc", 620.0, 0.9)]
-)
+@pytest.mark.parametrize(("file", "wavelength_nm", "field"), [("HSC_no_obsc", 750, 0.5), ("LSST_r_noobsc", 620, 0.9)])
 def test_telescopes(file, wavelength_nm, field):
     """Rays of batoid over its entrance pupil, their OPD about our image point, piston aside: ours there."""
     optic = batoid.Optic.fromYaml(f"{file}.yaml")
