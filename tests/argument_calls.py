@@ -1,5 +1,4 @@
-"""
-Calls of public functions, methods and constructors by one of their arguments that takes several values.
+"""Calls of public functions, methods and constructors by one of their arguments that takes several values.
 
 `ONE` has those for which a single value is a list of one, `FIXED` vectors and lists that cannot be single, `NAMED`
 mappings. Each call takes the argument alone, most by its name, and returns what depends on it.

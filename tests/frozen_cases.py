@@ -23,8 +23,7 @@ from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 
 
 def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
-    """
-    Every branch of one source and wavelength that ends on the detector, by path, as the kernel wrote it down.
+    """Every branch of one source and wavelength that ends on the detector, by path, as the kernel wrote it down.
 
     Positions found again in float64, as `Trace.history` has them, would share code with the program under test.
     """
@@ -157,11 +156,9 @@ class Case:
         chosen = [k for k, text in enumerate(texts) if events is None or text in events]
         return lambda hits: [hits[k] for k in chosen]
 
-    def image_functional(
-        self, by_pixel: Array, events: Sequence[str] | None = None
-    ) -> Callable[[Sequence[Hits]], float]:
+    def image_functional(self, pixels: Array, events: Sequence[str] | None = None) -> Callable[[Sequence[Hits]], float]:
         """Σ flux · g: its value where a ray lands now as the pixel has it, its slope between the centres of pixels."""
-        height, width = by_pixel.shape
+        height, width = pixels.shape
         x0, x1, y0, y1 = self.trace.extent
         take = self.select(events)
 
@@ -169,7 +166,7 @@ class Case:
             return (hits.x - x0) / (x1 - x0) * width - 0.5, (hits.y - y0) / (y1 - y0) * height - 0.5
 
         def at(i: Array, j: Array) -> Array:
-            return by_pixel[np.clip(j, 0, height - 1).astype(int), np.clip(i, 0, width - 1).astype(int)]
+            return pixels[np.clip(j, 0, height - 1).astype(int), np.clip(i, 0, width - 1).astype(int)]
 
         # The cell between centres, and the pixel, are those of the ray as it was: a derivative does not see corners
         cells, offsets = [], []
@@ -265,8 +262,7 @@ def compare(
     case: Case, keys: Sequence[str], metrics: Metrics, kind_of: Kinds, *, tolerance: float, wrong: float,
     cancels: float, zero: float = 0.0,
 ) -> set[str]:  # fmt: skip
-    """
-    Asserts the derivatives of each metric by each key; gives kinds of which some derivative does not cancel.
+    """Asserts the derivatives of each metric by each key; gives kinds of which some derivative does not cancel.
 
     Those that are larger by the factor ``wrong`` must fail, but for what is below the share ``cancels`` of
     Σ |parts of the batches|; ``zero`` is the share of the metric that a move by the size of the surface may change.

@@ -1,5 +1,4 @@
-"""
-JSON schemas of what commands print with `--json`, from what their calls with all options print.
+"""JSON schemas of what commands print with `--json`, from what their calls with all options print.
 
 `python tests/result_schemas.py [COMMAND…]` writes them for `mistray COMMAND --schema result`. Texts and units come from
 the rows of tables and from the ends of names, see docs/json.md; tests hold outputs against them.

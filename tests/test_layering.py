@@ -93,10 +93,6 @@ def module_of(file: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def is_type_checking(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-
-
 def uses(file: Path) -> list[Use]:
     module = module_of(file)
     package = module if file.name == "__init__.py" else module.rpartition(".")[0]
@@ -114,7 +110,7 @@ def uses(file: Path) -> list[Use]:
             base = ".".join([*start, *([node.module] if node.module else [])])
             for alias in node.names:
                 note(node, f"{base}.{alias.name}" if base == "mistray" else base, lazy)
-        elif not is_type_checking(node):
+        elif not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)):
             inside = lazy or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
             for child in ast.iter_child_nodes(node):
                 visit(child, inside)

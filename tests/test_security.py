@@ -21,7 +21,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import vectors
-from command_line import fails
+from command_line import Captured, fails
 from refusals import refused
 from test_cli_import import SEQ, ZMX
 
@@ -170,9 +170,7 @@ PARTS = {"surface": "{type: Plane}", "obscuration": "{type: ClearCircle, radius:
 
 
 @pytest.mark.parametrize("part", ["surface", "obscuration", "medium", "sum", "negation", "optic"])
-def test_a_batoid_file_evaluates_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any, part: str
-) -> None:
+def test_a_batoid_file_evaluates_nothing(tmp_path: Path, capsys: Captured, monkeypatch: Any, part: str) -> None:
     pytest.importorskip("batoid")
     mark, lens = tmp_path / "mark", tmp_path / "lens.yaml"
     evil = f"""{{type: "__import__('pathlib').Path('{mark}').touch() or Plane"}}"""

@@ -420,10 +420,8 @@ def cluster(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def all_clients_are_closed():
-    """
-    One that is not would close itself whenever the garbage collection finds it. That can be while the next one starts,
-    and then both wait for ever for the same lock.
-    """
+    """One that is not closes itself when the garbage collection finds it: perhaps while the next one starts, and then
+    both wait for ever for the same lock."""
     yield
     clients = [one for one in gc.get_objects() if isinstance(one, distributed.Client)]
     assert {client.status for client in clients} <= {"closed"}

@@ -82,13 +82,11 @@ STOPS: dict[str, tuple[list[str], dict[str, float]]] = {
                   {"stop.x": -6.0}),
     "tilted": (
         [placed_xml("frustum", "stop", at=(0.0, 0.0, 8.0), facing=(0.0, -SINE, COSINE), r0=3.0, z0=0.0, r1=8.0, z1=0.0),
-         detector(20.0)], {"stop.tilt_x": -np.pi * 9.0 * SINE * np.pi / 180, "stop.r0": 6 * np.pi * COSINE},
-    ),
+         detector(20.0)], {"stop.tilt_x": -np.pi * 9.0 * SINE * np.pi / 180, "stop.r0": 6 * np.pi * COSINE}),
     # Light that misses the filter is detected whole
     "passes half": (
         [shape_xml("asphere", "plate", 5.0, HALF_PASSES, semi_diameter=3.0, inner_semi_diameter=1.0), detector(10.0)],
-        {"plate.semi_diameter": -3 * np.pi, "plate.inner_semi_diameter": np.pi},
-    ),
+        {"plate.semi_diameter": -3 * np.pi, "plate.inner_semi_diameter": np.pi}),
     "rectangle": ([shape_xml("asphere", "detector", 5.0, sensor=True, half_width=3.0, half_height=1.0, curvature=0.02)],
                   {"detector.half_width": 4.0, "detector.half_height": 12.0}),
     # A cone that ends in a hole: where it begins and how long it is does not matter
@@ -297,8 +295,7 @@ class TestAgainstTheLight:
 
 
 def integral_along_the_rim(samples: int) -> list[tuple[float, float]]:
-    """
-    Derivatives of what leaves after one scatter event by the radius of the hole and its place, in float64 NumPy.
+    """Derivatives of what leaves after one scatter event by the radius of the hole and its place, in float64 NumPy.
 
     At a point of the rim, which is the same all along it, the radiance that comes from the detector's side is either
     the detector's own, 1/(π A), and the light is scattered by the tube beyond the vane; or the tube's behind the vane,

@@ -222,8 +222,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "ellipse": (
         {"clip_1": "+ellipse", "clip_1_half_width": 9.0, "clip_1_half_height": 5.0, "clip_1_angle_deg": 30.0,
          "clip_1_y": -2.0},
-        {"clip_1_half_width": 5 * math.pi, "clip_1_half_height": 9 * math.pi, "clip_1_angle_deg": 0.0},
-    ),
+        {"clip_1_half_width": 5 * math.pi, "clip_1_half_height": 9 * math.pi, "clip_1_angle_deg": 0.0}),
     "rectangle": (
         {"clip_1": "+rectangle", "clip_1_half_width": 9.0, "clip_1_half_height": 5.0, "clip_1_angle_deg": -50.0},
         {"clip_1_half_width": 20.0, "clip_1_half_height": 36.0, "clip_1_y": 0.0}),
@@ -232,20 +231,17 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "cut": (
         {"clip_1": "+circle", "clip_1_radius": 10.0, "clip_2": "-rectangle", "clip_2_half_width": 20.0,
          "clip_2_half_height": 10.0, "clip_2_y": 10.0},
-        {"clip_2_y": 20.0, "clip_2_half_height": -20.0, "clip_1_radius": 10 * math.pi},
-    ),
+        {"clip_2_y": 20.0, "clip_2_half_height": -20.0, "clip_1_radius": 10 * math.pi}),
     # Two vanes across a ring of radii 3 and 12, 2 mm wide
     "spider": (
         {"clip_1": "+rectangle", "clip_1_half_width": 15.0, "clip_1_half_height": 1.0, "clip_2": "&circle",
          "clip_2_radius": 12.0, "clip_3": "+circle", "clip_3_radius": 3.0},
         {"clip_1_half_height": 4 * (math.sqrt(143.0) - math.sqrt(8.0)),
-         "clip_3_radius": 6 * (math.pi - 2 * math.asin(1 / 3))},
-    ),
+         "clip_3_radius": 6 * (math.pi - 2 * math.asin(1 / 3))}),
     "both": (
         {"clip_1": "+circle", "clip_1_radius": 8.0, "clip_2": "&rectangle", "clip_2_half_width": 20.0,
          "clip_2_half_height": 20.0, "clip_2_x": 20.0},
-        {"clip_2_x": -16.0, "clip_1_radius": 8 * math.pi},
-    ),
+        {"clip_2_x": -16.0, "clip_1_radius": 8 * math.pi}),
 }  # fmt: skip
 
 
@@ -264,24 +260,20 @@ CORNERS_AND_SEAMS: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "round hole beside a square one": (
         {**DISC, **polygon(2, "-", SQUARE), "clip_2_x": -5.0, "clip_3": "-circle", "clip_3_radius": 3.0,
          "clip_3_x": 6.0},
-        {"clip_3_radius": -6 * math.pi, "clip_3_x": 0.0, "clip_2_x": 0.0},
-    ),
+        {"clip_3_radius": -6 * math.pi, "clip_3_x": 0.0, "clip_2_x": 0.0}),
     "rectangles that abut": (
         {"clip_1": "+rectangle", "clip_1_half_width": 5.0, "clip_1_half_height": 6.0, "clip_1_x": -5.0,
          "clip_2": "+rectangle", "clip_2_half_width": 5.0, "clip_2_half_height": 4.0, "clip_2_x": 5.0},
-        {"clip_1_half_height": 20.0, "clip_2_half_height": 20.0, "clip_1_x": -8.0, "clip_2_x": 8.0},
-    ),
+        {"clip_1_half_height": 20.0, "clip_2_half_height": 20.0, "clip_1_x": -8.0, "clip_2_x": 8.0}),
     "rectangles that overlap a little": (
         {"clip_1": "+rectangle", "clip_1_half_width": 5.1, "clip_1_half_height": 6.0, "clip_1_x": -5.0,
          "clip_2": "+rectangle", "clip_2_half_width": 5.1, "clip_2_half_height": 6.0, "clip_2_x": 5.0},
-        {"clip_1_half_width": 12.0, "clip_2_x": 12.0},
-    ),
+        {"clip_1_half_width": 12.0, "clip_2_x": 12.0}),
     "circle over a rectangle": (
         {"clip_1": "+circle", "clip_1_radius": 6.0, "clip_2": "+rectangle", "clip_2_half_width": 9.0,
          "clip_2_half_height": 1.0},
         {"clip_1_radius": 12 * (math.pi - 2 * math.asin(1 / 6)), "clip_2_half_width": 4.0,
-         "clip_2_half_height": 4 * (9 - math.sqrt(35.0))},
-    ),
+         "clip_2_half_height": 4 * (9 - math.sqrt(35.0))}),
 }  # fmt: skip
 
 

@@ -92,8 +92,7 @@ def test_less_noise_than_one_direction(scene) -> None:
 
 
 def test_errors_hold(scene) -> None:
-    """
-    The spread of 24 runs is off by 50 % or -45 % once in 20 000 times, of five derivatives five times as often.
+    """The spread of 24 runs is off by 50 % or -45 % once in 20 000 times, of five derivatives five times as often.
 
     The rim has 72 runs: a single one may state twice the usual error. It was 0.5 to 0.7 in sets of 24, 0.61 in all.
     """

@@ -40,8 +40,7 @@ def scene(
     pixels: int = 8,
     **changed: dict[str, Any],
 ) -> str:
-    """
-    An asphere and a conic with a stop, a painted barrel and a detector.
+    """An asphere and a conic with a stop, a painted barrel and a detector.
 
     `at` and `facing` place the second surface, and `changed` replaces numbers of `ORDINARY`; None leaves one out.
     """

@@ -29,21 +29,14 @@ from mistray.surfaces.gradient_columns import GEOMETRY, POSE
 
 def scene() -> Any:
     """A prism, whose faces point to different sides, and a lens that is turned as a whole, with its edge."""
-    lens = moved_as_one(
-        (
-            Surface("front", radius=30.0, semi_diameter=5.0, back="1.5", part="L"),
-            Surface("rear", radius=-30.0, semi_diameter=5.0, z=4.0, front="1.5", part="L"),
-            Structure("edge", 5.0, 0.5, 5.0, 3.5, front="1.5", part="L"),
-        ),
-        z=30.0,
-        tilt_deg=(0.0, 20.0, 0.0),
-    )
+    front = Surface("front", radius=30.0, semi_diameter=5.0, back="1.5", part="L")
+    rear = Surface("rear", radius=-30.0, semi_diameter=5.0, z=4.0, front="1.5", part="L")
+    edge = Structure("edge", 5.0, 0.5, 5.0, 3.5, front="1.5", part="L")
+    *lens, edge = moved_as_one((front, rear, edge), z=30.0, tilt_deg=(0.0, 20.0, 0.0))
     faces = prism("P", [(0, 0), (10, 10), (-10, 10)], 20.0, material="1.5")
-    surfaces = tuple(face for face in (*faces, *lens) if isinstance(face, Surface))
-    return Prescription(
-        name="bodies", surfaces=surfaces, structures=lens[2:], source=Source(radius=5.0),
-        detector=Detector(z=60.0, half_width=9.0, half_height=9.0),
-    ).to_scene()  # fmt: skip
+    detector, light = Detector(z=60.0, half_width=9.0, half_height=9.0), Source(radius=5.0)
+    parts: dict[str, Any] = {"surfaces": (*faces, *lens), "structures": (edge,), "source": light, "detector": detector}
+    return Prescription(name="bodies", **parts).to_scene()
 
 
 @pytest.fixture(scope="module")

@@ -333,11 +333,7 @@ def test_what_is_left_out_is_named(cases: Callable[[str], Case]) -> None:
 
 
 def test_cleanliness_level() -> None:
-    """
-    Dust, whose random choices change with its level: two traces with other seeds at levels 20 % apart.
-
-    False-alarm probability 1e-3.
-    """
+    """Dust, whose random choices change with its level: two traces, other seeds, 20 % apart; false alarm 1e-3."""
     case = Case(lens((bsdf_xml("particulate", level=400.0),), ()), {**LIMITS, "rays": 20_000, "seed": 5})
     params, key = mi.traverse(case.scene), "front.bsdf.particulate.level"
 

@@ -32,15 +32,8 @@ from mistray.metrics.scene_values import changed
 
 FIELDS = (0.0, 4.0)
 TRACED = {"rays": 1500, "max_reflections": 2, "wavelength_nm": (500.0, 600.0)}
-EVERY = {
-    "path_power": path_power,
-    "ghost_to_signal": ghost_to_signal,
-    "peak_irradiance": peak_irradiance,
-    "ghost_rms_irradiance": ghost_rms_irradiance,
-    "ghost_focus": ghost_focus,
-    "rms_spot": rms_spot,
-    "transmission": transmission,
-}
+OF_GHOSTS = (path_power, ghost_to_signal, peak_irradiance, ghost_rms_irradiance, ghost_focus)
+EVERY = {factory.__name__: factory for factory in (*OF_GHOSTS, rms_spot, transmission)}
 GHOST = "front:T rear:R front:R rear:T detector:A"
 # Of one observation of the coated singlet
 FUNCTIONS = {

@@ -203,12 +203,9 @@ def test_negative_field_angles_are_at_the_opposite_azimuth() -> None:
     assert again.facts() == grid.facts()
 
 
-def lambertian(f: float) -> str:
-    return scattering_xml([bsdf_xml("abg", A=2 * f, B=1.0, g=0.0)], R=1.0, T=0.0)
-
-
 def screen_text(f: float, radius: float) -> str:
-    screen = shape_xml("asphere", "screen", 0.0, lambertian(f), semi_diameter=4.0)
+    lambertian = scattering_xml([bsdf_xml("abg", A=2 * f, B=1.0, g=0.0)], R=1.0, T=0.0)
+    screen = shape_xml("asphere", "screen", 0.0, lambertian, semi_diameter=4.0)
     detector = shape_xml("asphere", "detector", 5.0, sensor=True, semi_diameter=0.1)
     return scene_text(screen, detector, radius=radius, distance=2.0)
 

@@ -62,15 +62,11 @@ DETECTORS: dict[str, tuple[str, dict[str, Any], float, dict[str, float]]] = {
     "rectangle": ("asphere", {"half_width": 3.0, "half_height": 2.0}, 24.0, {"x": 0, "x²": 3, "y²": 4 / 3, "xy": 0}),
     "stock rectangle": ("rectangle", {"scale": (3.0, 2.0, 1.0)}, 24.0, {"x²": 3.0, "y²": 4 / 3}),
     "round": ("asphere", {"semi_diameter": 4.0}, 16 * np.pi, {"r²": 8.0, "r⁴": 256 / 3, "quadrant": 0.25}),
-    "annular": (
-        "asphere", {"semi_diameter": 4.0, "inner_semi_diameter": 2.0}, 12 * np.pi,
-        {"r²": 10.0, "r⁴": (4.0**6 - 2.0**6) / 36, "half": 0.5},
-    ),
+    "annular": ("asphere", {"semi_diameter": 4.0, "inner_semi_diameter": 2.0}, 12 * np.pi,
+                {"r²": 10.0, "r⁴": (4.0**6 - 2.0**6) / 36, "half": 0.5}),
     # Of a sphere all heights have the same area
-    "curved": (
-        "asphere", {"semi_diameter": 6.0, "radius": 10.0}, 20 * np.pi * SAG,
-        {"z": SAG / 2, "z²": SAG**2 / 3, "half": 0.5},
-    ),
+    "curved": ("asphere", {"semi_diameter": 6.0, "radius": 10.0}, 20 * np.pi * SAG,
+               {"z": SAG / 2, "z²": SAG**2 / 3, "half": 0.5}),
 }  # fmt: skip
 NEAR, FAR = AT + np.array([2.0, 1.0, -9.0]), AT + np.array([-8.0, 0.0, -20.0])
 ELLIPSE = Target("ellipse", NEAR, np.array([3.0, 0, 0]), np.array([0, 4.0, 1.0]), share=0.7)

@@ -65,8 +65,7 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
     "wide disc": (
         {"type": "distant_disc", "diameter_deg": 80.0, "radiance": 3.0},
         # Radiance is uniform in sin² θ dφ: L ∫ cos θ d(sin² θ) = L 2/3 (1 - cos³ θ)
-        3 * np.pi * 2 / 3 * (1 - np.cos(np.radians(40)) ** 3) * np.pi * RADIUS**2,
-    ),
+        3 * np.pi * 2 / 3 * (1 - np.cos(np.radians(40)) ** 3) * np.pi * RADIUS**2),
     "sky": ({"type": "sky", "radiance": 2.0}, 2 * 2 * np.pi * np.pi * RADIUS**2),
     "part of the sky": ({"type": "sky", "half_angle_deg": 20.0},
                         np.pi * np.sin(np.radians(20)) ** 2 * np.pi * RADIUS**2),
@@ -81,8 +80,7 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
     "stock area": (
         {**BALL, "center": [0, 0, -100], "radius": 30.0, "emitter": {"type": "area", "radiance": WATTS}},
         # A Lambertian ball has the irradiance of a point: π L (R/r)² cos θ, and cos θ dA / r² = dΩ
-        np.pi * 2 * 900 * cone(100.0),
-    ),
+        np.pi * 2 * 900 * cone(100.0)),
 }  # fmt: skip
 
 

@@ -12,12 +12,8 @@ from mistray.trace.paths import PathTable, path_table
 
 SURFACES = {"L1_front": GLASS, "L1_rear": GLASS, "L1_edge": EDGE, "barrel": STRUCTURE, "primary": REFLECTOR}
 SURFACES |= {"detector": SENSOR}
-DIRECT = [
-    "L1_front:T L1_rear:T detector:A",
-    "primary:R detector:A",
-    "L1_front:T L1_rear:T primary:R L1_edge:I detector:A",
-]
-DESIGN = design_of(SURFACES, *DIRECT)
+LENS = "L1_front:T L1_rear:T"
+DESIGN = design_of(SURFACES, f"{LENS} detector:A", "primary:R detector:A", f"{LENS} primary:R L1_edge:I detector:A")
 
 
 def facts(*lists: str) -> list[dict]:

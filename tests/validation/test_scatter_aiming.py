@@ -16,10 +16,6 @@ import mistray
 pytestmark = [pytest.mark.validation, pytest.mark.slow]
 
 
-def scattered(t: mistray.Trace) -> tuple[float, float]:
-    return t.paths.power([row.path_id for row in t.paths if row.scatter_1 != "-"])
-
-
 class TestWorldWithoutImportanceSampling:
     """TracePro's example: A = 2e-5, B = 1e-6, g = 2, a detector of 4e-6 sr 30° off gets 3.464e-11 of the light."""
 
@@ -51,7 +47,7 @@ class TestWorldWithoutImportanceSampling:
         aimed = mistray.trace(scene, rays=self.RAYS, seed=1, aim=aim)
         mistray.trace(scene, rays=self.RAYS, aim="none")
         unaimed = mistray.trace(scene, rays=self.RAYS, seed=1, aim="none")
-        power, se = scattered(aimed)
+        power, se = aimed.paths.power([row.path_id for row in aimed.paths if row.scatter_1 != "-"])
         expected = 3.464e-11
         # the lens of 0.1 mm takes the edge off the corners of the deck's estimate: 1e-4
         assert_z("light on the detector", power, expected, se, k=4.0, floor=5e-4 * expected)
