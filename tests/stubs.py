@@ -59,15 +59,9 @@ def stub(package: str) -> str:
             imports[name] = f"{name}: str"
         else:
             imports[name] = f"from {home_of(module, name)} import {name} as {name}"
-    return "\n".join(
-        [
-            HEAD.format(what=(module.__doc__ or "").partition("\n")[0]),
-            *sorted(imports.values(), key=lambda line: "import" not in line),
-            f"\n__all__ = {module.__all__}",
-            *functions,
-            "",
-        ]
-    )
+    head = HEAD.format(what=(module.__doc__ or "").partition("\n")[0])
+    lines = sorted(imports.values(), key=lambda line: "import" not in line)
+    return "\n".join([head, *lines, f"\n__all__ = {module.__all__}", *functions, ""])
 
 
 def is_defined(module: ModuleType, name: str) -> bool:

@@ -75,15 +75,8 @@ ENDINGS = {"--plot": ".png", "--csv": ".csv", "--table": ".csv", "--layout": ".s
 def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
     """The working folder, with a file of every kind that commands read."""
     monkeypatch.chdir(tmp_path)
-    texts = {
-        "scene.xml": INPUTS["bare.xml"],
-        "lens.zmx": ZMX,
-        "cube.obj": CUBE,
-        "study.toml": STUDY,
-        "budget.toml": BUDGET,
-        "own.toml": OWN,
-    }
-    for name, text in {**texts, "table.csv": TABLE}.items():
+    texts = {"scene.xml": INPUTS["bare.xml"], "lens.zmx": ZMX, "cube.obj": CUBE, "table.csv": TABLE}
+    for name, text in {**texts, "study.toml": STUDY, "budget.toml": BUDGET, "own.toml": OWN}.items():
         (tmp_path / name).write_text(text)
     return tmp_path
 

@@ -145,11 +145,6 @@ class TestEverythingIsTested:
     def test_functions(self) -> None:
         packages = {f"mistray.{each.name}" for each in pkgutil.iter_modules(mistray.__path__) if each.ispkg}
         modules = map(importlib.import_module, packages.union(stubs.packages()))
-        names = {
-            name
-            for module in modules
-            for name in getattr(module, "__all__", ())
-            if inspect.isfunction(getattr(module, name))
-        }
+        names = {n for m in modules for n in getattr(m, "__all__", ()) if inspect.isfunction(getattr(m, n))}
         assert len(names) > 100
         assert names - set(re.findall(r"\w+", sources())) == set()

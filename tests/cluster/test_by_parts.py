@@ -293,13 +293,8 @@ def test_scenes_from_dicts_travel_with_their_frames():
     place, further = mi.ScalarTransform4f().translate([0.1, 0, 1]), mi.ScalarTransform4d().translate([0.1, 0, 1.1])
     bsdf = {"type": "interface", "front": "air", "back": "1.5"}
     plate = {"type": "asphere", "id": "front", "semi_diameter": 2.0, "to_world": place, "bsdf": bsdf}
-    scene = mistray.load(
-        {
-            "type": "scene",
-            "plate": plate,
-            "rear": plate | {"id": "rear", "to_world": further, "bsdf": {"type": "interface", "front": "1.5"}},
-        }
-    )
+    rear = plate | {"id": "rear", "to_world": further, "bsdf": {"type": "interface", "front": "1.5"}}
+    scene = mistray.load({"type": "scene", "plate": plate, "rear": rear})
     parcel = Parcel.of(Power(scene))
     _, made = Unpacked().task(parcel.task, parcel.digest, parcel.scenes)
     for key, value in read_numbers(scene).items():

@@ -233,7 +233,6 @@ def lens_file(rng: random.Random) -> str:
 PROGRAM = """
 import sys
 import mistray
-from mistray.surfaces.upload import download, upload
 from mistray.prescription import from_zemax
 
 path = sys.argv[1]

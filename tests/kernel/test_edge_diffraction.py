@@ -95,15 +95,10 @@ class TestPst:
 
     def scene(self, load: Load, width: float) -> Any:
         size = {"half_width": self.HALF, "half_height": self.HALF}
-        return load(
-            scatter_scene(
-                beam_xml(6.0),
-                ring_xml(self.RADIUS, width),
-                stop_xml(self.RADIUS, self.TUBE),
-                placed_xml("frustum", "tube", r0=self.TUBE, z0=0.0, r1=self.TUBE, z1=self.LENGTH + 1),
-                placed_xml("asphere", "detector", at=(0, 0, self.LENGTH), pixels=4, **size),
-            )
-        )
+        tube = placed_xml("frustum", "tube", r0=self.TUBE, z0=0.0, r1=self.TUBE, z1=self.LENGTH + 1)
+        end = placed_xml("asphere", "detector", at=(0, 0, self.LENGTH), pixels=4, **size)
+        ring, stop = ring_xml(self.RADIUS, width), stop_xml(self.RADIUS, self.TUBE)
+        return load(scatter_scene(beam_xml(6.0), ring, stop, tube, end))
 
     def expected(self, angle: float, width: float) -> float:
         """The BSDF in direction cosines, integrated over ring, detector and cell."""

@@ -14,13 +14,7 @@ Event = tuple[str, str]
 SPECULAR = {"SpecTran": "T", "SpecRefl": "R", "TIR": "I", "Absorbed": "A"}
 KINDS = {**SPECULAR, "T": "T", "R": "R", "A": "A"}
 LETTERS = {**SPECULAR, "RandTran": "t", "RandRefl": "r", "ImpTran": "i", "ImpRefl": "j"}
-OUTCOMES = (
-    "reached the end",
-    "missed the surface",
-    "blocked by another surface",
-    "total internal reflection",
-    "no TIR here",
-)
+OUTCOMES = ("reached the end", "missed the surface", "blocked by another", "total internal reflection", "no TIR here")
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,8 @@ from mistray.spectra.spectrum import light_of
 pytestmark = pytest.mark.quick
 
 # A small round detector off the axis
-DETECTOR = {
-    "type": "asphere",
-    "semi_diameter": 2.0,
-    "to_world": towards_origin(float(np.degrees(np.arcsin(0.6))), 50.0),
-    "bsdf": BLACK,
-    "sensor": meter(),
-}
+ASIDE = towards_origin(float(np.degrees(np.arcsin(0.6))), 50.0)
+DETECTOR = {"type": "asphere", "semi_diameter": 2.0, "to_world": ASIDE, "bsdf": BLACK, "sensor": meter()}
 
 
 def lm63(

@@ -268,11 +268,8 @@ def test_several_sources_of_scenes_and_calls() -> None:
     with pytest.raises(mistray.MistrayError, match="'sun'"):
         t.energy_of("sun")
     assert table.power_W.sum() == pytest.approx(t.energy.detected_W, rel=1e-9)
-    given = {
-        "type": "scene",
-        "detector": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter()},
-        "own": {"type": "collimated", "radius": 1.0},
-    }
+    detector = {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter()}
+    given = {"type": "scene", "detector": detector, "own": {"type": "collimated", "radius": 1.0}}
     for sources, names in (
         ("point:0,0,-20,power=3", {"source"}),
         ({"type": "sky"}, {"source"}),
