@@ -52,7 +52,6 @@ def line(values: np.ndarray) -> optimize.Modelled:
 
 fitted = cache(lambda: optimize.fit(line, X, 0.1 * np.ones(3), {"a": 0.5}))
 
-
 POLISH = prescription.Scatter("harvey_shack", {"rms_nm": 2.0, "l": 0.01, "s": -1.5})
 LAYER = coatings.Layer("MgF2", 99.4)
 QUARTER = coatings.Stack((LAYER,))

@@ -222,7 +222,6 @@ ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
     ("sensitivity", "--patch-deg"): (*LINES["sensitivity"], "--metric", "veiling_glare"),
 }
 
-
 TRACED = ("ghosts", "try.xml", "--json", "--rays", "200")
 
 

@@ -114,7 +114,6 @@ def deepen(data: bytes, rng: random.Random, nest: Nest) -> bytes:
 
 DAMAGES: tuple[Damage, ...] = (cut, double, swap, garble, huge, no_number, recode, deepen)
 
-
 # ---- damages that know the format of a scene; `write_companions` makes the files that they refer to
 
 COMPANIONS = ("empty.xml", "folder.xml", "cycle.xml", "cycle_back.xml", "piece.xml", "missing.xml", ".", "/", "")

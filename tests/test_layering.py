@@ -125,7 +125,6 @@ FILES = sorted(
 USES = [use for file in FILES for use in uses(file)]
 HEIGHT = {layer: height for height, layers in enumerate(LAYERS) for layer in layers}
 
-
 MOST_FILES = 20  # that a reader takes in at a glance
 
 

@@ -103,7 +103,6 @@ PUBLIC = sorted(
     if "__all__" in file.read_text(encoding="utf-8")
 )
 
-
 # A module of these may be called as its function, which is what a prompt offers
 LAZY = [f"mistray.{name}" for name in ("analysis", "io", "mechanics", "optimize", "report")]
 

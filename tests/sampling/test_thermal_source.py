@@ -28,7 +28,6 @@ GREY = {"type": "interface", "R": 0.25}
 WARM = {"type": "thermal", "temperature_K": 300.0, "parts": "detector = 0"}
 BAND_UM = (8.0, 12.0)
 
-
 L300 = band_radiance(300.0, *BAND_UM)
 FLAT = {"type": "asphere", "semi_diameter": 30.0, "z": -40.0}
 CASES: dict[str, tuple[dict[str, Any], float]] = {
@@ -254,7 +253,6 @@ def cone_share(distance: float, size: float, angle: float, power: float) -> floa
 
 
 TWINS = ("place in y", "tilt about y", "height", "cone of a disc", "direction of the sun about y")  # of others above
-
 
 # They differ from another gradient by the axis or by a source that starts in the same way
 ALIKE = [one for one in GRADIENTS if one in TWINS or one.startswith(("disc", "screen", "beam")) or one.endswith("in y")]

@@ -20,7 +20,6 @@ pytestmark = pytest.mark.validation
 OBJECTIVES = pytest.param("objectives", marks=pytest.mark.long)  # as many as all others together
 FILES = ("eyepieces", "infrared", "lithography", "microscopes", "miscellaneous", OBJECTIVES, "simple", "telescopes")
 
-
 # An image plane that the light meets from behind, which is no table of surfaces in the order of light
 NOT_BACK = ("Microscope20x",)
 

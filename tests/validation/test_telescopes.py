@@ -18,7 +18,6 @@ batoid = pytest.importorskip("batoid")
 beside_batoid = importlib.import_module("validation.beside_batoid")
 LSST, Telescope = beside_batoid.LSST, beside_batoid.Telescope
 
-
 RAYS = 10_000
 TELESCOPES = {
     "HSC": (Telescope("HSC_no_obsc.yaml", 750.0), (0.0, 0.3, 0.7)),
